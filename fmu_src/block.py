@@ -1,0 +1,289 @@
+"""A block: declared variables and equations. C, both modelDescription.xml files, documentation and the twin derive from it.
+
+A block is continuous (derivatives, outputs: valid at the end of a communication step) or sampled (it has a `period`, reads
+its inputs at the start of a step when a sample is due, and holds its outputs).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import cached_property
+from typing import Literal
+
+import casadi as ca
+import numpy as np
+
+from fmu_src.errors import BlockError
+from fmu_src.robot import Array, constant
+
+SX = ca.SX
+Units = tuple[str, ...]
+
+WRENCH: Units = ("N",) * 3 + ("N.m",) * 3
+TWIST: Units = ("m/s",) * 3 + ("rad/s",) * 3
+ACCELERATION: Units = ("m/s2",) * 3 + ("rad/s2",) * 3
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Variable:
+    """One variable: a scalar (`size` 1, `is_array` False) or an array (n); `units` has one entry per element."""
+
+    name: str
+    size: int
+    is_array: bool
+    units: Units
+    description: str
+    causality: Literal["parameter", "input", "output", "state"]
+    start: Array | None = None
+    tunable: bool = False
+    kind: Literal["real", "boolean", "enumeration"] = "real"
+    choices: tuple[str, ...] = ()
+    local: bool = False
+
+    @property
+    def element_names(self) -> tuple[str, ...]:
+        """Names of the elements in FMI 2.0's structured naming."""
+        return tuple(f"{self.name}[{i + 1}]" for i in range(self.size)) if self.is_array else (self.name,)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Requirement:
+    """`value >= minimum` (`>` if strict), or the FMU answers with an error that gives `subject`, value and `remedy`."""
+
+    value: SX
+    minimum: SX
+    strict: bool
+    subject: str
+    remedy: str
+    initially: bool
+
+
+class Block:
+    """Built by declaring variables, which gives symbols, and then equations in them.
+
+    Functions have the arguments (t, p, u, x): time [s], parameters, inputs, states, each one flat vector.
+    """
+
+    def __init__(self, name: str, description: str) -> None:
+        if not name.isidentifier():
+            raise BlockError(f"block {name!r}: the name must be an identifier (letters, digits, underscores)")
+        self.name, self.description = name, description
+        self.variables: dict[str, Variable] = {}
+        self.symbols: dict[str, SX] = {}
+        self.time = SX.sym("t")
+        self.requirements: list[Requirement] = []
+        self._next: dict[str, SX] = {}
+        self._initial: dict[str, SX] = {}
+        self._outputs: dict[str, SX] = {}
+        self.period: str | None = None
+        self.default_step = 1e-3
+
+    # Declarations
+
+    def parameter(
+        self,
+        name: str,
+        start: object,
+        unit: str | Units,
+        description: str,
+        *,
+        tunable: bool = False,
+        minimum: float | None = None,
+        above: float | None = None,
+    ) -> SX:
+        """`minimum`: the least value allowed; `above`: a bound that is itself not allowed."""
+        symbol = self._declare(name, "parameter", start, unit, description, tunable=tunable)
+        bound = minimum if minimum is not None else above
+        if bound is not None:
+            for element, part in zip(self.variables[name].element_names, ca.vertsplit(symbol), strict=True):
+                self.require(part, bound, f"parameter {element}", "correct the parameter", strict=above is not None)
+        return symbol
+
+    def choice(self, name: str, options: type[IntEnum], start: IntEnum, description: str, *, tunable: bool = True) -> SX:
+        """A parameter of FMI type Enumeration; options are numbered from 1."""
+        choices = tuple(option.name for option in options)
+        if [int(option) for option in options] != list(range(1, len(choices) + 1)):
+            raise BlockError(f"block {self.name}: the options of {name!r} must be numbered from 1")
+        return self._declare(name, "parameter", int(start), "1", description, tunable=tunable, kind="enumeration", choices=choices)
+
+    def switch(self, name: str, start: bool, description: str, *, tunable: bool = True) -> SX:
+        """A parameter of FMI type Boolean."""
+        return self._declare(name, "parameter", float(start), "1", description, tunable=tunable, kind="boolean")
+
+    def input(self, name: str, start: object, unit: str | Units, description: str) -> SX:
+        return self._declare(name, "input", start, unit, description)
+
+    def state(self, name: str, start: object, unit: str | Units, description: str, *, local: bool = False) -> SX:
+        """A state, visible as an output (or local variable) of the same name. Its start value can be set."""
+        return self._declare(name, "state", start, unit, description, local=local)
+
+    def sampled_every(self, name: str, start: float, description: str) -> SX:
+        """Make the block a sampled one; its period [s] is the fixed parameter `name`."""
+        self.period = name
+        self.default_step = start
+        return self.parameter(name, start, "s", description, above=0.0)
+
+    # Equations
+
+    def initial(self, state: str, value: SX) -> None:
+        """A state's value after initialisation, from parameters and its own start value."""
+        self._initial[state] = value
+
+    def derivative(self, state: str, value: SX) -> None:
+        """dx/dt of a continuous block."""
+        self._assign(self._next, state, value)
+
+    def update(self, state: str, value: SX) -> None:
+        """x(k) of a sampled block, from x(k-1) and the inputs of sample k."""
+        self._assign(self._next, state, value)
+
+    def output(self, name: str, value: SX, unit: str | Units, description: str) -> None:
+        self._declare(name, "output", np.zeros(value.numel()), unit, description, is_array=value.numel() > 1)
+        self._assign(self._outputs, name, value)
+
+    def require(
+        self, value: SX, minimum: SX | float, subject: str, remedy: str, *, strict: bool = False, initially: bool = False
+    ) -> None:
+        """Watched at every sample or step; on parameters alone, or `initially`: when the run begins and parameters change."""
+        self.requirements.append(
+            Requirement(
+                value=SX(value), minimum=SX(minimum), strict=strict, subject=subject, remedy=remedy, initially=initially
+            )
+        )
+
+    # What everything else derives from
+
+    @property
+    def is_sampled(self) -> bool:
+        return self.period is not None
+
+    def having(self, *causalities: str) -> list[Variable]:
+        return [variable for variable in self.variables.values() if variable.causality in causalities]
+
+    @property
+    def arguments(self) -> list[SX]:
+        return [self.time, self._symbols("parameter"), self._symbols("input"), self._symbols("state")]
+
+    @cached_property
+    def static_requirements(self) -> list[Requirement]:
+        """Those on parameters alone, or on start values."""
+        others = ca.vertcat(self.time, *self.arguments[2:])
+        return [r for r in self.requirements if r.initially or not ca.depends_on(ca.vertcat(r.value, r.minimum), others)]
+
+    @cached_property
+    def running_requirements(self) -> list[Requirement]:
+        return [r for r in self.requirements if r not in self.static_requirements]
+
+    @cached_property
+    def functions(self) -> dict[str, ca.Function]:
+        """`initial` -> x; `check` -> margins of the static requirements; and then
+
+        sampled: `update` -> x(k), outputs, margins; continuous: `derivatives` -> dx/dt and `outputs` -> outputs, margins.
+        A margin is value and minimum of one requirement.
+        """
+        names = [variable.name for variable in self.having("state")]
+        missing = [name for name in names if name not in self._next]
+        if missing:
+            raise BlockError(f"block {self.name}: no equation for the states {', '.join(missing)}")
+        self._check_symbols()
+        initial = ca.vertcat(*(self._initial.get(name, self.symbols[name]) for name in names))
+        rates = ca.vertcat(*(self._next[name] for name in names))
+        outputs = ca.vertcat(*self._outputs.values())
+        margins = self._margins(self.running_requirements)
+        made = {
+            "initial": self._function("initial", [initial]),
+            "check": self._function("check", [self._margins(self.static_requirements)]),
+        }
+        if self.is_sampled:
+            return made | {"update": self._function("update", [rates, outputs, margins])}
+        return made | {
+            "derivatives": self._function("derivatives", [rates]),
+            "outputs": self._function("outputs", [outputs, margins]),
+        }
+
+    @cached_property
+    def dependencies(self) -> dict[str, list[str]]:
+        """For every output element, the input elements that it depends on directly, at the same instant."""
+        u = self._symbols("input")
+        inputs = [name for variable in self.having("input") for name in variable.element_names]
+        result: dict[str, list[str]] = {}
+        for variable in self.having("output", "state"):
+            # A sampled state's visible value is the new one: it depends on the inputs of its sample.
+            expression = self._outputs.get(variable.name)
+            if expression is None:
+                expression = self._next[variable.name] if self.is_sampled else self.symbols[variable.name]
+            for element, row in zip(variable.element_names, ca.vertsplit(expression), strict=True):
+                pattern = ca.jacobian_sparsity(row, u) if u.numel() else ca.Sparsity(1, 0)
+                result[element] = [inputs[column] for column in pattern.get_col()]
+        return result
+
+    def start_values(self, *causalities: str) -> Array:
+        parts = [variable.start for variable in self.having(*causalities) if variable.start is not None]
+        return np.concatenate(parts) if parts else np.zeros(0)
+
+    def offset(self, name: str) -> int:
+        """Where the variable's elements begin among those of its own causality."""
+        position = 0
+        for variable in self.having(self.variables[name].causality):
+            if variable.name == name:
+                return position
+            position += variable.size
+        raise KeyError(name)
+
+    # Details
+
+    def _declare(
+        self,
+        name: str,
+        causality: Literal["parameter", "input", "output", "state"],
+        start: object,
+        unit: str | Units,
+        description: str,
+        *,
+        is_array: bool | None = None,
+        **more: object,
+    ) -> SX:
+        if name in self.variables or not name.isidentifier():
+            raise BlockError(f"block {self.name}: {name!r} is not an identifier, or is declared twice")
+        values = np.atleast_1d(np.asarray(start, dtype=np.float64)).ravel()
+        array = np.ndim(start) > 0 if is_array is None else is_array
+        units = (unit,) * values.size if isinstance(unit, str) else tuple(unit)
+        if len(units) != values.size:
+            raise BlockError(f"block {self.name}: {name!r} has {values.size} elements but {len(units)} units")
+        self.variables[name] = Variable(
+            name=name,
+            size=values.size,
+            is_array=array,
+            units=units,
+            description=description,
+            causality=causality,
+            start=None if causality == "output" else constant(values, (values.size,)),
+            **more,  # type: ignore[arg-type]
+        )
+        self.symbols[name] = SX.sym(name, values.size)
+        return self.symbols[name]
+
+    def _assign(self, into: dict[str, SX], name: str, value: SX) -> None:
+        if name not in self.variables or self.variables[name].size != value.numel() or name in into:
+            raise BlockError(f"block {self.name}: equation for {name!r}: undeclared, assigned twice, or of the wrong size")
+        into[name] = ca.densify(ca.reshape(SX(value), -1, 1))
+
+    def _symbols(self, causality: str) -> SX:
+        return ca.vertcat(SX(0, 1), *(self.symbols[variable.name] for variable in self.having(causality)))
+
+    def _margins(self, requirements: Sequence[Requirement]) -> SX:
+        return ca.densify(ca.vertcat(SX(0, 1), *(ca.vertcat(r.value, r.minimum) for r in requirements)))
+
+    def _function(self, name: str, results: Sequence[SX]) -> ca.Function:
+        shared = ca.cse([ca.densify(SX(result)) for result in results])
+        return ca.Function(f"{self.name}_{name}", self.arguments, shared)
+
+    def _check_symbols(self) -> None:
+        used = ca.symvar(ca.vertcat(*self._next.values(), *self._outputs.values(), *self._initial.values()))
+        known = {str(symbol) for argument in self.arguments for symbol in ca.vertsplit(argument)}
+        strange = sorted({str(symbol) for symbol in used} - known)
+        if strange:
+            raise BlockError(f"block {self.name}: the equations use undeclared symbols {', '.join(strange)}")
+

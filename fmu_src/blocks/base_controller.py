@@ -1,0 +1,86 @@
+"""The base's controller at T_b: law (17) and the passivity controller's damper, (25), (26)."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+import casadi as ca
+import numpy as np
+
+from fmu_src.block import WRENCH, Block
+from fmu_src.blocks.gains import BASE, DAMPING, gains
+from fmu_src.blocks.robot_parameters import (
+    IDENTITY,
+    desired_motion,
+    mass_parameters,
+    measured_state,
+    require_square_jacobian,
+)
+from fmu_src.equations import passivity, rotation
+from fmu_src.equations.dynamics import articulated_base_inertia
+from fmu_src.equations.kinematics import base_jacobian_transposed_times
+from fmu_src.equations.tracking_control import (
+    feed_forward,
+    matched_gains,
+    pose_error,
+    smallest_singular_value,
+    spring_damper,
+)
+from fmu_src.robot import Robot
+
+SX = ca.SX
+
+
+class Discretisation(IntEnum):
+    """`emulated`: the continuous gains as they are. `matched`: sampled gains with the continuous law's poles, per axis."""
+
+    emulated = 1
+    matched = 2
+
+
+def base_controller(robot: Robot) -> Block:
+    require_square_jacobian(robot, "base_controller")
+    block = Block("base_controller", "Regulation of the base with its passivity controller")
+    T_b = block.sampled_every("period", 0.3, "T_b: sampling time of this controller")
+    mechanism = mass_parameters(block, robot)
+    K_P, K_D = gains(block, BASE)
+    discretisation = block.choice("discretisation", Discretisation, Discretisation.emulated, "How the gains are sampled")
+    share = block.parameter("damper_bound", 0.5, "1", "c in beta <= c M~ / T_b - K_D (0: no bound)", tunable=True, minimum=0.0)
+    least_sigma = block.parameter("singularity_threshold", 0.02, "1", "Least singular value of J_m allowed", tunable=True, minimum=0.0)
+    p_bd = block.parameter("position_setpoint", np.zeros(3), "m", "x_bd: base position to hold, in I", tunable=True)
+    R_bd = block.parameter("orientation_setpoint", IDENTITY, "1", "Base orientation to hold, quaternion x, y, z, w", tunable=True)
+
+    p_b = block.input("base_position", np.zeros(3), "m", "Measured position of B in I")
+    state = measured_state(block, robot)
+    v_d, a_d = desired_motion(block)
+    F_m = block.input("end_effector_wrench", np.zeros(6), WRENCH, "F'_m of the same instant, in I")
+    beta_b = block.input("base_damping", np.zeros(6), DAMPING, "beta_b from the passivity observer")
+
+    # M~ of B in I: what a base wrench moves while nothing acts at the hand.
+    R_IB = rotation.matrix(state.orientation)
+    M_B = articulated_base_inertia(mechanism, state.q)
+    M = ca.vertcat(ca.diag(R_IB @ M_B[:3, :3] @ R_IB.T), ca.diag(R_IB @ M_B[3:, 3:] @ R_IB.T))
+    matched = matched_gains(K_P, K_D, M, T_b)
+    is_matched = discretisation == int(Discretisation.matched)
+    K_Pd, K_Dd = (ca.if_else(is_matched, sampled, emulated) for sampled, emulated in zip(matched, (K_P, K_D), strict=True))
+
+    # Eq. (17).
+    star = feed_forward(mechanism, state, v_d, a_d)
+    v_b = ca.vertcat(state.v, state.w)
+    Jb_F = base_jacobian_transposed_times(star.p_be, F_m)
+    F_b = star.F_b + spring_damper(K_Pd, K_Dd, pose_error(p_b, state.orientation, p_bd, R_bd), v_b) + Jb_F
+    # Eq. (25), beta_b for the printed beta_m, and (26); bounded so that the held damper makes no energy itself.
+    beta = ca.if_else(share > 0, passivity.bounded(beta_b, share, M, K_Dd, T_b), beta_b)
+    F_pcb = -beta * v_b
+    F_b_total = F_b + F_pcb
+
+    block.output("base_wrench", F_b_total, WRENCH, "F'_b: total wrench on the base, passivity controller included, in I")
+    block.output("port_wrench", F_b_total - Jb_F, WRENCH, "F'_B(k_b) = F'_b - J_b^T F'_m at this sample, in I")
+    block.output("passivity_wrench", F_pcb, WRENCH, "F_pcb: share of the passivity controller, (25), in I")
+    sigma = smallest_singular_value(star.Jm_inverse)
+    for name, quaternion in (("base_orientation", state.orientation), ("orientation_setpoint", R_bd)):
+        block.require(ca.sumsqr(quaternion), 1e-12, f"squared norm of {name}", "give a quaternion of norm one", strict=True)
+    block.require(
+        sigma, least_sigma, "smallest singular value of J_m", "keep the posture away from singularities, or lower singularity_threshold"
+    )
+    return block

@@ -1,0 +1,95 @@
+"""What every block that knows the robot's model has in common: its masses as parameters, its measured state as inputs."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from fmu_src.block import ACCELERATION, TWIST, Block, Units
+from fmu_src.equations.kinematics import end_effector_pose
+from fmu_src.equations.mechanism import (
+    Mechanism,
+    State,
+    constant_mechanism,
+    inertia_entries,
+    mechanism,
+    symmetric_matrix,
+)
+from fmu_src.errors import RobotError
+from fmu_src.robot import Array, Robot
+
+SX = ca.SX
+IDENTITY = (0.0, 0.0, 0.0, 1.0)
+
+
+def joint_units(robot: Robot, revolute: str, prismatic: str) -> Units:
+    return tuple(revolute if joint.kind == "revolute" else prismatic for joint in robot.joints)
+
+
+def start_pose(robot: Robot) -> tuple[Array, Array]:
+    """End-effector position (3) [m] and quaternion (4) in I at the start posture, base frame on I."""
+    position, orientation = end_effector_pose(constant_mechanism(robot), SX(3, 1), SX(list(IDENTITY)), SX(ca.DM(robot.posture)))
+    values = [np.array(ca.evalf(part)).ravel() for part in (position, orientation)]
+    return values[0], values[1]
+
+
+def mass_parameters(block: Block, robot: Robot) -> Mechanism:
+    """Declare base mass and inertia and the tool's; give the mechanism in these symbols."""
+    base_mass = block.parameter("base_mass", robot.base.mass, "kg", "Mass of the base body without the arm", above=0.0)
+    base_inertia = block.parameter(
+        "base_inertia",
+        inertia_entries(robot.base.inertia),
+        "kg.m2",
+        "Inertia of the base body about its centre of mass, in B: xx, yy, zz, xy, xz, yz",
+    )
+    tool_mass = block.parameter("tool_mass", robot.tool.mass, "kg", "Mass of the tool", minimum=0.0)
+    tool_centre = block.parameter("tool_centre_of_mass", robot.tool.centre_of_mass, "m", "Centre of mass of the tool, in E")
+    tool_inertia = block.parameter(
+        "tool_inertia",
+        inertia_entries(robot.tool.inertia),
+        "kg.m2",
+        "Inertia of the tool about its centre of mass, in E: xx, yy, zz, xy, xz, yz",
+    )
+    _require_physical(block, "base_inertia", base_inertia, strict=True)
+    _require_physical(block, "tool_inertia", tool_inertia, strict=False)
+    return mechanism(robot, base_mass, base_inertia, tool_mass, tool_centre, tool_inertia)
+
+
+def _require_physical(block: Block, name: str, entries: SX, *, strict: bool) -> None:
+    """Positive definite (by its leading minors) and, by the density-weighted covariance, within the triangle inequality."""
+    matrix = symmetric_matrix(entries)
+    covariance = 0.5 * ca.trace(matrix) * SX.eye(3) - matrix
+    scale = ca.trace(matrix)
+    for what, tested, exact in (("positive definite", matrix, strict), ("within the triangle inequality", covariance, False)):
+        for size in (1, 2, 3):
+            minor = ca.det(tested[:size, :size])
+            # A body may lie on the triangle inequality's edge: rounding must not throw it over.
+            slack = 0.0 if exact else -1e-12 * scale**size
+            block.require(minor, slack, f"{name}: leading minor {size} of what must be {what}", "correct the inertia", strict=exact)
+
+
+def measured_state(block: Block, robot: Robot) -> State:
+    """Declare base orientation and velocity, joint positions and velocities as inputs."""
+    n = robot.joint_count
+    return State(
+        block.input("base_orientation", IDENTITY, "1", "Orientation of B in I, quaternion x, y, z, w"),
+        *ca.vertsplit(block.input("base_velocity", np.zeros(6), TWIST, "Velocity of B's origin and angular velocity, in I"), [0, 3, 6]),
+        block.input("joint_position", robot.posture, joint_units(robot, "rad", "m"), "Joint positions"),
+        block.input("joint_velocity", np.zeros(n), joint_units(robot, "rad/s", "m/s"), "Joint velocities"),
+    )
+
+
+def desired_motion(block: Block) -> tuple[SX, SX]:
+    """Declare the reference's velocity and acceleration as inputs."""
+    return (
+        block.input("desired_velocity", np.zeros(6), TWIST, "Desired end-effector velocity x_md', in I"),
+        block.input("desired_acceleration", np.zeros(6), ACCELERATION, "Desired end-effector acceleration x_md'', in I"),
+    )
+
+
+def require_square_jacobian(robot: Robot, subject: str) -> None:
+    if robot.joint_count != 6:
+        raise RobotError(
+            f"robot {robot.name}: {subject} needs six free joints so that J_m is square, got {robot.joint_count}; "
+            f"lock joints with --lock until six are free"
+        )

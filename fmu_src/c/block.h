@@ -1,0 +1,54 @@
+/* What a block is to the runtime. The generated block.c defines one `block`; everything else here is the same for all. */
+#ifndef BLOCK_H
+#define BLOCK_H
+
+#include <stddef.h>
+
+/* t [s], parameters, inputs, states -> up to three result vectors. */
+typedef void Equations(const double *t, const double *p, const double *u, const double *x, double *r0, double *r1, double *r2);
+
+typedef enum { REAL, BOOLEAN, ENUMERATION } Kind;
+
+/* When a value may be set: never, before initialisation ends, also between steps, as an input, as a state's start value. */
+typedef enum { READ_ONLY, FIXED, TUNABLE, INPUT, START } Access;
+
+/* One entry per value. The value reference is its index in the value vector; an array's is that of its first element. */
+typedef struct {
+    const char *name;      /* of the element, FMI 2.0 structured naming */
+    unsigned char kind;    /* Kind */
+    unsigned char access;  /* Access */
+    unsigned char maximum; /* largest value of an enumeration */
+    unsigned short extent; /* elements of the variable that begins here; 0 inside an array */
+} Value;
+
+/* Margins are pairs (value, minimum), in the order of these. */
+typedef struct {
+    const char *subject, *remedy;
+    int strict;
+} Requirement;
+
+/* A range of the value vector. */
+typedef struct {
+    int first, count;
+} Range;
+
+typedef struct {
+    const char *name, *token;
+    int values;
+    Range parameters, inputs, states, outputs, derivatives;
+    const Value *value;
+    const double *start;
+    int period;          /* index of the sampling period, or -1 for a continuous block */
+    double step;         /* integration step of a continuous block [s] */
+    Equations *initial;  /* r0: states after initialisation */
+    Equations *check;    /* r0: margins of the requirements on parameters */
+    Equations *update;   /* sampled: r0 new states, r1 outputs, r2 margins */
+    Equations *rates;    /* continuous: r0 derivatives */
+    Equations *outputs_; /* continuous: r0 outputs, r1 margins */
+    int static_requirements, running_requirements;
+    const Requirement *static_requirement, *running_requirement;
+} Block;
+
+extern const Block block;
+
+#endif

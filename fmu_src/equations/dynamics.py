@@ -1,0 +1,212 @@
+"""Equation (1): articulated-body forward dynamics, inverse dynamics with two velocities, H and C, energy and momentum.
+
+All recursions run in body coordinates; wrenches and velocities go in and out in I.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from fmu_src.equations import rotation
+from fmu_src.equations.mechanism import Mechanism, State, transform
+from fmu_src.equations.spatial import (
+    ArticulatedInertia,
+    RigidInertia,
+    Z,
+    cross,
+    solve_positive_definite,
+    sparse,
+    symmetric,
+    wrench_to_parent,
+)
+from fmu_src.robot import Joint
+
+SX = ca.SX
+IN_PLANE = sparse([[1, 0, 0], [0, 1, 0], [0, 0, 0]])
+
+
+def body_velocities(mechanism: Mechanism, state: State) -> list[tuple[SX, SX]]:
+    """(v, w) of the base and of every body, each in its own frame."""
+    R_IB = rotation.matrix(state.orientation)
+    velocities = [(R_IB.T @ state.v, R_IB.T @ state.w)]
+    for i, joint in enumerate(mechanism.joints):
+        R, r = transform(joint, state.q[i])
+        v, w = velocities[-1]
+        v, w = R.T @ (v + cross(w, r)), R.T @ w
+        if joint.kind == "revolute":
+            w = w + Z * state.qd[i]
+        else:
+            v = v + Z * state.qd[i]
+        velocities.append((v, w))
+    return velocities
+
+
+def without_joint(inertia: ArticulatedInertia, joint: Joint) -> ArticulatedInertia:
+    """What of an articulated inertia is felt across a free joint about or along z: I - U U^T / D (Featherstone, 7.3).
+
+    The row and column of the joint's own direction vanish; they are left out, not computed.
+    """
+    M, H, I = inertia  # noqa: E741
+    if joint.kind == "revolute":
+        h, i, D = H[:, 2], I[:, 2], I[2, 2]
+    else:
+        h, i, D = M[:, 2], H[2, :].T, M[2, 2]
+    h_over, i_over = h / D, i / D
+    M, H, I = symmetric(M - h_over @ h.T), H - h_over @ i.T, symmetric(I - i_over @ i.T)  # noqa: E741
+    if joint.kind == "revolute":
+        return ArticulatedInertia(M, H @ IN_PLANE, IN_PLANE @ I @ IN_PLANE)
+    return ArticulatedInertia(IN_PLANE @ M @ IN_PLANE, IN_PLANE @ H, I)
+
+
+def articulated_base_inertia(mechanism: Mechanism, q: SX) -> SX:
+    """M~ = ((M^-1)_bb)^-1 (6, 6), about B in B's axes: the base's inertia with no torque in the joints (no force at the hand)."""
+    inertia = mechanism.bodies[-1].articulated()
+    for i in reversed(range(len(mechanism.joints))):
+        R, r = transform(mechanism.joints[i], q[i])
+        below = mechanism.bodies[i - 1] if i > 0 else mechanism.base
+        inertia = below.articulated() + without_joint(inertia, mechanism.joints[i]).to_parent(R, r)
+    return inertia.matrix()
+
+
+def articulated_hand_inertia(mechanism: Mechanism, state: State) -> SX:
+    """Diagonal (6) of ((M^-1)_mm)^-1, at E in I: the hand's inertia with no wrench on the base and no torque in the joints."""
+    inertia, turn = mechanism.base.articulated(), rotation.matrix(state.orientation)
+    for i, joint in enumerate(mechanism.joints):
+        R, r = transform(joint, state.q[i])
+        inertia = without_joint(inertia.to_parent(R.T, -R.T @ r), joint) + mechanism.bodies[i].articulated()
+        turn = turn @ R
+    hand = inertia.to_parent(SX.eye(3), -sparse(mechanism.robot.end_effector_translation))
+    return ca.vertcat(ca.diag(turn @ hand.M @ turn.T), ca.diag(turn @ hand.I @ turn.T))
+
+
+def forward_dynamics(mechanism: Mechanism, state: State, base_wrench: SX, joint_torque: SX) -> tuple[SX, SX]:
+    """(1) solved for x_b'' (6, in I) and q'' (n) by the articulated-body algorithm (Featherstone, table 7.1)."""
+    joints, n = mechanism.joints, len(mechanism.joints)
+    R_IB = rotation.matrix(state.orientation)
+    velocities = body_velocities(mechanism, state)
+    transforms = [transform(joint, state.q[i]) for i, joint in enumerate(joints)]
+    inertias = [body.articulated() for body in (mechanism.base, *mechanism.bodies)]
+    bias = []
+    for body, (v, w) in zip((mechanism.base, *mechanism.bodies), velocities, strict=True):
+        p, L = body.momentum(v, w)
+        bias.append((cross(w, p), cross(w, L) + cross(v, p)))
+    # Outside in: articulated inertias and bias wrenches.
+    saved: list[tuple[SX, SX, SX, SX]] = [(SX(0), SX(0), SX(0), SX(0))] * n
+    for i in reversed(range(n)):
+        (M, H, I), (f, t), (v, w) = inertias[i + 1], bias[i + 1], velocities[i + 1]  # noqa: E741
+        if joints[i].kind == "revolute":
+            U_f, U_t, D, u = H[:, 2], I[:, 2], I[2, 2], joint_torque[i] - t[2]
+            c_v, c_w = cross(v, Z) * state.qd[i], cross(w, Z) * state.qd[i]
+        else:
+            U_f, U_t, D, u = M[:, 2], H[2, :].T, M[2, 2], joint_torque[i] - f[2]
+            c_v, c_w = cross(w, Z) * state.qd[i], SX(3, 1)
+        free = without_joint(inertias[i + 1], joints[i])
+        f = f + free.M @ c_v + free.H @ c_w + U_f * (u / D)
+        t = t + free.H.T @ c_v + free.I @ c_w + U_t * (u / D)
+        R, r = transforms[i]
+        inertias[i] = inertias[i] + free.to_parent(R, r)
+        f, t = wrench_to_parent(R, r, f, t)
+        bias[i] = (bias[i][0] + f, bias[i][1] + t)
+        saved[i] = (ca.vertcat(U_f, U_t) / D, u / D, c_v, c_w)
+    # The floating base, then inside out.
+    wrench = ca.vertcat(R_IB.T @ base_wrench[:3] - bias[0][0], R_IB.T @ base_wrench[3:] - bias[0][1])
+    acceleration = solve_positive_definite(inertias[0].matrix(), wrench)
+    a, alpha = acceleration[:3], acceleration[3:]
+    v_b, w_b = velocities[0]
+    base_acceleration = ca.vertcat(R_IB @ (a + cross(w_b, v_b)), R_IB @ alpha)
+    qdd = []
+    for i in range(n):
+        R, r = transforms[i]
+        U_over_D, u_over_D, c_v, c_w = saved[i]
+        a, alpha = R.T @ (a + cross(alpha, r)) + c_v, R.T @ alpha + c_w
+        qdd.append(u_over_D - ca.dot(U_over_D, ca.vertcat(a, alpha)))
+        if joints[i].kind == "revolute":
+            alpha = alpha + Z * qdd[-1]
+        else:
+            a = a + Z * qdd[-1]
+    return base_acceleration, ca.vertcat(*qdd)
+
+
+def two_velocity_inverse_dynamics(
+    mechanism: Mechanism, state: State, reference_velocity: SX, reference_acceleration: SX
+) -> tuple[SX, SX]:
+    """H a_r + C v_r as (base part (6, in I), joint part (n)), with C at the ACTUAL velocity of `state`.
+
+    v_r and a_r (6 + n) are a reference generalised velocity and acceleration. C is the simple one with H' - 2C skew:
+    the sum over bodies of m Jv^T dJv + Jw^T (I_c dJw + [w]x I_c Jw), w the actual angular velocity. With v_r the actual
+    velocity it is ordinary inverse dynamics. A recursion as in Newton-Euler, so M and Gamma are never formed.
+    """
+    R_IB = rotation.matrix(state.orientation)
+    actual = body_velocities(mechanism, state)
+    w_r = R_IB.T @ reference_velocity[3:6]
+    a_r, alpha_r = R_IB.T @ reference_acceleration[:3], R_IB.T @ reference_acceleration[3:6]
+    y, yd = reference_velocity[6:], reference_acceleration[6:]
+    wrenches = [_two_velocity_wrench(mechanism.base, actual[0][1], w_r, a_r, alpha_r)]
+    transforms = []
+    for i, joint in enumerate(mechanism.joints):
+        R, r = transform(joint, state.q[i])
+        transforms.append((R, r))
+        w_parent, w = actual[i][1], actual[i + 1][1]
+        # dr/dt in I: the offset turns with the parent; a prismatic joint also slides it (its v then is in the child's axes).
+        rate = cross(w_parent, r) + (R[:, 2] * state.qd[i] if joint.kind == "prismatic" else 0)
+        a_r = R.T @ (a_r + cross(alpha_r, r) + cross(w_r, rate))
+        w_r, alpha_r = R.T @ w_r, R.T @ alpha_r
+        if joint.kind == "revolute":
+            alpha_r = alpha_r + Z * yd[i] + cross(w, Z) * y[i]
+            w_r = w_r + Z * y[i]
+        else:
+            a_r = a_r + Z * yd[i] + cross(w, Z) * y[i]
+        wrenches.append(_two_velocity_wrench(mechanism.bodies[i], w, w_r, a_r, alpha_r))
+    efforts = []
+    force, torque = wrenches[-1]
+    for i in reversed(range(len(mechanism.joints))):
+        efforts.append(torque[2] if mechanism.joints[i].kind == "revolute" else force[2])
+        force, torque = wrench_to_parent(*transforms[i], force, torque)
+        force, torque = force + wrenches[i][0], torque + wrenches[i][1]
+    return ca.vertcat(R_IB @ force, R_IB @ torque), ca.vertcat(*reversed(efforts))
+
+
+def _two_velocity_wrench(body: RigidInertia, w: SX, w_r: SX, a_r: SX, alpha_r: SX) -> tuple[SX, SX]:
+    """Force and torque about the body's origin of m a_c,r and I_c alpha_r + w x I_c w_r; a_r is the origin's.
+
+    Moved from the centre of mass c to the origin, every term in c joins the inertia about the origin but m c.c w x w_r.
+    """
+    mass, mc, inertia = body
+    force = mass * a_r + cross(alpha_r, mc) + cross(w_r, cross(w, mc))
+    torque = inertia @ alpha_r + cross(mc, a_r) + cross(w, inertia @ w_r - ca.dot(mc, mc) / mass * w_r)
+    return force, torque
+
+
+def inertia_and_coriolis(mechanism: Mechanism, state: State) -> tuple[SX, SX]:
+    """H and C (6 + n, 6 + n) of (1), each read off the two-velocity recursion, which is linear in its references."""
+    n = 6 + len(mechanism.joints)
+    v_r, a_r = SX.sym("v_r", n), SX.sym("a_r", n)
+    total = ca.vertcat(*two_velocity_inverse_dynamics(mechanism, state, v_r, a_r))
+    return ca.jacobian(total, a_r), ca.jacobian(total, v_r)
+
+
+def kinetic_energy(mechanism: Mechanism, state: State) -> SX:
+    """Of the whole robot [J]."""
+    total = SX(0)
+    for body, (v, w) in zip((mechanism.base, *mechanism.bodies), body_velocities(mechanism, state), strict=True):
+        p, L = body.momentum(v, w)
+        total += 0.5 * (ca.dot(v, p) + ca.dot(w, L))
+    return total
+
+
+def momentum(mechanism: Mechanism, position: SX, state: State) -> tuple[SX, SX]:
+    """Linear momentum [N s] and angular momentum about I's origin [N m s], both (3) in I."""
+    velocities = body_velocities(mechanism, state)
+    p, L = mechanism.bodies[-1].momentum(*velocities[-1])
+    for i in reversed(range(len(mechanism.joints))):
+        p, L = wrench_to_parent(*transform(mechanism.joints[i], state.q[i]), p, L)
+        own = (mechanism.bodies[i - 1] if i > 0 else mechanism.base).momentum(*velocities[i])
+        p, L = p + own[0], L + own[1]
+    R_IB = rotation.matrix(state.orientation)
+    p = R_IB @ p
+    return p, R_IB @ L + cross(position, p)
+
+
+def total_mass(mechanism: Mechanism) -> SX:
+    return sum((body.mass for body in mechanism.bodies), start=mechanism.base.mass)
+

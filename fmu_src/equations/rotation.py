@@ -1,0 +1,63 @@
+"""Unit quaternions [x, y, z, w], the orientation error of the paper, and rotations about a fixed axis."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+SX = ca.SX
+
+
+def product(a: SX, b: SX) -> SX:
+    """Hamilton product a * b of quaternions [x, y, z, w]."""
+    av, aw, bv, bw = a[:3], a[3], b[:3], b[3]
+    return ca.vertcat(aw * bv + bw * av + ca.cross(av, bv), aw * bw - ca.dot(av, bv))
+
+
+def conjugate(a: SX) -> SX:
+    return ca.vertcat(-a[:3], a[3])
+
+
+def normalised(a: SX) -> SX:
+    return a / ca.sqrt(ca.dot(a, a))
+
+
+def matrix(a: SX) -> SX:
+    """R (3, 3) of a quaternion of any length but zero: its length does not enter."""
+    x, y, z, w = ca.vertsplit(a)
+    s = 2.0 / ca.dot(a, a)
+    return ca.blockcat(
+        [
+            [1 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y)],
+            [s * (x * y + w * z), 1 - s * (x * x + z * z), s * (y * z - w * x)],
+            [s * (x * z - w * y), s * (y * z + w * x), 1 - s * (x * x + y * y)],
+        ]
+    )
+
+
+def derivative(a: SX, w: SX) -> SX:
+    """da/dt for the angular velocity w (3) in the inertial frame; keeps the length of a."""
+    return 0.5 * product(ca.vertcat(w, 0), a)
+
+
+def error(actual: SX, desired: SX) -> SX:
+    """2 eps (3): twice the vector part of actual * desired^-1, in I, the shorter way round.
+
+    The orientation part of Delta x in (7) and (8): K times it is the gradient of 2 K eps^T eps for isotropic K, and it is the
+    rotation vector to third order in the angle.
+    """
+    e = product(actual, conjugate(desired))
+    return 2.0 * ca.if_else(e[3] < 0, -1.0, 1.0) * e[:3]
+
+
+def about(vector: SX) -> SX:
+    """Quaternion of the rotation vector (3) [rad]; the zero vector included."""
+    half = 0.5 * ca.sqrt(ca.dot(vector, vector))
+    # sin(h)/h: the series below 1e-4 rad is exact to the last bit; the division then never meets a zero.
+    small = half < 1e-4
+    safe = ca.if_else(small, 1.0, half)
+    ratio = ca.if_else(small, 1.0 - half * half / 6.0, ca.sin(safe) / safe)
+    return ca.vertcat(0.5 * ratio * vector, ca.cos(half))
+
+
+def about_z(angle: SX) -> SX:
+    return ca.vertcat(0, 0, ca.sin(0.5 * angle), ca.cos(0.5 * angle))

@@ -1,0 +1,17 @@
+"""What can go wrong between a URDF and an FMU; every message is one sentence for the user."""
+
+
+class FmuSourceError(Exception):
+    """Base of this package's errors."""
+
+
+class RobotError(FmuSourceError):
+    """A robot description that is broken or physically impossible."""
+
+
+class BlockError(FmuSourceError):
+    """A block whose variables and equations do not fit each other."""
+
+
+class BuildError(FmuSourceError):
+    """The C compiler or the packaging failed."""

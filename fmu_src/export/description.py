@@ -1,0 +1,297 @@
+"""Block -> modelDescription.xml, FMI 2.0 and FMI 3.0."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from xml.etree import ElementTree as xml
+
+from fmu_src.block import Block, Variable
+from fmu_src.export.layout import Layout, derivative_elements, derivative_name, layout
+
+TOOL = "freeflyer-cosim"
+# Units as products of SI base units: kg, m, s, rad with their exponents.
+UNITS: dict[str, dict[str, int]] = {
+    "m": {"m": 1},
+    "m/s": {"m": 1, "s": -1},
+    "m/s2": {"m": 1, "s": -2},
+    "rad": {"rad": 1},
+    "rad/s": {"rad": 1, "s": -1},
+    "rad/s2": {"rad": 1, "s": -2},
+    "s": {"s": 1},
+    "Hz": {"s": -1},
+    "kg": {"kg": 1},
+    "kg.m2": {"kg": 1, "m": 2},
+    "kg.m/s": {"kg": 1, "m": 1, "s": -1},
+    "kg.m2/s": {"kg": 1, "m": 2, "s": -1},
+    "N": {"kg": 1, "m": 1, "s": -2},
+    "N.m": {"kg": 1, "m": 2, "s": -2},
+    "J": {"kg": 1, "m": 2, "s": -2},
+    "W": {"kg": 1, "m": 2, "s": -3},
+    "N/m": {"kg": 1, "s": -2},
+    "N.s/m": {"kg": 1, "s": -1},
+    "N.m/rad": {"kg": 1, "m": 2, "s": -2, "rad": -1},
+    "N.m.s/rad": {"kg": 1, "m": 2, "s": -1, "rad": -1},
+}
+DISPLAY = {"rad": ("deg", 57.29577951308232), "rad/s": ("deg/s", 57.29577951308232)}
+
+
+def text(root: xml.Element) -> bytes:
+    xml.indent(root)
+    return b'<?xml version="1.0" encoding="UTF-8"?>\n' + xml.tostring(root) + b"\n"
+
+
+def number(value: float) -> str:
+    return repr(float(value))
+
+
+def _units(root: xml.Element, block: Block) -> None:
+    used = sorted({unit for variable in block.variables.values() for unit in variable.units if unit != "1"} | {"s"})
+    definitions = xml.SubElement(root, "UnitDefinitions")
+    for name in used:
+        unit = xml.SubElement(definitions, "Unit", name=name)
+        if name in UNITS:
+            xml.SubElement(unit, "BaseUnit", {base: str(power) for base, power in UNITS[name].items()})
+        if name in DISPLAY:
+            display, factor = DISPLAY[name]
+            xml.SubElement(unit, "DisplayUnit", name=display, factor=number(factor))
+
+
+def _experiment(root: xml.Element, block: Block) -> None:
+    # FMPy doubles its output interval beyond 1000 steps in the default experiment: keep below.
+    step = block.default_step
+    xml.SubElement(root, "DefaultExperiment", startTime="0", stopTime=number(100 * step), stepSize=number(step))
+
+
+def _type_name(block: Block, variable: Variable) -> str:
+    return f"{block.name}.{variable.name}"
+
+
+def _enumerations(block: Block) -> list[Variable]:
+    return [variable for variable in block.variables.values() if variable.kind == "enumeration"]
+
+
+def _causality(variable: Variable) -> str:
+    if variable.causality == "state":
+        return "local" if variable.local else "output"
+    return variable.causality
+
+
+def _variability(block: Block, variable: Variable) -> str:
+    if variable.causality == "parameter":
+        return "tunable" if variable.tunable else "fixed"
+    if block.is_sampled and variable.causality in ("output", "state"):
+        return "discrete"
+    return "continuous"
+
+
+def fmi2(block: Block, token: str) -> bytes:
+    """modelDescription.xml of FMI 2.0: every element of an array is a variable of its own."""
+    plan = layout(block)
+    root = xml.Element(
+        "fmiModelDescription",
+        fmiVersion="2.0",
+        modelName=block.name,
+        guid=token,
+        description=block.description,
+        generationTool=TOOL,
+        variableNamingConvention="structured",
+        numberOfEventIndicators="0",
+    )
+    if not block.is_sampled:
+        xml.SubElement(root, "ModelExchange", modelIdentifier=block.name, canGetAndSetFMUstate="true", canSerializeFMUstate="true")
+    xml.SubElement(
+        root,
+        "CoSimulation",
+        modelIdentifier=block.name,
+        canHandleVariableCommunicationStepSize="true",
+        canGetAndSetFMUstate="true",
+        canSerializeFMUstate="true",
+    )
+    _units(root, block)
+    if _enumerations(block):
+        types = xml.SubElement(root, "TypeDefinitions")
+        for variable in _enumerations(block):
+            items = xml.SubElement(xml.SubElement(types, "SimpleType", name=_type_name(block, variable)), "Enumeration")
+            for index, choice in enumerate(variable.choices):
+                xml.SubElement(items, "Item", name=choice, value=str(index + 1))
+    _experiment(root, block)
+    variables = xml.SubElement(root, "ModelVariables")
+    index = _fmi2_variables(variables, block, plan)
+    _fmi2_structure(xml.SubElement(root, "ModelStructure"), block, index)
+    return text(root)
+
+
+def _fmi2_variables(parent: xml.Element, block: Block, plan: Layout) -> dict[str, int]:
+    """Adds all scalars; gives the 1-based index of each by name."""
+    index: dict[str, int] = {}
+
+    def scalar(name: str, reference: int, **attributes: str) -> xml.Element:
+        index[name] = len(index) + 1
+        return xml.SubElement(parent, "ScalarVariable", name=name, valueReference=str(reference), **attributes)
+
+    element = scalar("time", 0, causality="independent", variability="continuous", description="Simulation time")
+    xml.SubElement(element, "Real", unit="s")
+    for variable in block.variables.values():
+        for i, name in enumerate(variable.element_names):
+            attributes = {
+                "causality": _causality(variable),
+                "variability": _variability(block, variable),
+                "description": variable.description,
+            }
+            typed: dict[str, str] = {}
+            if variable.causality in ("parameter", "state"):
+                attributes["initial"] = "exact"
+            elif variable.causality == "output":
+                attributes["initial"] = "calculated"
+            if variable.start is not None:
+                value = variable.start[i]
+                typed["start"] = number(value) if variable.kind == "real" else str(int(value))
+            if variable.kind == "boolean" and "start" in typed:
+                typed["start"] = "true" if variable.start is not None and variable.start[i] else "false"
+            if variable.kind == "enumeration":
+                typed["declaredType"] = _type_name(block, variable)
+            if variable.kind == "real" and variable.units[i] != "1":
+                typed["unit"] = variable.units[i]
+            element = scalar(name, plan.reference[variable.name] + i, **attributes)
+            xml.SubElement(element, {"real": "Real", "boolean": "Boolean", "enumeration": "Enumeration"}[variable.kind], typed)
+    for variable in [] if block.is_sampled else block.having("state"):
+        for i, (name, state) in enumerate(zip(derivative_elements(variable), variable.element_names, strict=True)):
+            element = scalar(
+                name,
+                plan.reference[derivative_name(variable)] + i,
+                causality="local",
+                variability="continuous",
+                initial="calculated",
+                description=f"Derivative of {state}",
+            )
+            xml.SubElement(element, "Real", derivative=str(index[state]))
+    return index
+
+
+def _fmi2_structure(parent: xml.Element, block: Block, index: dict[str, int]) -> None:
+    outputs = [(variable, name) for variable in block.having("output", "state") if not variable.local for name in variable.element_names]
+    states = [] if block.is_sampled else [name for variable in block.having("state") for name in variable.element_names]
+    # State-dependent unknowns may depend on every state; on inputs they depend as the equations say.
+    listed = xml.SubElement(parent, "Outputs") if outputs else None
+    for _, name in sorted(outputs, key=lambda pair: index[pair[1]]):
+        depends = sorted(index[other] for other in [*block.dependencies[name], *states])
+        assert listed is not None
+        xml.SubElement(listed, "Unknown", index=str(index[name]), dependencies=" ".join(map(str, depends)))
+    if states:
+        derivatives = xml.SubElement(parent, "Derivatives")
+        for name in states:
+            xml.SubElement(derivatives, "Unknown", index=str(index[f"der({name})"]))
+    unknowns = [name for variable, name in outputs if variable.causality == "output"] + [f"der({name})" for name in states]
+    if unknowns:
+        initial = xml.SubElement(parent, "InitialUnknowns")
+        for name in sorted(unknowns, key=index.__getitem__):
+            xml.SubElement(initial, "Unknown", index=str(index[name]))
+
+
+def fmi3(block: Block, token: str) -> bytes:
+    """modelDescription.xml of FMI 3.0: arrays are arrays."""
+    plan = layout(block)
+    root = xml.Element(
+        "fmiModelDescription",
+        fmiVersion="3.0",
+        modelName=block.name,
+        instantiationToken=token,
+        description=block.description,
+        generationTool=TOOL,
+        variableNamingConvention="structured",
+    )
+    if not block.is_sampled:
+        xml.SubElement(root, "ModelExchange", modelIdentifier=block.name, canGetAndSetFMUState="true", canSerializeFMUState="true")
+    xml.SubElement(
+        root,
+        "CoSimulation",
+        modelIdentifier=block.name,
+        canHandleVariableCommunicationStepSize="true",
+        canGetAndSetFMUState="true",
+        canSerializeFMUState="true",
+    )
+    _units(root, block)
+    if _enumerations(block):
+        types = xml.SubElement(root, "TypeDefinitions")
+        for variable in _enumerations(block):
+            items = xml.SubElement(types, "EnumerationType", name=_type_name(block, variable))
+            for index, choice in enumerate(variable.choices):
+                xml.SubElement(items, "Item", name=choice, value=str(index + 1))
+    _experiment(root, block)
+    _fmi3_variables(xml.SubElement(root, "ModelVariables"), block, plan)
+    _fmi3_structure(xml.SubElement(root, "ModelStructure"), block, plan)
+    return text(root)
+
+
+def _fmi3_variables(parent: xml.Element, block: Block, plan: Layout) -> None:
+    xml.SubElement(
+        parent, "Float64", name="time", valueReference="0", causality="independent", variability="continuous", unit="s",
+        description="Simulation time",
+    )  # fmt: skip
+    for variable in block.variables.values():
+        attributes = {
+            "name": variable.name,
+            "valueReference": str(plan.reference[variable.name]),
+            "causality": _causality(variable),
+            "variability": _variability(block, variable),
+            "description": variable.description,
+        }
+        if variable.causality in ("parameter", "state"):
+            attributes["initial"] = "exact"
+        elif variable.causality == "output":
+            attributes["initial"] = "calculated"
+        if variable.start is not None:
+            values = variable.start
+            if variable.kind == "boolean":
+                attributes["start"] = "true" if values[0] else "false"
+            elif variable.kind == "enumeration":
+                attributes["start"] = str(int(values[0]))
+            else:
+                attributes["start"] = " ".join(number(value) for value in values)
+        if variable.kind == "enumeration":
+            attributes["declaredType"] = _type_name(block, variable)
+        # One unit for a whole array; a wrench or twist mixes two and goes without (FMI 2.0 has them element by element).
+        if variable.kind == "real" and len(set(variable.units)) == 1 and variable.units[0] != "1":
+            attributes["unit"] = variable.units[0]
+        tag = {"real": "Float64", "boolean": "Boolean", "enumeration": "Enumeration"}[variable.kind]
+        element = xml.SubElement(parent, tag, attributes)
+        if variable.is_array:
+            xml.SubElement(element, "Dimension", start=str(variable.size))
+    for variable in [] if block.is_sampled else block.having("state"):
+        element = xml.SubElement(
+            parent,
+            "Float64",
+            name=derivative_name(variable),
+            valueReference=str(plan.reference[derivative_name(variable)]),
+            causality="local",
+            variability="continuous",
+            initial="calculated",
+            description=f"Derivative of {variable.name}",
+            derivative=str(plan.reference[variable.name]),
+        )
+        if variable.is_array:
+            xml.SubElement(element, "Dimension", start=str(variable.size))
+
+
+def _fmi3_structure(parent: xml.Element, block: Block, plan: Layout) -> None:
+    states = [] if block.is_sampled else block.having("state")
+    outputs = [variable for variable in block.having("output", "state") if not variable.local]
+    owner = {name: variable.name for variable in block.having("input") for name in variable.element_names}
+
+    def references(names: Iterable[str]) -> str:
+        return " ".join(str(reference) for reference in sorted({plan.reference[name] for name in names}))
+
+    for variable in sorted(outputs, key=lambda variable: plan.reference[variable.name]):
+        depends = {owner[name] for element in variable.element_names for name in block.dependencies[element]}
+        xml.SubElement(
+            parent,
+            "Output",
+            valueReference=str(plan.reference[variable.name]),
+            dependencies=references([*depends, *(state.name for state in states)]),
+        )
+    for variable in states:
+        xml.SubElement(parent, "ContinuousStateDerivative", valueReference=str(plan.reference[derivative_name(variable)]))
+    unknowns = [variable.name for variable in outputs if variable.causality == "output"]
+    unknowns += [derivative_name(variable) for variable in states]
+    for name in sorted(unknowns, key=plan.reference.__getitem__):
+        xml.SubElement(parent, "InitialUnknown", valueReference=str(plan.reference[name]))
