@@ -76,6 +76,9 @@ def manipulator_controller(robot: Robot) -> Block:
     u_m_1, u_b_1 = previous("manipulator_port_velocity", TWIST), previous("base_velocity", TWIST)
     S_m_1, S_b_1 = previous("manipulator_port_wrench", WRENCH), previous("base_port_share", WRENCH)
 
+    # Before the first sample nothing has acted: whatever the delayed inputs hold then, it is not booked.
+    begun = block.state("begun", 0.0, "1", "1 once the first sample is taken", local=True)
+
     # Eq. (16).
     star = feed_forward(mechanism, state, v_d, a_d)
     F_m = star.F_m + spring_damper(K_P, K_D, pose_error(p_e, R_e, p_d, R_d), v_m - v_d)
@@ -107,12 +110,12 @@ def manipulator_controller(robot: Robot) -> Block:
     share_b = passivity.choose(
         observer, {Observer.paper: SX(6, 1), Observer.port: -Jb_F, Observer.tracking: -Jb_F - star.F_b}
     )
-    held = ca.if_else(observer == int(Observer.paper), F_B_held, F_b_applied)
+    held = begun * ca.if_else(observer == int(Observer.paper), F_B_held, F_b_applied)
     # Eq. (23), sign corrected.
     E_b = passivity.choose(
         bookkeeping,
         {
-            Bookkeeping.as_printed: passivity.observed_as_printed(E_b, held - F_pcb_held + share_b, v_b, beta_b_1, u_b_1, T_m),
+            Bookkeeping.as_printed: passivity.observed_as_printed(E_b, held - begun * F_pcb_held + share_b, v_b, beta_b_1, u_b_1, T_m),
             Bookkeeping.applied: passivity.observed_as_applied(E_b, held + S_b_1, u_b_1, v_b, T_m),
         },
     )
@@ -129,6 +132,7 @@ def manipulator_controller(robot: Robot) -> Block:
         "previous_base_velocity": v_b,
         "previous_manipulator_port_wrench": F_m_total - unseen_m,
         "previous_base_port_share": share_b,
+        "begun": SX(1),
     }.items():
         block.update(name, value)
     block.output("joint_torque", joint_torque(mechanism, state, F_m_total), joint_units(robot, "N.m", "N"), "tau = J_m^T F'_m")

@@ -1,0 +1,115 @@
+"""Scenario -> components -> a master that is ready to run. Component kinds and FMU directories come by entry point."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any
+
+from cosim import graph, parameters, schedule
+from cosim.component import Component
+from cosim.errors import ComponentError, CosimError
+from cosim.fmu import FmuComponent
+from cosim.master import Master
+from cosim.model_exchange import ModelExchangeComponent
+from cosim.near import did_you_mean
+from cosim.parameters import Values
+from cosim.scenario import ComponentSpec, Scenario
+
+Factory = Callable[[str, Mapping[str, Any], Path], Component]
+
+
+def find_fmu(name: str, options: Mapping[str, Any], directory: Path) -> Path:
+    """`fmu` in options is a path (relative to the scenario), or the name of a shipped FMU (default: the component's name)."""
+    _known_options(name, options, ("fmu", "fmi"))
+    fmu, version = str(options.get("fmu", name)), options.get("fmi", 2)
+    if version not in (2, 3):
+        raise ComponentError(f"component {name}: fmi is {version!r}; 2 or 3 is expected")
+    if fmu.endswith(".fmu"):
+        return directory / fmu
+    known: list[str] = []
+    for point in entry_points(group="freeflyer.fmus"):
+        folder = Path(point.load()()) / f"fmi{version}"
+        path = folder / f"{fmu}.fmu"
+        if path.is_file():
+            return path
+        known += [found.stem for found in folder.glob("*.fmu")]
+    raise ComponentError(f"component {name}: no FMU {fmu!r} is shipped for FMI {version}{did_you_mean(fmu, sorted(known))}")
+
+
+def _known_options(name: str, options: Mapping[str, Any], known: tuple[str, ...]) -> None:
+    for key in options:
+        if key not in known:
+            raise ComponentError(f"component {name}: unknown key {key!r}{did_you_mean(key, [*known, 'kind', 'step_s', 'parameters'])}")
+
+
+def fmu_component(name: str, options: Mapping[str, Any], directory: Path) -> Component:
+    return FmuComponent(name, find_fmu(name, options, directory))
+
+
+def model_exchange_component(name: str, options: Mapping[str, Any], directory: Path) -> Component:
+    return ModelExchangeComponent(name, find_fmu(name, options, directory))
+
+
+def python_component(name: str, options: Mapping[str, Any], directory: Path) -> Component:
+    """`object` is FILE.py:CALLABLE (relative to the scenario) or MODULE:CALLABLE; it is called with the component's name."""
+    _known_options(name, options, ("object",))
+    where, colon, attribute = str(options.get("object", "")).partition(":")
+    if not colon:
+        raise ComponentError(f"component {name}: object = 'FILE.py:CALLABLE' or 'MODULE:CALLABLE' is expected")
+    try:
+        if where.endswith(".py"):
+            path = directory / where
+            spec = importlib.util.spec_from_file_location(path.stem, path)
+            if spec is None or spec.loader is None or not path.is_file():
+                raise ComponentError(f"component {name}: {path} does not exist")
+            module = importlib.util.module_from_spec(spec)
+            spec.loader.exec_module(module)
+        else:
+            module = importlib.import_module(where)
+        made: Component = getattr(module, attribute)(name)
+    except (ImportError, AttributeError, SyntaxError) as error:
+        raise ComponentError(f"component {name}: {where}:{attribute} cannot be loaded: {error}") from error
+    return made
+
+
+def make(spec: ComponentSpec, directory: Path, fmi: int | None) -> Component:
+    points = {point.name: point for point in entry_points(group="freeflyer.components")}
+    if spec.kind not in points:
+        raise ComponentError(f"component {spec.name}: there is no kind {spec.kind!r}{did_you_mean(spec.kind, points)}")
+    factory: Factory = points[spec.kind].load()
+    options = dict(spec.options)
+    if fmi is not None and spec.kind in ("fmu", "model_exchange"):
+        options["fmi"] = fmi
+    try:
+        return factory(spec.name, options, directory)
+    except CosimError:
+        raise
+    except Exception as error:  # a component kind of another package has errors of its own
+        raise ComponentError(f"component {spec.name}: {error}") from error
+
+
+@contextmanager
+def assembled(scenario: Scenario, fmi: int | None = None) -> Iterator[tuple[Master, Values]]:
+    """A master with everything loaded, checked and initialised; components are closed at the end. Raises CosimError."""
+    components: dict[str, Component] = {}
+    try:
+        for spec in scenario.components:
+            components[spec.name] = make(spec, scenario.directory, fmi)
+        values = parameters.resolve(scenario, components)
+        plan = schedule.build(
+            parameters.steps(scenario, components, values),
+            scenario.stop,
+            scenario.record_every,
+            {name: component.variable_step for name, component in components.items()},
+        )
+        master = Master(graph.build(components, scenario.connections), plan, scenario.limits)
+        master.initialise(values)
+        yield master, values
+    finally:
+        for component in components.values():
+            component.close()

@@ -1,0 +1,32 @@
+"""What can go wrong, as one small tree. Every message is one sentence for the user: subject, got, expected, remedy."""
+
+
+class CosimError(Exception):
+    """Bad input; the command ends with exit code 2."""
+
+    exit_code = 2
+
+
+class ScenarioError(CosimError):
+    """A scenario file or an override that cannot be used."""
+
+
+class GraphError(CosimError):
+    """Components, connections or periods that do not fit each other."""
+
+
+class ComponentError(CosimError):
+    """An FMU or component that cannot be loaded or initialised, or refuses a value."""
+
+
+class OutputError(CosimError):
+    """Results that cannot be written."""
+
+    exit_code = 3
+
+
+class StepFailed(Exception):
+    """A component could not make its step; the run stops there and keeps what it has."""
+
+    def __init__(self, component: str, message: str) -> None:
+        super().__init__(f"{component}: {message}")

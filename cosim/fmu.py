@@ -1,0 +1,295 @@
+"""An FMU as a component: FMPy loads, checks and calls it; FMI 2.0 and FMI 3.0 co-simulation.
+
+Arrays of FMI 2.0 (`name[1]` ... `name[n]`) appear as one port, as they do in FMI 3.0.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import re
+import shutil
+import tempfile
+import zipfile
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import fmpy
+import numpy as np
+from fmpy import fmi2, fmi3
+from fmpy.fmi1 import FMICallException
+from fmpy.logging import addLoggerProxy
+from fmpy.model_description import ModelDescription, ModelVariable, read_model_description
+
+from cosim.component import Array, Port
+from cosim.errors import ComponentError, StepFailed
+
+ELEMENT = re.compile(r"^(?P<name>.+)\[(?P<index>\d+)\]$")
+REAL = ("Real", "Float64")
+
+
+def describe(path: Path) -> ModelDescription:
+    """The FMU's model description; ComponentError with one sentence for a file that is no usable FMU."""
+    if not path.is_file():
+        raise ComponentError(f"FMU {path} does not exist")
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = archive.namelist()
+            if "modelDescription.xml" not in names:
+                raise ComponentError(f"{path} is not an FMU: it contains no modelDescription.xml")
+            unsafe = [name for name in names if name.startswith(("/", "\\")) or ".." in Path(name).parts]
+            if unsafe:
+                raise ComponentError(f"FMU {path} is refused: its entry {unsafe[0]!r} points outside the archive")
+        version = _version(path)
+        if not version.startswith(("2.", "3.")):
+            raise ComponentError(f"FMU {path} is of FMI version {version}; FMI 2.0 and FMI 3.0 are supported")
+        return read_model_description(str(path))
+    except zipfile.BadZipFile as error:
+        raise ComponentError(f"{path} is not an FMU: it is no zip archive") from error
+    except ComponentError:
+        raise
+    except Exception as error:  # FMPy raises plain Exception for an invalid description
+        raise ComponentError(f"FMU {path} has an invalid modelDescription.xml: {_sentence(error)}") from error
+
+
+def _version(path: Path) -> str:
+    with zipfile.ZipFile(path) as archive:
+        head = archive.read("modelDescription.xml")[:4096].decode("utf-8", "replace")
+    found = re.search(r'fmiVersion\s*=\s*"([^"]*)"', head)
+    return found.group(1) if found else "unknown"
+
+
+def _sentence(error: Exception) -> str:
+    return " ".join(str(error).split())[:300]
+
+
+def ports_of(description: ModelDescription) -> tuple[dict[str, Port], dict[str, list[ModelVariable]]]:
+    """Ports by name, and for each the model variables that make it up, in order."""
+    groups: dict[str, list[ModelVariable]] = {}
+    for variable in description.modelVariables:
+        match = ELEMENT.match(variable.name)
+        groups.setdefault(match["name"] if match else variable.name, []).append(variable)
+    unknown = {id(item.variable): item for item in description.outputs}
+    inputs = {id(variable) for variable in description.modelVariables if variable.causality == "input"}
+    owner = {id(variable): name for name, group in groups.items() for variable in group}
+    every_input = frozenset(owner[identity] for identity in inputs)
+    ports = {}
+    for name, group in groups.items():
+        first = group[0]
+        sizes = [int(np.prod(v.shape)) if v.shape else _dimension(v) for v in group]
+        units: list[str | None] = []
+        for variable, size in zip(group, sizes, strict=True):
+            units += [variable.unit or (variable.declaredType.unit if variable.declaredType else None)] * size
+        items = first.declaredType.items if first.type == "Enumeration" and first.declaredType else []
+        direct: set[str] = set()
+        for variable in group:
+            item = unknown.get(id(variable))
+            if item is None or item.dependencies is None:
+                direct |= every_input if variable.causality == "output" else frozenset()
+            else:
+                direct |= {owner[id(v)] for v in item.dependencies if id(v) in inputs}
+        starts = [value for variable in group for value in _start(variable)]
+        ports[name] = Port(
+            name=name,
+            size=sum(sizes),
+            causality=first.causality or "local",
+            units=tuple(units),
+            start=tuple(starts) if len(starts) == sum(sizes) else None,
+            settable=first.causality in ("parameter", "structuralParameter") or (first.causality != "input" and first.initial in ("exact", "approx")),
+            choices=tuple(item.name for item in items),
+            boolean=first.type == "Boolean",
+            direct=frozenset(direct),
+        )
+    return ports, groups
+
+
+def _dimension(variable: ModelVariable) -> int:
+    size = 1
+    for dimension in variable.dimensions:
+        size *= int(dimension.start or 1)
+    return size
+
+
+def _start(variable: ModelVariable) -> list[float]:
+    if variable.start is None or variable.type in ("String", "Binary"):
+        return []
+    words = str(variable.start).split()
+    return [float({"true": 1, "false": 0}.get(word.lower(), word)) for word in words]
+
+
+class FmuComponent:
+    """One co-simulation instance of an FMU, stepped through FMPy's FMU2Slave or FMU3Slave."""
+
+    def __init__(self, name: str, path: Path) -> None:
+        self.name, self.path = name, path
+        self.description = describe(path)
+        self.version = 2 if self.description.fmiVersion.startswith("2") else 3
+        self._ports, self._variables = ports_of(self.description)
+        interface = self._interface()
+        self.variable_step = bool(getattr(interface, "canHandleVariableCommunicationStepSize", True))
+        self._messages: list[str] = []
+        self._buffers: list[Any] = []
+        self._directory = Path(tempfile.mkdtemp(prefix="freeflyer-"))
+        try:
+            self._check_binary(interface.modelIdentifier)
+            fmpy.extract(str(path), str(self._directory))
+            self._slave = self._instantiate(interface.modelIdentifier)
+        except BaseException:
+            shutil.rmtree(self._directory, ignore_errors=True)
+            raise
+
+    @property
+    def ports(self) -> Mapping[str, Port]:
+        return self._ports
+
+    # Loading
+
+    def _interface(self) -> Any:
+        interface = self.description.coSimulation
+        if interface is None:
+            raise ComponentError(f"FMU {self.path} of component {self.name} offers no co-simulation; only such FMUs can be stepped")
+        return interface
+
+    def _check_binary(self, identifier: str) -> None:
+        folder = fmpy.platform if self.version == 2 else fmpy.platform_tuple
+        wanted = f"binaries/{folder}/{identifier}{fmpy.sharedLibraryExtension}"
+        with zipfile.ZipFile(self.path) as archive:
+            names = archive.namelist()
+        if wanted not in names:
+            found = sorted({name.split("/")[1] for name in names if name.startswith("binaries/") and name.count("/") > 1})
+            raise ComponentError(
+                f"FMU {self.path} has no binary for this platform ({folder}); it has {', '.join(found) or 'none'}: build it for {folder}"
+            )
+
+    def _arguments(self, identifier: str) -> dict[str, Any]:
+        return {
+            "guid": self.description.guid,
+            "unzipDirectory": str(self._directory),
+            "modelIdentifier": identifier,
+            "instanceName": self.name,
+        }
+
+    def _instantiate(self, identifier: str) -> Any:
+        try:
+            if self.version == 2:
+                slave = fmi2.FMU2Slave(**self._arguments(identifier))
+                slave.instantiate(callbacks=self._callbacks())
+            else:
+                slave = fmi3.FMU3Slave(**self._arguments(identifier))
+                slave.instantiate(logMessage=self._log)
+        except Exception as error:
+            raise ComponentError(f"FMU {self.path} of component {self.name} cannot be instantiated: {self._why(error)}") from error
+        return slave
+
+    def _callbacks(self) -> Any:
+        callbacks = fmi2.fmi2CallbackFunctions()
+        callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(
+            lambda environment, name, status, category, message: self._log(environment, status, category, message)
+        )
+        callbacks.allocateMemory = fmi2.defaultCallbacks.allocateMemory
+        callbacks.freeMemory = fmi2.defaultCallbacks.freeMemory
+        addLoggerProxy(ctypes.byref(callbacks))
+        return callbacks
+
+    def _log(self, environment: object, status: int, category: object, message: bytes | None) -> None:
+        if message:
+            self._messages.append(message.decode("utf-8", "replace"))
+
+    def _why(self, error: Exception) -> str:
+        """What the FMU itself said, or else what FMPy says."""
+        said = "; ".join(self._messages)
+        self._messages.clear()
+        return said or _sentence(error)
+
+    # Life cycle
+
+    def enter_initialization(self, start: float, values: Mapping[str, Array]) -> None:
+        try:
+            for name, value in values.items():
+                self._set(name, value)
+            if self.version == 2:
+                self._slave.setupExperiment(startTime=start)
+                self._slave.enterInitializationMode()
+            else:
+                self._slave.enterInitializationMode(startTime=start)
+        except (FMICallException, OSError) as error:
+            raise ComponentError(f"component {self.name}: {self._why(error)}") from error
+
+    def exit_initialization(self) -> None:
+        try:
+            self._slave.exitInitializationMode()
+        except (FMICallException, OSError) as error:
+            raise ComponentError(f"component {self.name} cannot be initialised: {self._why(error)}") from error
+
+    def _set(self, name: str, value: Array) -> None:
+        variables = self._variables[name]
+        references = [variable.valueReference for variable in variables]
+        numbers = [float(x) for x in value]
+        kind = variables[0].type
+        if kind == "Real":
+            self._slave.setReal(references, numbers)
+        elif kind == "Float64":
+            self._slave.setFloat64(references, numbers)
+        elif kind == "Boolean":
+            self._slave.setBoolean(references, [bool(x) for x in numbers])
+        elif kind in ("Integer", "Enumeration") and self.version == 2:
+            self._slave.setInteger(references, [int(x) for x in numbers])
+        elif kind in ("Enumeration", "Int64"):
+            self._slave.setInt64(references, [int(x) for x in numbers])
+        elif kind == "Int32":
+            self._slave.setInt32(references, [int(x) for x in numbers])
+        else:
+            raise ComponentError(f"component {self.name}: variable {name} is of type {kind}, which cannot be set here")
+
+    def _bound(self, names: Sequence[str], buffer: Array) -> tuple[Any, int, Any, int]:
+        """References and a pointer into the buffer, made once; the arrays are kept alive with the component."""
+        variables = [variable for name in names for variable in self._variables[name]]
+        strange = [variable.name for variable in variables if variable.type not in REAL]
+        if strange:
+            raise ComponentError(f"component {self.name}: {strange[0]} is not a real variable; only real variables can be connected")
+        references = (ctypes.c_uint32 * len(variables))(*(variable.valueReference for variable in variables))
+        pointer = buffer.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
+        self._buffers.append((references, buffer))
+        return references, len(variables), pointer, buffer.size
+
+    def bind_inputs(self, names: Sequence[str], buffer: Array) -> Callable[[], None]:
+        references, count, pointer, size = self._bound(names, buffer)
+        slave, instance = self._slave, self._slave.component
+        if self.version == 2:
+            return self._guarded(lambda: slave.fmi2SetReal(instance, references, count, pointer))
+        return self._guarded(lambda: slave.fmi3SetFloat64(instance, references, count, pointer, size))
+
+    def bind_outputs(self, names: Sequence[str], buffer: Array) -> Callable[[], None]:
+        references, count, pointer, size = self._bound(names, buffer)
+        slave, instance = self._slave, self._slave.component
+        if self.version == 2:
+            return self._guarded(lambda: slave.fmi2GetReal(instance, references, count, pointer))
+        return self._guarded(lambda: slave.fmi3GetFloat64(instance, references, count, pointer, size))
+
+    def _guarded(self, call: Callable[[], object]) -> Callable[[], None]:
+        def guarded() -> None:
+            try:
+                call()
+            except (FMICallException, OSError) as error:
+                raise StepFailed(self.name, self._why(error)) from error
+
+        return guarded
+
+    def step(self, time: float, size: float) -> None:
+        try:
+            if self.version == 2:
+                self._slave.fmi2DoStep(self._slave.component, time, size, 1)
+            else:
+                self._slave.doStep(time, size)
+        except (FMICallException, OSError) as error:
+            raise StepFailed(self.name, self._why(error)) from error
+
+    def close(self) -> None:
+        slave, self._slave = self._slave, None
+        if slave is not None:
+            try:
+                slave.terminate()
+            except (FMICallException, OSError):
+                pass  # a failed instance may refuse to be terminated; it is freed all the same
+            slave.freeInstance()
+            shutil.rmtree(self._directory, ignore_errors=True)

@@ -1,0 +1,98 @@
+"""A model-exchange FMU as a component: its derivatives, integrated here by SciPy's DOP853 to a tight tolerance."""
+
+from __future__ import annotations
+
+import ctypes
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from fmpy import fmi2, fmi3
+from fmpy.fmi1 import FMICallException
+from scipy.integrate import DOP853
+
+from cosim.component import Array
+from cosim.errors import ComponentError, StepFailed
+from cosim.fmu import FmuComponent
+
+RELATIVE_TOLERANCE = 1e-10
+ABSOLUTE_TOLERANCE = 1e-12
+
+
+class ModelExchangeComponent(FmuComponent):
+    """Continuous FMUs without events: no event indicators, no time events."""
+
+    def __init__(self, name: str, path: Path) -> None:
+        super().__init__(name, path)
+        if self.description.numberOfEventIndicators:
+            self.close()
+            raise ComponentError(f"FMU {path} has event indicators; only model exchange without events is supported")
+
+    def _interface(self) -> Any:
+        interface = self.description.modelExchange
+        if interface is None:
+            raise ComponentError(f"FMU {self.path} of component {self.name} offers no model exchange")
+        return interface
+
+    def _instantiate(self, identifier: str) -> Any:
+        try:
+            if self.version == 2:
+                model = fmi2.FMU2Model(**self._arguments(identifier))
+                model.instantiate(callbacks=self._callbacks())
+            else:
+                model = fmi3.FMU3Model(**self._arguments(identifier))
+                model.instantiate(logMessage=self._log)
+        except Exception as error:
+            raise ComponentError(f"FMU {self.path} of component {self.name} cannot be instantiated: {self._why(error)}") from error
+        return model
+
+    def exit_initialization(self) -> None:
+        super().exit_initialization()
+        model = self._slave
+        if self.version == 2:
+            model.newDiscreteStates()
+        else:
+            model.updateDiscreteStates()
+        model.enterContinuousTimeMode()
+        self._x = np.zeros(len(self.description.derivatives) if self.version == 2 else self._state_count())
+        self._dx = np.zeros_like(self._x)
+        model.getContinuousStates(self._pointer(self._x), self._x.size)
+        self._first_step: float | None = None
+
+    def _state_count(self) -> int:
+        return int(self._slave.getNumberOfContinuousStates())
+
+    @staticmethod
+    def _pointer(array: Array) -> Any:
+        return array.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
+
+    def _rates(self, time: float, x: Array) -> Array:
+        model, n = self._slave, x.size
+        x = np.ascontiguousarray(x)
+        model.setTime(time)
+        model.setContinuousStates(self._pointer(x), n)
+        if self.version == 2:
+            model.getDerivatives(self._pointer(self._dx), n)
+        else:
+            model.getContinuousStateDerivatives(self._pointer(self._dx), n)
+        return self._dx.copy()
+
+    def step(self, time: float, size: float) -> None:
+        try:
+            solver = DOP853(
+                self._rates, time, self._x, time + size, rtol=RELATIVE_TOLERANCE, atol=ABSOLUTE_TOLERANCE, first_step=self._first_step
+            )
+            while solver.status == "running":
+                solver.step()
+            if solver.status != "finished":
+                raise StepFailed(self.name, f"the integration did not come from {time:g} s to {time + size:g} s")
+            # A fresh solver begins each step: let it begin where the last one had got to, not by feeling its way.
+            self._first_step = min(max(solver.h_abs, 1e-6), size)
+            self._x = solver.y
+            self._rates(time + size, self._x)
+            if self.version == 2:
+                self._slave.completedIntegratorStep()
+            else:
+                self._slave.completedIntegratorStep()
+        except (FMICallException, OSError) as error:
+            raise StepFailed(self.name, self._why(error)) from error

@@ -1,0 +1,117 @@
+"""What a run leaves behind: time and every recorded signal, one column per element, as Parquet.
+
+`pandas.read_parquet(path)` loads it in one line; the units are in `.attrs["units"]` of the frame, and in the file's schema.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as parquet
+
+from cosim.component import Array
+from cosim.errors import OutputError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Signal:
+    """One recorded variable, COMPONENT.VARIABLE, in the columns first ... first + size - 1."""
+
+    name: str
+    first: int
+    size: int
+    units: tuple[str | None, ...]
+
+    @property
+    def columns(self) -> list[str]:
+        return [self.name] if self.size == 1 else [f"{self.name}[{i + 1}]" for i in range(self.size)]
+
+
+class Record:
+    """Preallocated rows of (time, signals)."""
+
+    def __init__(self, signals: Sequence[Signal], rows: int) -> None:
+        self.signals: Mapping[str, Signal] = {signal.name: signal for signal in signals}
+        width = max((signal.first + signal.size for signal in signals), default=0)
+        self._time = np.empty(rows)
+        self._values = np.empty((rows, width))
+        self.rows = 0
+
+    def append(self, time: float, values: Array) -> None:
+        self._time[self.rows] = time
+        self._values[self.rows] = values
+        self.rows += 1
+
+    @property
+    def time(self) -> Array:
+        """(rows) [s]."""
+        return self._time[: self.rows]
+
+    def __getitem__(self, name: str) -> Array:
+        """(rows, size) of one signal, or (rows) of a scalar; KeyError if it was not recorded."""
+        signal = self.signals[name]
+        block = self._values[: self.rows, signal.first : signal.first + signal.size]
+        return block[:, 0] if signal.size == 1 else block
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.signals
+
+    @property
+    def units(self) -> dict[str, str]:
+        named = {
+            column: unit or "1"
+            for signal in self.signals.values()
+            for column, unit in zip(signal.columns, signal.units, strict=True)
+        }
+        return {"time": "s", **named}
+
+    def write(self, path: Path) -> None:
+        """Whole or not at all; OutputError if it cannot be written."""
+        columns = {"time": self.time}
+        for signal in self.signals.values():
+            for offset, column in enumerate(signal.columns):
+                columns[column] = self._values[: self.rows, signal.first + offset]
+        units = self.units
+        fields = [pa.field(name, pa.float64(), metadata={"unit": units[name]}) for name in columns]
+        # pandas keeps DataFrame.attrs under this key of the schema.
+        schema = pa.schema(fields, metadata={"PANDAS_ATTRS": json.dumps({"units": units})})
+        table = pa.table([pa.array(values) for values in columns.values()], schema=schema)
+        write_whole(path, lambda partial: parquet.write_table(table, partial, compression="zstd"))
+
+
+def write_whole(path: Path, write: object) -> None:
+    """Call `write(partial_path)` and move the result into place, so that no half-written file is taken for a whole one."""
+    partial = path.with_name(path.name + ".partial")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write(partial)  # type: ignore[operator]
+        os.replace(partial, path)
+    except OSError as error:
+        try:
+            partial.unlink(missing_ok=True)
+        except OSError:
+            pass  # the first error is the one to tell
+        raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
+
+
+def write_text(path: Path, text: str) -> None:
+    write_whole(path, lambda partial: Path(partial).write_text(text, encoding="utf-8"))
+
+
+def check_writable(directory: Path) -> None:
+    """OutputError before a long run rather than after it."""
+    probe = directory / ".writable"
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        probe.write_bytes(b"")
+        probe.unlink()
+    except OSError as error:
+        failure = OutputError(f"output directory {directory} cannot be written: {error.strerror or error}")
+        failure.exit_code = 2
+        raise failure from error

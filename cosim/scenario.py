@@ -1,0 +1,307 @@
+"""TOML -> a frozen `Scenario`. Every mistake is one sentence that names the file, the key and what was expected.
+
+A scenario may `extends` another (shipped name or path); tables are merged, everything else is replaced. A value of a
+parameter is a number, a list, a name of an enumeration, a Boolean, `{ value = ..., unit = "deg" }`, or "=COMPONENT.PARAMETER",
+which takes over what another component has.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from cosim.clock import nanoseconds
+from cosim.errors import ScenarioError
+from cosim.graph import Connection, split
+from cosim.master import Limit
+from cosim.near import did_you_mean
+
+SHIPPED = Path(__file__).parent / "scenarios"
+Raw = dict[str, Any]
+Step = int | str
+"""Nanoseconds, or "=PARAMETER" (of the same component, in seconds)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ComponentSpec:
+    """`kind` is an entry point of the group freeflyer.components; `options` are the keys that belong to it."""
+
+    name: str
+    kind: str
+    step: Step
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measure:
+    """An error: the actual signal and the desired one (an output, or a parameter)."""
+
+    actual: str
+    desired: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scenario:
+    name: str
+    title: str
+    paper: str
+    directory: Path
+    stop: int
+    record_every: int
+    expect: Literal["completes", "diverges"]
+    robot: Mapping[str, Any]
+    components: tuple[ComponentSpec, ...]
+    connections: tuple[Connection, ...]
+    limits: tuple[Limit, ...]
+    errors: Mapping[str, Measure]
+    observed_energy: Mapping[str, str]
+    source: str
+    """The merged scenario, for the report."""
+
+
+def shipped() -> list[str]:
+    return sorted(path.stem for path in SHIPPED.glob("*.toml") if not path.stem.startswith("_"))
+
+
+def load(name: str, overrides: Sequence[str] = ()) -> Scenario:
+    """A shipped scenario by name, or a TOML file by path, with `COMPONENT.PARAMETER=VALUE` overrides applied."""
+    path = find(name)
+    raw = _read(path, ())
+    for override in overrides:
+        _override(raw, override)
+    return _Reader(path).scenario(raw)
+
+
+def find(name: str, beside: Path | None = None) -> Path:
+    candidates = [Path(name)] if beside is None else [beside / name, Path(name)]
+    for path in candidates:
+        if path.suffix == ".toml" and path.is_file():
+            return path
+    path = SHIPPED / f"{name}.toml"
+    if path.is_file():
+        return path
+    if name.endswith(".toml"):
+        raise ScenarioError(f"scenario file {name} does not exist")
+    raise ScenarioError(f"there is no scenario {name!r}: neither a shipped one nor a .toml file{did_you_mean(name, shipped())}")
+
+
+def _read(path: Path, seen: tuple[Path, ...]) -> Raw:
+    if path in seen:
+        raise ScenarioError(f"scenario {path} extends itself, by way of {' -> '.join(p.name for p in seen)}")
+    try:
+        raw = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ScenarioError(f"scenario {path} cannot be read: {error.strerror}") from error
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ScenarioError(f"scenario {path} is not valid TOML: {error}") from error
+    parent = raw.pop("extends", None)
+    if parent is None:
+        return raw
+    if not isinstance(parent, str):
+        raise ScenarioError(f"scenario {path}: 'extends' must be the name of a scenario, got {parent!r}")
+    return _merge(_read(find(parent, path.parent), (*seen, path)), raw)
+
+
+def _merge(base: Raw, change: Raw) -> Raw:
+    merged = dict(base)
+    for key, value in change.items():
+        both_tables = isinstance(value, dict) and isinstance(merged.get(key), dict) and "value" not in value
+        merged[key] = _merge(merged[key], value) if both_tables else value
+    return merged
+
+
+def _override(raw: Raw, text: str) -> None:
+    """COMPONENT.PARAMETER=VALUE; VALUE as in TOML, or a bare word, or a number with a unit ("300 ms")."""
+    target, equals, value = text.partition("=")
+    component, dot, parameter = target.strip().partition(".")
+    if not equals or not dot or not component or not parameter:
+        raise ScenarioError(f"--set {text}: COMPONENT.PARAMETER=VALUE is expected, for example base_controller.period=0.1")
+    components = raw.get("components", {})
+    if component not in components:
+        raise ScenarioError(f"--set {text}: there is no component {component!r}{did_you_mean(component, components)}")
+    parsed = parse_value(value.strip())
+    table = components[component]
+    if parameter == "step_s":
+        table["step_s"] = parsed
+    else:
+        table.setdefault("parameters", {})[parameter] = parsed
+
+
+def parse_value(text: str) -> Any:
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        pass
+    number, _, unit = text.partition(" ")
+    try:
+        return {"value": float(number), "unit": unit.strip()} if unit else text
+    except ValueError:
+        return text
+
+
+class _Reader:
+    """Raw tables -> dataclasses, for one file."""
+
+    KEYS = ("title", "paper", "stop_s", "expect", "robot", "record", "components", "connections", "delayed", "limits", "errors", "observed_energy")
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def fail(self, message: str) -> ScenarioError:
+        return ScenarioError(f"scenario {self.path}: {message}")
+
+    def scenario(self, raw: Raw) -> Scenario:
+        self.known(raw, self.KEYS, "the scenario")
+        expect = raw.get("expect", "completes")
+        if expect not in ("completes", "diverges"):
+            raise self.fail(f"expect is {expect!r}; 'completes' or 'diverges' is expected")
+        record = self.table(raw, "record")
+        self.known(record, ("every_s",), "[record]")
+        components = tuple(self.component(name, raw["components"][name]) for name in self.table(raw, "components"))
+        if not components:
+            raise self.fail("it has no components; at least one [components.NAME] is expected")
+        errors = {name: self.measure(name, pair) for name, pair in self.table(raw, "errors").items()}
+        return Scenario(
+            name=self.path.stem,
+            title=self.text(raw, "title", self.path.stem),
+            paper=self.text(raw, "paper", ""),
+            directory=self.path.parent,
+            stop=self.time(raw, "stop_s", "stop_s"),
+            record_every=self.time(record, "every_s", "[record] every_s", 0.01),
+            expect=expect,
+            robot=self.table(raw, "robot"),
+            components=components,
+            connections=tuple(self.connections(raw, "connections", False)) + tuple(self.connections(raw, "delayed", True)),
+            limits=tuple(self.limit(item) for item in self.array(raw, "limits")),
+            errors=errors,
+            observed_energy={name: str(signal) for name, signal in self.table(raw, "observed_energy").items()},
+            source=to_toml(raw),
+        )
+
+    def component(self, name: str, raw: object) -> ComponentSpec:
+        if not isinstance(raw, dict):
+            raise self.fail(f"components.{name} is {raw!r}; a table is expected")
+        rest = dict(raw)
+        kind = rest.pop("kind", "fmu")
+        parameters = rest.pop("parameters", {})
+        if "step_s" not in rest:
+            raise self.fail(f"component {name} has no step_s, its communication step in seconds")
+        step = rest.pop("step_s")
+        if not isinstance(kind, str) or not isinstance(parameters, dict):
+            raise self.fail(f"component {name}: 'kind' must be a name and 'parameters' a table")
+        if isinstance(step, dict) and step.get("unit") and isinstance(step.get("value"), int | float):
+            from cosim.units import factor
+
+            try:
+                step = step["value"] * factor(step["unit"], "s")
+            except ValueError as error:
+                raise self.fail(f"component {name}: step_s: {error}") from error
+        if isinstance(step, str) and step.startswith("="):
+            return ComponentSpec(name=name, kind=kind, step=step, parameters=parameters, options=rest)
+        if isinstance(step, bool) or not isinstance(step, int | float):
+            raise self.fail(f"component {name}: step_s is {step!r}; seconds or '=PARAMETER' are expected")
+        exact = nanoseconds(step, f"scenario {self.path}: component {name}: step_s")
+        return ComponentSpec(name=name, kind=kind, step=exact, parameters=parameters, options=rest)
+
+    def connections(self, raw: Raw, key: str, delayed: bool) -> Iterable[Connection]:
+        for text in self.array(raw, key):
+            source, arrow, targets = str(text).partition("->")
+            for target in targets.split(","):
+                if not arrow or "." not in source or "." not in target:
+                    raise self.fail(f"{key}: {text!r}; 'COMPONENT.OUTPUT -> COMPONENT.INPUT, ...' is expected")
+                yield Connection(source=source.strip(), target=target.strip(), delayed=delayed)
+
+    def limit(self, raw: object) -> Limit:
+        if not isinstance(raw, dict):
+            raise self.fail(f"limits: {raw!r}; a table is expected")
+        self.known(raw, ("signal", "elements", "norm", "maximum", "cause"), "[[limits]]")
+        signal, maximum, norm = raw.get("signal"), raw.get("maximum"), raw.get("norm", "maximum")
+        if not isinstance(signal, str) or isinstance(maximum, bool) or not isinstance(maximum, int | float) or not maximum > 0:
+            raise self.fail(f"limits: {raw!r}; a 'signal' and a positive 'maximum' are expected")
+        if norm not in ("maximum", "euclidean"):
+            raise self.fail(f"limit on {signal}: norm is {norm!r}; 'maximum' or 'euclidean' is expected")
+        elements = raw.get("elements", [1, None])
+        if not isinstance(elements, list) or len(elements) != 2:
+            raise self.fail(f"limit on {signal}: elements is {elements!r}; [first, last], counted from 1, is expected")
+        return Limit(
+            signal=signal,
+            maximum=float(maximum),
+            cause=str(raw.get("cause", "limit passed")),
+            first=elements[0],
+            last=elements[1],
+            euclidean=norm == "euclidean",
+        )
+
+    def measure(self, name: str, pair: object) -> Measure:
+        kinds = ("position", "orientation")
+        if not name.endswith(kinds) or not isinstance(pair, list) or len(pair) != 2:
+            raise self.fail(f"errors.{name}: a name ending in 'position' or 'orientation' with [actual, desired] signals is expected")
+        return Measure(actual=str(pair[0]), desired=str(pair[1]))
+
+    # One key at a time
+
+    def known(self, raw: Raw, keys: Sequence[str], where: str) -> None:
+        for key in raw:
+            if key not in keys:
+                raise self.fail(f"unknown key {key!r} in {where}{did_you_mean(key, keys)}")
+
+    def table(self, raw: Raw, key: str) -> Raw:
+        value = raw.get(key, {})
+        if not isinstance(value, dict):
+            raise self.fail(f"{key!r} is {value!r}; a table is expected")
+        return value
+
+    def array(self, raw: Raw, key: str) -> list[Any]:
+        value = raw.get(key, [])
+        if not isinstance(value, list):
+            raise self.fail(f"{key!r} is {value!r}; an array is expected")
+        return value
+
+    def text(self, raw: Raw, key: str, default: str) -> str:
+        value = raw.get(key, default)
+        if not isinstance(value, str):
+            raise self.fail(f"{key!r} is {value!r}; a text is expected")
+        return value
+
+    def time(self, raw: Raw, key: str, subject: str, default: float | None = None) -> int:
+        value = raw.get(key, default)
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise self.fail(f"{subject} is {value!r}; a number of seconds is expected")
+        return nanoseconds(value, f"scenario {self.path}: {subject}")
+
+
+def to_toml(raw: Raw) -> str:
+    """The merged scenario as TOML again, for the report."""
+    lines: list[str] = []
+
+    def emit(table: Raw, prefix: str) -> None:
+        plain = {k: v for k, v in table.items() if not isinstance(v, dict)}
+        if prefix and plain:
+            lines.append(f"\n[{prefix}]")
+        lines.extend(f"{key} = {literal(value)}" for key, value in plain.items())
+        for key, value in table.items():
+            if isinstance(value, dict):
+                emit(value, f"{prefix}.{key}" if prefix else key)
+
+    emit(raw, "")
+    return "\n".join(lines).strip() + "\n"
+
+
+def literal(value: object) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    if isinstance(value, list):
+        items = [literal(item) for item in value]
+        return "[" + ", ".join(items) + "]" if sum(map(len, items)) < 90 else "[\n" + "".join(f"  {item},\n" for item in items) + "]"
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{key} = {literal(item)}" for key, item in value.items()) + " }"
+    return repr(value)
+
+
+__all__ = ["ComponentSpec", "Measure", "Scenario", "find", "load", "parse_value", "shipped", "split"]

@@ -1,0 +1,89 @@
+"""The whole closed loop in continuous time, (1) with (7) and (8): plant, reference and both laws as one set of equations.
+
+Nothing is sampled here. It is what the sampled loops are compared with, and where (10) and (15) can be watched.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from fmu_src.block import TWIST, Block
+from fmu_src.blocks.gains import BASE, MANIPULATOR, gains
+from fmu_src.blocks.reference_trajectory import reference_motion
+from fmu_src.blocks.robot_parameters import IDENTITY, joint_units, mass_parameters, require_square_jacobian
+from fmu_src.equations import dynamics, rotation
+from fmu_src.equations.kinematics import (
+    base_jacobian_times,
+    base_jacobian_transposed_times,
+    end_effector_pose,
+    end_effector_velocity,
+)
+from fmu_src.equations.mechanism import State
+from fmu_src.equations.tracking_control import (
+    feed_forward,
+    joint_torque,
+    pose_error,
+    smallest_singular_value,
+    spring_damper,
+)
+from fmu_src.robot import Robot
+
+SX = ca.SX
+
+
+def continuous_loop(robot: Robot) -> Block:
+    require_square_jacobian(robot, "continuous_loop")
+    n = robot.joint_count
+    block = Block("continuous_loop", "Free-flyer, reference and both control laws in continuous time")
+    mechanism = mass_parameters(block, robot)
+    K_Pm, K_Dm = gains(block, MANIPULATOR, "manipulator_")
+    K_Pb, K_Db = gains(block, BASE, "base_")
+    p_bd = block.parameter("position_setpoint", np.zeros(3), "m", "x_bd: base position to hold, in I", tunable=True)
+    R_bd = block.parameter("orientation_setpoint", IDENTITY, "1", "Base orientation to hold, quaternion x, y, z, w", tunable=True)
+    desired = reference_motion(block, robot)
+
+    p_b = block.state("base_position", np.zeros(3), "m", "Position of B in I")
+    R_b = block.state("base_orientation", IDENTITY, "1", "Orientation of B in I, quaternion x, y, z, w")
+    v_b = block.state("base_velocity", np.zeros(6), TWIST, "x_b': velocity of B's origin and angular velocity, in I")
+    q = block.state("joint_position", robot.posture, joint_units(robot, "rad", "m"), "q: joint positions")
+    qd = block.state("joint_velocity", np.zeros(n), joint_units(robot, "rad/s", "m/s"), "q': joint velocities")
+    block.initial("base_orientation", rotation.normalised(R_b))
+    block.require(ca.sumsqr(R_b), 1e-12, "squared norm of base_orientation", "give a quaternion of norm one", initially=True)
+    block.require(
+        ca.sumsqr(R_bd), 1e-12, "squared norm of orientation_setpoint", "give a quaternion of norm one"
+    )
+    state = State(R_b, v_b[:3], v_b[3:], q, qd)
+
+    p_e, R_e = end_effector_pose(mechanism, p_b, R_b, q)
+    star = feed_forward(mechanism, state, desired.velocity, desired.acceleration)
+    v_m = end_effector_velocity(mechanism, state)
+    dx_m = pose_error(p_e, R_e, desired.position, desired.orientation)
+    dx_b = pose_error(p_b, R_b, p_bd, R_bd)
+    # Eq. (7), (8).
+    F_m = star.F_m + spring_damper(K_Pm, K_Dm, dx_m, v_m - desired.velocity)
+    F_b = star.F_b + spring_damper(K_Pb, K_Db, dx_b, v_b) + base_jacobian_transposed_times(star.p_be, F_m)
+    base_acceleration, qdd = dynamics.forward_dynamics(mechanism, state, F_b, joint_torque(mechanism, state, F_m))
+    block.derivative("base_position", state.v)
+    block.derivative("base_orientation", rotation.derivative(R_b, state.w))
+    block.derivative("base_velocity", base_acceleration)
+    block.derivative("joint_position", qd)
+    block.derivative("joint_velocity", qdd)
+
+    # Eq. (10): the kinetic part as a kinetic energy of the error velocity [x_b'; dx_m'] in generalised coordinates.
+    error_rate = star.Jm_inverse @ (v_m - desired.velocity - base_jacobian_times(star.p_be, v_b))
+    kinetic = dynamics.kinetic_energy(mechanism, State(R_b, v_b[:3], v_b[3:], q, error_rate))
+    V = kinetic + 0.5 * (ca.dot(K_Pm * dx_m, dx_m) + ca.dot(K_Pb * dx_b, dx_b))
+    # Eq. (15).
+    dissipated = ca.dot(K_Db * v_b, v_b) + ca.dot(K_Dm * (v_m - desired.velocity), v_m - desired.velocity)
+    block.output("end_effector_position", p_e, "m", "Position of E in I")
+    block.output("end_effector_orientation", R_e, "1", "Orientation of E in I, quaternion x, y, z, w")
+    block.output("end_effector_velocity", v_m, TWIST, "x_m': velocity of E, in I")
+    block.output("desired_position", desired.position, "m", "x_md: desired position of E in I")
+    block.output("desired_orientation", desired.orientation, "1", "Desired orientation of E in I, quaternion x, y, z, w")
+    block.output("lyapunov_function", V, "J", "V of (10)")
+    block.output("dissipated_power", dissipated, "W", "-dV/dt by (15)")
+    block.require(
+        smallest_singular_value(star.Jm_inverse), 0.02, "smallest singular value of J_m", "keep the posture away from singularities"
+    )
+    return block

@@ -1,0 +1,35 @@
+"""Builds the shipped FMUs for this machine's platform while the package is being installed."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+
+
+class BuildHook(BuildHookInterface):  # type: ignore[misc]
+    def initialize(self, version: str, build_data: dict[str, Any]) -> None:
+        if self.target_name != "wheel":
+            return
+        sys.path.insert(0, self.root)
+        try:
+            from fmu_src.export.archive import build
+            from fmu_src.shipped import BLOCKS
+            from fmu_src.urdf import load_robot_file
+
+            robot = load_robot_file()
+            directory = Path(self.root) / "fmu_src" / "prebuilt"
+            for block in BLOCKS.values():
+                build(block(robot), directory)
+        finally:
+            sys.path.remove(self.root)
+        build_data["pure_python"] = False
+        build_data["tag"] = f"py3-none-{_platform_tag()}"
+
+
+def _platform_tag() -> str:
+    import sysconfig
+
+    return sysconfig.get_platform().replace("-", "_").replace(".", "_")

@@ -1,0 +1,18 @@
+"""The blocks that this package ships, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from fmu_src.block import Block
+from fmu_src.blocks.base_controller import base_controller
+from fmu_src.blocks.continuous_loop import continuous_loop
+from fmu_src.blocks.free_flyer import free_flyer
+from fmu_src.blocks.manipulator_controller import manipulator_controller
+from fmu_src.blocks.reference_trajectory import reference_trajectory
+from fmu_src.robot import Robot
+
+BLOCKS: dict[str, Callable[[Robot], Block]] = {
+    block.__name__: block
+    for block in (free_flyer, reference_trajectory, manipulator_controller, base_controller, continuous_loop)
+}
