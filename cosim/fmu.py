@@ -28,6 +28,25 @@ ELEMENT = re.compile(r"^(?P<name>.+)\[(?P<index>\d+)\]$")
 REAL = ("Real", "Float64")
 
 
+# FMPy's proxy, which formats an FMI 2.0 message's variable arguments, knows one logger for the whole process: it is this one,
+# and the environment pointer says whose message it is.
+_listeners: dict[int, list[str]] = {}
+
+
+def _listen(messages: list[str]) -> int:
+    number = len(_listeners) + 1
+    _listeners[number] = messages
+    return number
+
+
+def _route(environment: int | None, name: object, status: int, category: object, message: bytes | None) -> None:
+    if message and environment in _listeners:
+        _listeners[environment].append(message.decode("utf-8", "replace"))
+
+
+_LOGGER = fmi2.fmi2CallbackLoggerTYPE(_route)
+
+
 def describe(path: Path) -> ModelDescription:
     """The FMU's model description; ComponentError with one sentence for a file that is no usable FMU."""
     if not path.is_file():
@@ -183,9 +202,8 @@ class FmuComponent:
 
     def _callbacks(self) -> Any:
         callbacks = fmi2.fmi2CallbackFunctions()
-        callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(
-            lambda environment, name, status, category, message: self._log(environment, status, category, message)
-        )
+        callbacks.logger = _LOGGER
+        callbacks.componentEnvironment = _listen(self._messages)
         callbacks.allocateMemory = fmi2.defaultCallbacks.allocateMemory
         callbacks.freeMemory = fmi2.defaultCallbacks.freeMemory
         addLoggerProxy(ctypes.byref(callbacks))

@@ -19,6 +19,7 @@ from fmu_src.blocks.robot_parameters import (
 from fmu_src.equations import passivity, rotation
 from fmu_src.equations.dynamics import articulated_base_inertia
 from fmu_src.equations.kinematics import base_jacobian_transposed_times
+from fmu_src.equations.passivity import Bookkeeping
 from fmu_src.equations.tracking_control import (
     feed_forward,
     matched_gains,
@@ -45,7 +46,10 @@ def base_controller(robot: Robot) -> Block:
     mechanism = mass_parameters(block, robot)
     K_P, K_D = gains(block, BASE)
     discretisation = block.choice("discretisation", Discretisation, Discretisation.emulated, "How the gains are sampled")
-    share = block.parameter("damper_bound", 0.5, "1", "c in beta <= c M~ / T_b - K_D (0: no bound)", tunable=True, minimum=0.0)
+    bookkeeping = block.choice("bookkeeping", Bookkeeping, Bookkeeping.applied, "As in the manipulator's controller")
+    share = block.parameter(
+        "damper_bound", 0.5, "1", "c in beta <= c M~ / T_b - K_D (0: no bound), as applied", tunable=True, minimum=0.0
+    )
     least_sigma = block.parameter("singularity_threshold", 0.02, "1", "Least singular value of J_m allowed", tunable=True, minimum=0.0)
     p_bd = block.parameter("position_setpoint", np.zeros(3), "m", "x_bd: base position to hold, in I", tunable=True)
     R_bd = block.parameter("orientation_setpoint", IDENTITY, "1", "Base orientation to hold, quaternion x, y, z, w", tunable=True)
@@ -70,7 +74,9 @@ def base_controller(robot: Robot) -> Block:
     Jb_F = base_jacobian_transposed_times(star.p_be, F_m)
     F_b = star.F_b + spring_damper(K_Pd, K_Dd, pose_error(p_b, state.orientation, p_bd, R_bd), v_b) + Jb_F
     # Eq. (25), beta_b for the printed beta_m, and (26); bounded so that the held damper makes no energy itself.
-    beta = ca.if_else(share > 0, passivity.bounded(beta_b, share, M, K_Dd, T_b), beta_b)
+    # As printed, the damper is credited in full, so it must not be bounded.
+    is_bounded = ca.logic_and(bookkeeping == int(Bookkeeping.applied), share > 0)
+    beta = ca.if_else(is_bounded, passivity.bounded(beta_b, share, M, K_Dd, T_b), beta_b)
     F_pcb = -beta * v_b
     F_b_total = F_b + F_pcb
 

@@ -1,0 +1,120 @@
+"""The command `freeflyer`. Subcommands are entry points of the group freeflyer.commands, so other packages can add theirs."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from importlib.metadata import entry_points, version
+from pathlib import Path
+from typing import Protocol
+
+from rich.console import Console
+from rich.table import Table
+
+from cosim import experiment, reproduce, scenario
+from cosim.errors import CosimError
+from cosim.experiment import Result
+
+DONE, BAD_INPUT, STOPPED = 0, 2, 3
+
+
+class Command(Protocol):
+    help: str
+
+    def configure(self, parser: argparse.ArgumentParser) -> None: ...
+
+    def execute(self, arguments: argparse.Namespace, console: Console) -> int: ...
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Exit codes: 0 done, 2 bad input, 3 the run stopped."""
+    parser = argparse.ArgumentParser(prog="freeflyer", description="Multi-rate co-simulation of a free-flying space robot.")
+    parser.add_argument("--version", action="version", version=f"freeflyer-cosim {version('freeflyer-cosim')}")
+    subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    commands: dict[str, Command] = {}
+    for point in sorted(entry_points(group="freeflyer.commands"), key=lambda point: point.name):
+        command: Command = point.load()()
+        commands[point.name] = command
+        command.configure(subparsers.add_parser(point.name, help=command.help, description=command.help))
+    parsed = parser.parse_args(arguments)
+    console = Console(stderr=False, highlight=False)
+    try:
+        return commands[parsed.command].execute(parsed, console)
+    except CosimError as error:
+        return complain(str(error), error.exit_code)
+    except KeyboardInterrupt:
+        return complain("interrupted before there was anything to save", STOPPED)
+    except BrokenPipeError:
+        return DONE
+
+
+def complain(sentence: str, code: int) -> int:
+    print(f"freeflyer: {sentence}", file=sys.stderr)
+    return code
+
+
+class RunCommand:
+    help = "run one scenario; write its record and summary.json"
+
+    def configure(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("scenario", metavar="SCENARIO", help=f"{', '.join(scenario.shipped())}, or a .toml file")
+        parser.add_argument("--set", action="append", default=[], metavar="COMPONENT.PARAMETER=VALUE", dest="overrides")
+        parser.add_argument("--fmi", type=int, choices=(2, 3), help="FMI version of the shipped FMUs (default: the scenario's, else 2)")
+        parser.add_argument("--master", choices=("python",), default="python", help="who steps the FMUs: FMPy, from Python")
+        parser.add_argument("--out", type=Path, metavar="DIR", help="default: freeflyer_out/SCENARIO")
+
+    def execute(self, arguments: argparse.Namespace, console: Console) -> int:
+        chosen = scenario.load(arguments.scenario, arguments.overrides)
+        directory = arguments.out or Path("freeflyer_out") / chosen.name
+        experiment.check_writable(directory)
+        with experiment.progress_bar(console, [chosen]) as reports:
+            result = experiment.run(chosen, fmi=arguments.fmi, progress=reports[chosen.name])
+        experiment.write(result, directory)
+        console.print(result_table(result))
+        console.print(f"Results in {directory}: record.parquet, summary.json", soft_wrap=True)
+        return verdict(result)
+
+
+class ReproduceCommand:
+    help = "every experiment of the paper: figures, a table beside the paper's statements, a report page, summary.json"
+
+    def configure(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("--out", type=Path, default=Path("freeflyer_out") / "reproduce", metavar="DIR")
+        parser.add_argument("--fmi", type=int, choices=(2, 3), default=2, help="FMI version of the FMUs (default: 2)")
+
+    def execute(self, arguments: argparse.Namespace, console: Console) -> int:
+        return reproduce.reproduce(arguments.out, arguments.fmi, console)
+
+
+def result_table(result: Result) -> Table:
+    table = Table(title=result.scenario.title, title_justify="left")
+    table.add_column("")
+    table.add_column("maximum", justify="right")
+    table.add_column("last 10 s", justify="right")
+    for name in result.errors:
+        label, _, unit = name.rpartition("_error_")
+        values = result.summary[name]
+        table.add_row(f"{label.replace('_', ' ')} error [{unit}]", f"{values['max']:.3g}", f"{values['last_10_s']:.3g}")
+    for name, energy in result.summary["observed_energy_j"].items():
+        table.add_row(f"{name} observed energy, least [J]", f"{energy['min']:.3g}", "")
+    table.add_row("simulated [s] / wall [s]", f"{result.outcome.simulated:g}", f"{result.outcome.wall:.2f}")
+    return table
+
+
+def verdict(result: Result) -> int:
+    """Say how the run ended, where that is not as wished; give the exit code."""
+    outcome = result.outcome
+    if outcome.interrupted:
+        return complain(f"interrupted at {outcome.simulated:g} s; what was simulated is saved", STOPPED)
+    if outcome.diverged and result.as_expected:
+        print(f"Diverged at {outcome.simulated:g} s, as this scenario expects ({outcome.cause})")
+    elif outcome.diverged:
+        return complain(f"the run diverged at {outcome.simulated:g} s and stopped: {outcome.cause}; it is saved until there", STOPPED)
+    elif not result.as_expected:
+        return complain("this scenario expects to diverge, but the run completed", STOPPED)
+    return DONE
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,66 @@
+"""One scenario, from file to results on disk."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from contextlib import contextmanager
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from cosim import metrics
+from cosim.assemble import assembled
+from cosim.clock import seconds
+from cosim.component import Array
+from cosim.master import Outcome
+from cosim.master import Progress as Report
+from cosim.record import check_writable, write_text
+from cosim.scenario import Scenario
+
+
+@dataclass(frozen=True, kw_only=True)
+class Result:
+    """`errors` are time series (rows of the record) under their names in summary.json; `series` are recorded signals."""
+
+    scenario: Scenario
+    outcome: Outcome
+    errors: Mapping[str, Array]
+    summary: Mapping[str, Any]
+
+    @property
+    def as_expected(self) -> bool:
+        return not self.outcome.interrupted and self.outcome.diverged == (self.scenario.expect == "diverges")
+
+
+def run(scenario: Scenario, *, fmi: int | None = None, progress: Report | None = None) -> Result:
+    """Load, check, simulate, measure. Raises CosimError before the run; afterwards everything is in the result."""
+    with assembled(scenario, fmi) as (master, values):
+        outcome = master.run(progress)
+        series = metrics.errors(scenario, outcome.record, master.graph.components, values)
+    return Result(scenario=scenario, outcome=outcome, errors=series, summary=metrics.summary(scenario, outcome, series))
+
+
+def write(result: Result, directory: Path) -> None:
+    """record.parquet and summary.json, each whole or not at all. Raises OutputError."""
+    result.outcome.record.write(directory / "record.parquet")
+    write_text(directory / "summary.json", json.dumps(result.summary, indent=2) + "\n")
+
+
+@contextmanager
+def progress_bar(console: Console, scenarios: Sequence[Scenario]) -> Iterator[dict[str, Report]]:
+    """A bar per scenario, with the simulated time; shown only where somebody watches."""
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.0f} of {task.total:.0f} s"), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        reports: dict[str, Report] = {}
+        for scenario in scenarios:
+            task = bar.add_task(scenario.name, total=seconds(scenario.stop))
+            reports[scenario.name] = lambda time, task=task: bar.update(task, completed=time)  # type: ignore[misc]
+        yield reports
+
+
+__all__ = ["Result", "check_writable", "progress_bar", "run", "write"]

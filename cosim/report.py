@@ -1,0 +1,57 @@
+"""One self-contained HTML page: figures, table, scenarios, versions."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import jinja2
+
+from cosim.experiment import Result
+from cosim.record import write_text
+
+
+@dataclass(frozen=True, kw_only=True)
+class Statement:
+    """One statement of the paper beside what was measured. `agrees` is None where the paper gives no figure to agree with."""
+
+    where: str
+    paper: str
+    measured: str
+    agrees: bool | None
+    remark: str = ""
+
+    @property
+    def verdict(self) -> str:
+        return {True: "as stated", False: "differs", None: "no figure given"}[self.agrees]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Figure:
+    number: str
+    caption: str
+    path: Path
+
+
+ASSUMPTIONS = (
+    "The paper's text gives neither gains, trajectory amplitudes, start posture, mount, tool nor arm masses (its reference [16] is not "
+    "public). All of them are this project's assumptions, so curves can agree with the paper's in kind, not in value: where the "
+    "paper gives no number, the table says so and claims no agreement."
+)
+
+
+def write(path: Path, statements: Sequence[Statement], figures: Sequence[Figure], results: Mapping[str, Result]) -> None:
+    """Raises OutputError."""
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(Path(__file__).parent), autoescape=True, trim_blocks=True, lstrip_blocks=True
+    )
+    page = environment.get_template("report.html.jinja").render(
+        statements=statements,
+        figures=[(figure, base64.b64encode(figure.path.read_bytes()).decode()) for figure in figures],
+        results=results,
+        versions=next(iter(results.values())).summary["versions"],
+        assumptions=ASSUMPTIONS,
+    )
+    write_text(path, page)

@@ -1,0 +1,127 @@
+"""`freeflyer fmus`: build the FMUs of a robot, or of a block of the user's own."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from fmu_src.block import Block
+from fmu_src.errors import BlockError, FmuSourceError, RobotError
+from fmu_src.export.archive import build
+from fmu_src.export.compiler import PLATFORMS, Platform, host_platform
+from fmu_src.oracle import disagreement
+from fmu_src.robot import Robot
+from fmu_src.shipped import BLOCKS
+from fmu_src.urdf import load_robot_file, load_urdf
+
+
+class FmusCommand:
+    help = "build FMI 2.0 and FMI 3.0 FMUs for a robot, or for a block of your own"
+
+    def configure(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("--robot", type=Path, metavar="FILE", help="a .urdf, or a robot file .toml (default: the shipped LWR 4+)")
+        parser.add_argument("--base-link", metavar="L", help="the floating base (default: the URDF's root)")
+        parser.add_argument("--end-effector", metavar="L", help="the hand's link (default: the only last link)")
+        parser.add_argument("--tool-link", metavar="L", help="the link whose mass becomes an FMU parameter (default: none)")
+        parser.add_argument("--lock", action="append", default=[], metavar="JOINT=VALUE", help="weld a joint [rad or m]; repeatable")
+        parser.add_argument("--posture", nargs="+", metavar="JOINT=VALUE", help="start posture: JOINT=VALUE each, or n numbers")
+        parser.add_argument("--block", type=Path, metavar="FILE.py", help="a file that defines block(robot) -> Block")
+        parser.add_argument("--platforms", default="host", help=f"host (default), all, or a list of {', '.join(PLATFORMS)}")
+        parser.add_argument("--out", type=Path, default=Path("fmus"), metavar="DIR")
+
+    def execute(self, arguments: argparse.Namespace, console: Any) -> int:
+        try:
+            return self._build(arguments, console)
+        except FmuSourceError as error:
+            print(f"freeflyer: {error}", file=sys.stderr)
+            return 2
+
+    def _build(self, arguments: argparse.Namespace, console: Any) -> int:
+        platforms = chosen_platforms(arguments.platforms)
+        robot = chosen_robot(arguments)
+        makers = BLOCKS if arguments.block is None else {arguments.block.stem: load_block(arguments.block)}
+        # Everything is declared and checked before the first file is written.
+        blocks = [make(robot) for make in makers.values()]
+        if arguments.robot is not None:
+            console.print(f"{robot.name}: {robot.joint_count} free joints; forward dynamics differ from Pinocchio's by {disagreement(robot):.1e}")
+        for block in blocks:
+            with console.status(f"compiling {block.name}"):
+                paths = build(block, arguments.out, platforms)
+            console.print(f"{block.name}: {', '.join(str(path) for path in paths.values())}", soft_wrap=True)
+        return 0
+
+
+def chosen_platforms(text: str) -> list[Platform]:
+    if text == "host":
+        return [host_platform()]
+    if text == "all":
+        return list(PLATFORMS.values())
+    names = text.split(",")
+    for name in names:
+        if name not in PLATFORMS:
+            raise FmuSourceError(f"--platforms {text}: {name!r} is none of {', '.join(PLATFORMS)}, host, all")
+    return [PLATFORMS[name] for name in names]
+
+
+def chosen_robot(arguments: argparse.Namespace) -> Robot:
+    lock = dict(assignment(text, "--lock") for text in arguments.lock)
+    posture = posture_of(arguments.posture)
+    given = [arguments.base_link, arguments.end_effector, arguments.tool_link, posture, *lock]
+    if arguments.robot is None or arguments.robot.suffix == ".toml":
+        if any(value is not None for value in given):
+            raise RobotError("--base-link, --end-effector, --tool-link, --lock and --posture belong to a URDF; give one with --robot")
+        return load_robot_file(arguments.robot) if arguments.robot else load_robot_file()
+    return load_urdf(
+        arguments.robot,
+        base_link=arguments.base_link,
+        end_effector=arguments.end_effector,
+        tool_link=arguments.tool_link,
+        lock=lock,
+        posture=posture,
+    )
+
+
+def assignment(text: str, option: str) -> tuple[str, float]:
+    name, equals, value = text.partition("=")
+    try:
+        return name, float(value)
+    except ValueError as error:
+        raise RobotError(f"{option} {text}: JOINT=VALUE with a number is expected, for example {name}=0.5") from error
+
+
+def posture_of(words: Sequence[str] | None) -> dict[str, float] | list[float] | None:
+    if words is None:
+        return None
+    if any("=" in word for word in words):
+        return dict(assignment(word, "--posture") for word in words)
+    try:
+        return [float(word) for word in words]
+    except ValueError as error:
+        raise RobotError(f"--posture {' '.join(words)}: numbers, or JOINT=VALUE for each joint, are expected") from error
+
+
+def load_block(path: Path) -> Callable[[Robot], Block]:
+    """The function `block` of a user's file."""
+    if not path.is_file():
+        raise BlockError(f"block file {path} does not exist")
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+        made: Callable[[Robot], Block] = module.block
+    except (SyntaxError, ImportError, AttributeError, NameError) as error:
+        raise BlockError(f"block file {path} does not define block(robot): {error}") from error
+
+    def make(robot: Robot) -> Block:
+        block = made(robot)
+        if not isinstance(block, Block):
+            raise BlockError(f"block file {path}: block(robot) gave a {type(block).__name__}; a Block is expected")
+        return block
+
+    return make
