@@ -44,7 +44,9 @@ def find_fmu(name: str, options: Mapping[str, Any], directory: Path) -> Path:
 def _known_options(name: str, options: Mapping[str, Any], known: tuple[str, ...]) -> None:
     for key in options:
         if key not in known:
-            raise ComponentError(f"component {name}: unknown key {key!r}{did_you_mean(key, [*known, 'kind', 'step_s', 'parameters'])}")
+            raise ComponentError(
+                f"component {name}: unknown key {key!r}{did_you_mean(key, [*known, 'kind', 'step_s', 'parameters'])}"
+            )
 
 
 def fmu_component(name: str, options: Mapping[str, Any], directory: Path) -> Component:

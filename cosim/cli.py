@@ -60,7 +60,9 @@ class RunCommand:
     def configure(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("scenario", metavar="SCENARIO", help=f"{', '.join(scenario.shipped())}, or a .toml file")
         parser.add_argument("--set", action="append", default=[], metavar="COMPONENT.PARAMETER=VALUE", dest="overrides")
-        parser.add_argument("--fmi", type=int, choices=(2, 3), help="FMI version of the shipped FMUs (default: the scenario's, else 2)")
+        parser.add_argument(
+            "--fmi", type=int, choices=(2, 3), help="FMI version of the shipped FMUs (default: the scenario's, else 2)"
+        )
         parser.add_argument("--master", choices=("python",), default="python", help="who steps the FMUs: FMPy, from Python")
         parser.add_argument("--out", type=Path, metavar="DIR", help="default: freeflyer_out/SCENARIO")
 
@@ -110,7 +112,9 @@ def verdict(result: Result) -> int:
     if outcome.diverged and result.as_expected:
         print(f"Diverged at {outcome.simulated:g} s, as this scenario expects ({outcome.cause})")
     elif outcome.diverged:
-        return complain(f"the run diverged at {outcome.simulated:g} s and stopped: {outcome.cause}; it is saved until there", STOPPED)
+        return complain(
+            f"the run diverged at {outcome.simulated:g} s and stopped: {outcome.cause}; it is saved until there", STOPPED
+        )
     elif not result.as_expected:
         return complain("this scenario expects to diverge, but the run completed", STOPPED)
     return DONE

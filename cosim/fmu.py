@@ -5,6 +5,7 @@ Arrays of FMI 2.0 (`name[1]` ... `name[n]`) appear as one port, as they do in FM
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import re
 import shutil
@@ -114,7 +115,8 @@ def ports_of(description: ModelDescription) -> tuple[dict[str, Port], dict[str, 
             causality=first.causality or "local",
             units=tuple(units),
             start=tuple(starts) if len(starts) == sum(sizes) else None,
-            settable=first.causality in ("parameter", "structuralParameter") or (first.causality != "input" and first.initial in ("exact", "approx")),
+            settable=first.causality in ("parameter", "structuralParameter")
+            or (first.causality != "input" and first.initial in ("exact", "approx")),
             choices=tuple(item.name for item in items),
             boolean=first.type == "Boolean",
             direct=frozenset(direct),
@@ -166,7 +168,9 @@ class FmuComponent:
     def _interface(self) -> Any:
         interface = self.description.coSimulation
         if interface is None:
-            raise ComponentError(f"FMU {self.path} of component {self.name} offers no co-simulation; only such FMUs can be stepped")
+            raise ComponentError(
+                f"FMU {self.path} of component {self.name} offers no co-simulation; only such FMUs can be stepped"
+            )
         return interface
 
     def _check_binary(self, identifier: str) -> None:
@@ -197,7 +201,9 @@ class FmuComponent:
                 slave = fmi3.FMU3Slave(**self._arguments(identifier))
                 slave.instantiate(logMessage=self._log)
         except Exception as error:
-            raise ComponentError(f"FMU {self.path} of component {self.name} cannot be instantiated: {self._why(error)}") from error
+            raise ComponentError(
+                f"FMU {self.path} of component {self.name} cannot be instantiated: {self._why(error)}"
+            ) from error
         return slave
 
     def _callbacks(self) -> Any:
@@ -264,7 +270,9 @@ class FmuComponent:
         variables = [variable for name in names for variable in self._variables[name]]
         strange = [variable.name for variable in variables if variable.type not in REAL]
         if strange:
-            raise ComponentError(f"component {self.name}: {strange[0]} is not a real variable; only real variables can be connected")
+            raise ComponentError(
+                f"component {self.name}: {strange[0]} is not a real variable; only real variables can be connected"
+            )
         references = (ctypes.c_uint32 * len(variables))(*(variable.valueReference for variable in variables))
         pointer = buffer.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
         self._buffers.append((references, buffer))
@@ -305,9 +313,8 @@ class FmuComponent:
     def close(self) -> None:
         slave, self._slave = self._slave, None
         if slave is not None:
-            try:
+            # A failed instance may refuse to be terminated; it is freed all the same.
+            with contextlib.suppress(FMICallException, OSError):
                 slave.terminate()
-            except (FMICallException, OSError):
-                pass  # a failed instance may refuse to be terminated; it is freed all the same
             slave.freeInstance()
             shutil.rmtree(self._directory, ignore_errors=True)

@@ -66,7 +66,9 @@ def build(components: Mapping[str, Component], connections: Sequence[Connection]
     for connection in connections:
         _check(components, connection)
         if connection.target in driven:
-            raise GraphError(f"input {connection.target} has two sources: {driven[connection.target].source} and {connection.source}")
+            raise GraphError(
+                f"input {connection.target} has two sources: {driven[connection.target].source} and {connection.source}"
+            )
         driven[connection.target] = connection
     first = _order(components, connections)
     then = tuple(name for name in components if name not in first)

@@ -32,7 +32,11 @@ def orientation_error(actual: Array, desired: Array) -> Array:
     # Near zero the vector part is exact where the scalar part has lost all digits.
     signed = desired * np.sign(np.sum(actual * desired, axis=1, keepdims=True) + 1e-300)
     half_chord = 0.5 * np.linalg.norm(actual / np.linalg.norm(actual, axis=1, keepdims=True) - signed, axis=1)
-    return np.asarray(np.degrees(np.where(product > 0.9, 4.0 * np.arcsin(np.minimum(half_chord, 1.0)), 2.0 * np.arccos(np.minimum(product, 1.0)))))
+    return np.asarray(
+        np.degrees(
+            np.where(product > 0.9, 4.0 * np.arcsin(np.minimum(half_chord, 1.0)), 2.0 * np.arccos(np.minimum(product, 1.0)))
+        )
+    )
 
 
 def signal_or_parameter(signal: str, record: Record, components: Mapping[str, Component], values: Values) -> Array:

@@ -43,7 +43,9 @@ class ModelExchangeComponent(FmuComponent):
                 model = fmi3.FMU3Model(**self._arguments(identifier))
                 model.instantiate(logMessage=self._log)
         except Exception as error:
-            raise ComponentError(f"FMU {self.path} of component {self.name} cannot be instantiated: {self._why(error)}") from error
+            raise ComponentError(
+                f"FMU {self.path} of component {self.name} cannot be instantiated: {self._why(error)}"
+            ) from error
         return model
 
     def exit_initialization(self) -> None:
@@ -80,7 +82,13 @@ class ModelExchangeComponent(FmuComponent):
     def step(self, time: float, size: float) -> None:
         try:
             solver = DOP853(
-                self._rates, time, self._x, time + size, rtol=RELATIVE_TOLERANCE, atol=ABSOLUTE_TOLERANCE, first_step=self._first_step
+                self._rates,
+                time,
+                self._x,
+                time + size,
+                rtol=RELATIVE_TOLERANCE,
+                atol=ABSOLUTE_TOLERANCE,
+                first_step=self._first_step,
             )
             while solver.status == "running":
                 solver.step()

@@ -31,7 +31,9 @@ def resolve(scenario: Scenario, components: Mapping[str, Component]) -> Values:
         raw[spec.name] = {**common, **spec.parameters}
     for name in scenario.robot:
         if name not in used:
-            every = {parameter for component in components.values() for parameter, port in component.ports.items() if port.settable}
+            every = {
+                parameter for component in components.values() for parameter, port in component.ports.items() if port.settable
+            }
             raise ScenarioError(f"[robot]: no component has a parameter {name!r}{did_you_mean(name, every)}")
     return {
         spec.name: {name: _value(raw, components, spec.name, name, value, ()) for name, value in raw[spec.name].items()}
@@ -50,7 +52,9 @@ def _step(spec: ComponentSpec, component: Component, values: Mapping[str, Array]
     name = spec.step[1:]
     port = component.ports.get(name)
     if port is None or (name not in values and port.start is None):
-        raise ScenarioError(f"component {spec.name}: step_s = {spec.step!r}: there is no parameter {name!r}{did_you_mean(name, component.ports)}")
+        raise ScenarioError(
+            f"component {spec.name}: step_s = {spec.step!r}: there is no parameter {name!r}{did_you_mean(name, component.ports)}"
+        )
     value = values[name][0] if name in values else (port.start or (0.0,))[0]
     return nanoseconds(float(value), f"component {spec.name}: parameter {name}")
 
@@ -64,14 +68,23 @@ def current(components: Mapping[str, Component], values: Values, component: str,
 
 
 def _value(
-    raw: Mapping[str, Mapping[str, Any]], components: Mapping[str, Component], component: str, name: str, value: Any, seen: tuple[str, ...]
+    raw: Mapping[str, Mapping[str, Any]],
+    components: Mapping[str, Component],
+    component: str,
+    name: str,
+    value: Any,
+    seen: tuple[str, ...],
 ) -> Array:
     subject = f"{component}.{name}"
     if component not in components:
-        raise ScenarioError(f"{seen[-1] if seen else subject}: there is no component {component!r}{did_you_mean(component, components)}")
+        raise ScenarioError(
+            f"{seen[-1] if seen else subject}: there is no component {component!r}{did_you_mean(component, components)}"
+        )
     ports = components[component].ports
     if name not in ports:
-        raise ScenarioError(f"component {component!r} has no parameter {name!r}{did_you_mean(name, [n for n, p in ports.items() if p.settable])}")
+        raise ScenarioError(
+            f"component {component!r} has no parameter {name!r}{did_you_mean(name, [n for n, p in ports.items() if p.settable])}"
+        )
     port = ports[name]
     if not port.settable and port.causality != "input":
         raise ScenarioError(f"{subject} cannot be set: it is a computed {port.causality}")

@@ -14,9 +14,9 @@ from cosim.component import Array
 from cosim.record import Record, write_whole
 
 matplotlib.use("Agg")
-from matplotlib import pyplot as plt  # noqa: E402 - the backend is chosen first
+from matplotlib import pyplot as plt
 
-STYLE = {
+STYLE: Any = {
     "font.size": 8,
     "axes.labelsize": 8,
     "legend.fontsize": 7,
@@ -39,10 +39,12 @@ def orientation_error_angles(actual: Array, desired: Array) -> Array:
     return np.asarray(relative.as_euler("ZYX", degrees=True))
 
 
-def panel(axes: Any, time: Array, values: Array, names: Sequence[str], label: str, **style: object) -> None:
+def panel(axes: Any, time: Array, values: Array, names: Sequence[str], label: str) -> None:
     for column, name, line in zip(values.T, names, LINES, strict=True):
-        axes.plot(time, column, label=name, **{**line, **style})
+        axes.plot(time, column, label=name, **line)
     axes.set_ylabel(label)
+    # Above the axes, so that it hides nothing.
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=3, frameon=False, handlelength=1.8, columnspacing=1.0)
 
 
 def two_by_two(time: Array, rows: Sequence[tuple[str, Sequence[tuple[Array, Sequence[str], str]]]]) -> Any:
@@ -50,9 +52,7 @@ def two_by_two(time: Array, rows: Sequence[tuple[str, Sequence[tuple[Array, Sequ
     figure, grid = plt.subplots(2, 2, figsize=(7.0, 3.9), sharex=True)
     for axes_row, (title, panels) in zip(grid, rows, strict=True):
         for axes, (values, names, label) in zip(axes_row, panels, strict=True):
-            panel(axes, time, values, names, label)
-            axes.set_title(title, fontsize=8, loc="left")
-            axes.legend(loc="upper right", ncols=3, handlelength=1.8, columnspacing=1.0)
+            panel(axes, time, values, names, f"{title}\n{label}")
     for axes in grid[-1]:
         axes.set_xlabel("time [s]")
         axes.set_xlim(time[0], time[-1])
@@ -143,7 +143,6 @@ def corrections(record: Record) -> Any:
 
 def save(figure: Any, path: Path) -> None:
     """PNG for the screen and, beside it, PDF for print."""
-    for suffix, options in ((".png", {"dpi": 200}), (".pdf", {"metadata": {"CreationDate": None}})):
-        target = path.with_suffix(suffix)
-        write_whole(target, lambda partial, s=suffix, o=options: figure.savefig(partial, format=s[1:], **o))
+    write_whole(path.with_suffix(".png"), lambda partial: figure.savefig(partial, format="png", dpi=200))
+    write_whole(path.with_suffix(".pdf"), lambda partial: figure.savefig(partial, format="pdf", metadata={"CreationDate": None}))
     plt.close(figure)

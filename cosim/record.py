@@ -5,9 +5,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -85,18 +86,16 @@ class Record:
         write_whole(path, lambda partial: parquet.write_table(table, partial, compression="zstd"))
 
 
-def write_whole(path: Path, write: object) -> None:
+def write_whole(path: Path, write: Callable[[Path], object]) -> None:
     """Call `write(partial_path)` and move the result into place, so that no half-written file is taken for a whole one."""
     partial = path.with_name(path.name + ".partial")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        write(partial)  # type: ignore[operator]
+        write(partial)
         os.replace(partial, path)
     except OSError as error:
-        try:
+        with contextlib.suppress(OSError):  # the first error is the one to tell
             partial.unlink(missing_ok=True)
-        except OSError:
-            pass  # the first error is the one to tell
         raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
 
 

@@ -6,26 +6,25 @@ import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import jinja2
 
 from cosim.experiment import Result
 from cosim.record import write_text
 
+Verdict = Literal["as stated", "in part", "differs", "not in the paper"]
+
 
 @dataclass(frozen=True, kw_only=True)
 class Statement:
-    """One statement of the paper beside what was measured. `agrees` is None where the paper gives no figure to agree with."""
+    """One statement of the paper beside what was measured."""
 
     where: str
     paper: str
     measured: str
-    agrees: bool | None
+    verdict: Verdict
     remark: str = ""
-
-    @property
-    def verdict(self) -> str:
-        return {True: "as stated", False: "differs", None: "no figure given"}[self.agrees]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -146,7 +146,20 @@ def parse_value(text: str) -> Any:
 class _Reader:
     """Raw tables -> dataclasses, for one file."""
 
-    KEYS = ("title", "paper", "stop_s", "expect", "robot", "record", "components", "connections", "delayed", "limits", "errors", "observed_energy")
+    KEYS = (
+        "title",
+        "paper",
+        "stop_s",
+        "expect",
+        "robot",
+        "record",
+        "components",
+        "connections",
+        "delayed",
+        "limits",
+        "errors",
+        "observed_energy",
+    )
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -239,7 +252,9 @@ class _Reader:
     def measure(self, name: str, pair: object) -> Measure:
         kinds = ("position", "orientation")
         if not name.endswith(kinds) or not isinstance(pair, list) or len(pair) != 2:
-            raise self.fail(f"errors.{name}: a name ending in 'position' or 'orientation' with [actual, desired] signals is expected")
+            raise self.fail(
+                f"errors.{name}: a name ending in 'position' or 'orientation' with [actual, desired] signals is expected"
+            )
         return Measure(actual=str(pair[0]), desired=str(pair[1]))
 
     # One key at a time
@@ -298,7 +313,11 @@ def literal(value: object) -> str:
         return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
     if isinstance(value, list):
         items = [literal(item) for item in value]
-        return "[" + ", ".join(items) + "]" if sum(map(len, items)) < 90 else "[\n" + "".join(f"  {item},\n" for item in items) + "]"
+        return (
+            "[" + ", ".join(items) + "]"
+            if sum(map(len, items)) < 90
+            else "[\n" + "".join(f"  {item},\n" for item in items) + "]"
+        )
     if isinstance(value, dict):
         return "{ " + ", ".join(f"{key} = {literal(item)}" for key, item in value.items()) + " }"
     return repr(value)

@@ -106,7 +106,9 @@ class Block:
         choices = tuple(option.name for option in options)
         if [int(option) for option in options] != list(range(1, len(choices) + 1)):
             raise BlockError(f"block {self.name}: the options of {name!r} must be numbered from 1")
-        return self._declare(name, "parameter", int(start), "1", description, tunable=tunable, kind="enumeration", choices=choices)
+        return self._declare(
+            name, "parameter", int(start), "1", description, tunable=tunable, kind="enumeration", choices=choices
+        )
 
     def switch(self, name: str, start: bool, description: str, *, tunable: bool = True) -> SX:
         """A parameter of FMI type Boolean."""
@@ -248,7 +250,7 @@ class Block:
         if name in self.variables or not name.isidentifier():
             raise BlockError(f"block {self.name}: {name!r} is not an identifier, or is declared twice")
         values = np.atleast_1d(np.asarray(start, dtype=np.float64)).ravel()
-        array = np.ndim(start) > 0 if is_array is None else is_array
+        array = np.ndim(np.asarray(start)) > 0 if is_array is None else is_array
         units = (unit,) * values.size if isinstance(unit, str) else tuple(unit)
         if len(units) != values.size:
             raise BlockError(f"block {self.name}: {name!r} has {values.size} elements but {len(units)} units")
@@ -286,4 +288,3 @@ class Block:
         strange = sorted({str(symbol) for symbol in used} - known)
         if strange:
             raise BlockError(f"block {self.name}: the equations use undeclared symbols {', '.join(strange)}")
-

@@ -23,11 +23,15 @@ class FmusCommand:
     help = "build FMI 2.0 and FMI 3.0 FMUs for a robot, or for a block of your own"
 
     def configure(self, parser: argparse.ArgumentParser) -> None:
-        parser.add_argument("--robot", type=Path, metavar="FILE", help="a .urdf, or a robot file .toml (default: the shipped LWR 4+)")
+        parser.add_argument(
+            "--robot", type=Path, metavar="FILE", help="a .urdf, or a robot file .toml (default: the shipped LWR 4+)"
+        )
         parser.add_argument("--base-link", metavar="L", help="the floating base (default: the URDF's root)")
         parser.add_argument("--end-effector", metavar="L", help="the hand's link (default: the only last link)")
         parser.add_argument("--tool-link", metavar="L", help="the link whose mass becomes an FMU parameter (default: none)")
-        parser.add_argument("--lock", action="append", default=[], metavar="JOINT=VALUE", help="weld a joint [rad or m]; repeatable")
+        parser.add_argument(
+            "--lock", action="append", default=[], metavar="JOINT=VALUE", help="weld a joint [rad or m]; repeatable"
+        )
         parser.add_argument("--posture", nargs="+", metavar="JOINT=VALUE", help="start posture: JOINT=VALUE each, or n numbers")
         parser.add_argument("--block", type=Path, metavar="FILE.py", help="a file that defines block(robot) -> Block")
         parser.add_argument("--platforms", default="host", help=f"host (default), all, or a list of {', '.join(PLATFORMS)}")
@@ -47,7 +51,9 @@ class FmusCommand:
         # Everything is declared and checked before the first file is written.
         blocks = [make(robot) for make in makers.values()]
         if arguments.robot is not None:
-            console.print(f"{robot.name}: {robot.joint_count} free joints; forward dynamics differ from Pinocchio's by {disagreement(robot):.1e}")
+            console.print(
+                f"{robot.name}: {robot.joint_count} free joints; forward dynamics differ from Pinocchio's by {disagreement(robot):.1e}"
+            )
         for block in blocks:
             with console.status(f"compiling {block.name}"):
                 paths = build(block, arguments.out, platforms)
@@ -73,7 +79,9 @@ def chosen_robot(arguments: argparse.Namespace) -> Robot:
     given = [arguments.base_link, arguments.end_effector, arguments.tool_link, posture, *lock]
     if arguments.robot is None or arguments.robot.suffix == ".toml":
         if any(value is not None for value in given):
-            raise RobotError("--base-link, --end-effector, --tool-link, --lock and --posture belong to a URDF; give one with --robot")
+            raise RobotError(
+                "--base-link, --end-effector, --tool-link, --lock and --posture belong to a URDF; give one with --robot"
+            )
         return load_robot_file(arguments.robot) if arguments.robot else load_robot_file()
     return load_urdf(
         arguments.robot,
@@ -86,7 +94,7 @@ def chosen_robot(arguments: argparse.Namespace) -> Robot:
 
 
 def assignment(text: str, option: str) -> tuple[str, float]:
-    name, equals, value = text.partition("=")
+    name, _, value = text.partition("=")
     try:
         return name, float(value)
     except ValueError as error:

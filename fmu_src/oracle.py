@@ -47,7 +47,11 @@ def accelerations(model: Any, orientation: Array, velocity: Array, q: Array, qd:
     v, w = R.T @ velocity[:3], R.T @ velocity[3:]
     configuration = np.concatenate([np.zeros(3), orientation, q])
     a = pin.aba(
-        model, model.createData(), configuration, np.concatenate([v, w, qd]), np.concatenate([R.T @ wrench[:3], R.T @ wrench[3:], torque])
+        model,
+        model.createData(),
+        configuration,
+        np.concatenate([v, w, qd]),
+        np.concatenate([R.T @ wrench[:3], R.T @ wrench[3:], torque]),
     )
     return np.concatenate([R @ (a[:3] + np.cross(w, v)), R @ a[3:6], a[6:]])
 
@@ -58,7 +62,9 @@ def disagreement(robot: Robot, states: int = 20, seed: int = 1) -> float:
     names = {"orientation": 4, "velocity": 6, "q": n, "qd": n, "wrench": 6, "torque": n}
     s = {name: SX.sym(name, size) for name, size in names.items()}
     state = State(s["orientation"], s["velocity"][:3], s["velocity"][3:], s["q"], s["qd"])
-    ours = ca.Function("f", list(s.values()), [ca.vertcat(*forward_dynamics(constant_mechanism(robot), state, s["wrench"], s["torque"]))])
+    ours = ca.Function(
+        "f", list(s.values()), [ca.vertcat(*forward_dynamics(constant_mechanism(robot), state, s["wrench"], s["torque"]))]
+    )
     model, random, worst = pinocchio_model(robot), np.random.default_rng(seed), 0.0
     for _ in range(states):
         arguments = {name: random.normal(size=size) for name, size in names.items()}

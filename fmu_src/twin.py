@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import casadi as ca
 import numpy as np
@@ -209,15 +209,15 @@ class _Evaluator:
     """A CasADi function called through its buffer interface: no conversion per call."""
 
     def __init__(self, function: ca.Function) -> None:
-        self._buffer, self._evaluate = function.buffer()
+        self._buffer, self._evaluate = cast(tuple[Any, Callable[[], None]], function.buffer())
         self._arguments = [np.zeros(function.numel_in(i)) for i in range(function.n_in())]
         self._results = [np.zeros(function.numel_out(i)) for i in range(function.n_out())]
         for i, argument in enumerate(self._arguments):
-            self._buffer.set_arg(i, memoryview(argument))
+            self._buffer.set_arg(i, memoryview(cast(Any, argument)))
         for i, result in enumerate(self._results):
-            self._buffer.set_res(i, memoryview(result))
+            self._buffer.set_res(i, memoryview(cast(Any, result)))
 
-    def __call__(self, *arguments: object) -> list[Array]:
+    def __call__(self, *arguments: Any) -> list[Array]:
         for own, given in zip(self._arguments, arguments, strict=True):
             own[...] = given
         self._evaluate()

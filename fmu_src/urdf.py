@@ -161,7 +161,12 @@ class _Tree:
         return leaves[0]
 
     def robot(
-        self, base: str, tip: str, tool: str | None, lock: dict[str, float], posture: Mapping[str, float] | Sequence[float] | None
+        self,
+        base: str,
+        tip: str,
+        tool: str | None,
+        lock: dict[str, float],
+        posture: Mapping[str, float] | Sequence[float] | None,
     ) -> Robot:
         path = self._path(base, tip)
         for name, value in lock.items():

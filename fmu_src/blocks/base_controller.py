@@ -50,9 +50,13 @@ def base_controller(robot: Robot) -> Block:
     share = block.parameter(
         "damper_bound", 0.5, "1", "c in beta <= c M~ / T_b - K_D (0: no bound), as applied", tunable=True, minimum=0.0
     )
-    least_sigma = block.parameter("singularity_threshold", 0.02, "1", "Least singular value of J_m allowed", tunable=True, minimum=0.0)
+    least_sigma = block.parameter(
+        "singularity_threshold", 0.02, "1", "Least singular value of J_m allowed", tunable=True, minimum=0.0
+    )
     p_bd = block.parameter("position_setpoint", np.zeros(3), "m", "x_bd: base position to hold, in I", tunable=True)
-    R_bd = block.parameter("orientation_setpoint", IDENTITY, "1", "Base orientation to hold, quaternion x, y, z, w", tunable=True)
+    R_bd = block.parameter(
+        "orientation_setpoint", IDENTITY, "1", "Base orientation to hold, quaternion x, y, z, w", tunable=True
+    )
 
     p_b = block.input("base_position", np.zeros(3), "m", "Measured position of B in I")
     state = measured_state(block, robot)
@@ -87,6 +91,9 @@ def base_controller(robot: Robot) -> Block:
     for name, quaternion in (("base_orientation", state.orientation), ("orientation_setpoint", R_bd)):
         block.require(ca.sumsqr(quaternion), 1e-12, f"squared norm of {name}", "give a quaternion of norm one", strict=True)
     block.require(
-        sigma, least_sigma, "smallest singular value of J_m", "keep the posture away from singularities, or lower singularity_threshold"
+        sigma,
+        least_sigma,
+        "smallest singular value of J_m",
+        "keep the posture away from singularities, or lower singularity_threshold",
     )
     return block

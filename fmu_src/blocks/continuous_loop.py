@@ -26,6 +26,7 @@ from fmu_src.equations.tracking_control import (
     pose_error,
     smallest_singular_value,
     spring_damper,
+    spring_energy,
 )
 from fmu_src.robot import Robot
 
@@ -40,7 +41,9 @@ def continuous_loop(robot: Robot) -> Block:
     K_Pm, K_Dm = gains(block, MANIPULATOR, "manipulator_")
     K_Pb, K_Db = gains(block, BASE, "base_")
     p_bd = block.parameter("position_setpoint", np.zeros(3), "m", "x_bd: base position to hold, in I", tunable=True)
-    R_bd = block.parameter("orientation_setpoint", IDENTITY, "1", "Base orientation to hold, quaternion x, y, z, w", tunable=True)
+    R_bd = block.parameter(
+        "orientation_setpoint", IDENTITY, "1", "Base orientation to hold, quaternion x, y, z, w", tunable=True
+    )
     desired = reference_motion(block, robot)
 
     p_b = block.state("base_position", np.zeros(3), "m", "Position of B in I")
@@ -50,9 +53,7 @@ def continuous_loop(robot: Robot) -> Block:
     qd = block.state("joint_velocity", np.zeros(n), joint_units(robot, "rad/s", "m/s"), "q': joint velocities")
     block.initial("base_orientation", rotation.normalised(R_b))
     block.require(ca.sumsqr(R_b), 1e-12, "squared norm of base_orientation", "give a quaternion of norm one", initially=True)
-    block.require(
-        ca.sumsqr(R_bd), 1e-12, "squared norm of orientation_setpoint", "give a quaternion of norm one"
-    )
+    block.require(ca.sumsqr(R_bd), 1e-12, "squared norm of orientation_setpoint", "give a quaternion of norm one")
     state = State(R_b, v_b[:3], v_b[3:], q, qd)
 
     p_e, R_e = end_effector_pose(mechanism, p_b, R_b, q)
@@ -73,7 +74,7 @@ def continuous_loop(robot: Robot) -> Block:
     # Eq. (10): the kinetic part as a kinetic energy of the error velocity [x_b'; dx_m'] in generalised coordinates.
     error_rate = star.Jm_inverse @ (v_m - desired.velocity - base_jacobian_times(star.p_be, v_b))
     kinetic = dynamics.kinetic_energy(mechanism, State(R_b, v_b[:3], v_b[3:], q, error_rate))
-    V = kinetic + 0.5 * (ca.dot(K_Pm * dx_m, dx_m) + ca.dot(K_Pb * dx_b, dx_b))
+    V = kinetic + spring_energy(K_Pm, dx_m) + spring_energy(K_Pb, dx_b)
     # Eq. (15).
     dissipated = ca.dot(K_Db * v_b, v_b) + ca.dot(K_Dm * (v_m - desired.velocity), v_m - desired.velocity)
     block.output("end_effector_position", p_e, "m", "Position of E in I")
@@ -84,6 +85,9 @@ def continuous_loop(robot: Robot) -> Block:
     block.output("lyapunov_function", V, "J", "V of (10)")
     block.output("dissipated_power", dissipated, "W", "-dV/dt by (15)")
     block.require(
-        smallest_singular_value(star.Jm_inverse), 0.02, "smallest singular value of J_m", "keep the posture away from singularities"
+        smallest_singular_value(star.Jm_inverse),
+        0.02,
+        "smallest singular value of J_m",
+        "keep the posture away from singularities",
     )
     return block

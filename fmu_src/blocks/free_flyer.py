@@ -29,7 +29,11 @@ def free_flyer(robot: Robot) -> Block:
 
     block.initial("base_orientation", rotation.normalised(orientation))
     block.require(
-        ca.sumsqr(orientation), 1e-12, "squared norm of base_orientation", "give a quaternion x, y, z, w of norm one", initially=True
+        ca.sumsqr(orientation),
+        1e-12,
+        "squared norm of base_orientation",
+        "give a quaternion x, y, z, w of norm one",
+        initially=True,
     )
     base_acceleration, qdd = dynamics.forward_dynamics(mechanism, state, base_wrench, torque)
     block.derivative("base_position", state.v)

@@ -25,6 +25,8 @@ class Gains(NamedTuple):
 def gains(block: Block, default: tuple[list[float], list[float]], prefix: str = "") -> Gains:
     stiffness, damping = default
     return Gains(
-        block.parameter(f"{prefix}stiffness", stiffness, STIFFNESS, "Diagonal of K_P, in I (assumed)", tunable=True, minimum=0.0),
+        block.parameter(
+            f"{prefix}stiffness", stiffness, STIFFNESS, "Diagonal of K_P, in I (assumed)", tunable=True, minimum=0.0
+        ),
         block.parameter(f"{prefix}damping", damping, DAMPING, "Diagonal of K_D, in I (assumed)", tunable=True, minimum=0.0),
     )

@@ -29,6 +29,8 @@ from fmu_src.equations.tracking_control import (
 from fmu_src.robot import Robot
 
 SX = ca.SX
+NO_LIMIT = 1e6
+"""Stands for the limits of a joint that has none [rad or m]."""
 
 
 def manipulator_controller(robot: Robot) -> Block:
@@ -44,11 +46,15 @@ def manipulator_controller(robot: Robot) -> Block:
     base_on = block.switch("base_passivity_control", True, "Passivity controller of port B on")
     E_m0 = block.parameter("manipulator_initial_energy", [0.05] * 6, "J", "E_m(0) per degree of freedom (assumed)", minimum=0.0)
     E_b0 = block.parameter("base_initial_energy", [0.0] * 6, "J", "E_b(0) per degree of freedom (assumed)", minimum=0.0)
-    floor = block.parameter("velocity_floor", 1e-8, "1", "Floor of v^2 T under the dampers' deficits [SI]", tunable=True, above=0.0)
+    floor = block.parameter(
+        "velocity_floor", 1e-8, "1", "Floor of v^2 T under the dampers' deficits [SI]", tunable=True, above=0.0
+    )
     share = block.parameter(
         "damper_bound", 0.5, "1", "c in beta <= c M~ / T - K_D (0: no bound), as applied", tunable=True, minimum=0.0
     )
-    least_sigma = block.parameter("singularity_threshold", 0.02, "1", "Least singular value of J_m allowed", tunable=True, minimum=0.0)
+    least_sigma = block.parameter(
+        "singularity_threshold", 0.02, "1", "Least singular value of J_m allowed", tunable=True, minimum=0.0
+    )
 
     state = measured_state(block, robot)
     p_start, R_start = start_pose(robot)
@@ -107,15 +113,15 @@ def manipulator_controller(robot: Robot) -> Block:
     # Port B: what of its wrench is known here, at T_m; the base controller's share comes back through the delayed inputs.
     v_b = ca.vertcat(state.v, state.w)
     Jb_F = base_jacobian_transposed_times(star.p_be, F_m_total)
-    share_b = passivity.choose(
-        observer, {Observer.paper: SX(6, 1), Observer.port: -Jb_F, Observer.tracking: -Jb_F - star.F_b}
-    )
+    share_b = passivity.choose(observer, {Observer.paper: SX(6, 1), Observer.port: -Jb_F, Observer.tracking: -Jb_F - star.F_b})
     held = begun * ca.if_else(observer == int(Observer.paper), F_B_held, F_b_applied)
     # Eq. (23), sign corrected.
     E_b = passivity.choose(
         bookkeeping,
         {
-            Bookkeeping.as_printed: passivity.observed_as_printed(E_b, held - begun * F_pcb_held + share_b, v_b, beta_b_1, u_b_1, T_m),
+            Bookkeeping.as_printed: passivity.observed_as_printed(
+                E_b, held - begun * F_pcb_held + share_b, v_b, beta_b_1, u_b_1, T_m
+            ),
             Bookkeeping.applied: passivity.observed_as_applied(E_b, held + S_b_1, u_b_1, v_b, T_m),
         },
     )
@@ -140,13 +146,16 @@ def manipulator_controller(robot: Robot) -> Block:
     block.output("passivity_wrench", F_pcm, WRENCH, "F_pcm: share of the passivity controller, (21), in I")
     sigma = smallest_singular_value(star.Jm_inverse)
     block.output("jacobian_sigma_min", sigma, "1", "Lower bound of the smallest singular value of J_m")
-    margin = ca.fmin(state.q - SX([j.lower for j in robot.joints]), SX([j.upper for j in robot.joints]) - state.q)
+    lower, upper = (SX(ca.DM(np.clip(limits, -NO_LIMIT, NO_LIMIT))) for limits in zip(*((j.lower, j.upper) for j in robot.joints), strict=True))
+    margin = ca.fmin(state.q - lower, upper - state.q)
     block.output("joint_limit_margin", margin, joint_units(robot, "rad", "m"), "Distance of each joint from its nearer limit")
     for name, quaternion in (("end_effector_orientation", R_e), ("desired_orientation", R_d)):
         block.require(ca.sumsqr(quaternion), 1e-12, f"squared norm of {name}", "give a quaternion of norm one")
     block.require(ca.sumsqr(state.orientation), 1e-12, "squared norm of base_orientation", "give a quaternion of norm one")
     block.require(
-        sigma, least_sigma, "smallest singular value of J_m", "keep the posture away from singularities, or lower singularity_threshold"
+        sigma,
+        least_sigma,
+        "smallest singular value of J_m",
+        "keep the posture away from singularities, or lower singularity_threshold",
     )
     return block
-

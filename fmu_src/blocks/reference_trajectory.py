@@ -18,7 +18,10 @@ def reference_motion(block: Block, robot: Robot) -> Motion:
     p_0 = block.parameter("initial_position", position, "m", "End-effector position at t = 0, in I")
     R_0 = block.parameter("initial_orientation", orientation, "1", "End-effector orientation at t = 0, quaternion x, y, z, w")
     translation = block.parameter(
-        "translation_amplitude", [0.15, 0.0, 0.0], "m", "Amplitude of the translation, in I (assumed; the paper does not give it)"
+        "translation_amplitude",
+        [0.15, 0.0, 0.0],
+        "m",
+        "Amplitude of the translation, in I (assumed; the paper does not give it)",
     )
     turn = block.parameter(
         "rotation_amplitude", [0.0, 0.2, 0.0], "rad", "Amplitude of the rotation about this fixed axis, in I (assumed)"

@@ -65,15 +65,20 @@ def _require_physical(block: Block, name: str, entries: SX, *, strict: bool) -> 
             minor = ca.det(tested[:size, :size])
             # A body may lie on the triangle inequality's edge: rounding must not throw it over.
             slack = 0.0 if exact else -1e-12 * scale**size
-            block.require(minor, slack, f"{name}: leading minor {size} of what must be {what}", "correct the inertia", strict=exact)
+            block.require(
+                minor, slack, f"{name}: leading minor {size} of what must be {what}", "correct the inertia", strict=exact
+            )
 
 
 def measured_state(block: Block, robot: Robot) -> State:
     """Declare base orientation and velocity, joint positions and velocities as inputs."""
     n = robot.joint_count
+    orientation = block.input("base_orientation", IDENTITY, "1", "Orientation of B in I, quaternion x, y, z, w")
+    velocity = block.input("base_velocity", np.zeros(6), TWIST, "Velocity of B's origin and angular velocity, in I")
     return State(
-        block.input("base_orientation", IDENTITY, "1", "Orientation of B in I, quaternion x, y, z, w"),
-        *ca.vertsplit(block.input("base_velocity", np.zeros(6), TWIST, "Velocity of B's origin and angular velocity, in I"), [0, 3, 6]),
+        orientation,
+        velocity[:3],
+        velocity[3:],
         block.input("joint_position", robot.posture, joint_units(robot, "rad", "m"), "Joint positions"),
         block.input("joint_velocity", np.zeros(n), joint_units(robot, "rad/s", "m/s"), "Joint velocities"),
     )

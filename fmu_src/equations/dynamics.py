@@ -46,13 +46,13 @@ def without_joint(inertia: ArticulatedInertia, joint: Joint) -> ArticulatedInert
 
     The row and column of the joint's own direction vanish; they are left out, not computed.
     """
-    M, H, I = inertia  # noqa: E741
+    M, H, I = inertia
     if joint.kind == "revolute":
         h, i, D = H[:, 2], I[:, 2], I[2, 2]
     else:
         h, i, D = M[:, 2], H[2, :].T, M[2, 2]
     h_over, i_over = h / D, i / D
-    M, H, I = symmetric(M - h_over @ h.T), H - h_over @ i.T, symmetric(I - i_over @ i.T)  # noqa: E741
+    M, H, I = symmetric(M - h_over @ h.T), H - h_over @ i.T, symmetric(I - i_over @ i.T)
     if joint.kind == "revolute":
         return ArticulatedInertia(M, H @ IN_PLANE, IN_PLANE @ I @ IN_PLANE)
     return ArticulatedInertia(IN_PLANE @ M @ IN_PLANE, IN_PLANE @ H, I)
@@ -93,7 +93,7 @@ def forward_dynamics(mechanism: Mechanism, state: State, base_wrench: SX, joint_
     # Outside in: articulated inertias and bias wrenches.
     saved: list[tuple[SX, SX, SX, SX]] = [(SX(0), SX(0), SX(0), SX(0))] * n
     for i in reversed(range(n)):
-        (M, H, I), (f, t), (v, w) = inertias[i + 1], bias[i + 1], velocities[i + 1]  # noqa: E741
+        (M, H, I), (f, t), (v, w) = inertias[i + 1], bias[i + 1], velocities[i + 1]
         if joints[i].kind == "revolute":
             U_f, U_t, D, u = H[:, 2], I[:, 2], I[2, 2], joint_torque[i] - t[2]
             c_v, c_w = cross(v, Z) * state.qd[i], cross(w, Z) * state.qd[i]
@@ -209,4 +209,3 @@ def momentum(mechanism: Mechanism, position: SX, state: State) -> tuple[SX, SX]:
 
 def total_mass(mechanism: Mechanism) -> SX:
     return sum((body.mass for body in mechanism.bodies), start=mechanism.base.mass)
-

@@ -51,7 +51,8 @@ def error(actual: SX, desired: SX) -> SX:
 
 def about(vector: SX) -> SX:
     """Quaternion of the rotation vector (3) [rad]; the zero vector included."""
-    half = 0.5 * ca.sqrt(ca.dot(vector, vector))
+    # The tiny addend changes no value; it keeps the derivative of the root finite at zero.
+    half = 0.5 * ca.sqrt(ca.dot(vector, vector) + 1e-300)
     # sin(h)/h: the series below 1e-4 rad is exact to the last bit; the division then never meets a zero.
     small = half < 1e-4
     safe = ca.if_else(small, 1.0, half)

@@ -6,14 +6,14 @@ child's origin in the parent frame. Source of the algorithms: Featherstone, Rigi
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 
 from fmu_src.robot import Inertial
 
 SX = ca.SX
-Z = ca.DM([0.0, 0.0, 1.0])
+Z = SX(ca.DM([0.0, 0.0, 1.0]))
 
 
 def skew(v: SX) -> SX:
@@ -25,7 +25,7 @@ def cross(a: SX, b: SX) -> SX:
     return ca.cross(a, b)
 
 
-def sparse(values: object) -> SX:
+def sparse(values: Any) -> SX:
     """A constant matrix with its exact zeros left out, so that products with them are never generated."""
     return SX(ca.sparsify(ca.DM(values)))
 
@@ -78,7 +78,7 @@ class ArticulatedInertia(NamedTuple):
 
     M: SX
     H: SX
-    I: SX  # noqa: E741 - the field's symbol
+    I: SX
 
     def __add__(self, other: object) -> ArticulatedInertia:
         assert isinstance(other, ArticulatedInertia)

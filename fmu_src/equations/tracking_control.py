@@ -64,9 +64,7 @@ def feed_forward(mechanism: Mechanism, state: State, desired_velocity: SX, desir
     qd_r = Jm_inverse @ desired_velocity
     dJm_qd_r = turn @ manipulator_jacobian_rate_times(mechanism, at, R_IB.T @ state.v, R_IB.T @ state.w, state.qd, qd_r)
     qdd_r = Jm_inverse @ (desired_acceleration - dJm_qd_r)
-    f_base, f_joints = two_velocity_inverse_dynamics(
-        mechanism, state, ca.vertcat(SX(6, 1), qd_r), ca.vertcat(SX(6, 1), qdd_r)
-    )
+    f_base, f_joints = two_velocity_inverse_dynamics(mechanism, state, ca.vertcat(SX(6, 1), qd_r), ca.vertcat(SX(6, 1), qdd_r))
     F_m = Jm_inverse.T @ f_joints
     p_be = R_IB @ at.p_e
     return FeedForward(F_m, f_base - base_jacobian_transposed_times(p_be, F_m), Jm_inverse, p_be)
@@ -80,6 +78,17 @@ def pose_error(position: SX, orientation: SX, desired_position: SX, desired_orie
 def spring_damper(stiffness: SX, damping: SX, pose_error: SX, velocity_error: SX) -> SX:
     """-K_P Delta x - K_D Delta x' (6) for diagonal gains (6 each)."""
     return -stiffness * pose_error - damping * velocity_error
+
+
+def spring_energy(stiffness: SX, pose_error: SX) -> SX:
+    """Potential whose gradient spring_damper's spring is, exactly for isotropic rotational stiffness: the spring part of V in (10).
+
+    Written with Delta x as in (10) it is 1/2 Delta x^T K Delta x for the translation; for the rotation, whose Delta x is
+    2 eps, that holds for small angles only: the torque -2 k eps derives from 4 k (1 - eta) = Delta x^T K Delta x / (1 + eta).
+    """
+    translation, turn = pose_error[:3], pose_error[3:]
+    eta = ca.sqrt(ca.fmax(1.0 - 0.25 * ca.dot(turn, turn), 0.0))
+    return 0.5 * ca.dot(stiffness[:3] * translation, translation) + ca.dot(stiffness[3:] * turn, turn) / (1.0 + eta)
 
 
 def joint_torque(mechanism: Mechanism, state: State, F_m: SX) -> SX:

@@ -30,7 +30,10 @@ def operations() -> dict[int, str]:
     table = {f"OP_{name}": f"{{0}} {sign} {{1}}" for name, sign in infix.items()}
     table |= {f"OP_{name}": f"(double)({{0}} {sign} {{1}})" for name, sign in compared.items()}
     table |= {f"OP_{name}": f"{function}({{0}})" for name, function in (called | library).items()}
-    table |= {f"OP_{name}": f"{function}({{0}}, {{1}})" for name, function in {"POW": "pow", "CONSTPOW": "pow", "ATAN2": "atan2", "FMOD": "fmod"}.items()}
+    table |= {
+        f"OP_{name}": f"{function}({{0}}, {{1}})"
+        for name, function in {"POW": "pow", "CONSTPOW": "pow", "ATAN2": "atan2", "FMOD": "fmod"}.items()
+    }
     table |= {
         "OP_ASSIGN": "{0}",
         "OP_NEG": "-{0}",
@@ -79,7 +82,7 @@ def print_function(function: ca.Function, name: str) -> str:
             angle = held[inputs[0]]
             if angle not in pairs:
                 pairs[angle] = (fresh(), fresh())
-                lines.append("double {0}, {1};".format(*pairs[angle]))
+                lines.append("double {}, {};".format(*pairs[angle]))
                 lines.append("sin_cos({2}, &{0}, &{1});".format(*pairs[angle], angle))
             held[outputs[0]] = pairs[angle][operation == ca.OP_COS]
         elif operation in table:
@@ -132,9 +135,7 @@ def print_block(block: Block, token: str) -> str:
         print_requirements("running_requirement", block.running_requirements),
     ]
     period = plan.reference[block.period] if block.period else -1
-    ranges = "\n".join(
-        f"    .{name} = {{{first}, {count}}}," for name, (first, count) in plan.ranges.items()
-    )
+    ranges = "\n".join(f"    .{name} = {{{first}, {count}}}," for name, (first, count) in plan.ranges.items())
     updates = ".update = update," if block.is_sampled else ".rates = derivatives,\n    .outputs_ = outputs,"
     parts.append(
         f"""const Block block = {{

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from xml.etree import ElementTree as xml
+from xml.etree import ElementTree
 
 from fmu_src.block import Block, Variable
 from fmu_src.export.layout import Layout, derivative_elements, derivative_name, layout
@@ -35,31 +35,31 @@ UNITS: dict[str, dict[str, int]] = {
 DISPLAY = {"rad": ("deg", 57.29577951308232), "rad/s": ("deg/s", 57.29577951308232)}
 
 
-def text(root: xml.Element) -> bytes:
-    xml.indent(root)
-    return b'<?xml version="1.0" encoding="UTF-8"?>\n' + xml.tostring(root) + b"\n"
+def text(root: ElementTree.Element) -> bytes:
+    ElementTree.indent(root)
+    return b'<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root) + b"\n"
 
 
 def number(value: float) -> str:
     return repr(float(value))
 
 
-def _units(root: xml.Element, block: Block) -> None:
+def _units(root: ElementTree.Element, block: Block) -> None:
     used = sorted({unit for variable in block.variables.values() for unit in variable.units if unit != "1"} | {"s"})
-    definitions = xml.SubElement(root, "UnitDefinitions")
+    definitions = ElementTree.SubElement(root, "UnitDefinitions")
     for name in used:
-        unit = xml.SubElement(definitions, "Unit", name=name)
+        unit = ElementTree.SubElement(definitions, "Unit", name=name)
         if name in UNITS:
-            xml.SubElement(unit, "BaseUnit", {base: str(power) for base, power in UNITS[name].items()})
+            ElementTree.SubElement(unit, "BaseUnit", {base: str(power) for base, power in UNITS[name].items()})
         if name in DISPLAY:
             display, factor = DISPLAY[name]
-            xml.SubElement(unit, "DisplayUnit", name=display, factor=number(factor))
+            ElementTree.SubElement(unit, "DisplayUnit", name=display, factor=number(factor))
 
 
-def _experiment(root: xml.Element, block: Block) -> None:
+def _experiment(root: ElementTree.Element, block: Block) -> None:
     # FMPy doubles its output interval beyond 1000 steps in the default experiment: keep below.
     step = block.default_step
-    xml.SubElement(root, "DefaultExperiment", startTime="0", stopTime=number(100 * step), stepSize=number(step))
+    ElementTree.SubElement(root, "DefaultExperiment", startTime="0", stopTime=number(100 * step), stepSize=number(step))
 
 
 def _type_name(block: Block, variable: Variable) -> str:
@@ -87,7 +87,7 @@ def _variability(block: Block, variable: Variable) -> str:
 def fmi2(block: Block, token: str) -> bytes:
     """modelDescription.xml of FMI 2.0: every element of an array is a variable of its own."""
     plan = layout(block)
-    root = xml.Element(
+    root = ElementTree.Element(
         "fmiModelDescription",
         fmiVersion="2.0",
         modelName=block.name,
@@ -98,8 +98,10 @@ def fmi2(block: Block, token: str) -> bytes:
         numberOfEventIndicators="0",
     )
     if not block.is_sampled:
-        xml.SubElement(root, "ModelExchange", modelIdentifier=block.name, canGetAndSetFMUstate="true", canSerializeFMUstate="true")
-    xml.SubElement(
+        ElementTree.SubElement(
+            root, "ModelExchange", modelIdentifier=block.name, canGetAndSetFMUstate="true", canSerializeFMUstate="true"
+        )
+    ElementTree.SubElement(
         root,
         "CoSimulation",
         modelIdentifier=block.name,
@@ -109,28 +111,30 @@ def fmi2(block: Block, token: str) -> bytes:
     )
     _units(root, block)
     if _enumerations(block):
-        types = xml.SubElement(root, "TypeDefinitions")
+        types = ElementTree.SubElement(root, "TypeDefinitions")
         for variable in _enumerations(block):
-            items = xml.SubElement(xml.SubElement(types, "SimpleType", name=_type_name(block, variable)), "Enumeration")
+            items = ElementTree.SubElement(
+                ElementTree.SubElement(types, "SimpleType", name=_type_name(block, variable)), "Enumeration"
+            )
             for index, choice in enumerate(variable.choices):
-                xml.SubElement(items, "Item", name=choice, value=str(index + 1))
+                ElementTree.SubElement(items, "Item", name=choice, value=str(index + 1))
     _experiment(root, block)
-    variables = xml.SubElement(root, "ModelVariables")
-    index = _fmi2_variables(variables, block, plan)
-    _fmi2_structure(xml.SubElement(root, "ModelStructure"), block, index)
+    variables = ElementTree.SubElement(root, "ModelVariables")
+    positions = _fmi2_variables(variables, block, plan)
+    _fmi2_structure(ElementTree.SubElement(root, "ModelStructure"), block, positions)
     return text(root)
 
 
-def _fmi2_variables(parent: xml.Element, block: Block, plan: Layout) -> dict[str, int]:
+def _fmi2_variables(parent: ElementTree.Element, block: Block, plan: Layout) -> dict[str, int]:
     """Adds all scalars; gives the 1-based index of each by name."""
     index: dict[str, int] = {}
 
-    def scalar(name: str, reference: int, **attributes: str) -> xml.Element:
+    def scalar(name: str, reference: int, **attributes: str) -> ElementTree.Element:
         index[name] = len(index) + 1
-        return xml.SubElement(parent, "ScalarVariable", name=name, valueReference=str(reference), **attributes)
+        return ElementTree.SubElement(parent, "ScalarVariable", {"name": name, "valueReference": str(reference), **attributes})
 
     element = scalar("time", 0, causality="independent", variability="continuous", description="Simulation time")
-    xml.SubElement(element, "Real", unit="s")
+    ElementTree.SubElement(element, "Real", unit="s")
     for variable in block.variables.values():
         for i, name in enumerate(variable.element_names):
             attributes = {
@@ -153,7 +157,9 @@ def _fmi2_variables(parent: xml.Element, block: Block, plan: Layout) -> dict[str
             if variable.kind == "real" and variable.units[i] != "1":
                 typed["unit"] = variable.units[i]
             element = scalar(name, plan.reference[variable.name] + i, **attributes)
-            xml.SubElement(element, {"real": "Real", "boolean": "Boolean", "enumeration": "Enumeration"}[variable.kind], typed)
+            ElementTree.SubElement(
+                element, {"real": "Real", "boolean": "Boolean", "enumeration": "Enumeration"}[variable.kind], typed
+            )
     for variable in [] if block.is_sampled else block.having("state"):
         for i, (name, state) in enumerate(zip(derivative_elements(variable), variable.element_names, strict=True)):
             element = scalar(
@@ -164,34 +170,39 @@ def _fmi2_variables(parent: xml.Element, block: Block, plan: Layout) -> dict[str
                 initial="calculated",
                 description=f"Derivative of {state}",
             )
-            xml.SubElement(element, "Real", derivative=str(index[state]))
+            ElementTree.SubElement(element, "Real", derivative=str(index[state]))
     return index
 
 
-def _fmi2_structure(parent: xml.Element, block: Block, index: dict[str, int]) -> None:
-    outputs = [(variable, name) for variable in block.having("output", "state") if not variable.local for name in variable.element_names]
+def _fmi2_structure(parent: ElementTree.Element, block: Block, index: dict[str, int]) -> None:
+    outputs = [
+        (variable, name)
+        for variable in block.having("output", "state")
+        if not variable.local
+        for name in variable.element_names
+    ]
     states = [] if block.is_sampled else [name for variable in block.having("state") for name in variable.element_names]
     # State-dependent unknowns may depend on every state; on inputs they depend as the equations say.
-    listed = xml.SubElement(parent, "Outputs") if outputs else None
+    listed = ElementTree.SubElement(parent, "Outputs") if outputs else None
     for _, name in sorted(outputs, key=lambda pair: index[pair[1]]):
         depends = sorted(index[other] for other in [*block.dependencies[name], *states])
         assert listed is not None
-        xml.SubElement(listed, "Unknown", index=str(index[name]), dependencies=" ".join(map(str, depends)))
+        ElementTree.SubElement(listed, "Unknown", index=str(index[name]), dependencies=" ".join(map(str, depends)))
     if states:
-        derivatives = xml.SubElement(parent, "Derivatives")
+        derivatives = ElementTree.SubElement(parent, "Derivatives")
         for name in states:
-            xml.SubElement(derivatives, "Unknown", index=str(index[f"der({name})"]))
+            ElementTree.SubElement(derivatives, "Unknown", index=str(index[f"der({name})"]))
     unknowns = [name for variable, name in outputs if variable.causality == "output"] + [f"der({name})" for name in states]
     if unknowns:
-        initial = xml.SubElement(parent, "InitialUnknowns")
+        initial = ElementTree.SubElement(parent, "InitialUnknowns")
         for name in sorted(unknowns, key=index.__getitem__):
-            xml.SubElement(initial, "Unknown", index=str(index[name]))
+            ElementTree.SubElement(initial, "Unknown", index=str(index[name]))
 
 
 def fmi3(block: Block, token: str) -> bytes:
     """modelDescription.xml of FMI 3.0: arrays are arrays."""
     plan = layout(block)
-    root = xml.Element(
+    root = ElementTree.Element(
         "fmiModelDescription",
         fmiVersion="3.0",
         modelName=block.name,
@@ -201,8 +212,10 @@ def fmi3(block: Block, token: str) -> bytes:
         variableNamingConvention="structured",
     )
     if not block.is_sampled:
-        xml.SubElement(root, "ModelExchange", modelIdentifier=block.name, canGetAndSetFMUState="true", canSerializeFMUState="true")
-    xml.SubElement(
+        ElementTree.SubElement(
+            root, "ModelExchange", modelIdentifier=block.name, canGetAndSetFMUState="true", canSerializeFMUState="true"
+        )
+    ElementTree.SubElement(
         root,
         "CoSimulation",
         modelIdentifier=block.name,
@@ -212,19 +225,19 @@ def fmi3(block: Block, token: str) -> bytes:
     )
     _units(root, block)
     if _enumerations(block):
-        types = xml.SubElement(root, "TypeDefinitions")
+        types = ElementTree.SubElement(root, "TypeDefinitions")
         for variable in _enumerations(block):
-            items = xml.SubElement(types, "EnumerationType", name=_type_name(block, variable))
+            items = ElementTree.SubElement(types, "EnumerationType", name=_type_name(block, variable))
             for index, choice in enumerate(variable.choices):
-                xml.SubElement(items, "Item", name=choice, value=str(index + 1))
+                ElementTree.SubElement(items, "Item", name=choice, value=str(index + 1))
     _experiment(root, block)
-    _fmi3_variables(xml.SubElement(root, "ModelVariables"), block, plan)
-    _fmi3_structure(xml.SubElement(root, "ModelStructure"), block, plan)
+    _fmi3_variables(ElementTree.SubElement(root, "ModelVariables"), block, plan)
+    _fmi3_structure(ElementTree.SubElement(root, "ModelStructure"), block, plan)
     return text(root)
 
 
-def _fmi3_variables(parent: xml.Element, block: Block, plan: Layout) -> None:
-    xml.SubElement(
+def _fmi3_variables(parent: ElementTree.Element, block: Block, plan: Layout) -> None:
+    ElementTree.SubElement(
         parent, "Float64", name="time", valueReference="0", causality="independent", variability="continuous", unit="s",
         description="Simulation time",
     )  # fmt: skip
@@ -254,11 +267,11 @@ def _fmi3_variables(parent: xml.Element, block: Block, plan: Layout) -> None:
         if variable.kind == "real" and len(set(variable.units)) == 1 and variable.units[0] != "1":
             attributes["unit"] = variable.units[0]
         tag = {"real": "Float64", "boolean": "Boolean", "enumeration": "Enumeration"}[variable.kind]
-        element = xml.SubElement(parent, tag, attributes)
+        element = ElementTree.SubElement(parent, tag, attributes)
         if variable.is_array:
-            xml.SubElement(element, "Dimension", start=str(variable.size))
+            ElementTree.SubElement(element, "Dimension", start=str(variable.size))
     for variable in [] if block.is_sampled else block.having("state"):
-        element = xml.SubElement(
+        element = ElementTree.SubElement(
             parent,
             "Float64",
             name=derivative_name(variable),
@@ -270,10 +283,10 @@ def _fmi3_variables(parent: xml.Element, block: Block, plan: Layout) -> None:
             derivative=str(plan.reference[variable.name]),
         )
         if variable.is_array:
-            xml.SubElement(element, "Dimension", start=str(variable.size))
+            ElementTree.SubElement(element, "Dimension", start=str(variable.size))
 
 
-def _fmi3_structure(parent: xml.Element, block: Block, plan: Layout) -> None:
+def _fmi3_structure(parent: ElementTree.Element, block: Block, plan: Layout) -> None:
     states = [] if block.is_sampled else block.having("state")
     outputs = [variable for variable in block.having("output", "state") if not variable.local]
     owner = {name: variable.name for variable in block.having("input") for name in variable.element_names}
@@ -283,15 +296,17 @@ def _fmi3_structure(parent: xml.Element, block: Block, plan: Layout) -> None:
 
     for variable in sorted(outputs, key=lambda variable: plan.reference[variable.name]):
         depends = {owner[name] for element in variable.element_names for name in block.dependencies[element]}
-        xml.SubElement(
+        ElementTree.SubElement(
             parent,
             "Output",
             valueReference=str(plan.reference[variable.name]),
             dependencies=references([*depends, *(state.name for state in states)]),
         )
     for variable in states:
-        xml.SubElement(parent, "ContinuousStateDerivative", valueReference=str(plan.reference[derivative_name(variable)]))
+        ElementTree.SubElement(
+            parent, "ContinuousStateDerivative", valueReference=str(plan.reference[derivative_name(variable)])
+        )
     unknowns = [variable.name for variable in outputs if variable.causality == "output"]
     unknowns += [derivative_name(variable) for variable in states]
     for name in sorted(unknowns, key=plan.reference.__getitem__):
-        xml.SubElement(parent, "InitialUnknown", valueReference=str(plan.reference[name]))
+        ElementTree.SubElement(parent, "InitialUnknown", valueReference=str(plan.reference[name]))

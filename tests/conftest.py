@@ -1,0 +1,37 @@
+"""Robots and FMUs that the tests share."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, settings
+
+from fmu_src.prebuilt_fmus import directory
+from fmu_src.robot import Robot
+from fmu_src.urdf import load_robot_file
+from robots import ROBOTS
+
+settings.register_profile("default", deadline=None, derandomize=True, max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
+settings.load_profile("default")
+# One thread a test process: two of them run side by side.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+
+@pytest.fixture(scope="session", params=list(ROBOTS))
+def any_robot(request: pytest.FixtureRequest) -> Robot:
+    return ROBOTS[request.param]()
+
+
+@pytest.fixture(scope="session")
+def robot() -> Robot:
+    return load_robot_file()
+
+
+@pytest.fixture(scope="session")
+def fmus() -> Path:
+    """The FMUs built at install."""
+    found = directory()
+    assert (found / "fmi2" / "free_flyer.fmu").is_file(), "the package was installed without its FMUs"
+    return found

@@ -1,0 +1,102 @@
+"""Conservation laws of the plant FMU: nothing acts and nothing changes; what acts is what the energy gains."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from cosim.fmu import FmuComponent
+
+STEP = 1e-3
+
+
+def free_start(seed: int = 7) -> dict[str, np.ndarray]:
+    """Every axis moves: rms joint speed 0.1 rad/s, base 0.01 m/s and 0.01 rad/s."""
+    random = np.random.default_rng(seed)
+
+    def of_norm(size: int, norm: float) -> np.ndarray:
+        v = random.uniform(0.3, 1.0, size) * random.choice([-1.0, 1.0], size)
+        return v / np.linalg.norm(v) * norm
+
+    return {
+        "base_position": np.array([0.3, -0.2, 0.1]),
+        "base_orientation": Rotation.from_rotvec([0.2, -0.1, 0.3]).as_quat(),
+        "base_velocity": np.concatenate([of_norm(3, 0.01), of_norm(3, 0.01)]),
+        "joint_velocity": of_norm(6, 0.1 * np.sqrt(6)),
+    }
+
+
+def drift(path: Path, steps: int, every: int) -> dict[str, float]:
+    """Largest change of each conserved quantity, relative to its initial size."""
+    plant = FmuComponent("free_flyer", path)
+    try:
+        plant.enter_initialization(0.0, free_start())
+        plant.exit_initialization()
+        buffer = np.zeros(7)
+        read = plant.bind_outputs(["kinetic_energy", "linear_momentum", "angular_momentum"], buffer)
+        read()
+        first = buffer.copy()
+        assert (np.abs(first) > 1e-4).all(), "a quantity that is zero has no relative drift"
+        worst = np.zeros(7)
+        for k in range(steps):
+            plant.step(k * STEP, STEP)
+            if (k + 1) % every == 0:
+                read()
+                np.maximum(worst, np.abs(buffer - first), out=worst)
+        return {
+            "energy": worst[0] / first[0],
+            "linear momentum": np.linalg.norm(worst[1:4]) / np.linalg.norm(first[1:4]),
+            "angular momentum": np.linalg.norm(worst[4:]) / np.linalg.norm(first[4:]),
+        }
+    finally:
+        plant.close()
+
+
+def test_energy_and_momenta_are_conserved_for_100_s_without_inputs(fmus: Path) -> None:
+    found = drift(fmus / "fmi2" / "free_flyer.fmu", 100_000, 500)
+    for quantity, change in found.items():
+        assert change <= 1e-13, f"{quantity} drifts by {change:.1e}"
+
+
+@pytest.mark.benchmark
+def test_drift_over_1000_s_without_inputs(fmus: Path) -> None:
+    """By then the base has moved 11 m: the momentum's lever arm turns 7e-15 of linear momentum into 1e-13 of the angular one."""
+    found = drift(fmus / "fmi2" / "free_flyer.fmu", 1_000_000, 1000)
+    print("drift over 1000 s:", ", ".join(f"{quantity} {change:.1e}" for quantity, change in found.items()))
+    assert found["energy"] <= 1e-13
+    assert found["linear momentum"] <= 1e-13
+
+
+def test_work_of_held_wrench_and_torques_is_the_change_of_kinetic_energy(fmus: Path) -> None:
+    """The energy that a held force gives is exactly F (x(k) - x(k-1)); the base's rotation counts by the integral of w."""
+    plant = FmuComponent("free_flyer", fmus / "fmi2" / "free_flyer.fmu")
+    try:
+        plant.enter_initialization(0.0, free_start())
+        plant.exit_initialization()
+        u, y = np.zeros(12), np.zeros(20)
+        write = plant.bind_inputs(["base_wrench", "joint_torque"], u)
+        read = plant.bind_outputs(["base_position", "base_orientation", "joint_position", "base_velocity", "kinetic_energy"], y)
+        read()
+        before = y.copy()
+        initial = y[-1]
+        random = np.random.default_rng(11)
+        work, moved = 0.0, 0.0
+        for k in range(5000):
+            if k % 10 == 0:
+                u[:] = random.normal(size=12) * ([5.0] * 6 + [0.5] * 6)
+            write()
+            plant.step(k * STEP, STEP)
+            read()
+            # Simpson's rule would need the middle of the step; the rotation vector is the integral of w to third order.
+            turn = (Rotation.from_quat(y[3:7]) * Rotation.from_quat(before[3:7]).inv()).as_rotvec()
+            change = np.concatenate([y[:3] - before[:3], turn, y[7:13] - before[7:13]])
+            work += u @ change
+            moved += abs(u @ change)
+            before[:] = y
+        assert moved > 1.0
+        assert abs(work - (y[-1] - initial)) <= 1e-9 * moved
+    finally:
+        plant.close()

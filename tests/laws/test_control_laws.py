@@ -1,0 +1,199 @@
+"""The control laws: (7) and (8) against the matrices they stand for, (15) and W along the exact closed loop, matched gains."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+from fmu_src.blocks.continuous_loop import continuous_loop
+from fmu_src.equations import task_space, tracking_control, trajectory
+from fmu_src.equations.mechanism import State, constant_mechanism
+from fmu_src.robot import Robot
+from fmu_src.urdf import load_robot_file
+from robots import ROBOTS
+
+SX = ca.SX
+
+
+def state_symbols(n: int) -> tuple[list[SX], State]:
+    o, v, q, qd = (SX.sym(name, size) for name, size in (("o", 4), ("v", 6), ("q", n), ("qd", n)))
+    return [o, v, q, qd], State(o, v[:3], v[3:], q, qd)
+
+
+@pytest.mark.parametrize("name", ["lwr4", "ur5", "gantry"])
+def test_feed_forward_is_the_reference_columns_of_M_and_Gamma(name: str) -> None:
+    robot = ROBOTS[name]()
+    arguments, s = state_symbols(robot.joint_count)
+    xd, xdd = SX.sym("xd", 6), SX.sym("xdd", 6)
+    m = constant_mechanism(robot)
+    star = tracking_control.feed_forward(m, s, xd, xdd)
+    M, Gamma = task_space.inertia_and_coriolis_in_task_space(m, s)
+    zero = SX(6, 1)
+    expected = M @ ca.vertcat(zero, xdd) + Gamma @ ca.vertcat(zero, xd)
+    both = ca.Function("f", [*arguments, xd, xdd], [ca.vertcat(star.F_b, star.F_m), expected])
+    random = np.random.default_rng(3)
+    for _ in range(20):
+        o = random.normal(size=4)
+        posture = robot.posture + random.uniform(-0.1, 0.1, robot.joint_count)
+        values = [o / np.linalg.norm(o), random.normal(size=6), posture, *random.normal(size=(3, 6))]
+        ours, matrices = (np.array(part).ravel() for part in both(*values))
+        assert np.abs(ours - matrices).max() <= 1e-11 * np.abs(matrices).max()
+
+
+def test_M_and_Gamma_are_symmetric_and_skew_in_task_space(robot: Robot) -> None:
+    arguments, s = state_symbols(6)
+    m = constant_mechanism(robot)
+    M, Gamma = task_space.inertia_and_coriolis_in_task_space(m, s)
+    f = ca.Function("f", arguments, [M, Gamma, task_space.rate(m, M, s)])
+    random = np.random.default_rng(4)
+    values = [np.array([0.1, -0.2, 0.3, 0.9]) / np.sqrt(0.95), random.normal(size=6), robot.posture, random.normal(size=6)]
+    M, Gamma, rate = (np.array(part) for part in f(*values))
+    assert np.abs(M - M.T).max() < 1e-11 * np.abs(M).max()
+    N = rate - 2 * Gamma
+    assert np.abs(N + N.T).max() < 1e-10 * np.abs(Gamma).max()
+
+
+class Loop:
+    """The continuous closed loop with its Lyapunov function, its rate by the chain rule, and W with the paper's expression."""
+
+    def __init__(self, robot: Robot) -> None:
+        self.block = block = continuous_loop(robot)
+        t, p, u, x = block.arguments
+        rates = block.functions["derivatives"](t, p, u, x)
+        outputs, _ = block.functions["outputs"](t, p, u, x)
+        V = outputs[block.offset("lyapunov_function")]
+        dissipated = outputs[block.offset("dissipated_power")]
+        dV = ca.jtimes(V, x, rates) + ca.jtimes(V, t, SX(1))
+        self.p = block.start_values("parameter")
+        self.rates = ca.Function("rates", [t, p, x], [rates], {"allow_free": False})
+        self.V = ca.Function("V", [t, p, x], [V, dV, dissipated])
+
+    def start(self, seed: int) -> np.ndarray:
+        """Random non-zero errors and velocities around the start posture."""
+        random = np.random.default_rng(seed)
+        x = self.block.start_values("state").copy()
+        x[:3] += random.uniform(-0.05, 0.05, 3)
+        o = np.concatenate([random.uniform(-0.1, 0.1, 3), [1.0]])
+        x[3:7] = o / np.linalg.norm(o)
+        x[7:13] = random.uniform(-0.05, 0.05, 6)
+        x[13:19] += random.uniform(-0.05, 0.05, 6)
+        x[19:25] = random.uniform(-0.1, 0.1, 6)
+        return x
+
+    def solve(self, seed: int, stop: float) -> tuple[np.ndarray, np.ndarray]:
+        solution = solve_ivp(
+            lambda t, x: np.array(self.rates(t, self.p, x)).ravel(),
+            (0.0, stop),
+            self.start(seed),
+            method="DOP853",
+            rtol=1e-11,
+            atol=1e-13,
+            t_eval=np.linspace(0.0, stop, 60),
+        )
+        assert solution.success
+        return solution.t, solution.y
+
+
+LOOP = Loop(load_robot_file())
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_V_never_rises_and_falls_as_equation_15_says(seed: int) -> None:
+    times, states = LOOP.solve(seed, 6.0)
+    values = np.array([[float(part) for part in LOOP.V(t, LOOP.p, x)] for t, x in zip(times, states.T, strict=True)])
+    V, dV, dissipated = values.T
+    assert V[0] > 1e-3, "the start must not be at rest"
+    assert (np.diff(V) < 0.0).all()
+    assert np.abs(dV + dissipated).max() <= 1e-7 * dissipated.max()
+
+
+def test_rate_of_W_is_the_papers_expression_and_negative_where_V_does_not_fall() -> None:
+    """W = dx^T M dx'. The paper differentiates dx to dx', which for the rotation holds to first order in the angle."""
+    robot = load_robot_file()
+    block = LOOP.block
+    t, p, u, x = block.arguments
+    o, v, q, qd = x[3:7], x[7:13], x[13:19], x[19:25]
+    m = constant_mechanism(robot)
+    s = State(o, v[:3], v[3:], q, qd)
+    outputs, _ = block.functions["outputs"](t, p, u, x)
+
+    def out(name: str, size: int) -> SX:
+        return outputs[block.offset(name) : block.offset(name) + size]
+
+    dx_m = tracking_control.pose_error(out("end_effector_position", 3), out("end_effector_orientation", 4), out("desired_position", 3), out("desired_orientation", 4))
+    dx_b = tracking_control.pose_error(x[:3], o, SX(3, 1), SX([0, 0, 0, 1]))
+    desired_velocity = ca.jtimes(out("desired_position", 3), t, SX(1))
+    turn_rate = ca.jtimes(out("desired_orientation", 4), t, SX(1))
+    w_d = 2 * (out("desired_orientation", 4)[3] * turn_rate[:3] - turn_rate[3] * out("desired_orientation", 4)[:3] + ca.cross(out("desired_orientation", 4)[:3], turn_rate[:3]))
+    error_rate = ca.vertcat(v, out("end_effector_velocity", 6) - ca.vertcat(desired_velocity, w_d))
+    error = ca.vertcat(dx_b, dx_m)
+    M, Gamma = task_space.inertia_and_coriolis_in_task_space(m, s)
+    rates = block.functions["derivatives"](t, p, u, x)
+    W = ca.dot(error, M @ error_rate)
+    dW = ca.jtimes(W, x, rates) + ca.jtimes(W, t, SX(1))
+    gain = {name: p[block.offset(name) : block.offset(name) + 6] for name in ("base_stiffness", "manipulator_stiffness", "base_damping", "manipulator_damping")}
+    K = ca.vertcat(gain["base_stiffness"], gain["manipulator_stiffness"])
+    D = ca.vertcat(gain["base_damping"], gain["manipulator_damping"])
+    M_rate = task_space.rate(m, M, s)
+    true_error_rate = ca.jtimes(error, x, rates) + ca.jtimes(error, t, SX(1))
+    spring = ca.dot(error, -K * error - D * error_rate + (M_rate - Gamma) @ error_rate)
+    f = ca.Function("W", [t, p, x], [dW, ca.dot(error_rate, M @ error_rate) + spring, ca.dot(true_error_rate, M @ error_rate) + spring, ca.dot(error, K * error)])
+    times, states = LOOP.solve(1, 4.0)
+    for at, state in zip(times[1:], states.T[1:], strict=True):
+        exact, paper, with_true_rate, stored = (float(part) for part in f(at, LOOP.p, state))
+        scale = abs(exact) + stored
+        assert abs(exact - with_true_rate) <= 1e-7 * scale
+        assert abs(exact - paper) <= 0.05 * scale
+    # Where V does not fall (x_b' = dx_m' = 0) but errors remain, dW/dt = -dx^T K dx < 0.
+    state = LOOP.start(2)
+    state[7:13] = 0.0
+    state[19:25] = 0.0
+    exact, _, _, stored = (float(part) for part in f(0.0, LOOP.p, state))
+    assert stored > 0.0
+    assert exact == pytest.approx(-stored, rel=1e-9)
+
+
+@given(st.floats(0.05, 40.0))
+def test_the_reference_is_consistent_in_position_velocity_and_acceleration(time: float) -> None:
+    t = SX.sym("t")
+    motion = trajectory.ramped_sine(t, SX([0.1, 0.2, 0.3]), SX([0, 0, 0, 1]), SX([0.15, 0.02, 0]), SX([0.05, 0.2, 0.1]), SX(0.1), SX(5.0))
+    derivative = [ca.jtimes(part, t, SX(1)) for part in (motion.position, motion.velocity, motion.orientation)]
+    q = motion.orientation
+    w = 2 * (q[3] * derivative[2][:3] - derivative[2][3] * q[:3] + ca.cross(q[:3], derivative[2][:3]))
+    f = ca.Function("f", [t], [derivative[0] - motion.velocity[:3], derivative[1] - motion.acceleration, w - motion.velocity[3:], ca.sumsqr(q) - 1])
+    for part in f(time):
+        assert np.abs(np.array(part)).max() < 1e-12
+
+
+@given(st.floats(1.0, 200.0), st.floats(1.0, 500.0), st.floats(0.1, 500.0), st.floats(0.001, 1.0))
+def test_matched_gains_place_the_sampled_poles_where_the_continuous_ones_are(m: float, stiffness: float, damping: float, T: float) -> None:
+    gains = ca.Function("g", [], list(tracking_control.matched_gains(SX(stiffness), SX(damping), SX(m), SX(T))))()
+    K, D = (float(gains[name]) for name in ("o0", "o1"))
+    A = np.array([[0.0, 1.0], [-stiffness / m, -damping / m]])
+    wanted = np.poly(expm(A * T))
+    held = np.array([[1.0, T], [0.0, 1.0]]) + np.array([[T * T / 2], [T]]) @ np.array([[-K / m, -D / m]])
+    assert np.abs(np.poly(held) - wanted).max() < 1e-6
+
+
+def test_matched_gains_tend_to_the_given_ones() -> None:
+    K, D = (float(part) for part in ca.Function("g", [], list(tracking_control.matched_gains(SX(150.0), SX(10.0), SX(160.0), SX(1e-3))))().values())
+    assert pytest.approx(150.0, rel=1e-3) == K
+    assert pytest.approx(10.0, rel=1e-2) == D
+
+
+def test_smallest_singular_value_is_a_lower_bound_and_sharp_near_a_singularity() -> None:
+    random = np.random.default_rng(5)
+    J = SX.sym("J", 6, 6)
+    f = ca.Function("s", [J], [tracking_control.smallest_singular_value(tracking_control.inverse(J))])
+    for smallest in (0.5, 0.1, 0.02, 0.005):
+        U, _, V = np.linalg.svd(random.normal(size=(6, 6)))
+        matrix = U @ np.diag([2.0, 1.5, 1.0, 0.8, 0.5, smallest]) @ V
+        found = float(f(matrix))
+        assert 0.79 * smallest <= found <= smallest * (1 + 1e-9)
+        if smallest <= 0.1:
+            assert found == pytest.approx(smallest, rel=1e-3)

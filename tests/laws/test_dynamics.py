@@ -1,0 +1,207 @@
+"""The equations of motion against Pinocchio, which reads the same URDF by its own parser."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple
+from xml.etree import ElementTree
+
+import casadi as ca
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fmu_src.equations import dynamics, kinematics, rotation, task_space
+from fmu_src.equations.mechanism import State, constant_mechanism
+from fmu_src.oracle import disagreement
+from fmu_src.robot import Robot
+from fmu_src.urdf import ROBOTS as SHIPPED_ROBOTS
+from robots import DATA, ROBOTS, ur5_path
+
+SX = ca.SX
+TOLERANCE = 1e-11
+
+
+class Oracle:
+    """Pinocchio's model, and the base frame B at the base body's centre of mass `c` (its link origin is Pinocchio's)."""
+
+    def __init__(self, path: Path, locked: dict[str, float], end_effector: str, root: str) -> None:
+        model = pin.buildModelFromUrdf(str(path), pin.JointModelFreeFlyer())
+        q = pin.neutral(model)
+        for name, value in locked.items():
+            q[model.joints[model.getJointId(name)].idx_q] = value
+        self.model = pin.buildReducedModel(model, [model.getJointId(name) for name in locked], q)
+        self.model.gravity.setZero()
+        self.data = self.model.createData()
+        self.frame = self.model.getFrameId(end_effector)
+        link = next(link for link in ElementTree.parse(path).getroot().findall("link") if link.get("name") == root)
+        origin = link.find("inertial/origin")
+        self.c = np.array([float(x) for x in (origin.get("xyz", "0 0 0") if origin is not None else "0 0 0").split()])
+
+    def configuration(self, s: Sample) -> tuple[np.ndarray, np.ndarray]:
+        R = pin.Quaternion(s.orientation).matrix()
+        q = pin.integrate(self.model, pin.neutral(self.model), np.concatenate([np.zeros(6), s.q]))
+        q[:3] = -R @ self.c
+        q[3:7] = s.orientation
+        v = R.T @ s.velocity[:3] - np.cross(R.T @ s.velocity[3:], self.c)
+        return q, np.concatenate([v, R.T @ s.velocity[3:], s.qd])
+
+    def to_inertial(self, s: Sample) -> np.ndarray:
+        """T with [v; w; q'] of Pinocchio (link axes and origin) = T [v_b; w_b; q'] (I, centre of mass)."""
+        R, n = pin.Quaternion(s.orientation).matrix(), len(s.q)
+        T = np.eye(6 + n)
+        T[:3, :3], T[3:6, 3:6] = R.T, R.T
+        T[:3, 3:6] = pin.skew(self.c) @ R.T
+        return T
+
+
+class Sample(NamedTuple):
+    orientation: np.ndarray
+    velocity: np.ndarray
+    q: np.ndarray
+    qd: np.ndarray
+    wrench: np.ndarray
+    torque: np.ndarray
+
+
+def sample(seed: int, n: int) -> Sample:
+    random = np.random.default_rng(seed)
+    o = random.normal(size=4)
+    return Sample(o / np.linalg.norm(o), random.normal(size=6), random.uniform(-3, 3, n), random.normal(size=n), random.normal(size=6), random.normal(size=n))
+
+
+class Ours(NamedTuple):
+    forward: Any
+    matrices: Any
+    jacobians: Any
+    rates: Any
+
+
+def functions(robot: Robot) -> Ours:
+    n = robot.joint_count
+    m = constant_mechanism(robot)
+    o, v, q, qd = (SX.sym(name, size) for name, size in (("o", 4), ("v", 6), ("q", n), ("qd", n)))
+    F, tau, y = SX.sym("F", 6), SX.sym("tau", n), SX.sym("y", n)
+    s = State(o, v[:3], v[3:], q, qd)
+    Jb, Jm = task_space.jacobians(m, s)
+    R = rotation.matrix(o)
+    turn = ca.diagcat(R, R)
+    dJm_y = turn @ kinematics.manipulator_jacobian_rate_times(m, kinematics.axes(m, q), R.T @ s.v, R.T @ s.w, qd, y)
+    p, Q = kinematics.end_effector_pose(m, SX(3, 1), o, q)
+    return Ours(
+        ca.Function("f", [o, v, q, qd, F, tau], [ca.vertcat(*dynamics.forward_dynamics(m, s, F, tau))]),
+        ca.Function("h", [o, v, q, qd], [*dynamics.inertia_and_coriolis(m, s), dynamics.articulated_base_inertia(m, q)]),
+        ca.Function("j", [o, v, q, qd], [Jb, Jm, kinematics.end_effector_velocity(m, s), p, Q]),
+        ca.Function("r", [o, v, q, qd, y], [dJm_y, task_space.rate(m, Jm, s) @ y]),
+    )
+
+
+def _setup(name: str) -> tuple[Robot, Oracle, Ours]:
+    robot = ROBOTS[name]()
+    path, locked, tip, root = {
+        "lwr4": (SHIPPED_ROBOTS / "lwr4_free_flyer.urdf", {"joint_e1": 0.0}, "end_effector", "base"),
+        "ur5": (ur5_path(), {}, "tool0", "base_link"),
+        "gantry": (DATA / "gantry.urdf", {"swivel": 0.4}, "hand", "bus"),
+    }[name]
+    return robot, Oracle(path, locked, tip, root), functions(robot)
+
+
+CASES = {name: _setup(name) for name in ("lwr4", "ur5", "gantry")}
+
+
+def close(ours: object, theirs: np.ndarray) -> None:
+    ours = np.array(ours).reshape(theirs.shape)
+    assert np.abs(ours - theirs).max() <= TOLERANCE * max(np.abs(theirs).max(), 1e-3)
+
+
+@pytest.mark.parametrize("name", CASES)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_forward_dynamics_agree_with_pinocchio(name: str, seed: int) -> None:
+    robot, oracle, ours = CASES[name]
+    s = sample(seed, robot.joint_count)
+    q, v = oracle.configuration(s)
+    T = oracle.to_inertial(s)
+    # A wrench about the centre of mass does the same work in both coordinates.
+    acceleration = pin.aba(oracle.model, oracle.data, q, v, np.linalg.solve(T.T, np.concatenate([s.wrench, s.torque])))
+    R = pin.Quaternion(s.orientation).matrix()
+    alpha = R @ acceleration[3:6]
+    w, c = s.velocity[3:], R @ oracle.c
+    origin = R @ (acceleration[:3] + np.cross(v[3:6], v[:3]))
+    theirs = np.concatenate([origin + np.cross(alpha, c) + np.cross(w, np.cross(w, c)), alpha, acceleration[6:]])
+    close(ours.forward(s.orientation, s.velocity, s.q, s.qd, s.wrench, s.torque), theirs)
+
+
+@pytest.mark.parametrize("name", CASES)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_inertia_matrix_and_coriolis_forces_agree_with_pinocchio(name: str, seed: int) -> None:
+    robot, oracle, ours = CASES[name]
+    s = sample(seed, robot.joint_count)
+    q, v = oracle.configuration(s)
+    T = oracle.to_inertial(s)
+    H_pin = pin.crba(oracle.model, oracle.data, q)
+    H_pin = np.triu(H_pin) + np.triu(H_pin, 1).T
+    H, C, M_base = (np.array(part) for part in ours.matrices(s.orientation, s.velocity, s.q, s.qd))
+    close(H, T.T @ H_pin @ T)
+    # Forces at zero acceleration of B's origin in I: the spatial acceleration of Pinocchio's origin is then not zero.
+    R = pin.Quaternion(s.orientation).matrix()
+    w, c = R.T @ s.velocity[3:], oracle.c
+    a = np.zeros(len(v))
+    a[:3] = -np.cross(w, np.cross(w, c)) - np.cross(w, v[:3])
+    close(C @ np.concatenate([s.velocity, s.qd]), T.T @ pin.rnea(oracle.model, oracle.data, q, v, a))
+    # M~: the base's inertia with no torque in the joints is the inverse of H^-1's base block.
+    turn = np.kron(np.eye(2), R)
+    close(turn @ M_base @ turn.T, np.linalg.inv(np.linalg.inv(H)[:6, :6]))
+
+
+@pytest.mark.parametrize("name", CASES)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_jacobians_and_their_rates_agree_with_pinocchio(name: str, seed: int) -> None:
+    robot, oracle, ours = CASES[name]
+    s = sample(seed, robot.joint_count)
+    q, v = oracle.configuration(s)
+    T = oracle.to_inertial(s)
+    frame = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+    pin.computeJointJacobiansTimeVariation(oracle.model, oracle.data, q, v)
+    pin.updateFramePlacements(oracle.model, oracle.data)
+    J = pin.getFrameJacobian(oracle.model, oracle.data, oracle.frame, frame)
+    dJ = pin.getFrameJacobianTimeVariation(oracle.model, oracle.data, oracle.frame, frame)
+    Jb, Jm, velocity, p, Q = (np.array(part) for part in ours.jacobians(s.orientation, s.velocity, s.q, s.qd))
+    close(np.hstack([Jb, Jm]), J @ T)
+    close(velocity.ravel(), J @ v)
+    close(p.ravel(), oracle.data.oMf[oracle.frame].translation)
+    close(np.array(pin.Quaternion(Q.ravel()).matrix()), oracle.data.oMf[oracle.frame].rotation)
+    y = np.random.default_rng(seed).normal(size=len(s.q))
+    recursion, symbolic = ours.rates(s.orientation, s.velocity, s.q, s.qd, y)
+    theirs = dJ[:, 6:] @ y
+    close(symbolic, theirs)
+    close(recursion, theirs)
+
+
+@pytest.mark.parametrize("name", CASES)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_rate_of_inertia_minus_twice_coriolis_is_skew(name: str, seed: int) -> None:
+    robot, _, ours = CASES[name]
+    s = sample(seed, robot.joint_count)
+    H, C, _ = (np.array(part) for part in ours.matrices(s.orientation, s.velocity, s.q, s.qd))
+    rate = np.array(HDOT[name](s.orientation, s.velocity, s.q, s.qd))
+    N = rate - 2 * C
+    assert np.abs(N + N.T).max() <= TOLERANCE * np.abs(C).max()
+    assert np.linalg.eigvalsh(H)[0] > 0.0
+
+
+def _rate_of_H(robot: Robot) -> Any:
+    n = robot.joint_count
+    o, v, q, qd = (SX.sym(name, size) for name, size in (("o", 4), ("v", 6), ("q", n), ("qd", n)))
+    s = State(o, v[:3], v[3:], q, qd)
+    m = constant_mechanism(robot)
+    H, _ = dynamics.inertia_and_coriolis(m, s)
+    return ca.Function("dH", [o, v, q, qd], [task_space.rate(m, H, s)])
+
+
+HDOT = {name: _rate_of_H(robot) for name, (robot, _, _) in CASES.items()}
+
+
+def test_a_robots_own_check_against_pinocchio(any_robot: Robot) -> None:
+    assert disagreement(any_robot) < 1e-12

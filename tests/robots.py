@@ -1,0 +1,35 @@
+"""The robots that the laws are tried on."""
+
+from __future__ import annotations
+
+from importlib.metadata import distribution
+from pathlib import Path
+
+from fmu_src.robot import Robot
+from fmu_src.urdf import load_robot_file, load_urdf
+
+DATA = Path(__file__).parent / "data"
+
+
+def ur5_path() -> Path:
+    shipped = distribution("example-robot-data").files or []
+    return Path(str(next(file.locate() for file in shipped if file.name == "ur5_robot.urdf")))
+
+
+def ur5() -> Robot:
+    """The UR5 that example-robot-data ships, as a free-flyer: rpy angles that are no exact quarter turns, other axes."""
+    return load_urdf(ur5_path(), base_link="base_link", end_effector="tool0", posture=[0.3, -1.2, 1.4, 0.2, 1.1, -0.4])
+
+
+def gantry() -> Robot:
+    """Prismatic and revolute joints on skew axes, a base whose centre of mass is not its origin, a side branch, a locked joint."""
+    return load_urdf(
+        DATA / "gantry.urdf",
+        end_effector="hand",
+        tool_link="gripper",
+        lock={"swivel": 0.4},
+        posture={"slide_x": 0.1, "slide_y": -0.2, "turn_1": 0.3, "turn_2": -0.7, "turn_3": 0.5, "turn_4": 0.9},
+    )
+
+
+ROBOTS = {"lwr4": load_robot_file, "ur5": ur5, "gantry": gantry}
