@@ -1,0 +1,74 @@
+"""The C runtime: our own sine and cosine, its sentences, no warning from another compiler, and the sanitizers."""
+
+from __future__ import annotations
+
+import ctypes
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import mpmath
+import numpy as np
+import pytest
+
+from fmu_src.export.archive import content_token
+from fmu_src.export.c_code import print_block
+from fmu_src.export.compiler import SOURCES, fmi_headers, host_platform, run
+from fmu_src.robot import Robot
+from fmu_src.shipped import BLOCKS
+
+DRIVER = Path(__file__).parent / "driver.c"
+
+
+def compiled(tmp_path: Path, text: str) -> ctypes.CDLL:
+    source, library = tmp_path / "probe.c", tmp_path / "probe.so"
+    source.write_text(text)
+    zig = [sys.executable, "-m", "ziglang", "cc", "-target", host_platform().target, "-shared", "-fPIC", "-std=c99", "-O2", "-ffp-contract=off"]
+    run([*zig, "-I", str(SOURCES), str(source), str(SOURCES / "message.c"), "-lm", "-o", str(library)], "probe")
+    return ctypes.CDLL(str(library))
+
+
+def test_sine_and_cosine_are_within_one_ulp(tmp_path: Path) -> None:
+    text = '#include "sincos.h"\nvoid probe(const double *x, double *s, double *c, int n) { for (int i = 0; i < n; i++) sin_cos(x[i], s + i, c + i); }\n'
+    library = compiled(tmp_path, text)
+    random = np.random.default_rng(1)
+    quarter = np.arange(-200, 200) * np.pi / 4
+    x = np.concatenate([random.uniform(-4, 4, 4000), random.uniform(-1.6e6, 1.6e6, 4000), quarter, np.nextafter(quarter, 9e9), [0.0, -0.0, 1e-300, 2e6, -1e9]])
+    s, c = np.empty_like(x), np.empty_like(x)
+    pointer = ctypes.POINTER(ctypes.c_double)
+    library.probe(*(array.ctypes.data_as(pointer) for array in (x, s, c)), len(x))
+    mpmath.mp.prec = 200
+    for angle, sine, cosine in zip(x, s, c, strict=True):
+        for found, exact in ((sine, mpmath.sin(mpmath.mpf(float(angle)))), (cosine, mpmath.cos(mpmath.mpf(float(angle))))):
+            assert abs(mpmath.mpf(float(found)) - exact) <= np.spacing(abs(float(exact))), angle
+
+
+@pytest.mark.parametrize("value", [0.0, 1.0, -1.0, 0.3, 1e-3, 123456.0, 1234567.0, -2.5e-7, 1e300, 1e-300, 0.999999999, 9.9999951, 1e5, 3.14159265, float("inf"), float("nan")])
+def test_numbers_in_messages_are_written_with_six_digits(tmp_path: Path, value: float) -> None:
+    text = (
+        '#include "message.h"\n#include <string.h>\n'
+        "void probe(double value, char *text) { Message m; message_begin(&m, \"\"); message_add_number(&m, value); strcpy(text, m.text); }\n"
+    )
+    library = compiled(tmp_path, text)
+    out = ctypes.create_string_buffer(400)
+    library.probe(ctypes.c_double(value), out)
+    written = out.value.decode().replace("infinity", "inf")
+    assert written.lower() == f"{value:.6g}".lower()
+
+
+@pytest.mark.skipif(shutil.which("gcc") is None, reason="no system gcc: the sanitizers need one (CI has it)")
+@pytest.mark.parametrize("name", ["free_flyer", "manipulator_controller"])
+def test_the_runtime_is_clean_under_sanitizers_and_gcc_warnings(robot: Robot, tmp_path: Path, name: str) -> None:
+    """Both interfaces, legal and illegal calls, with address, leak and undefined-behaviour checks."""
+    block = BLOCKS[name](robot)
+    source = tmp_path / "block.c"
+    token = content_token(block)
+    source.write_text(print_block(block, token))
+    program = tmp_path / "driver"
+    flags = ["-std=c99", "-g", "-O1", "-Wall", "-Wextra", "-Werror", "-pedantic", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+    files = [str(DRIVER), str(source), *map(str, sorted(SOURCES.glob("*.c")))]
+    run(["gcc", *flags, "-isystem", str(fmi_headers()), "-I", str(SOURCES), *files, "-lm", "-o", str(program)], "gcc with sanitizers")
+    done = subprocess.run([str(program), token, "1" if block.is_sampled else "0"], capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert "all calls made" in done.stdout
