@@ -153,8 +153,9 @@ class FmuComponent:
         self._directory = Path(tempfile.mkdtemp(prefix="freeflyer-"))
         try:
             self._check_binary(interface.modelIdentifier)
-            fmpy.extract(str(path), str(self._directory))
-            self._slave = self._instantiate(interface.modelIdentifier)
+            self._unpack()
+            with contextlib.chdir(Path.cwd()):  # FMPy stays in the library's folder when loading fails
+                self._slave = self._instantiate(interface.modelIdentifier)
         except BaseException:
             shutil.rmtree(self._directory, ignore_errors=True)
             raise
@@ -183,6 +184,12 @@ class FmuComponent:
             raise ComponentError(
                 f"FMU {self.path} has no binary for this platform ({folder}); it has {', '.join(found) or 'none'}: build it for {folder}"
             )
+
+    def _unpack(self) -> None:
+        try:
+            fmpy.extract(str(self.path), str(self._directory))
+        except OSError as error:
+            raise ComponentError(f"FMU {self.path} cannot be unpacked into {self._directory}: {error.strerror}") from error
 
     def _arguments(self, identifier: str) -> dict[str, Any]:
         return {

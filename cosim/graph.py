@@ -91,9 +91,17 @@ def _check(components: Mapping[str, Component], connection: Connection) -> None:
 
 
 def _order(components: Mapping[str, Component], connections: Sequence[Connection]) -> tuple[str, ...]:
-    """Components with directly dependent outputs in use, each after those whose direct outputs it uses."""
+    """Components with directly dependent outputs in use, each after those whose direct outputs it uses.
+
+    A component whose outputs nobody uses (a monitor) counts by what it has.
+    """
     sorter: TopologicalSorter[str] = TopologicalSorter()
-    early: set[str] = set()
+    sources = {split(connection.source)[0] for connection in connections}
+    early = {
+        name
+        for name, component in components.items()
+        if name not in sources and any(port.causality == "output" and port.direct for port in component.ports.values())
+    }
     for connection in connections:
         (source, variable), (target, _) = split(connection.source), split(connection.target)
         if components[source].ports[variable].direct:

@@ -1,0 +1,338 @@
+"""Every mistake of a user: one sentence that names the subject, what was got and what was expected; exit code 2 or 3; no traceback."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import zipfile
+from pathlib import Path
+
+import pandas
+import pytest
+
+from cosim import cli
+from fmu_src.urdf import ROBOTS as SHIPPED_ROBOTS
+from robots import DATA
+
+
+def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str]:
+    code = cli.main(arguments)
+    error = capsys.readouterr().err
+    assert "Traceback" not in error
+    assert len(error.strip().splitlines()) <= 1, error
+    return code, error
+
+
+def scenario_file(directory: Path, text: str, base: str | None = "multirate_passive") -> str:
+    path = directory / "mine.toml"
+    path.write_text((f'extends = "{base}"\n' if base else "") + text)
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("base_controler.period=0.1", "no component 'base_controler'; did you mean 'base_controller'"),
+        ("base_controller.perod=0.1", "no parameter 'perod'; did you mean 'period'"),
+        ("base_controller.period=fast", "base_controller.period is 'fast'; a number in s is expected"),
+        ("base_controller.period=0.1 parsec", "unit 'parsec' cannot be converted to 's'"),
+        ("base_controller.period=0.1 foo_", "unit 'foo_' is not known"),
+        ("base_controller.period=nan", "finite numbers are expected"),
+        ("base_controller.period=inf", "finite numbers are expected"),
+        ("base_controller.period=-1", "is -1.0 s; a positive whole number of nanoseconds"),
+        ("base_controller.period=0.0025", "step of 0.0025 s is no multiple of the smallest step, 0.001 s; 0.002 s or 0.003 s would fit"),
+        ("base_controller.stiffness=[1,2,3]", "base_controller.stiffness has 3 values; 6 are expected"),
+        ("base_controller.stiffness=true", "6 numbers"),
+        ("manipulator_controller.observer=prot", "one of paper, port, tracking is expected; did you mean 'port'"),
+        ("manipulator_controller.observer=7", "one of paper, port, tracking is expected"),
+        ("manipulator_controller.base_passivity_control=1", "true or false is expected"),
+        ("base_controller.base_wrench=1", "cannot be set: it is a computed output"),
+        ("free_flyer.base_mass=-3", "base_mass is -3; more than 0 is expected"),
+        ("free_flyer.base_orientation=[0,0,0,0]", "squared norm of base_orientation is 0"),
+        ("nonsense", "COMPONENT.PARAMETER=VALUE is expected"),
+        ("base_controller.period='=base_controller.period'", "refers back to itself"),
+    ],
+)
+def test_overrides(capsys: pytest.CaptureFixture[str], tmp_path: Path, override: str, message: str) -> None:
+    code, error = said(capsys, "run", "multirate_passive", "--set", override, "--out", str(tmp_path / "out"))
+    assert message in error
+    assert code == 2
+    assert not list((tmp_path / "out").glob("*.json"))
+
+
+def test_a_singular_posture_is_refused_at_the_start(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    code, error = said(capsys, "run", "multirate_passive", "--set", "free_flyer.joint_position=[0,0,0,0,0,0]", "--out", str(tmp_path))
+    assert code == 2
+    assert "manipulator_controller" in error
+    assert "smallest singular value of J_m is" in error
+    assert "at least 0.02 is expected" in error
+
+
+def test_a_singular_jacobian_in_mid_run_stops_the_run_and_keeps_it(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    override = "reference_trajectory.translation_amplitude=[0.9, 0, 0]"
+    code, error = said(capsys, "run", "multirate_passive", "--set", override, "--out", str(tmp_path))
+    assert code == 3
+    assert "the run diverged at" in error
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["diverged"]
+    assert "singular value of J_m" in summary["cause"] or "too fast" in summary["cause"]
+    assert len(pandas.read_parquet(tmp_path / "record.parquet")) > 10
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("stop = 3\n", "unknown key 'stop' in the scenario; did you mean 'stop_s'"),
+        ("[componets.x]\nstep_s=1\n", "unknown key 'componets' in the scenario; did you mean 'components'"),
+        ("stop_s = 'long'\n", "stop_s is 'long'; a number of seconds is expected"),
+        ("stop_s = 0.3333333333\n", "a positive whole number of nanoseconds"),
+        ("expect = 'glory'\n", "expect is 'glory'"),
+        ("[components.extra]\nfmu='free_flyer'\n", "component extra has no step_s"),
+        ("[components.extra]\nfmu='free_flier'\nstep_s=0.001\n", "no FMU 'free_flier' is shipped for FMI 2; did you mean 'free_flyer'"),
+        ("[components.extra]\nfmu='free_flyer'\nfmi=1\nstep_s=0.001\n", "fmi is 1; 2 or 3 is expected"),
+        ("[components.extra]\nkind='fnu'\nstep_s=0.001\n", "there is no kind 'fnu'; did you mean 'fmu'"),
+        ("[components.extra]\nfmu='free_flyer'\nstep_s=0.001\nparametres={a=1}\n", "unknown key 'parametres'; did you mean 'parameters'"),
+        ("[components.extra]\nfmu='there/is/none.fmu'\nstep_s=0.001\n", "does not exist"),
+        ("[components.extra]\nkind='python'\nobject='none.py:x'\nstep_s=0.001\n", "none.py does not exist"),
+        ("[components.extra]\nkind='twin'\nblock='free_flier'\nstep_s=0.001\n", "there is no block 'free_flier'"),
+        ("delayed = ['base_controller.base_wrench => x.y']\n", "'COMPONENT.OUTPUT -> COMPONENT.INPUT, ...' is expected"),
+        ("[robot]\nbase_mas = 100\n", "[robot]: no component has a parameter 'base_mas'; did you mean 'base_mass'"),
+        ("[errors]\nhand = ['a', 'b']\n", "errors.hand"),
+        ("[record]\nevery_s = 0.0015\n", "the recording interval of 0.0015 s is no multiple"),
+        ("stop_s = \n", "is not valid TOML"),
+        ("[[limits]]\nsignal = 'free_flyer.base_speed'\nmaximum = 1.0\n", "no variable 'base_speed'; did you mean"),
+    ],
+)
+def test_scenario_files(capsys: pytest.CaptureFixture[str], tmp_path: Path, text: str, message: str) -> None:
+    code, error = said(capsys, "run", scenario_file(tmp_path, text), "--out", str(tmp_path / "out"))
+    assert message in error
+    assert code == 2
+
+
+def test_scenarios_that_are_not_there(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert "there is no scenario 'multirate_pasive': neither a shipped one nor a .toml file; did you mean 'multirate_passive'" in said(capsys, "run", "multirate_pasive")[1]
+    assert "does not exist" in said(capsys, "run", "nowhere.toml")[1]
+    loop = tmp_path / "loop.toml"
+    loop.write_text('extends = "loop.toml"\n')
+    code, error = said(capsys, "run", str(loop))
+    assert (code, "extends itself" in error) == (2, True)
+
+
+def test_a_scenario_that_is_a_real_algebraic_loop_is_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    code, error = said(capsys, "run", scenario_file(tmp_path, 'delayed = []\nconnections = ["manipulator_controller.base_damping -> base_controller.base_damping", "base_controller.base_wrench -> manipulator_controller.applied_base_wrench"]\n'), "--out", str(tmp_path / "out"))
+    assert code == 2
+    assert "algebraic loop: " in error
+    assert "manipulator_controller" in error
+
+
+def fmu_with(tmp_path: Path, fmus: Path, change: object) -> Path:
+    """A copy of the reference FMU whose entries `change` may rewrite, rename or drop."""
+    path = tmp_path / "changed.fmu"
+    with zipfile.ZipFile(fmus / "fmi2" / "reference_trajectory.fmu") as old, zipfile.ZipFile(path, "w") as new:
+        for name in old.namelist():
+            entry = change(name, old.read(name))  # type: ignore[operator]
+            if entry is not None:
+                new.writestr(*entry)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda n, d: None if n.endswith(".xml") else (n, d), "is not an FMU: it contains no modelDescription.xml"),
+        (lambda n, d: None if n.startswith("binaries") else (n, d), "has no binary for this platform"),
+        (lambda n, d: (n.replace("linux64", "win64"), d), "has no binary for this platform (linux64); it has win64"),
+        (lambda n, d: (n, d.replace(b'fmiVersion="2.0"', b'fmiVersion="1.0"')), "is of FMI version 1.0; FMI 2.0 and FMI 3.0 are supported"),
+        (lambda n, d: (n, d.replace(b"<CoSimulation", b"<CoSimulacrum")), "has an invalid modelDescription.xml"),
+        (lambda n, d: (n, d.replace(b'guid="{', b'guid="{0')), "cannot be instantiated"),
+        (lambda n, d: ("../evil.so" if n.startswith("binaries") else n, d), "points outside the archive"),
+        (lambda n, d: (n, b"not a library" if n.startswith("binaries") else d), "cannot be instantiated"),
+    ],
+)
+def test_fmus_that_cannot_be_used(capsys: pytest.CaptureFixture[str], tmp_path: Path, fmus: Path, change: object, message: str) -> None:
+    if sys.platform != "linux":
+        pytest.skip("the altered archives are those of Linux")
+    path = fmu_with(tmp_path, fmus, change)
+    code, error = said(capsys, "run", scenario_file(tmp_path, f"[components.extra]\nfmu='{path.name}'\nstep_s=0.001\n"), "--out", str(tmp_path / "out"))
+    assert message in error
+    assert code == 2
+
+
+def test_a_file_that_is_no_archive_is_no_fmu(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    (tmp_path / "x.fmu").write_text("hello")
+    code, error = said(capsys, "run", scenario_file(tmp_path, "[components.extra]\nfmu='x.fmu'\nstep_s=0.001\n"))
+    assert (code, "it is no zip archive" in error) == (2, True)
+
+
+def test_an_output_directory_that_cannot_be_made(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    code, error = said(capsys, "run", "multirate_passive", "--out", str(tmp_path / "file" / "below"))
+    assert code == 2
+    assert "cannot be written" in error
+
+
+@pytest.mark.parametrize(("limit", "code", "message"), [(300_000, 3, "record.parquet cannot be written"), (20_000, 2, "cannot be unpacked into")])
+def test_a_full_disk_leaves_nothing_half_written(tmp_path: Path, limit: int, code: int, message: str) -> None:
+    """A limit on file size stands for the full disk: the write fails in the middle, of the record or of an FMU's library."""
+    scenario = scenario_file(tmp_path, "stop_s = 20.0\n")
+
+    def small_files() -> None:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+
+    done = subprocess.run(
+        [sys.executable, "-m", "cosim.cli", "run", scenario, "--out", str(tmp_path / "out"), "--set", "free_flyer.base_mass=151"],
+        preexec_fn=small_files,
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "TMPDIR": str(tmp_path)},
+    )
+    assert done.returncode == code, done.stderr
+    assert message in done.stderr
+    assert "Traceback" not in done.stderr
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_ctrl_c_in_mid_run_saves_what_was_simulated_and_says_so(tmp_path: Path) -> None:
+    scenario = scenario_file(tmp_path, "stop_s = 3000.0\n")
+    out = tmp_path / "out"
+    process = subprocess.Popen([sys.executable, "-m", "cosim.cli", "run", scenario, "--out", str(out)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    for _ in range(600):
+        if out.is_dir() and (tmp_path / "out").exists():
+            break
+        time.sleep(0.05)
+    time.sleep(3.0)
+    process.send_signal(signal.SIGINT)
+    _, error = process.communicate(timeout=60)
+    assert process.returncode == 3, error
+    assert "interrupted at" in error
+    assert "what was simulated is saved" in error
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["interrupted"]
+    assert not summary["diverged"]
+    frame = pandas.read_parquet(out / "record.parquet")
+    assert frame["time"].iloc[-1] == pytest.approx(summary["simulated_s"], abs=0.011)
+    assert 0.0 < summary["simulated_s"] < 3000.0
+
+
+def test_a_run_that_diverges_where_it_must_not_ends_with_3_and_is_saved(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    text = "[components.manipulator_controller.parameters]\nmanipulator_initial_energy = 0\n"
+    code, error = said(capsys, "run", scenario_file(tmp_path, text), "--out", str(tmp_path / "out"))
+    assert code == 3
+    assert "the run diverged at" in error
+    assert json.loads((tmp_path / "out" / "summary.json").read_text())["diverged_at_s"] < 3.0
+
+
+def test_a_scenario_that_expects_to_diverge_and_does_ends_with_0(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    code, error = said(capsys, "run", "overdamped_base", "--out", str(tmp_path))
+    assert (code, error) == (0, "")
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["diverged"]
+    assert all(value == value for key in ("max", "last_10_s") for value in [summary["base_position_error_m"][key]])
+
+
+# freeflyer fmus
+
+
+def urdf(tmp_path: Path, *changes: tuple[str, str]) -> str:
+    text = (DATA / "gantry.urdf").read_text()
+    for old, new in changes:
+        assert old in text, old
+        text = text.replace(old, new)
+    path = tmp_path / "robot.urdf"
+    path.write_text(text)
+    return str(path)
+
+
+GANTRY = ("--end-effector", "hand", "--lock", "swivel=0.4")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ([("<robot", "<robt")], "not well-formed XML"),
+        ([('<mass value="60"/>', '<mass value="-60"/>')], "link 'bus': mass is -60 kg"),
+        ([('ixx="8" iyy="9" izz="7"', 'ixx="1" iyy="9" izz="7"')], "link 'bus': inertia violates the triangle inequality; its principal moments are ("),
+        ([('ixx="8" iyy="9" izz="7"', 'ixx="-8" iyy="9" izz="7"')], "link 'bus': inertia is not positive definite; its principal moments are ("),
+        ([('<mass value="60"/>', '<mass value="heavy"/>')], "link 'bus' has value='heavy'; a number is expected"),
+        ([('<parent link="boom"/>', '<parent link="bom"/>')], "joint 'turn_1' has parent link 'bom', which does not exist; did you mean 'boom'"),
+        ([('name="antenna_mount" type="fixed"', 'name="antenna_mount" type="revolute"')], "not a serial chain: joint 'antenna_mount' moves a branch"),
+        ([('name="turn_2" type="revolute"', 'name="turn_2" type="planar"')], "joint 'turn_2' is of type 'planar'"),
+        ([('xyz="0 -1 0.3"', 'xyz="0 0 0"')], "joint 'turn_2' has an axis of zero length"),
+        ([('xyz="0 -1 0.3"', 'xyz="0 -1"')], "three finite numbers are expected"),
+        ([('<child link="hand"/>', '<child link="palm"/>')], "not a tree: link 'palm' hangs on both joints"),
+        ([('<link name="hand"/>', '<link name="bus"/>')], "link 'bus' is defined twice"),
+    ],
+)
+def test_urdfs_that_cannot_be_used(capsys: pytest.CaptureFixture[str], tmp_path: Path, changes: list[tuple[str, str]], message: str) -> None:
+    code, error = said(capsys, "fmus", "--robot", urdf(tmp_path, *changes), *GANTRY, "--out", str(tmp_path / "out"))
+    assert message in error
+    assert code == 2
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--end-effector", "hnad"), "end-effector 'hnad' does not exist; did you mean 'hand'"),
+        (("--end-effector", "hand", "--base-link", "bsu"), "base link 'bsu' does not exist; did you mean 'bus'"),
+        (("--end-effector", "hand", "--lock", "swivl=0"), "locked joint 'swivl' does not exist; did you mean 'swivel'"),
+        (("--end-effector", "hand", "--lock", "swivel"), "JOINT=VALUE with a number is expected"),
+        (("--end-effector", "hand"), "needs six free joints so that J_m is square, got 7"),
+        ((*GANTRY, "--posture", "1", "2"), "posture has 2 values; one for each of the free joints"),
+        ((*GANTRY, "--posture", "slide_x=9", "slide_y=0", "turn_1=0", "turn_2=0", "turn_3=0", "turn_4=0"), "outside its limits [-0.5, 0.5]"),
+        ((*GANTRY, "--posture", "slide_x=0"), "posture lacks the joints slide_y"),
+        ((*GANTRY, "--tool-link", "antenna"), "tool link 'antenna' must have an <inertial> and stand between"),
+        ((*GANTRY, "--platforms", "amiga"), "'amiga' is none of"),
+        (("--end-effector", "antenna"), "not a serial chain: joint 'slide_x' moves a branch"),
+        (("--base-link", "palm", "--end-effector", "hand"), "have mass but do not hang below the base link 'palm'"),
+    ],
+)
+def test_options_of_fmus(capsys: pytest.CaptureFixture[str], tmp_path: Path, options: tuple[str, ...], message: str) -> None:
+    code, error = said(capsys, "fmus", "--robot", str(DATA / "gantry.urdf"), *options, "--out", str(tmp_path / "out"))
+    assert message in error
+    assert code == 2
+
+
+def test_robot_files_and_missing_urdfs(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    robot = tmp_path / "robot.toml"
+    robot.write_text('urdf = "x.urdf"\nend_efector = "hand"\n')
+    assert "unknown key 'end_efector'; did you mean 'end_effector'" in said(capsys, "fmus", "--robot", str(robot))[1]
+    assert "cannot be read: No such file" in said(capsys, "fmus", "--robot", str(tmp_path / "none.urdf"))[1]
+    assert "belong to a URDF" in said(capsys, "fmus", "--end-effector", "hand")[1]
+    shutil.copy(SHIPPED_ROBOTS / "lwr4_free_flyer.urdf", tmp_path)
+    robot.write_text('urdf = "lwr4_free_flyer.urdf"\nposture = [0, 0.1, -1.6, 0, -1.4, 0]\n')
+    assert "posture has 6 values; one for each of the free joints joint_a1, joint_a2, joint_e1" in said(capsys, "fmus", "--robot", str(robot))[1]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("x = 1\n", "does not define block(robot)"),
+        ("def block(robot):\n    return 5\n", "block(robot) gave a int; a Block is expected"),
+        ("def block(:\n", "does not define block(robot)"),
+        ("from fmu_src.block import Block\ndef block(robot):\n    b = Block('b', '')\n    b.state('x', 0.0, 'm', '')\n    return b\n", "no equation for the states x"),
+        ("from fmu_src.block import Block\ndef block(robot):\n    b = Block('b', '')\n    b.parameter('x', 0.0, 'm', '')\n    b.parameter('x', 0.0, 'm', '')\n", "declared twice"),
+    ],
+)
+def test_blocks_that_cannot_be_built(capsys: pytest.CaptureFixture[str], tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "mine.py"
+    path.write_text(text)
+    code, error = said(capsys, "fmus", "--block", str(path), "--out", str(tmp_path / "out"))
+    assert message in error
+    assert code == 2
+
+
+def test_arguments_that_argparse_refuses(capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments in (["run"], ["fly"], ["run", "multirate_passive", "--fmi", "4"]):
+        with pytest.raises(SystemExit) as caught:
+            cli.main(arguments)
+        assert caught.value.code == 2
+        assert "Traceback" not in capsys.readouterr().err

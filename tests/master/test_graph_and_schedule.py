@@ -1,0 +1,204 @@
+"""The graph refuses what does not fit; the schedule is exact; the order at an instant is what the direct dependencies demand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cosim import clock, graph, schedule
+from cosim.component import Port, PythonComponent
+from cosim.errors import CosimError, GraphError, ScenarioError
+from cosim.graph import Connection
+from cosim.master import Limit, Master
+from cosim.units import factor, same
+
+MS = 1_000_000
+
+
+def port(name: str, causality: str, size: int = 1, unit: str | None = "m", direct: tuple[str, ...] = ()) -> Port:
+    return Port(name=name, size=size, causality=causality, units=(unit,) * size, start=(0.0,) * size, direct=frozenset(direct))
+
+
+class Plant(PythonComponent):
+    """x' = u, exactly integrated; its output is the state: no direct dependency."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name, [port("u", "input", unit="m/s"), port("x", "output")])
+
+    def advance(self, time: float, size: float) -> None:
+        self.values["x"] += size * self.values["u"]
+
+
+class Gain(PythonComponent):
+    """y = k u of the same instant; notes when it was stepped."""
+
+    def __init__(self, name: str, k: float, unit: str = "m/s") -> None:
+        super().__init__(name, [port("u", "input"), port("y", "output", unit=unit, direct=("u",))])
+        self.k, self.log = k, []
+
+    def advance(self, time: float, size: float) -> None:
+        self.log.append((time, size, float(self.values["u"][0])))
+        self.values["y"][:] = self.k * self.values["u"]
+
+
+def ready(components: dict[str, PythonComponent], connections: list[Connection], steps: dict[str, int], stop: int, **more: object) -> Master:
+    plan = schedule.build(steps, stop, min(steps.values()), dict.fromkeys(components, True))
+    master = Master(graph.build(components, connections), plan, **more)  # type: ignore[arg-type]
+    master.initialise({})
+    return master
+
+
+def loop(k: float = -1.0) -> tuple[dict[str, PythonComponent], list[Connection]]:
+    components = {"plant": Plant("plant"), "gain": Gain("gain", k)}
+    return components, [Connection(source="plant.x", target="gain.u"), Connection(source="gain.y", target="plant.u")]
+
+
+def test_controllers_answer_to_the_plants_output_of_the_same_instant() -> None:
+    components, connections = loop()
+    components["plant"].values["x"][:] = 1.0
+    outcome = ready(components, connections, {"plant": 10 * MS, "gain": 10 * MS}, 100 * MS).run()
+    x, y = outcome.record["plant.x"], outcome.record["gain.y"]
+    assert np.array_equal(y[:-1], -x[:-1])
+    assert x[1] == pytest.approx(0.99)
+    assert x[10] == pytest.approx(0.99**10)
+
+
+def test_a_slow_controller_samples_and_holds() -> None:
+    components, connections = loop()
+    components["plant"].values["x"][:] = 1.0
+    outcome = ready(components, connections, {"plant": 10 * MS, "gain": 30 * MS}, 100 * MS).run()
+    assert outcome.steps == {"plant": 10, "gain": 4}
+    x, y = outcome.record["plant.x"], outcome.record["gain.y"]
+    assert np.array_equal(y, -x[[0, 0, 0, 3, 3, 3, 6, 6, 6, 9, 9]])
+    # The last step is cut short at the stop time.
+    assert [round(size, 9) for _, size, _ in components["gain"].log] == [0.03, 0.03, 0.03, 0.01]
+
+
+def test_a_slow_plants_output_is_not_known_before_its_time() -> None:
+    plant, gain = Plant("plant"), Gain("gain", 2.0)
+    plant.values["u"][:] = 1.0
+    master = ready({"plant": plant, "gain": gain}, [Connection(source="plant.x", target="gain.u")], {"plant": 30 * MS, "gain": 10 * MS}, 90 * MS)
+    y = master.run().record["gain.y"]
+    assert y[:9] == pytest.approx([0, 0, 0, 0.06, 0.06, 0.06, 0.12, 0.12, 0.12])
+
+
+def test_a_delayed_connection_carries_what_was_there_before_the_instant_and_breaks_a_loop() -> None:
+    a, b = Gain("a", 1.0, "m"), Gain("b", 1.0, "m")
+    forward, back = Connection(source="a.y", target="b.u"), Connection(source="b.y", target="a.u", delayed=True)
+    built = graph.build({"b": b, "a": a}, [forward, back])
+    assert built.first == ("a", "b")
+    a.values["u"][:] = 0.0
+    with pytest.raises(GraphError, match="algebraic loop: .*a.*b.*declare one of the connections delayed"):
+        graph.build({"a": a, "b": b}, [forward, Connection(source="b.y", target="a.u")])
+
+
+def test_a_loop_through_a_state_is_no_algebraic_loop() -> None:
+    components, connections = loop()
+    built = graph.build(components, connections)
+    assert built.first == ("gain",)
+    assert built.then == ("plant",)
+
+
+@pytest.mark.parametrize(
+    ("connection", "message"),
+    [
+        (("plant.x", "gian.u"), "no component 'gian'; did you mean 'gain'"),
+        (("plant.xx", "gain.u"), "component 'plant' has no variable 'xx'; did you mean 'x'"),
+        (("plant.u", "gain.u"), "plant.u is of causality input; an output is expected"),
+        (("plant.x", "gain.y"), "gain.y is of causality output; an input is expected"),
+        (("plant.x", "plant.u"), "units differ: m and m/s"),
+        (("wide.x", "gain.u"), "sizes differ: 3 and 1"),
+    ],
+)
+def test_connections_are_checked(connection: tuple[str, str], message: str) -> None:
+    components, _ = loop()
+    components["wide"] = PythonComponent("wide", [port("x", "output", 3)])
+    with pytest.raises(GraphError, match=message):
+        graph.build(components, [Connection(source=connection[0], target=connection[1])])
+
+
+def test_an_input_with_two_sources_is_refused() -> None:
+    components, connections = loop()
+    components["other"] = Plant("other")
+    with pytest.raises(GraphError, match=r"input gain.u has two sources: plant.x and other.x"):
+        graph.build(components, [*connections, Connection(source="other.x", target="gain.u")])
+
+
+def test_units_that_measure_the_same_may_be_connected() -> None:
+    assert same("N.m", "J")
+    assert same("rad/s", None)
+    assert not same("deg", "rad")
+    assert factor("deg", "rad") == pytest.approx(np.pi / 180)
+    assert factor("kg.m2", "g.cm2") == pytest.approx(1e7)
+    with pytest.raises(ValueError, match="unit 'furlongs_' is not known"):
+        factor("furlongs_", "m")
+
+
+def test_a_step_that_is_no_multiple_is_refused_and_told_what_would_fit() -> None:
+    with pytest.raises(GraphError, match=r"component b: its step of 0.0025 s is no multiple of the smallest step, 0.001 s; 0.002 s or 0.003 s would fit"):
+        schedule.build({"a": MS, "b": 2_500_000}, 100 * MS, MS, {"a": True, "b": True})
+    with pytest.raises(GraphError, match="the stop time of 0.0105 s is no multiple"):
+        schedule.build({"a": MS}, 10_500_000, MS, {"a": True})
+    with pytest.raises(GraphError, match=r"component b cannot shorten its last step.*0.009 s would fit"):
+        schedule.build({"a": MS, "b": 3 * MS}, 10 * MS, MS, {"a": True, "b": False})
+
+
+@given(st.integers(1, 9_000_000_000))
+def test_decimal_seconds_are_exact_nanoseconds(microseconds: int) -> None:
+    assert clock.nanoseconds(microseconds / 1_000_000, "x") == microseconds * 1000
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, 1e-10, 1 / 3, float("inf"), float("nan"), 1e300])
+def test_times_that_are_no_whole_nanoseconds_are_refused(value: float) -> None:
+    with pytest.raises(ScenarioError, match="positive whole number of nanoseconds"):
+        clock.nanoseconds(value, "x")
+
+
+def test_a_limit_ends_the_run_with_its_cause_and_keeps_what_was_simulated() -> None:
+    plant = Plant("plant")
+    plant.values["u"][:] = 1.0
+    limit = Limit(signal="plant.x", maximum=0.0345, cause="too far")
+    outcome = ready({"plant": plant}, [], {"plant": 10 * MS}, 100 * MS, limits=[limit]).run()
+    assert outcome.diverged
+    assert outcome.cause == "too far: plant.x is 0.04, the limit is 0.0345"
+    assert outcome.simulated == 0.04
+    assert outcome.record.time[-1] == 0.04
+    with pytest.raises(CosimError, match="did you mean"):
+        ready({"plant": plant}, [], {"plant": 10 * MS}, 100 * MS, limits=[Limit(signal="plamt.x", maximum=1.0, cause="")])
+
+
+def test_nan_passes_no_limit() -> None:
+    plant = Plant("plant")
+    plant.values["u"][:] = np.nan
+    outcome = ready({"plant": plant}, [], {"plant": 10 * MS}, 100 * MS, limits=[Limit(signal="plant.x", maximum=1.0, cause="x")]).run()
+    assert outcome.diverged
+    assert outcome.simulated == 0.01
+
+
+def test_a_component_that_fails_in_mid_run_ends_it_with_its_name() -> None:
+    class Failing(Plant):
+        def advance(self, time: float, size: float) -> None:
+            super().advance(time, size)
+            if time > 0.05:
+                raise RuntimeError("out of fuel")
+
+    outcome = ready({"plant": Failing("plant")}, [], {"plant": 10 * MS}, 100 * MS).run()
+    assert outcome.diverged
+    assert outcome.cause == "plant: out of fuel"
+    assert outcome.record.rows == 7
+
+
+def test_the_record_loads_in_one_line_with_units(tmp_path: Path) -> None:
+    components, connections = loop()
+    record = ready(components, connections, {"plant": 10 * MS, "gain": 10 * MS}, 100 * MS).run().record
+    record.write(tmp_path / "record.parquet")
+    frame = pandas.read_parquet(tmp_path / "record.parquet")
+    assert list(frame) == ["time", "plant.x", "gain.y"]
+    assert frame.attrs["units"] == {"time": "s", "plant.x": "m", "gain.y": "m/s"}
+    assert np.array_equal(frame["plant.x"], record["plant.x"])
+    assert list(tmp_path.iterdir()) == [tmp_path / "record.parquet"]
