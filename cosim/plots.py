@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +56,23 @@ def two_by_two(time: Array, rows: Sequence[tuple[str, Sequence[tuple[Array, Sequ
     for axes in grid[-1]:
         axes.set_xlabel("time [s]")
         axes.set_xlim(time[0], time[-1])
+    return figure
+
+
+def overview(cases: Sequence[tuple[str, Array, Mapping[str, Array]]]) -> Any:
+    """Errors of hand and base over time, one line a case: (label, time, errors under their names in summary.json)."""
+    figure, grid = plt.subplots(1, 2, figsize=(7.0, 2.6), sharex=True)
+    quantities = (
+        ("end_effector_position_error_m", "end-effector position error [m]"),
+        ("base_orientation_error_deg", "base rotation error [deg]"),
+    )
+    for axes, (name, label) in zip(grid, quantities, strict=True):
+        for (case, time, errors), line in zip(cases, LINES, strict=True):
+            axes.semilogy(time, errors[name], label=case, **line)
+        axes.set_ylabel(label)
+        axes.set_xlabel("time [s]")
+        axes.set_ylim(bottom=1e-8 if name.endswith("_m") else 1e-6, top=1.0 if name.endswith("_m") else 1e3)
+    grid[0].legend(loc="upper right")
     return figure
 
 
@@ -144,5 +161,7 @@ def corrections(record: Record) -> Any:
 def save(figure: Any, path: Path) -> None:
     """PNG for the screen and, beside it, PDF for print."""
     write_whole(path.with_suffix(".png"), lambda partial: figure.savefig(partial, format="png", dpi=200))
-    write_whole(path.with_suffix(".pdf"), lambda partial: figure.savefig(partial, format="pdf", metadata={"CreationDate": None}))
+    write_whole(
+        path.with_suffix(".pdf"), lambda partial: figure.savefig(partial, format="pdf", metadata={"CreationDate": None})
+    )
     plt.close(figure)

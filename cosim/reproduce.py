@@ -62,8 +62,16 @@ def draw(results: Mapping[str, Result], directory: Path) -> list[Figure]:
         ("9", plots.energies, passive, f"Energy observers with passivity controllers, {both}: manipulator (top), base (bottom); E(0) included."),
         ("10", plots.errors, passive, f"With passivity controllers, {both}: error of the end-effector (top) and of the base (bottom)."),
     ]  # fmt: skip
-    figures = []
+    labels = ("both controllers at 1 ms", "base at 0.3 s, no PC", "base at 0.3 s, with PC")
+    lines = [
+        (label, results[name].outcome.record.time, results[name].errors) for label, name in zip(labels, CASES[:3], strict=True)
+    ]
+    overview = directory / "overview.png"
+    figures = [
+        Figure(number="Overview", caption="Errors of the three cases of the paper's simulation, on one scale.", path=overview)
+    ]
     with rc_context(plots.STYLE):
+        plots.save(plots.overview(lines), overview)
         for number, drawing, record, caption in drawings:
             exact = number.endswith("time)")
             figure = plots.errors(record, "continuous_loop") if exact else drawing(record)

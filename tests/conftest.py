@@ -7,13 +7,15 @@ from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
+from robots import ROBOTS
 
 from fmu_src.prebuilt_fmus import directory
 from fmu_src.robot import Robot
 from fmu_src.urdf import load_robot_file
-from robots import ROBOTS
 
-settings.register_profile("default", deadline=None, derandomize=True, max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
+settings.register_profile(
+    "default", deadline=None, derandomize=True, max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 settings.load_profile("default")
 # One thread a test process: two of them run side by side.
 os.environ.setdefault("OMP_NUM_THREADS", "1")

@@ -146,7 +146,10 @@ def manipulator_controller(robot: Robot) -> Block:
     block.output("passivity_wrench", F_pcm, WRENCH, "F_pcm: share of the passivity controller, (21), in I")
     sigma = smallest_singular_value(star.Jm_inverse)
     block.output("jacobian_sigma_min", sigma, "1", "Lower bound of the smallest singular value of J_m")
-    lower, upper = (SX(ca.DM(np.clip(limits, -NO_LIMIT, NO_LIMIT))) for limits in zip(*((j.lower, j.upper) for j in robot.joints), strict=True))
+    lower, upper = (
+        SX(ca.DM(np.clip(limits, -NO_LIMIT, NO_LIMIT)))
+        for limits in zip(*((j.lower, j.upper) for j in robot.joints), strict=True)
+    )
     margin = ca.fmin(state.q - lower, upper - state.q)
     block.output("joint_limit_margin", margin, joint_units(robot, "rad", "m"), "Distance of each joint from its nearer limit")
     for name, quaternion in (("end_effector_orientation", R_e), ("desired_orientation", R_d)):

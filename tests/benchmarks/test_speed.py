@@ -24,14 +24,27 @@ def step_time(fmus: Path, tmp_path: Path, name: str, step: float) -> float:
     program = tmp_path / "time_steps"
     if not program.exists():
         source = Path(__file__).parent / "time_steps.c"
-        zig = [sys.executable, "-m", "ziglang", "cc", "-target", host_platform().target, "-std=c99", "-O2", "-isystem", str(fmi_headers())]
+        zig = [
+            sys.executable,
+            "-m",
+            "ziglang",
+            "cc",
+            "-target",
+            host_platform().target,
+            "-std=c99",
+            "-O2",
+            "-isystem",
+            str(fmi_headers()),
+        ]
         run([*zig, str(source), "-ldl", "-o", str(program)], "time_steps")
     path = fmus / "fmi2" / f"{name}.fmu"
     with zipfile.ZipFile(path) as archive:
         library = next(entry for entry in archive.namelist() if entry.startswith("binaries/"))
         archive.extract(library, tmp_path)
     token = read_model_description(str(path)).guid
-    done = subprocess.run([str(program), str(tmp_path / library), token, str(step), "50000"], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [str(program), str(tmp_path / library), token, str(step), "50000"], capture_output=True, text=True, check=True
+    )
     return float(done.stdout)
 
 
@@ -84,12 +97,16 @@ def test_step_times(fmus: Path, robot: Robot, tmp_path: Path) -> None:
     print()
     for name, value in times.items():
         print(f"{name:24s} {value:6.2f} us a doStep")
-    print(f"{'MuJoCo RK4, same robot':24s} {theirs:6.2f} us a step: {theirs / times['free_flyer']:.1f} times the plant's doStep")
+    print(
+        f"{'MuJoCo RK4, same robot':24s} {theirs:6.2f} us a step: {theirs / times['free_flyer']:.1f} times the plant's doStep"
+    )
     # A guard against gross regressions only; the plant's aim is 3.5 us.
     assert times["free_flyer"] < 10.0
 
 
 def test_multirate_passive_through_fmpy(fmus: Path) -> None:
     result = experiment.run(scenario.load("multirate_passive"))
-    print(f"\nmultirate_passive, 100 s, python master: {result.outcome.wall:.2f} s, {100.0 / result.outcome.wall:.0f} times real time")
+    print(
+        f"\nmultirate_passive, 100 s, python master: {result.outcome.wall:.2f} s, {100.0 / result.outcome.wall:.0f} times real time"
+    )
     assert result.outcome.wall < 45.0, "the aim is 15 s"

@@ -15,10 +15,10 @@ from pathlib import Path
 
 import pandas
 import pytest
+from robots import DATA
 
 from cosim import cli
 from fmu_src.urdf import ROBOTS as SHIPPED_ROBOTS
-from robots import DATA
 
 
 def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str]:
@@ -46,7 +46,10 @@ def scenario_file(directory: Path, text: str, base: str | None = "multirate_pass
         ("base_controller.period=nan", "finite numbers are expected"),
         ("base_controller.period=inf", "finite numbers are expected"),
         ("base_controller.period=-1", "is -1.0 s; a positive whole number of nanoseconds"),
-        ("base_controller.period=0.0025", "step of 0.0025 s is no multiple of the smallest step, 0.001 s; 0.002 s or 0.003 s would fit"),
+        (
+            "base_controller.period=0.0025",
+            "step of 0.0025 s is no multiple of the smallest step, 0.001 s; 0.002 s or 0.003 s would fit",
+        ),
         ("base_controller.stiffness=[1,2,3]", "base_controller.stiffness has 3 values; 6 are expected"),
         ("base_controller.stiffness=true", "6 numbers"),
         ("manipulator_controller.observer=prot", "one of paper, port, tracking is expected; did you mean 'port'"),
@@ -67,7 +70,9 @@ def test_overrides(capsys: pytest.CaptureFixture[str], tmp_path: Path, override:
 
 
 def test_a_singular_posture_is_refused_at_the_start(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    code, error = said(capsys, "run", "multirate_passive", "--set", "free_flyer.joint_position=[0,0,0,0,0,0]", "--out", str(tmp_path))
+    code, error = said(
+        capsys, "run", "multirate_passive", "--set", "free_flyer.joint_position=[0,0,0,0,0,0]", "--out", str(tmp_path)
+    )
     assert code == 2
     assert "manipulator_controller" in error
     assert "smallest singular value of J_m is" in error
@@ -94,10 +99,16 @@ def test_a_singular_jacobian_in_mid_run_stops_the_run_and_keeps_it(capsys: pytes
         ("stop_s = 0.3333333333\n", "a positive whole number of nanoseconds"),
         ("expect = 'glory'\n", "expect is 'glory'"),
         ("[components.extra]\nfmu='free_flyer'\n", "component extra has no step_s"),
-        ("[components.extra]\nfmu='free_flier'\nstep_s=0.001\n", "no FMU 'free_flier' is shipped for FMI 2; did you mean 'free_flyer'"),
+        (
+            "[components.extra]\nfmu='free_flier'\nstep_s=0.001\n",
+            "no FMU 'free_flier' is shipped for FMI 2; did you mean 'free_flyer'",
+        ),
         ("[components.extra]\nfmu='free_flyer'\nfmi=1\nstep_s=0.001\n", "fmi is 1; 2 or 3 is expected"),
         ("[components.extra]\nkind='fnu'\nstep_s=0.001\n", "there is no kind 'fnu'; did you mean 'fmu'"),
-        ("[components.extra]\nfmu='free_flyer'\nstep_s=0.001\nparametres={a=1}\n", "unknown key 'parametres'; did you mean 'parameters'"),
+        (
+            "[components.extra]\nfmu='free_flyer'\nstep_s=0.001\nparametres={a=1}\n",
+            "unknown key 'parametres'; did you mean 'parameters'",
+        ),
         ("[components.extra]\nfmu='there/is/none.fmu'\nstep_s=0.001\n", "does not exist"),
         ("[components.extra]\nkind='python'\nobject='none.py:x'\nstep_s=0.001\n", "none.py does not exist"),
         ("[components.extra]\nkind='twin'\nblock='free_flier'\nstep_s=0.001\n", "there is no block 'free_flier'"),
@@ -116,7 +127,10 @@ def test_scenario_files(capsys: pytest.CaptureFixture[str], tmp_path: Path, text
 
 
 def test_scenarios_that_are_not_there(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    assert "there is no scenario 'multirate_pasive': neither a shipped one nor a .toml file; did you mean 'multirate_passive'" in said(capsys, "run", "multirate_pasive")[1]
+    assert (
+        "there is no scenario 'multirate_pasive': neither a shipped one nor a .toml file; did you mean 'multirate_passive'"
+        in said(capsys, "run", "multirate_pasive")[1]
+    )
     assert "does not exist" in said(capsys, "run", "nowhere.toml")[1]
     loop = tmp_path / "loop.toml"
     loop.write_text('extends = "loop.toml"\n')
@@ -125,7 +139,16 @@ def test_scenarios_that_are_not_there(capsys: pytest.CaptureFixture[str], tmp_pa
 
 
 def test_a_scenario_that_is_a_real_algebraic_loop_is_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    code, error = said(capsys, "run", scenario_file(tmp_path, 'delayed = []\nconnections = ["manipulator_controller.base_damping -> base_controller.base_damping", "base_controller.base_wrench -> manipulator_controller.applied_base_wrench"]\n'), "--out", str(tmp_path / "out"))
+    code, error = said(
+        capsys,
+        "run",
+        scenario_file(
+            tmp_path,
+            'delayed = []\nconnections = ["manipulator_controller.base_damping -> base_controller.base_damping", "base_controller.base_wrench -> manipulator_controller.applied_base_wrench"]\n',
+        ),
+        "--out",
+        str(tmp_path / "out"),
+    )
     assert code == 2
     assert "algebraic loop: " in error
     assert "manipulator_controller" in error
@@ -148,18 +171,29 @@ def fmu_with(tmp_path: Path, fmus: Path, change: object) -> Path:
         (lambda n, d: None if n.endswith(".xml") else (n, d), "is not an FMU: it contains no modelDescription.xml"),
         (lambda n, d: None if n.startswith("binaries") else (n, d), "has no binary for this platform"),
         (lambda n, d: (n.replace("linux64", "win64"), d), "has no binary for this platform (linux64); it has win64"),
-        (lambda n, d: (n, d.replace(b'fmiVersion="2.0"', b'fmiVersion="1.0"')), "is of FMI version 1.0; FMI 2.0 and FMI 3.0 are supported"),
+        (
+            lambda n, d: (n, d.replace(b'fmiVersion="2.0"', b'fmiVersion="1.0"')),
+            "is of FMI version 1.0; FMI 2.0 and FMI 3.0 are supported",
+        ),
         (lambda n, d: (n, d.replace(b"<CoSimulation", b"<CoSimulacrum")), "has an invalid modelDescription.xml"),
         (lambda n, d: (n, d.replace(b'guid="{', b'guid="{0')), "cannot be instantiated"),
         (lambda n, d: ("../evil.so" if n.startswith("binaries") else n, d), "points outside the archive"),
         (lambda n, d: (n, b"not a library" if n.startswith("binaries") else d), "cannot be instantiated"),
     ],
 )
-def test_fmus_that_cannot_be_used(capsys: pytest.CaptureFixture[str], tmp_path: Path, fmus: Path, change: object, message: str) -> None:
+def test_fmus_that_cannot_be_used(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, fmus: Path, change: object, message: str
+) -> None:
     if sys.platform != "linux":
         pytest.skip("the altered archives are those of Linux")
     path = fmu_with(tmp_path, fmus, change)
-    code, error = said(capsys, "run", scenario_file(tmp_path, f"[components.extra]\nfmu='{path.name}'\nstep_s=0.001\n"), "--out", str(tmp_path / "out"))
+    code, error = said(
+        capsys,
+        "run",
+        scenario_file(tmp_path, f"[components.extra]\nfmu='{path.name}'\nstep_s=0.001\n"),
+        "--out",
+        str(tmp_path / "out"),
+    )
     assert message in error
     assert code == 2
 
@@ -177,7 +211,9 @@ def test_an_output_directory_that_cannot_be_made(capsys: pytest.CaptureFixture[s
     assert "cannot be written" in error
 
 
-@pytest.mark.parametrize(("limit", "code", "message"), [(300_000, 3, "record.parquet cannot be written"), (20_000, 2, "cannot be unpacked into")])
+@pytest.mark.parametrize(
+    ("limit", "code", "message"), [(300_000, 3, "record.parquet cannot be written"), (20_000, 2, "cannot be unpacked into")]
+)
 def test_a_full_disk_leaves_nothing_half_written(tmp_path: Path, limit: int, code: int, message: str) -> None:
     """A limit on file size stands for the full disk: the write fails in the middle, of the record or of an FMU's library."""
     scenario = scenario_file(tmp_path, "stop_s = 20.0\n")
@@ -187,7 +223,17 @@ def test_a_full_disk_leaves_nothing_half_written(tmp_path: Path, limit: int, cod
         resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 
     done = subprocess.run(
-        [sys.executable, "-m", "cosim.cli", "run", scenario, "--out", str(tmp_path / "out"), "--set", "free_flyer.base_mass=151"],
+        [
+            sys.executable,
+            "-m",
+            "cosim.cli",
+            "run",
+            scenario,
+            "--out",
+            str(tmp_path / "out"),
+            "--set",
+            "free_flyer.base_mass=151",
+        ],
         preexec_fn=small_files,
         capture_output=True,
         text=True,
@@ -203,7 +249,12 @@ def test_a_full_disk_leaves_nothing_half_written(tmp_path: Path, limit: int, cod
 def test_ctrl_c_in_mid_run_saves_what_was_simulated_and_says_so(tmp_path: Path) -> None:
     scenario = scenario_file(tmp_path, "stop_s = 3000.0\n")
     out = tmp_path / "out"
-    process = subprocess.Popen([sys.executable, "-m", "cosim.cli", "run", scenario, "--out", str(out)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "cosim.cli", "run", scenario, "--out", str(out)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     for _ in range(600):
         if out.is_dir() and (tmp_path / "out").exists():
             break
@@ -222,7 +273,9 @@ def test_ctrl_c_in_mid_run_saves_what_was_simulated_and_says_so(tmp_path: Path) 
     assert 0.0 < summary["simulated_s"] < 3000.0
 
 
-def test_a_run_that_diverges_where_it_must_not_ends_with_3_and_is_saved(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_run_that_diverges_where_it_must_not_ends_with_3_and_is_saved(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     text = "[components.manipulator_controller.parameters]\nmanipulator_initial_energy = 0\n"
     code, error = said(capsys, "run", scenario_file(tmp_path, text), "--out", str(tmp_path / "out"))
     assert code == 3
@@ -259,11 +312,23 @@ GANTRY = ("--end-effector", "hand", "--lock", "swivel=0.4")
     [
         ([("<robot", "<robt")], "not well-formed XML"),
         ([('<mass value="60"/>', '<mass value="-60"/>')], "link 'bus': mass is -60 kg"),
-        ([('ixx="8" iyy="9" izz="7"', 'ixx="1" iyy="9" izz="7"')], "link 'bus': inertia violates the triangle inequality; its principal moments are ("),
-        ([('ixx="8" iyy="9" izz="7"', 'ixx="-8" iyy="9" izz="7"')], "link 'bus': inertia is not positive definite; its principal moments are ("),
+        (
+            [('ixx="8" iyy="9" izz="7"', 'ixx="1" iyy="9" izz="7"')],
+            "link 'bus': inertia violates the triangle inequality; its principal moments are (",
+        ),
+        (
+            [('ixx="8" iyy="9" izz="7"', 'ixx="-8" iyy="9" izz="7"')],
+            "link 'bus': inertia is not positive definite; its principal moments are (",
+        ),
         ([('<mass value="60"/>', '<mass value="heavy"/>')], "link 'bus' has value='heavy'; a number is expected"),
-        ([('<parent link="boom"/>', '<parent link="bom"/>')], "joint 'turn_1' has parent link 'bom', which does not exist; did you mean 'boom'"),
-        ([('name="antenna_mount" type="fixed"', 'name="antenna_mount" type="revolute"')], "not a serial chain: joint 'antenna_mount' moves a branch"),
+        (
+            [('<parent link="boom"/>', '<parent link="bom"/>')],
+            "joint 'turn_1' has parent link 'bom', which does not exist; did you mean 'boom'",
+        ),
+        (
+            [('name="antenna_mount" type="fixed"', 'name="antenna_mount" type="revolute"')],
+            "not a serial chain: joint 'antenna_mount' moves a branch",
+        ),
         ([('name="turn_2" type="revolute"', 'name="turn_2" type="planar"')], "joint 'turn_2' is of type 'planar'"),
         ([('xyz="0 -1 0.3"', 'xyz="0 0 0"')], "joint 'turn_2' has an axis of zero length"),
         ([('xyz="0 -1 0.3"', 'xyz="0 -1"')], "three finite numbers are expected"),
@@ -271,7 +336,9 @@ GANTRY = ("--end-effector", "hand", "--lock", "swivel=0.4")
         ([('<link name="hand"/>', '<link name="bus"/>')], "link 'bus' is defined twice"),
     ],
 )
-def test_urdfs_that_cannot_be_used(capsys: pytest.CaptureFixture[str], tmp_path: Path, changes: list[tuple[str, str]], message: str) -> None:
+def test_urdfs_that_cannot_be_used(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, changes: list[tuple[str, str]], message: str
+) -> None:
     code, error = said(capsys, "fmus", "--robot", urdf(tmp_path, *changes), *GANTRY, "--out", str(tmp_path / "out"))
     assert message in error
     assert code == 2
@@ -287,7 +354,10 @@ def test_urdfs_that_cannot_be_used(capsys: pytest.CaptureFixture[str], tmp_path:
         (("--end-effector", "hand", "--lock", "swivel"), "JOINT=VALUE with a number is expected"),
         (("--end-effector", "hand"), "needs six free joints so that J_m is square, got 7"),
         ((*GANTRY, "--posture", "1", "2"), "posture has 2 values; one for each of the free joints"),
-        ((*GANTRY, "--posture", "slide_x=9", "slide_y=0", "turn_1=0", "turn_2=0", "turn_3=0", "turn_4=0"), "outside its limits [-0.5, 0.5]"),
+        (
+            (*GANTRY, "--posture", "slide_x=9", "slide_y=0", "turn_1=0", "turn_2=0", "turn_3=0", "turn_4=0"),
+            "outside its limits [-0.5, 0.5]",
+        ),
         ((*GANTRY, "--posture", "slide_x=0"), "posture lacks the joints slide_y"),
         ((*GANTRY, "--tool-link", "antenna"), "tool link 'antenna' must have an <inertial> and stand between"),
         ((*GANTRY, "--platforms", "amiga"), "'amiga' is none of"),
@@ -309,7 +379,10 @@ def test_robot_files_and_missing_urdfs(capsys: pytest.CaptureFixture[str], tmp_p
     assert "belong to a URDF" in said(capsys, "fmus", "--end-effector", "hand")[1]
     shutil.copy(SHIPPED_ROBOTS / "lwr4_free_flyer.urdf", tmp_path)
     robot.write_text('urdf = "lwr4_free_flyer.urdf"\nposture = [0, 0.1, -1.6, 0, -1.4, 0]\n')
-    assert "posture has 6 values; one for each of the free joints joint_a1, joint_a2, joint_e1" in said(capsys, "fmus", "--robot", str(robot))[1]
+    assert (
+        "posture has 6 values; one for each of the free joints joint_a1, joint_a2, joint_e1"
+        in said(capsys, "fmus", "--robot", str(robot))[1]
+    )
 
 
 @pytest.mark.parametrize(
@@ -318,8 +391,14 @@ def test_robot_files_and_missing_urdfs(capsys: pytest.CaptureFixture[str], tmp_p
         ("x = 1\n", "does not define block(robot)"),
         ("def block(robot):\n    return 5\n", "block(robot) gave a int; a Block is expected"),
         ("def block(:\n", "does not define block(robot)"),
-        ("from fmu_src.block import Block\ndef block(robot):\n    b = Block('b', '')\n    b.state('x', 0.0, 'm', '')\n    return b\n", "no equation for the states x"),
-        ("from fmu_src.block import Block\ndef block(robot):\n    b = Block('b', '')\n    b.parameter('x', 0.0, 'm', '')\n    b.parameter('x', 0.0, 'm', '')\n", "declared twice"),
+        (
+            "from fmu_src.block import Block\ndef block(robot):\n    b = Block('b', '')\n    b.state('x', 0.0, 'm', '')\n    return b\n",
+            "no equation for the states x",
+        ),
+        (
+            "from fmu_src.block import Block\ndef block(robot):\n    b = Block('b', '')\n    b.parameter('x', 0.0, 'm', '')\n    b.parameter('x', 0.0, 'm', '')\n",
+            "declared twice",
+        ),
     ],
 )
 def test_blocks_that_cannot_be_built(capsys: pytest.CaptureFixture[str], tmp_path: Path, text: str, message: str) -> None:

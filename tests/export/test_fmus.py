@@ -41,7 +41,9 @@ def test_model_exchange_and_co_simulation_of_the_plant_agree(fmus: Path) -> None
     stepped = fmpy.simulate_fmu(path, fmi_type="CoSimulation", **options)
     solved = fmpy.simulate_fmu(path, fmi_type="ModelExchange", relative_tolerance=1e-10, **options)
     for column in ("base_position[1]", "joint_position[3]", "end_effector_position[2]"):
-        assert np.interp(1.0, stepped["time"], stepped[column]) == pytest.approx(np.interp(1.0, solved["time"], solved[column]), abs=1e-7)
+        assert np.interp(1.0, stepped["time"], stepped[column]) == pytest.approx(
+            np.interp(1.0, solved["time"], solved[column]), abs=1e-7
+        )
 
 
 def test_two_builds_of_the_same_source_are_the_same_files(robot: Robot, fmus: Path, tmp_path: Path) -> None:
@@ -88,9 +90,11 @@ def test_a_step_over_a_sample_is_an_error_that_names_both(fmus: Path, version: s
     controller = FmuComponent("base_controller", fmus / version / "base_controller.fmu")
     controller.enter_initialization(0.0, {})
     controller.exit_initialization()
+    first_over = int(0.3 / step)
+    for k in range(first_over):
+        controller.step(k * step, step)
     with pytest.raises(StepFailed, match=f"step of {step:g} s passes over a sample of this block, whose period is 0.3 s"):
-        for k in range(3):
-            controller.step(k * step, step)
+        controller.step(first_over * step, step)
     controller.close()
 
 
@@ -110,12 +114,13 @@ def test_a_last_step_of_almost_no_length_is_harmless(fmus: Path, version: str) -
 def bad(fmus: Path, name: str, values: dict[str, object], version: str = "fmi2") -> str:
     component = FmuComponent(name, fmus / version / f"{name}.fmu")
     try:
-        with pytest.raises(ComponentError) as caught:
-            component.enter_initialization(0.0, {key: np.atleast_1d(np.array(value, dtype=float)) for key, value in values.items()})
-            component.exit_initialization()
-        return str(caught.value)
+        component.enter_initialization(0.0, {key: np.atleast_1d(np.array(value, dtype=float)) for key, value in values.items()})
+        component.exit_initialization()
+    except ComponentError as error:
+        return str(error)
     finally:
         component.close()
+    return "nothing was refused"
 
 
 @pytest.mark.parametrize("version", VERSIONS)
@@ -198,7 +203,9 @@ def test_enumerations_and_booleans_are_read_back_as_set(fmus: Path) -> None:
     path = str(fmus / "fmi3" / "manipulator_controller.fmu")
     description = read_model_description(path)
     reference = {v.name: v.valueReference for v in description.modelVariables}
-    slave = FMU3Slave(guid=description.guid, unzipDirectory=fmpy.extract(path), modelIdentifier="manipulator_controller", instanceName="x")
+    slave = FMU3Slave(
+        guid=description.guid, unzipDirectory=fmpy.extract(path), modelIdentifier="manipulator_controller", instanceName="x"
+    )
     slave.instantiate()
     slave.setInt64([reference["observer"]], [3])
     slave.setBoolean([reference["base_passivity_control"]], [False])

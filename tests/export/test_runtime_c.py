@@ -24,7 +24,19 @@ DRIVER = Path(__file__).parent / "driver.c"
 def compiled(tmp_path: Path, text: str) -> ctypes.CDLL:
     source, library = tmp_path / "probe.c", tmp_path / "probe.so"
     source.write_text(text)
-    zig = [sys.executable, "-m", "ziglang", "cc", "-target", host_platform().target, "-shared", "-fPIC", "-std=c99", "-O2", "-ffp-contract=off"]
+    zig = [
+        sys.executable,
+        "-m",
+        "ziglang",
+        "cc",
+        "-target",
+        host_platform().target,
+        "-shared",
+        "-fPIC",
+        "-std=c99",
+        "-O2",
+        "-ffp-contract=off",
+    ]
     run([*zig, "-I", str(SOURCES), str(source), str(SOURCES / "message.c"), "-lm", "-o", str(library)], "probe")
     return ctypes.CDLL(str(library))
 
@@ -34,7 +46,15 @@ def test_sine_and_cosine_are_within_one_ulp(tmp_path: Path) -> None:
     library = compiled(tmp_path, text)
     random = np.random.default_rng(1)
     quarter = np.arange(-200, 200) * np.pi / 4
-    x = np.concatenate([random.uniform(-4, 4, 4000), random.uniform(-1.6e6, 1.6e6, 4000), quarter, np.nextafter(quarter, 9e9), [0.0, -0.0, 1e-300, 2e6, -1e9]])
+    x = np.concatenate(
+        [
+            random.uniform(-4, 4, 4000),
+            random.uniform(-1.6e6, 1.6e6, 4000),
+            quarter,
+            np.nextafter(quarter, 9e9),
+            [0.0, -0.0, 1e-300, 2e6, -1e9],
+        ]
+    )
     s, c = np.empty_like(x), np.empty_like(x)
     pointer = ctypes.POINTER(ctypes.c_double)
     library.probe(*(array.ctypes.data_as(pointer) for array in (x, s, c)), len(x))
@@ -44,11 +64,31 @@ def test_sine_and_cosine_are_within_one_ulp(tmp_path: Path) -> None:
             assert abs(mpmath.mpf(float(found)) - exact) <= np.spacing(abs(float(exact))), angle
 
 
-@pytest.mark.parametrize("value", [0.0, 1.0, -1.0, 0.3, 1e-3, 123456.0, 1234567.0, -2.5e-7, 1e300, 1e-300, 0.999999999, 9.9999951, 1e5, 3.14159265, float("inf"), float("nan")])
+@pytest.mark.parametrize(
+    "value",
+    [
+        0.0,
+        1.0,
+        -1.0,
+        0.3,
+        1e-3,
+        123456.0,
+        1234567.0,
+        -2.5e-7,
+        1e300,
+        1e-300,
+        0.999999999,
+        9.9999951,
+        1e5,
+        3.14159265,
+        float("inf"),
+        float("nan"),
+    ],
+)
 def test_numbers_in_messages_are_written_with_six_digits(tmp_path: Path, value: float) -> None:
     text = (
         '#include "message.h"\n#include <string.h>\n'
-        "void probe(double value, char *text) { Message m; message_begin(&m, \"\"); message_add_number(&m, value); strcpy(text, m.text); }\n"
+        'void probe(double value, char *text) { Message m; message_begin(&m, ""); message_add_number(&m, value); strcpy(text, m.text); }\n'
     )
     library = compiled(tmp_path, text)
     out = ctypes.create_string_buffer(400)
@@ -66,9 +106,24 @@ def test_the_runtime_is_clean_under_sanitizers_and_gcc_warnings(robot: Robot, tm
     token = content_token(block)
     source.write_text(print_block(block, token))
     program = tmp_path / "driver"
-    flags = ["-std=c99", "-g", "-O1", "-Wall", "-Wextra", "-Werror", "-pedantic", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+    flags = [
+        "-std=c99",
+        "-g",
+        "-O1",
+        "-Wall",
+        "-Wextra",
+        "-Werror",
+        "-pedantic",
+        "-fsanitize=address,undefined",
+        "-fno-sanitize-recover=all",
+    ]
     files = [str(DRIVER), str(source), *map(str, sorted(SOURCES.glob("*.c")))]
-    run(["gcc", *flags, "-isystem", str(fmi_headers()), "-I", str(SOURCES), *files, "-lm", "-o", str(program)], "gcc with sanitizers")
-    done = subprocess.run([str(program), token, "1" if block.is_sampled else "0"], capture_output=True, text=True, timeout=120, check=False)
+    run(
+        ["gcc", *flags, "-isystem", str(fmi_headers()), "-I", str(SOURCES), *files, "-lm", "-o", str(program)],
+        "gcc with sanitizers",
+    )
+    done = subprocess.run(
+        [str(program), token, "1" if block.is_sampled else "0"], capture_output=True, text=True, timeout=120, check=False
+    )
     assert done.returncode == 0, done.stderr[-2000:]
     assert "all calls made" in done.stdout

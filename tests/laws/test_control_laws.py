@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from robots import ROBOTS
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
@@ -15,7 +16,6 @@ from fmu_src.equations import task_space, tracking_control, trajectory
 from fmu_src.equations.mechanism import State, constant_mechanism
 from fmu_src.robot import Robot
 from fmu_src.urdf import load_robot_file
-from robots import ROBOTS
 
 SX = ca.SX
 
@@ -125,24 +125,45 @@ def test_rate_of_W_is_the_papers_expression_and_negative_where_V_does_not_fall()
     def out(name: str, size: int) -> SX:
         return outputs[block.offset(name) : block.offset(name) + size]
 
-    dx_m = tracking_control.pose_error(out("end_effector_position", 3), out("end_effector_orientation", 4), out("desired_position", 3), out("desired_orientation", 4))
+    dx_m = tracking_control.pose_error(
+        out("end_effector_position", 3),
+        out("end_effector_orientation", 4),
+        out("desired_position", 3),
+        out("desired_orientation", 4),
+    )
     dx_b = tracking_control.pose_error(x[:3], o, SX(3, 1), SX([0, 0, 0, 1]))
     desired_velocity = ca.jtimes(out("desired_position", 3), t, SX(1))
     turn_rate = ca.jtimes(out("desired_orientation", 4), t, SX(1))
-    w_d = 2 * (out("desired_orientation", 4)[3] * turn_rate[:3] - turn_rate[3] * out("desired_orientation", 4)[:3] + ca.cross(out("desired_orientation", 4)[:3], turn_rate[:3]))
+    w_d = 2 * (
+        out("desired_orientation", 4)[3] * turn_rate[:3]
+        - turn_rate[3] * out("desired_orientation", 4)[:3]
+        + ca.cross(out("desired_orientation", 4)[:3], turn_rate[:3])
+    )
     error_rate = ca.vertcat(v, out("end_effector_velocity", 6) - ca.vertcat(desired_velocity, w_d))
     error = ca.vertcat(dx_b, dx_m)
     M, Gamma = task_space.inertia_and_coriolis_in_task_space(m, s)
     rates = block.functions["derivatives"](t, p, u, x)
     W = ca.dot(error, M @ error_rate)
     dW = ca.jtimes(W, x, rates) + ca.jtimes(W, t, SX(1))
-    gain = {name: p[block.offset(name) : block.offset(name) + 6] for name in ("base_stiffness", "manipulator_stiffness", "base_damping", "manipulator_damping")}
+    gain = {
+        name: p[block.offset(name) : block.offset(name) + 6]
+        for name in ("base_stiffness", "manipulator_stiffness", "base_damping", "manipulator_damping")
+    }
     K = ca.vertcat(gain["base_stiffness"], gain["manipulator_stiffness"])
     D = ca.vertcat(gain["base_damping"], gain["manipulator_damping"])
     M_rate = task_space.rate(m, M, s)
     true_error_rate = ca.jtimes(error, x, rates) + ca.jtimes(error, t, SX(1))
     spring = ca.dot(error, -K * error - D * error_rate + (M_rate - Gamma) @ error_rate)
-    f = ca.Function("W", [t, p, x], [dW, ca.dot(error_rate, M @ error_rate) + spring, ca.dot(true_error_rate, M @ error_rate) + spring, ca.dot(error, K * error)])
+    f = ca.Function(
+        "W",
+        [t, p, x],
+        [
+            dW,
+            ca.dot(error_rate, M @ error_rate) + spring,
+            ca.dot(true_error_rate, M @ error_rate) + spring,
+            ca.dot(error, K * error),
+        ],
+    )
     times, states = LOOP.solve(1, 4.0)
     for at, state in zip(times[1:], states.T[1:], strict=True):
         exact, paper, with_true_rate, stored = (float(part) for part in f(at, LOOP.p, state))
@@ -161,17 +182,25 @@ def test_rate_of_W_is_the_papers_expression_and_negative_where_V_does_not_fall()
 @given(st.floats(0.05, 40.0))
 def test_the_reference_is_consistent_in_position_velocity_and_acceleration(time: float) -> None:
     t = SX.sym("t")
-    motion = trajectory.ramped_sine(t, SX([0.1, 0.2, 0.3]), SX([0, 0, 0, 1]), SX([0.15, 0.02, 0]), SX([0.05, 0.2, 0.1]), SX(0.1), SX(5.0))
+    motion = trajectory.ramped_sine(
+        t, SX([0.1, 0.2, 0.3]), SX([0, 0, 0, 1]), SX([0.15, 0.02, 0]), SX([0.05, 0.2, 0.1]), SX(0.1), SX(5.0)
+    )
     derivative = [ca.jtimes(part, t, SX(1)) for part in (motion.position, motion.velocity, motion.orientation)]
     q = motion.orientation
     w = 2 * (q[3] * derivative[2][:3] - derivative[2][3] * q[:3] + ca.cross(q[:3], derivative[2][:3]))
-    f = ca.Function("f", [t], [derivative[0] - motion.velocity[:3], derivative[1] - motion.acceleration, w - motion.velocity[3:], ca.sumsqr(q) - 1])
+    f = ca.Function(
+        "f",
+        [t],
+        [derivative[0] - motion.velocity[:3], derivative[1] - motion.acceleration, w - motion.velocity[3:], ca.sumsqr(q) - 1],
+    )
     for part in f(time):
         assert np.abs(np.array(part)).max() < 1e-12
 
 
 @given(st.floats(1.0, 200.0), st.floats(1.0, 500.0), st.floats(0.1, 500.0), st.floats(0.001, 1.0))
-def test_matched_gains_place_the_sampled_poles_where_the_continuous_ones_are(m: float, stiffness: float, damping: float, T: float) -> None:
+def test_matched_gains_place_the_sampled_poles_where_the_continuous_ones_are(
+    m: float, stiffness: float, damping: float, T: float
+) -> None:
     gains = ca.Function("g", [], list(tracking_control.matched_gains(SX(stiffness), SX(damping), SX(m), SX(T))))()
     K, D = (float(gains[name]) for name in ("o0", "o1"))
     A = np.array([[0.0, 1.0], [-stiffness / m, -damping / m]])
@@ -181,7 +210,12 @@ def test_matched_gains_place_the_sampled_poles_where_the_continuous_ones_are(m: 
 
 
 def test_matched_gains_tend_to_the_given_ones() -> None:
-    K, D = (float(part) for part in ca.Function("g", [], list(tracking_control.matched_gains(SX(150.0), SX(10.0), SX(160.0), SX(1e-3))))().values())
+    K, D = (
+        float(part)
+        for part in ca.Function(
+            "g", [], list(tracking_control.matched_gains(SX(150.0), SX(10.0), SX(160.0), SX(1e-3)))
+        )().values()
+    )
     assert pytest.approx(150.0, rel=1e-3) == K
     assert pytest.approx(10.0, rel=1e-2) == D
 

@@ -12,13 +12,13 @@ import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from robots import DATA, ROBOTS, ur5_path
 
 from fmu_src.equations import dynamics, kinematics, rotation, task_space
 from fmu_src.equations.mechanism import State, constant_mechanism
 from fmu_src.oracle import disagreement
 from fmu_src.robot import Robot
 from fmu_src.urdf import ROBOTS as SHIPPED_ROBOTS
-from robots import DATA, ROBOTS, ur5_path
 
 SX = ca.SX
 TOLERANCE = 1e-11
@@ -69,7 +69,14 @@ class Sample(NamedTuple):
 def sample(seed: int, n: int) -> Sample:
     random = np.random.default_rng(seed)
     o = random.normal(size=4)
-    return Sample(o / np.linalg.norm(o), random.normal(size=6), random.uniform(-3, 3, n), random.normal(size=n), random.normal(size=6), random.normal(size=n))
+    return Sample(
+        o / np.linalg.norm(o),
+        random.normal(size=6),
+        random.uniform(-3, 3, n),
+        random.normal(size=n),
+        random.normal(size=6),
+        random.normal(size=n),
+    )
 
 
 class Ours(NamedTuple):

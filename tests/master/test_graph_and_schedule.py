@@ -46,7 +46,9 @@ class Gain(PythonComponent):
         self.values["y"][:] = self.k * self.values["u"]
 
 
-def ready(components: dict[str, PythonComponent], connections: list[Connection], steps: dict[str, int], stop: int, **more: object) -> Master:
+def ready(
+    components: dict[str, PythonComponent], connections: list[Connection], steps: dict[str, int], stop: int, **more: object
+) -> Master:
     plan = schedule.build(steps, stop, min(steps.values()), dict.fromkeys(components, True))
     master = Master(graph.build(components, connections), plan, **more)  # type: ignore[arg-type]
     master.initialise({})
@@ -82,7 +84,12 @@ def test_a_slow_controller_samples_and_holds() -> None:
 def test_a_slow_plants_output_is_not_known_before_its_time() -> None:
     plant, gain = Plant("plant"), Gain("gain", 2.0)
     plant.values["u"][:] = 1.0
-    master = ready({"plant": plant, "gain": gain}, [Connection(source="plant.x", target="gain.u")], {"plant": 30 * MS, "gain": 10 * MS}, 90 * MS)
+    master = ready(
+        {"plant": plant, "gain": gain},
+        [Connection(source="plant.x", target="gain.u")],
+        {"plant": 30 * MS, "gain": 10 * MS},
+        90 * MS,
+    )
     y = master.run().record["gain.y"]
     assert y[:9] == pytest.approx([0, 0, 0, 0.06, 0.06, 0.06, 0.12, 0.12, 0.12])
 
@@ -93,7 +100,7 @@ def test_a_delayed_connection_carries_what_was_there_before_the_instant_and_brea
     built = graph.build({"b": b, "a": a}, [forward, back])
     assert built.first == ("a", "b")
     a.values["u"][:] = 0.0
-    with pytest.raises(GraphError, match="algebraic loop: .*a.*b.*declare one of the connections delayed"):
+    with pytest.raises(GraphError, match=r"algebraic loop: .*a.*b.*declare one of the connections delayed"):
         graph.build({"a": a, "b": b}, [forward, Connection(source="b.y", target="a.u")])
 
 
@@ -140,9 +147,12 @@ def test_units_that_measure_the_same_may_be_connected() -> None:
 
 
 def test_a_step_that_is_no_multiple_is_refused_and_told_what_would_fit() -> None:
-    with pytest.raises(GraphError, match=r"component b: its step of 0.0025 s is no multiple of the smallest step, 0.001 s; 0.002 s or 0.003 s would fit"):
+    with pytest.raises(
+        GraphError,
+        match=r"component b: its step of 0.0025 s is no multiple of the smallest step, 0.001 s; 0.002 s or 0.003 s would fit",
+    ):
         schedule.build({"a": MS, "b": 2_500_000}, 100 * MS, MS, {"a": True, "b": True})
-    with pytest.raises(GraphError, match="the stop time of 0.0105 s is no multiple"):
+    with pytest.raises(GraphError, match=r"the stop time of 0.0105 s is no multiple"):
         schedule.build({"a": MS}, 10_500_000, MS, {"a": True})
     with pytest.raises(GraphError, match=r"component b cannot shorten its last step.*0.009 s would fit"):
         schedule.build({"a": MS, "b": 3 * MS}, 10 * MS, MS, {"a": True, "b": False})
@@ -175,7 +185,9 @@ def test_a_limit_ends_the_run_with_its_cause_and_keeps_what_was_simulated() -> N
 def test_nan_passes_no_limit() -> None:
     plant = Plant("plant")
     plant.values["u"][:] = np.nan
-    outcome = ready({"plant": plant}, [], {"plant": 10 * MS}, 100 * MS, limits=[Limit(signal="plant.x", maximum=1.0, cause="x")]).run()
+    outcome = ready(
+        {"plant": plant}, [], {"plant": 10 * MS}, 100 * MS, limits=[Limit(signal="plant.x", maximum=1.0, cause="x")]
+    ).run()
     assert outcome.diverged
     assert outcome.simulated == 0.01
 

@@ -22,7 +22,11 @@ def last_10_s(name: str, *overrides: str, stop: float | None = None) -> tuple[ex
 
 STABLE = {
     "T_b = 1 ms, no PC": ("multirate_unstable", (f"{B}.period=0.001",), (2.5e-7, 3.6e-7, 1.3e-5)),
-    "as printed, tracking": ("multirate_passive", (f"{M}.bookkeeping=as_printed", f"{M}.observer=tracking"), (1.6e-6, 6e-5, 0.029)),
+    "as printed, tracking": (
+        "multirate_passive",
+        (f"{M}.bookkeeping=as_printed", f"{M}.observer=tracking"),
+        (1.6e-6, 6e-5, 0.029),
+    ),
     "applied, paper": ("multirate_passive", (f"{M}.observer=paper",), (1.9e-5, 1.4e-3, 0.72)),
     "applied, port": ("multirate_passive", (), (5.1e-6, 1.6e-3, 0.06)),
     "applied, tracking": ("multirate_passive", (f"{M}.observer=tracking",), (8.6e-7, 5e-4, 0.065)),

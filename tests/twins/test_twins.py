@@ -111,8 +111,9 @@ def test_two_instances_in_one_process_do_not_touch_each_other(fmus: Path) -> Non
 
 @pytest.mark.parametrize("name", ["ur5", "gantry"])
 def test_other_robots_go_the_whole_way(name: str, tmp_path: Path) -> None:
-    from fmu_src.export.archive import build
     from robots import ROBOTS
+
+    from fmu_src.export.archive import build
 
     robot: Robot = ROBOTS[name]()
     for block in ("free_flyer", "manipulator_controller", "base_controller", "reference_trajectory"):

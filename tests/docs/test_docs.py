@@ -1,0 +1,30 @@
+"""What the documents say is what the project does."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from cosim import scenario
+from fmu_src.export.documentation import page
+from fmu_src.robot import Robot
+from fmu_src.shipped import BLOCKS
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_the_table_of_fmu_variables_is_up_to_date(robot: Robot) -> None:
+    made = page(make(robot) for make in BLOCKS.values())
+    written = (ROOT / "docs" / "fmu_variables.md").read_text(encoding="utf-8")
+    assert made == written, "run: python -m fmu_src.export.documentation > docs/fmu_variables.md"
+
+
+@pytest.mark.parametrize("path", [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))], ids=lambda path: path.name)
+def test_links_and_commands_in_the_documents_exist(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    for target in re.findall(r"\]\(([^)#:]+)\)", text):
+        assert (path.parent / target).exists(), target
+    for name in re.findall(r"freeflyer run ([a-z_]+)", text):
+        assert name in scenario.shipped(), name
