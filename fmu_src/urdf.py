@@ -1,63 +1,20 @@
-"""URDF file -> `Robot`.
-
-The XML is read directly: the checks need every link's own `<inertial>`, which robotics libraries merge or drop.
-"""
+"""URDF or robot file -> `Robot`: the chain from base to hand, with everything fixed or locked welded to what carries it."""
 
 from __future__ import annotations
 
-import difflib
 import math
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 
 from fmu_src.errors import RobotError
 from fmu_src.robot import Array, Inertial, Joint, Robot, constant
+from fmu_src.urdf_tree import UrdfJoint, UrdfTree, near
 
 ROBOTS = Path(__file__).parent / "robots"
 DEFAULT_ROBOT = ROBOTS / "lwr4_free_flyer.toml"
-MOVING = ("revolute", "continuous", "prismatic")
-
-
-@dataclass(frozen=True)
-class _Joint:
-    """A URDF joint as written: `axis` in the child link's frame, the placement in the parent link's."""
-
-    name: str
-    kind: str
-    parent: str
-    child: str
-    rotation: Array
-    translation: Array
-    axis: Array
-    lower: float
-    upper: float
-    velocity: float
-    effort: float
-
-    def displaced(self, rotation: Array, translation: Array, position: float) -> tuple[Array, Array]:
-        """The child link's pose for a joint frame at (rotation, translation) and a joint held at `position`."""
-        if self.kind == "prismatic":
-            return rotation, translation + rotation @ self.axis * position
-        if self.kind == "fixed" or position == 0.0:
-            return rotation, translation
-        return rotation @ _rotation_about(self.axis, position), translation
-
-    def free(self, rotation: Array, translation: Array) -> Joint:
-        return Joint(
-            name=self.name,
-            kind="prismatic" if self.kind == "prismatic" else "revolute",
-            rotation=rotation,
-            translation=translation,
-            lower=self.lower,
-            upper=self.upper,
-            velocity_limit=self.velocity,
-            effort_limit=self.effort,
-        )
 
 
 def load_robot_file(path: Path = DEFAULT_ROBOT) -> Robot:
@@ -72,7 +29,7 @@ def load_robot_file(path: Path = DEFAULT_ROBOT) -> Robot:
     known = ("urdf", "base_link", "end_effector", "tool_link", "lock", "posture")
     for key in data:
         if key not in known:
-            raise RobotError(f"robot file {path}: unknown key {key!r}{_near(key, known)}")
+            raise RobotError(f"robot file {path}: unknown key {key!r}{near(key, known)}")
     if not isinstance(data.get("urdf"), str):
         raise RobotError(f"robot file {path}: 'urdf' must be the path of a URDF file")
     return load_urdf(
@@ -102,328 +59,126 @@ def load_urdf(
     or in order (default: zero, or the middle of the limits where zero lies outside them).
     Raises `RobotError` with one sentence for a file that is broken, not a serial chain, or physically impossible.
     """
-    tree = _Tree(path)
+    tree = UrdfTree(path)
     base = base_link or tree.root
     tree.require_link(base, "base link")
     tip = end_effector or tree.only_leaf(base)
     tree.require_link(tip, "end-effector")
     if tool_link is not None:
         tree.require_link(tool_link, "tool link")
-    return tree.robot(base, tip, tool_link, dict(lock or {}), posture)
+    return _robot(tree, base, tip, tool_link, dict(lock or {}), posture)
 
 
-class _Tree:
-    """The links and joints of one URDF file."""
-
-    def __init__(self, path: Path) -> None:
-        try:
-            root = ElementTree.parse(path).getroot()
-        except OSError as error:
-            raise RobotError(f"URDF {path} cannot be read: {error.strerror}") from error
-        except ElementTree.ParseError as error:
-            raise RobotError(f"URDF {path} is not well-formed XML: {error}") from error
-        if root.tag != "robot":
-            raise RobotError(f"URDF {path}: the root element is <{root.tag}>; <robot> is expected")
-        self.path = path
-        self.name = root.get("name", path.stem)
-        self.links: dict[str, Inertial | None] = {}
-        for element in root.findall("link"):
-            name = self._attribute(element, "name", "a link")
-            if name in self.links:
-                raise RobotError(f"URDF {path}: link {name!r} is defined twice")
-            self.links[name] = self._inertial(element, name)
-        self.joints: dict[str, _Joint] = {}
-        self.parent: dict[str, _Joint] = {}
-        self.children: dict[str, list[_Joint]] = {name: [] for name in self.links}
-        for element in root.findall("joint"):
-            self._add(self._joint(element))
-        roots = [name for name in self.links if name not in self.parent]
-        if len(roots) != 1:
-            found = ", ".join(roots) or "none: the joints form a loop"
-            raise RobotError(f"URDF {path}: one root link is expected, found {found}")
-        self.root = roots[0]
-
-    def require_link(self, name: str, role: str) -> None:
-        if name not in self.links:
-            raise RobotError(f"URDF {self.path}: {role} {name!r} does not exist{_near(name, self.links)}")
-
-    def only_leaf(self, base: str) -> str:
-        leaves, stack = [], [base]
-        while stack:
-            link = stack.pop()
-            stack += [joint.child for joint in self.children[link]]
-            if not self.children[link]:
-                leaves.append(link)
-        if len(leaves) > 1:
+def _robot(
+    tree: UrdfTree,
+    base: str,
+    tip: str,
+    tool: str | None,
+    lock: dict[str, float],
+    posture: Mapping[str, float] | Sequence[float] | None,
+) -> Robot:
+    path = tree.chain(base, tip)
+    for name, value in lock.items():
+        if name not in tree.joints:
+            raise RobotError(f"URDF {tree.path}: locked joint {name!r} does not exist{near(name, tree.joints)}")
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise RobotError(f"URDF {tree.path}: joint {name} is locked at {value!r}; a finite number is expected")
+    base_inertial = tree.links[base]
+    if base_inertial is None:
+        raise RobotError(f"URDF {tree.path}: base link {base!r} has no mass; a floating base needs an <inertial>")
+    tree.refuse_mass_above(base)
+    # B stands at the base body's centre of mass, with the base link's axes.
+    rotation, translation = np.eye(3), -base_inertial.centre_of_mass
+    free: list[Joint] = []
+    bodies: list[Inertial] = []
+    body = _welded(tree, base, rotation, translation, path[0] if path else None, {base, tool}, lock, tip)
+    link, tool_pose = base, None
+    for joint, following in zip(path, [*path[1:], None], strict=True):
+        translation = translation + rotation @ joint.translation
+        rotation = rotation @ joint.rotation
+        if joint.kind == "fixed" or joint.name in lock:
+            rotation, translation = joint.displaced(rotation, translation, lock.get(joint.name, 0.0))
+        else:
+            align = _z_onto(joint.axis)
+            free.append(joint.free(_exact(rotation @ align), constant(translation, (3,))))
+            bodies.append(body)
+            body, tool_pose = Inertial.zero(), None
+            rotation, translation = align.T, np.zeros(3)
+        link = joint.child
+        body = body.merged_with(_welded(tree, link, rotation, translation, following, {base, tool}, lock, tip))
+        if link == tool:
+            tool_pose = (rotation, translation)
+    bodies.append(body)
+    end_rotation, end_translation = _exact(rotation), constant(translation, (3,))
+    tool_inertial = Inertial.zero()
+    if tool is not None:
+        mass = tree.links[tool]
+        if tool_pose is None or mass is None:
             raise RobotError(
-                f"URDF {self.path}: the chain ends in several links ({', '.join(sorted(leaves))}); name the end-effector"
+                f"URDF {tree.path}: tool link {tool!r} must have an <inertial> and stand between the last free joint "
+                f"and the end-effector {tip!r}"
             )
-        return leaves[0]
+        turn = end_rotation.T @ tool_pose[0]
+        tool_inertial = mass.seen_from(turn, end_rotation.T @ (tool_pose[1] - end_translation))
+    return Robot(
+        name=tree.name,
+        base=base_inertial.seen_from(np.eye(3), -base_inertial.centre_of_mass),
+        base_attachment=bodies[0],
+        joints=tuple(free),
+        bodies=tuple(bodies[1:]),
+        end_effector_rotation=end_rotation,
+        end_effector_translation=end_translation,
+        tool=tool_inertial,
+        posture=_posture(tree, free, posture),
+    )
 
-    def robot(
-        self,
-        base: str,
-        tip: str,
-        tool: str | None,
-        lock: dict[str, float],
-        posture: Mapping[str, float] | Sequence[float] | None,
-    ) -> Robot:
-        path = self._path(base, tip)
-        for name, value in lock.items():
-            if name not in self.joints:
-                raise RobotError(f"URDF {self.path}: locked joint {name!r} does not exist{_near(name, self.joints)}")
-            if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-                raise RobotError(f"URDF {self.path}: joint {name} is locked at {value!r}; a finite number is expected")
-        base_inertial = self.links[base]
-        if base_inertial is None:
-            raise RobotError(f"URDF {self.path}: base link {base!r} has no mass; a floating base needs an <inertial>")
-        self._refuse_mass_above(base)
-        # B stands at the base body's centre of mass, with the base link's axes.
-        rotation, translation = np.eye(3), -base_inertial.centre_of_mass
-        free: list[Joint] = []
-        bodies: list[Inertial] = []
-        body = self._welded(base, rotation, translation, path[0] if path else None, {base, tool}, lock, tip)
-        link, tool_pose = base, None
-        for joint, following in zip(path, [*path[1:], None], strict=True):
-            translation = translation + rotation @ joint.translation
-            rotation = rotation @ joint.rotation
-            if joint.kind == "fixed" or joint.name in lock:
-                rotation, translation = joint.displaced(rotation, translation, lock.get(joint.name, 0.0))
-            else:
-                align = _z_onto(joint.axis)
-                free.append(joint.free(_exact(rotation @ align), constant(translation, (3,))))
-                bodies.append(body)
-                body, tool_pose = Inertial.zero(), None
-                rotation, translation = align.T, np.zeros(3)
-            link = joint.child
-            body = body.merged_with(self._welded(link, rotation, translation, following, {base, tool}, lock, tip))
-            if link == tool:
-                tool_pose = (rotation, translation)
-        bodies.append(body)
-        end_rotation, end_translation = _exact(rotation), constant(translation, (3,))
-        tool_inertial = Inertial.zero()
-        if tool is not None:
-            mass = self.links[tool]
-            if tool_pose is None or mass is None:
-                raise RobotError(
-                    f"URDF {self.path}: tool link {tool!r} must have an <inertial> and stand between the last free joint "
-                    f"and the end-effector {tip!r}"
-                )
-            turn = end_rotation.T @ tool_pose[0]
-            tool_inertial = mass.seen_from(turn, end_rotation.T @ (tool_pose[1] - end_translation))
-        return Robot(
-            name=self.name,
-            base=base_inertial.seen_from(np.eye(3), -base_inertial.centre_of_mass),
-            base_attachment=bodies[0],
-            joints=tuple(free),
-            bodies=tuple(bodies[1:]),
-            end_effector_rotation=end_rotation,
-            end_effector_translation=end_translation,
-            tool=tool_inertial,
-            posture=self._posture(free, posture),
-        )
 
-    def _welded(
-        self,
-        link: str,
-        rotation: Array,
-        translation: Array,
-        skip: _Joint | None,
-        apart: set[str | None],
-        lock: Mapping[str, float],
-        tip: str,
-    ) -> Inertial:
-        """This link and everything welded to it, except the links in `apart` and what hangs below the joint `skip`."""
-        own = self.links[link]
-        total = Inertial.zero() if own is None or link in apart else own.seen_from(rotation, translation)
-        for joint in self.children[link]:
-            if joint is skip:
-                continue
-            if joint.kind != "fixed" and joint.name not in lock:
-                raise RobotError(
-                    f"URDF {self.path}: not a serial chain: joint {joint.name!r} moves a branch beside or beyond the path "
-                    f"to {tip!r}; lock it or name another end-effector"
-                )
-            turn, shift = rotation @ joint.rotation, translation + rotation @ joint.translation
-            turn, shift = joint.displaced(turn, shift, lock.get(joint.name, 0.0))
-            total = total.merged_with(self._welded(joint.child, turn, shift, None, apart, lock, tip))
-        return total
-
-    def _path(self, base: str, tip: str) -> list[_Joint]:
-        """The joints from base to tip, outward."""
-        path, link = [], tip
-        while link != base:
-            joint = self.parent.get(link)
-            if joint is None:
-                raise RobotError(f"URDF {self.path}: not a serial chain: {tip!r} does not hang below {base!r}")
-            path.append(joint)
-            link = joint.parent
-        return path[::-1]
-
-    def _refuse_mass_above(self, base: str) -> None:
-        """What hangs above or beside the base link would be cut off: links without mass may go, masses may not."""
-        below, stack = set(), [base]
-        while stack:
-            link = stack.pop()
-            below.add(link)
-            stack += [joint.child for joint in self.children[link]]
-        lost = sorted(name for name, inertial in self.links.items() if inertial is not None and name not in below)
-        if lost:
+def _welded(
+    tree: UrdfTree,
+    link: str,
+    rotation: Array,
+    translation: Array,
+    skip: UrdfJoint | None,
+    apart: set[str | None],
+    lock: Mapping[str, float],
+    tip: str,
+) -> Inertial:
+    """This link and everything welded to it, except the links in `apart` and what hangs below the joint `skip`."""
+    own = tree.links[link]
+    total = Inertial.zero() if own is None or link in apart else own.seen_from(rotation, translation)
+    for joint in tree.children[link]:
+        if joint is skip:
+            continue
+        if joint.kind != "fixed" and joint.name not in lock:
             raise RobotError(
-                f"URDF {self.path}: links {', '.join(lost)} have mass but do not hang below the base link {base!r}; "
-                f"choose {self.root!r} as base link"
+                f"URDF {tree.path}: not a serial chain: joint {joint.name!r} moves a branch beside or beyond the path "
+                f"to {tip!r}; lock it or name another end-effector"
             )
+        turn, shift = rotation @ joint.rotation, translation + rotation @ joint.translation
+        turn, shift = joint.displaced(turn, shift, lock.get(joint.name, 0.0))
+        total = total.merged_with(_welded(tree, joint.child, turn, shift, None, apart, lock, tip))
+    return total
 
-    def _posture(self, free: Sequence[Joint], posture: Mapping[str, float] | Sequence[float] | None) -> Array:
-        names = [joint.name for joint in free]
-        if posture is None:
-            return constant([_neutral(joint) for joint in free], (len(free),))
-        if isinstance(posture, Mapping):
-            for name in posture:
-                if name not in names:
-                    raise RobotError(f"URDF {self.path}: posture names {name!r}, which is no free joint{_near(name, names)}")
-            missing = [name for name in names if name not in posture]
-            if missing:
-                raise RobotError(f"URDF {self.path}: posture lacks the joints {', '.join(missing)}")
-            posture = [posture[name] for name in names]
-        return constant(posture, (len(posture),))
 
-    def _add(self, joint: _Joint) -> None:
-        for role, link in (("parent", joint.parent), ("child", joint.child)):
-            if link not in self.links:
-                raise RobotError(
-                    f"URDF {self.path}: joint {joint.name!r} has {role} link {link!r}, which does not exist{_near(link, self.links)}"
-                )
-        if joint.name in self.joints:
-            raise RobotError(f"URDF {self.path}: joint {joint.name!r} is defined twice")
-        if joint.child in self.parent:
-            raise RobotError(
-                f"URDF {self.path}: not a tree: link {joint.child!r} hangs on both joints {self.parent[joint.child].name!r} "
-                f"and {joint.name!r}"
-            )
-        self.joints[joint.name] = joint
-        self.parent[joint.child] = joint
-        self.children[joint.parent].append(joint)
-
-    def _joint(self, element: ElementTree.Element) -> _Joint:
-        name = self._attribute(element, "name", "a joint")
-        kind = self._attribute(element, "type", f"joint {name!r}")
-        if kind not in ("fixed", *MOVING):
-            raise RobotError(
-                f"URDF {self.path}: joint {name!r} is of type {kind!r}; fixed, revolute, continuous or prismatic is expected"
-            )
-        if element.find("mimic") is not None:
-            raise RobotError(f"URDF {self.path}: joint {name!r} mimics another joint, which is not supported")
-        parent, child = element.find("parent"), element.find("child")
-        if parent is None or child is None:
-            raise RobotError(f"URDF {self.path}: joint {name!r} lacks its parent or child link")
-        subject = f"joint {name!r}"
-        rotation, translation = self._origin(element.find("origin"), subject)
-        axis_element = element.find("axis")
-        axis = np.array([1.0, 0.0, 0.0]) if axis_element is None else self._vector(axis_element, "xyz", subject)
-        if kind != "fixed" and not np.linalg.norm(axis) > 0.0:
-            raise RobotError(f"URDF {self.path}: joint {name!r} has an axis of zero length")
-        limit = element.find("limit")
-        bounded = limit is not None and kind in ("revolute", "prismatic")
-        lower = self._number(limit, "lower", subject, 0.0) if bounded else -math.inf
-        upper = self._number(limit, "upper", subject, 0.0) if bounded else math.inf
-        if lower > upper:
-            raise RobotError(f"URDF {self.path}: joint {name!r} has lower limit {lower:g} above upper limit {upper:g}")
-        return _Joint(
-            name=name,
-            kind=kind,
-            parent=self._attribute(parent, "link", subject),
-            child=self._attribute(child, "link", subject),
-            rotation=rotation,
-            translation=translation,
-            axis=axis / np.linalg.norm(axis) if kind != "fixed" else axis,
-            lower=lower,
-            upper=upper,
-            velocity=self._number(limit, "velocity", subject, math.inf),
-            effort=self._number(limit, "effort", subject, math.inf),
-        )
-
-    def _inertial(self, link: ElementTree.Element, name: str) -> Inertial | None:
-        element = link.find("inertial")
-        if element is None:
-            return None
-        subject = f"link {name!r}"
-        mass_element, inertia_element = element.find("mass"), element.find("inertia")
-        if mass_element is None or inertia_element is None:
-            raise RobotError(f"URDF {self.path}: {subject} has an <inertial> without <mass> or <inertia>")
-        mass = self._number(mass_element, "value", subject, None)
-        entry = {key: self._number(inertia_element, key, subject, 0.0) for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")}
-        inertia = np.array(
-            [
-                [entry["ixx"], entry["ixy"], entry["ixz"]],
-                [entry["ixy"], entry["iyy"], entry["iyz"]],
-                [entry["ixz"], entry["iyz"], entry["izz"]],
-            ]
-        )
-        if mass == 0.0 and not inertia.any():
-            return None
-        rotation, translation = self._origin(element.find("origin"), subject)
-        inertial = Inertial(mass=mass, centre_of_mass=constant(np.zeros(3), (3,)), inertia=constant(inertia, (3, 3)))
-        inertial = inertial.seen_from(rotation, translation)
-        inertial.check(f"URDF {self.path}, {subject}")
-        return inertial
-
-    def _origin(self, element: ElementTree.Element | None, subject: str) -> tuple[Array, Array]:
-        if element is None:
-            return np.eye(3), np.zeros(3)
-        return _rotation_from_rpy(self._vector(element, "rpy", subject)), self._vector(element, "xyz", subject)
-
-    def _vector(self, element: ElementTree.Element, key: str, subject: str) -> Array:
-        text = element.get(key, "0 0 0")
-        try:
-            values = np.array([float(word) for word in text.split()])
-        except ValueError:
-            values = np.array([])
-        if values.shape != (3,) or not np.isfinite(values).all():
-            raise RobotError(f"URDF {self.path}: {subject} has {key}={text!r}; three finite numbers are expected")
-        return values
-
-    def _number(self, element: ElementTree.Element | None, key: str, subject: str, default: float | None) -> float:
-        text = None if element is None else element.get(key)
-        if text is None and default is not None:
-            return default
-        try:
-            value = float(text or "")
-        except ValueError:
-            value = math.nan
-        if math.isnan(value):
-            raise RobotError(f"URDF {self.path}: {subject} has {key}={text!r}; a number is expected")
-        return value
-
-    def _attribute(self, element: ElementTree.Element, key: str, subject: str) -> str:
-        value = element.get(key)
-        if not value:
-            raise RobotError(f"URDF {self.path}: {subject} lacks the attribute {key!r}")
-        return value
+def _posture(tree: UrdfTree, free: Sequence[Joint], posture: Mapping[str, float] | Sequence[float] | None) -> Array:
+    names = [joint.name for joint in free]
+    if posture is None:
+        return constant([_neutral(joint) for joint in free], (len(free),))
+    if isinstance(posture, Mapping):
+        for name in posture:
+            if name not in names:
+                raise RobotError(f"URDF {tree.path}: posture names {name!r}, which is no free joint{near(name, names)}")
+        missing = [name for name in names if name not in posture]
+        if missing:
+            raise RobotError(f"URDF {tree.path}: posture lacks the joints {', '.join(missing)}")
+        posture = [posture[name] for name in names]
+    return constant(posture, (len(posture),))
 
 
 def _neutral(joint: Joint) -> float:
     if joint.lower <= 0.0 <= joint.upper:
         return 0.0
     return 0.5 * (joint.lower + joint.upper)
-
-
-def _rotation_from_rpy(rpy: Array) -> Array:
-    """URDF's fixed-axis roll, pitch, yaw."""
-    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
-
-
-def _rotation_about(axis: Array, angle: float) -> Array:
-    x, y, z = axis
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.asarray(np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross)
 
 
 def _z_onto(axis: Array) -> Array:
@@ -438,8 +193,3 @@ def _exact(rotation: Array) -> Array:
     """Rounding dust beside 0 and +-1 removed (a few ulp), so that sparse rotations stay sparse in the generated code."""
     nearest = np.round(rotation)
     return constant(np.where(np.abs(rotation - nearest) < 1e-15, nearest, rotation) + 0.0, (3, 3))
-
-
-def _near(name: str, candidates: object) -> str:
-    close = difflib.get_close_matches(name, list(candidates), n=1)  # type: ignore[call-overload]
-    return f"; did you mean {close[0]!r}?" if close else ""

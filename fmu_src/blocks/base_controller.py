@@ -14,6 +14,8 @@ from fmu_src.blocks.robot_parameters import (
     desired_motion,
     mass_parameters,
     measured_state,
+    require_quaternions,
+    require_regular_jacobian,
     require_square_jacobian,
 )
 from fmu_src.equations import passivity, rotation
@@ -87,13 +89,6 @@ def base_controller(robot: Robot) -> Block:
     block.output("base_wrench", F_b_total, WRENCH, "F'_b: total wrench on the base, passivity controller included, in I")
     block.output("port_wrench", F_b_total - Jb_F, WRENCH, "F'_B(k_b) = F'_b - J_b^T F'_m at this sample, in I")
     block.output("passivity_wrench", F_pcb, WRENCH, "F_pcb: share of the passivity controller, (25), in I")
-    sigma = smallest_singular_value(star.Jm_inverse)
-    for name, quaternion in (("base_orientation", state.orientation), ("orientation_setpoint", R_bd)):
-        block.require(ca.sumsqr(quaternion), 1e-12, f"squared norm of {name}", "give a quaternion of norm one", strict=True)
-    block.require(
-        sigma,
-        least_sigma,
-        "smallest singular value of J_m",
-        "keep the posture away from singularities, or lower singularity_threshold",
-    )
+    require_quaternions(block, {"base_orientation": state.orientation, "orientation_setpoint": R_bd})
+    require_regular_jacobian(block, smallest_singular_value(star.Jm_inverse), least_sigma)
     return block

@@ -11,7 +11,14 @@ import numpy as np
 from fmu_src.block import TWIST, Block
 from fmu_src.blocks.gains import BASE, MANIPULATOR, gains
 from fmu_src.blocks.reference_trajectory import reference_motion
-from fmu_src.blocks.robot_parameters import IDENTITY, joint_units, mass_parameters, require_square_jacobian
+from fmu_src.blocks.robot_parameters import (
+    IDENTITY,
+    joint_units,
+    mass_parameters,
+    require_quaternions,
+    require_regular_jacobian,
+    require_square_jacobian,
+)
 from fmu_src.equations import dynamics, rotation
 from fmu_src.equations.kinematics import (
     base_jacobian_times,
@@ -44,6 +51,9 @@ def continuous_loop(robot: Robot) -> Block:
     R_bd = block.parameter(
         "orientation_setpoint", IDENTITY, "1", "Base orientation to hold, quaternion x, y, z, w", tunable=True
     )
+    least_sigma = block.parameter(
+        "singularity_threshold", 0.02, "1", "Least singular value of J_m allowed", tunable=True, minimum=0.0
+    )
     desired = reference_motion(block, robot)
 
     p_b = block.state("base_position", np.zeros(3), "m", "Position of B in I")
@@ -52,8 +62,8 @@ def continuous_loop(robot: Robot) -> Block:
     q = block.state("joint_position", robot.posture, joint_units(robot, "rad", "m"), "q: joint positions")
     qd = block.state("joint_velocity", np.zeros(n), joint_units(robot, "rad/s", "m/s"), "q': joint velocities")
     block.initial("base_orientation", rotation.normalised(R_b))
-    block.require(ca.sumsqr(R_b), 1e-12, "squared norm of base_orientation", "give a quaternion of norm one", initially=True)
-    block.require(ca.sumsqr(R_bd), 1e-12, "squared norm of orientation_setpoint", "give a quaternion of norm one")
+    require_quaternions(block, {"base_orientation": R_b}, initially=True)
+    require_quaternions(block, {"orientation_setpoint": R_bd})
     state = State(R_b, v_b[:3], v_b[3:], q, qd)
 
     p_e, R_e = end_effector_pose(mechanism, p_b, R_b, q)
@@ -84,10 +94,5 @@ def continuous_loop(robot: Robot) -> Block:
     block.output("desired_orientation", desired.orientation, "1", "Desired orientation of E in I, quaternion x, y, z, w")
     block.output("lyapunov_function", V, "J", "V of (10)")
     block.output("dissipated_power", dissipated, "W", "-dV/dt by (15)")
-    block.require(
-        smallest_singular_value(star.Jm_inverse),
-        0.02,
-        "smallest singular value of J_m",
-        "keep the posture away from singularities",
-    )
+    require_regular_jacobian(block, smallest_singular_value(star.Jm_inverse), least_sigma)
     return block

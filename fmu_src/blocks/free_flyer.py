@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import casadi as ca
 import numpy as np
 
 from fmu_src.block import TWIST, WRENCH, Block
-from fmu_src.blocks.robot_parameters import IDENTITY, joint_units, mass_parameters
+from fmu_src.blocks.robot_parameters import IDENTITY, joint_units, mass_parameters, require_quaternions
 from fmu_src.equations import dynamics, rotation
 from fmu_src.equations.kinematics import end_effector_pose, end_effector_velocity
 from fmu_src.equations.mechanism import State
@@ -28,13 +27,7 @@ def free_flyer(robot: Robot) -> Block:
     state = State(orientation, velocity[:3], velocity[3:], q, qd)
 
     block.initial("base_orientation", rotation.normalised(orientation))
-    block.require(
-        ca.sumsqr(orientation),
-        1e-12,
-        "squared norm of base_orientation",
-        "give a quaternion x, y, z, w of norm one",
-        initially=True,
-    )
+    require_quaternions(block, {"base_orientation": orientation}, initially=True)
     base_acceleration, qdd = dynamics.forward_dynamics(mechanism, state, base_wrench, torque)
     block.derivative("base_position", state.v)
     block.derivative("base_orientation", rotation.derivative(orientation, state.w))

@@ -12,6 +12,8 @@ from fmu_src.blocks.robot_parameters import (
     joint_units,
     mass_parameters,
     measured_state,
+    require_quaternions,
+    require_regular_jacobian,
     require_square_jacobian,
     start_pose,
 )
@@ -152,13 +154,7 @@ def manipulator_controller(robot: Robot) -> Block:
     )
     margin = ca.fmin(state.q - lower, upper - state.q)
     block.output("joint_limit_margin", margin, joint_units(robot, "rad", "m"), "Distance of each joint from its nearer limit")
-    for name, quaternion in (("end_effector_orientation", R_e), ("desired_orientation", R_d)):
-        block.require(ca.sumsqr(quaternion), 1e-12, f"squared norm of {name}", "give a quaternion of norm one")
-    block.require(ca.sumsqr(state.orientation), 1e-12, "squared norm of base_orientation", "give a quaternion of norm one")
-    block.require(
-        sigma,
-        least_sigma,
-        "smallest singular value of J_m",
-        "keep the posture away from singularities, or lower singularity_threshold",
-    )
+    quaternions = {"base_orientation": state.orientation, "end_effector_orientation": R_e, "desired_orientation": R_d}
+    require_quaternions(block, quaternions)
+    require_regular_jacobian(block, sigma, least_sigma)
     return block

@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 
 from fmu_src.block import ACCELERATION, TWIST, Block
-from fmu_src.blocks.robot_parameters import start_pose
+from fmu_src.blocks.robot_parameters import require_quaternions, start_pose
 from fmu_src.equations.trajectory import Motion, ramped_sine
 from fmu_src.robot import Robot
 
@@ -28,9 +28,7 @@ def reference_motion(block: Block, robot: Robot) -> Motion:
     )
     frequency = block.parameter("frequency", 0.1, "Hz", "Frequency of the sine (assumed)", minimum=0.0)
     ramp_time = block.parameter("ramp_time", 5.0, "s", "Duration of the quintic ramp of the amplitude (assumed)", above=0.0)
-    block.require(
-        ca.sumsqr(R_0), 1e-12, "squared norm of initial_orientation", "give a quaternion x, y, z, w of norm one", strict=True
-    )
+    require_quaternions(block, {"initial_orientation": R_0})
     return ramped_sine(block.time, p_0, R_0, translation, turn, frequency, ramp_time)
 
 

@@ -92,6 +92,18 @@ def desired_motion(block: Block) -> tuple[SX, SX]:
     )
 
 
+def require_quaternions(block: Block, quaternions: dict[str, SX], *, initially: bool = False) -> None:
+    """Refuse a quaternion of no length, by name."""
+    for name, quaternion in quaternions.items():
+        remedy = "give a quaternion x, y, z, w of norm one"
+        block.require(ca.sumsqr(quaternion), 1e-12, f"squared norm of {name}", remedy, initially=initially)
+
+
+def require_regular_jacobian(block: Block, sigma_min: SX, threshold: SX | float) -> None:
+    remedy = "keep the posture away from singularities, or lower singularity_threshold"
+    block.require(sigma_min, threshold, "smallest singular value of J_m", remedy)
+
+
 def require_square_jacobian(robot: Robot, subject: str) -> None:
     if robot.joint_count != 6:
         raise RobotError(

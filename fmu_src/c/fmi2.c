@@ -31,8 +31,7 @@ const char *fmi2GetVersion(void) { return fmi2Version; }
 
 fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const fmi2String categories[])
 {
-    (void)n;
-    (void)categories;
+    (void)n, (void)categories;
     if (!c)
         return fmi2Error;
     ((Instance *)c)->logging = on;
@@ -42,8 +41,7 @@ fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const 
 fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String token, fmi2String resources,
                               const fmi2CallbackFunctions *callbacks, fmi2Boolean visible, fmi2Boolean logging)
 {
-    (void)resources;
-    (void)visible;
+    (void)resources, (void)visible;
     if (type == fmi2ModelExchange && block.period >= 0)
         return NULL;
     Instance *c = instance_new(name, token, type == fmi2ModelExchange);
@@ -63,10 +61,7 @@ void fmi2FreeInstance(fmi2Component c) { instance_free(c); }
 fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean tolerance_defined, fmi2Real tolerance, fmi2Real start,
                                fmi2Boolean stop_defined, fmi2Real stop)
 {
-    (void)tolerance_defined;
-    (void)tolerance;
-    (void)stop_defined;
-    (void)stop;
+    (void)tolerance_defined, (void)tolerance, (void)stop_defined, (void)stop;
     ALLOW((Instance *)c, INSTANTIATED);
     ((Instance *)c)->memory->clock = start;
     return fmi2OK;
@@ -179,15 +174,13 @@ static fmi2Status no_variables(fmi2Component c, size_t n, const char *what)
 
 fmi2Status fmi2GetString(fmi2Component c, const fmi2ValueReference reference[], size_t n, fmi2String value[])
 {
-    (void)reference;
-    (void)value;
+    (void)reference, (void)value;
     return no_variables(c, n, "string variables");
 }
 
 fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference reference[], size_t n, const fmi2String value[])
 {
-    (void)reference;
-    (void)value;
+    (void)reference, (void)value;
     return no_variables(c, n, "string variables");
 }
 
@@ -252,12 +245,7 @@ fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size
 fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference unknown[], size_t nu,
                                         const fmi2ValueReference known[], size_t nk, const fmi2Real dk[], fmi2Real du[])
 {
-    (void)unknown;
-    (void)nu;
-    (void)known;
-    (void)nk;
-    (void)dk;
-    (void)du;
+    (void)unknown, (void)nu, (void)known, (void)nk, (void)dk, (void)du;
     return no_variables(c, 1, "directional derivatives (it does not advertise them)");
 }
 
@@ -337,18 +325,14 @@ fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component c, fmi2Real nominals[
 fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference reference[], size_t n, const fmi2Integer order[],
                                        const fmi2Real value[])
 {
-    (void)reference;
-    (void)order;
-    (void)value;
+    (void)reference, (void)order, (void)value;
     return no_variables(c, n, "input derivatives");
 }
 
 fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference reference[], size_t n, const fmi2Integer order[],
                                         fmi2Real value[])
 {
-    (void)reference;
-    (void)order;
-    (void)value;
+    (void)reference, (void)order, (void)value;
     return no_variables(c, n, "output derivatives");
 }
 
@@ -366,8 +350,7 @@ fmi2Status fmi2CancelStep(fmi2Component c)
 
 fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Status *value)
 {
-    (void)kind;
-    (void)value;
+    (void)kind, (void)value;
     return no_variables(c, 1, "asynchronous status") == fmi2OK ? fmi2OK : fmi2Discard;
 }
 
@@ -383,9 +366,7 @@ fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Rea
 
 fmi2Status fmi2GetIntegerStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Integer *value)
 {
-    (void)c;
-    (void)kind;
-    (void)value;
+    (void)c, (void)kind, (void)value;
     return fmi2Discard;
 }
 
@@ -401,8 +382,6 @@ fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind kind, fmi2
 
 fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind kind, fmi2String *value)
 {
-    (void)c;
-    (void)kind;
-    (void)value;
+    (void)c, (void)kind, (void)value;
     return fmi2Discard;
 }

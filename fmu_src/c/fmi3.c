@@ -38,8 +38,7 @@ const char *fmi3GetVersion(void) { return fmi3Version; }
 
 fmi3Status fmi3SetDebugLogging(fmi3Instance c, fmi3Boolean on, size_t n, const fmi3String categories[])
 {
-    (void)n;
-    (void)categories;
+    (void)n, (void)categories;
     if (!c)
         return fmi3Error;
     ((Instance *)c)->logging = on;
@@ -64,8 +63,7 @@ static Instance *instantiate(fmi3String name, fmi3String token, int model_exchan
 fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
                                           fmi3Boolean logging, fmi3InstanceEnvironment environment, fmi3LogMessageCallback logger)
 {
-    (void)resources;
-    (void)visible;
+    (void)resources, (void)visible;
     return instantiate(name, token, 1, logging, environment, logger);
 }
 
@@ -74,13 +72,7 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
                                          const fmi3ValueReference intermediate[], size_t n, fmi3InstanceEnvironment environment,
                                          fmi3LogMessageCallback logger, fmi3IntermediateUpdateCallback update)
 {
-    (void)resources;
-    (void)visible;
-    (void)event_mode;
-    (void)early_return;
-    (void)intermediate;
-    (void)n;
-    (void)update;
+    (void)resources, (void)visible, (void)event_mode, (void)early_return, (void)intermediate, (void)n, (void)update;
     return instantiate(name, token, 0, logging, environment, logger);
 }
 
@@ -89,16 +81,8 @@ fmi3Instance fmi3InstantiateScheduledExecution(fmi3String name, fmi3String token
                                                fmi3LogMessageCallback logger, fmi3ClockUpdateCallback clock_update,
                                                fmi3LockPreemptionCallback lock, fmi3UnlockPreemptionCallback unlock)
 {
-    (void)name;
-    (void)token;
-    (void)resources;
-    (void)visible;
-    (void)logging;
-    (void)environment;
-    (void)logger;
-    (void)clock_update;
-    (void)lock;
-    (void)unlock;
+    (void)name, (void)token, (void)resources, (void)visible, (void)logging;
+    (void)environment, (void)logger, (void)clock_update, (void)lock, (void)unlock;
     return NULL;
 }
 
@@ -107,10 +91,7 @@ void fmi3FreeInstance(fmi3Instance c) { instance_free(c); }
 fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean tolerance_defined, fmi3Float64 tolerance, fmi3Float64 start,
                                        fmi3Boolean stop_defined, fmi3Float64 stop)
 {
-    (void)tolerance_defined;
-    (void)tolerance;
-    (void)stop_defined;
-    (void)stop;
+    (void)tolerance_defined, (void)tolerance, (void)stop_defined, (void)stop;
     ALLOW((Instance *)c, INSTANTIATED);
     return status(instance_enter_initialization(c, start));
 }
@@ -198,253 +179,159 @@ fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference reference[], 
 
 /* Enumerations and Booleans of this runtime are scalars. */
 
-fmi3Status fmi3GetInt64(fmi3Instance c, const fmi3ValueReference reference[], size_t nr, fmi3Int64 value[], size_t n)
-{
-    ALLOW((Instance *)c, ANY_MODE);
-    for (size_t i = 0; i < nr && i < n; i++) {
-        double number;
-        if (instance_get(c, reference[i], ENUMERATION, 1, &number) != OK)
-            return fmi3Error;
-        value[i] = (fmi3Int64)number;
+#define SCALARS(Type, kind, FROM)                                                                                              \
+    fmi3Status fmi3Get##Type(fmi3Instance c, const fmi3ValueReference r[], size_t nr, fmi3##Type value[], size_t n)            \
+    {                                                                                                                          \
+        ALLOW((Instance *)c, ANY_MODE);                                                                                        \
+        for (size_t i = 0; i < nr && i < n; i++) {                                                                             \
+            double number;                                                                                                     \
+            if (instance_get(c, r[i], kind, 1, &number) != OK)                                                                 \
+                return fmi3Error;                                                                                              \
+            value[i] = (fmi3##Type)number;                                                                                     \
+        }                                                                                                                      \
+        return status(all_used(c, nr, n));                                                                                     \
+    }                                                                                                                          \
+    fmi3Status fmi3Set##Type(fmi3Instance c, const fmi3ValueReference r[], size_t nr, const fmi3##Type value[], size_t n)      \
+    {                                                                                                                          \
+        if (!c)                                                                                                                \
+            return fmi3Error;                                                                                                  \
+        for (size_t i = 0; i < nr && i < n; i++) {                                                                             \
+            double number = FROM(value[i]);                                                                                    \
+            Status s = instance_set(c, r[i], kind, 1, &number);                                                                \
+            if (s != OK)                                                                                                       \
+                return status(s);                                                                                              \
+        }                                                                                                                      \
+        return status(all_used(c, nr, n));                                                                                     \
     }
-    return status(all_used(c, nr, n));
-}
 
-fmi3Status fmi3SetInt64(fmi3Instance c, const fmi3ValueReference reference[], size_t nr, const fmi3Int64 value[], size_t n)
-{
-    if (!c)
-        return fmi3Error;
-    for (size_t i = 0; i < nr && i < n; i++) {
-        double number = (double)value[i];
-        Status s = instance_set(c, reference[i], ENUMERATION, 1, &number);
-        if (s != OK)
-            return status(s);
+#define FROM_INTEGER(value) (double)(value)
+#define FROM_BOOLEAN(value) ((value) ? 1.0 : 0.0)
+SCALARS(Int64, ENUMERATION, FROM_INTEGER)
+SCALARS(Boolean, BOOLEAN, FROM_BOOLEAN)
+
+/* Types and functions that no block has. */
+
+#define NO_TYPE(Type)                                                                                                          \
+    fmi3Status fmi3Get##Type(fmi3Instance c, const fmi3ValueReference r[], size_t nr, fmi3##Type value[], size_t n)            \
+    {                                                                                                                          \
+        (void)r, (void)value, (void)n;                                                                                         \
+        return nr == 0 ? fmi3OK : absent(c, #Type " variables");                                                               \
+    }                                                                                                                          \
+    fmi3Status fmi3Set##Type(fmi3Instance c, const fmi3ValueReference r[], size_t nr, const fmi3##Type value[], size_t n)      \
+    {                                                                                                                          \
+        (void)r, (void)value, (void)n;                                                                                         \
+        return nr == 0 ? fmi3OK : absent(c, #Type " variables");                                                               \
     }
-    return status(all_used(c, nr, n));
-}
 
-fmi3Status fmi3GetBoolean(fmi3Instance c, const fmi3ValueReference reference[], size_t nr, fmi3Boolean value[], size_t n)
+NO_TYPE(Float32)
+NO_TYPE(Int8)
+NO_TYPE(UInt8)
+NO_TYPE(Int16)
+NO_TYPE(UInt16)
+NO_TYPE(Int32)
+NO_TYPE(UInt32)
+NO_TYPE(UInt64)
+NO_TYPE(String)
+
+fmi3Status fmi3GetBinary(fmi3Instance c, const fmi3ValueReference r[], size_t nr, size_t sizes[], fmi3Binary value[], size_t n)
 {
-    ALLOW((Instance *)c, ANY_MODE);
-    for (size_t i = 0; i < nr && i < n; i++) {
-        double number;
-        if (instance_get(c, reference[i], BOOLEAN, 1, &number) != OK)
-            return fmi3Error;
-        value[i] = number != 0;
-    }
-    return status(all_used(c, nr, n));
-}
-
-fmi3Status fmi3SetBoolean(fmi3Instance c, const fmi3ValueReference reference[], size_t nr, const fmi3Boolean value[], size_t n)
-{
-    if (!c)
-        return fmi3Error;
-    for (size_t i = 0; i < nr && i < n; i++) {
-        double number = value[i] ? 1.0 : 0.0;
-        Status s = instance_set(c, reference[i], BOOLEAN, 1, &number);
-        if (s != OK)
-            return status(s);
-    }
-    return status(all_used(c, nr, n));
-}
-
-/* Types that no block has. */
-
-fmi3Status fmi3GetFloat32(fmi3Instance c, const fmi3ValueReference reference[], size_t nr, fmi3Float32 value[], size_t n)
-{
-    (void)reference;
-    (void)value;
-    (void)n;
-    return nr == 0 ? fmi3OK : absent(c, "Float32 variables");
-}
-
-fmi3Status fmi3SetFloat32(fmi3Instance c, const fmi3ValueReference reference[], size_t nr, const fmi3Float32 value[], size_t n)
-{
-    (void)reference;
-    (void)value;
-    (void)n;
-    return nr == 0 ? fmi3OK : absent(c, "Float32 variables");
-}
-
-fmi3Status fmi3GetInt8(fmi3Instance c, const fmi3ValueReference reference[], size_t nr, fmi3Int8 value[], size_t n)
-{
-    (void)reference;
-    (void)value;
-    (void)n;
-    return nr == 0 ? fmi3OK : absent(c, "Int8 variables");
-}
-
-fmi3Status fmi3SetInt8(fmi3Instance c, const fmi3ValueReference reference[], size_t nr, const fmi3Int8 value[], size_t n)
-{
-    (void)reference;
-    (void)value;
-    (void)n;
-    return nr == 0 ? fmi3OK : absent(c, "Int8 variables");
-}
-
-fmi3Status fmi3GetUInt8(fmi3Instance c, const fmi3ValueReference reference[], size_t nr, fmi3UInt8 value[], size_t n)
-{
-    (void)reference;
-    (void)value;
-    (void)n;
-    return nr == 0 ? fmi3OK : absent(c, "UInt8 variables");
-}
-
-fmi3Status fmi3SetUInt8(fmi3Instance c, const fmi3ValueReference reference[], size_t nr, const fmi3UInt8 value[], size_t n)
-{
-    (void)reference;
-    (void)value;
-    (void)n;
-    return nr == 0 ? fmi3OK : absent(c, "UInt8 variables");
-}
-
-fmi3Status fmi3GetInt16(fmi3Instance c, const fmi3ValueReference reference[], size_t nr, fmi3Int16 value[], size_t n)
-{
-    (void)reference;
-    (void)value;
-    (void)n;
-    return nr == 0 ? fmi3OK : absent(c, "Int16 variables");
-}
-
-fmi3Status fmi3SetInt16(fmi3Instance c, const fmi3ValueReference reference[], size_t nr, const fmi3Int16 value[], size_t n)
-{
-    (void)reference;
-    (void)value;
-    (void)n;
-    return nr == 0 ? fmi3OK : absent(c, "Int16 variables");
-}
-
-fmi3Status fmi3GetUInt16(fmi3Instance c, const fmi3ValueReference reference[], size_t nr, fmi3UInt16 value[], size_t n)
-{
-    (void)reference;
-    (void)value;
-    (void)n;
-    return nr == 0 ? fmi3OK : absent(c, "UInt16 variables");
-}
-
-fmi3Status fmi3SetUInt16(fmi3Instance c, const fmi3ValueReference reference[], size_t nr, const fmi3UInt16 value[], size_t n)
-{
-    (void)reference;
-    (void)value;
-    (void)n;
-    return nr == 0 ? fmi3OK : absent(c, "UInt16 variables");
-}
-
-fmi3Status fmi3GetInt32(fmi3Instance c, const fmi3ValueReference reference[], size_t nr, fmi3Int32 value[], size_t n)
-{
-    (void)reference;
-    (void)value;
-    (void)n;
-    return nr == 0 ? fmi3OK : absent(c, "Int32 variables");
-}
-
-fmi3Status fmi3SetInt32(fmi3Instance c, const fmi3ValueReference reference[], size_t nr, const fmi3Int32 value[], size_t n)
-{
-    (void)reference;
-    (void)value;
-    (void)n;
-    return nr == 0 ? fmi3OK : absent(c, "Int32 variables");
-}
-
-fmi3Status fmi3GetUInt32(fmi3Instance c, const fmi3ValueReference reference[], size_t nr, fmi3UInt32 value[], size_t n)
-{
-    (void)reference;
-    (void)value;
-    (void)n;
-    return nr == 0 ? fmi3OK : absent(c, "UInt32 variables");
-}
-
-fmi3Status fmi3SetUInt32(fmi3Instance c, const fmi3ValueReference reference[], size_t nr, const fmi3UInt32 value[], size_t n)
-{
-    (void)reference;
-    (void)value;
-    (void)n;
-    return nr == 0 ? fmi3OK : absent(c, "UInt32 variables");
-}
-
-fmi3Status fmi3GetUInt64(fmi3Instance c, const fmi3ValueReference reference[], size_t nr, fmi3UInt64 value[], size_t n)
-{
-    (void)reference;
-    (void)value;
-    (void)n;
-    return nr == 0 ? fmi3OK : absent(c, "UInt64 variables");
-}
-
-fmi3Status fmi3SetUInt64(fmi3Instance c, const fmi3ValueReference reference[], size_t nr, const fmi3UInt64 value[], size_t n)
-{
-    (void)reference;
-    (void)value;
-    (void)n;
-    return nr == 0 ? fmi3OK : absent(c, "UInt64 variables");
-}
-
-fmi3Status fmi3GetString(fmi3Instance c, const fmi3ValueReference reference[], size_t nr, fmi3String value[], size_t n)
-{
-    (void)reference;
-    (void)value;
-    (void)n;
-    return nr == 0 ? fmi3OK : absent(c, "String variables");
-}
-
-fmi3Status fmi3SetString(fmi3Instance c, const fmi3ValueReference reference[], size_t nr, const fmi3String value[], size_t n)
-{
-    (void)reference;
-    (void)value;
-    (void)n;
-    return nr == 0 ? fmi3OK : absent(c, "String variables");
-}
-
-fmi3Status fmi3GetBinary(fmi3Instance c, const fmi3ValueReference reference[], size_t nr, size_t sizes[],
-                         fmi3Binary value[], size_t n)
-{
-    (void)reference;
-    (void)sizes;
-    (void)value;
-    (void)n;
+    (void)r, (void)sizes, (void)value, (void)n;
     return nr == 0 ? fmi3OK : absent(c, "Binary variables");
 }
 
-fmi3Status fmi3GetClock(fmi3Instance c, const fmi3ValueReference reference[], size_t nr, fmi3Clock value[])
+fmi3Status fmi3SetBinary(fmi3Instance c, const fmi3ValueReference r[], size_t nr, const size_t sizes[], const fmi3Binary value[],
+                         size_t n)
 {
-    (void)reference;
-    (void)value;
-    return nr == 0 ? fmi3OK : absent(c, "clocks");
-}
-
-fmi3Status fmi3SetBinary(fmi3Instance c, const fmi3ValueReference reference[], size_t nr, const size_t sizes[],
-                         const fmi3Binary value[], size_t n)
-{
-    (void)reference;
-    (void)sizes;
-    (void)value;
-    (void)n;
+    (void)r, (void)sizes, (void)value, (void)n;
     return nr == 0 ? fmi3OK : absent(c, "Binary variables");
 }
 
-fmi3Status fmi3SetClock(fmi3Instance c, const fmi3ValueReference reference[], size_t nr, const fmi3Clock value[])
+fmi3Status fmi3GetClock(fmi3Instance c, const fmi3ValueReference r[], size_t nr, fmi3Clock value[])
 {
-    (void)reference;
-    (void)value;
+    (void)r, (void)value;
     return nr == 0 ? fmi3OK : absent(c, "clocks");
 }
 
-fmi3Status fmi3GetNumberOfVariableDependencies(fmi3Instance c, fmi3ValueReference reference, size_t *n)
+fmi3Status fmi3SetClock(fmi3Instance c, const fmi3ValueReference r[], size_t nr, const fmi3Clock value[])
 {
-    (void)reference;
-    (void)n;
+    (void)r, (void)value;
+    return nr == 0 ? fmi3OK : absent(c, "clocks");
+}
+
+#define NO_CLOCK_2(Name, A, B)                                                                                                 \
+    fmi3Status Name(fmi3Instance c, const fmi3ValueReference r[], size_t n, A a[], B b[])                                      \
+    {                                                                                                                          \
+        (void)r, (void)n, (void)a, (void)b;                                                                                    \
+        return absent(c, "clocks");                                                                                            \
+    }
+#define NO_CLOCK_1(Name, A)                                                                                                    \
+    fmi3Status Name(fmi3Instance c, const fmi3ValueReference r[], size_t n, A a[])                                             \
+    {                                                                                                                          \
+        (void)r, (void)n, (void)a;                                                                                             \
+        return absent(c, "clocks");                                                                                            \
+    }
+
+NO_CLOCK_2(fmi3GetIntervalDecimal, fmi3Float64, fmi3IntervalQualifier)
+NO_CLOCK_1(fmi3GetShiftDecimal, fmi3Float64)
+NO_CLOCK_2(fmi3GetShiftFraction, fmi3UInt64, fmi3UInt64)
+NO_CLOCK_1(fmi3SetIntervalDecimal, const fmi3Float64)
+NO_CLOCK_2(fmi3SetIntervalFraction, const fmi3UInt64, const fmi3UInt64)
+NO_CLOCK_1(fmi3SetShiftDecimal, const fmi3Float64)
+NO_CLOCK_2(fmi3SetShiftFraction, const fmi3UInt64, const fmi3UInt64)
+
+fmi3Status fmi3GetIntervalFraction(fmi3Instance c, const fmi3ValueReference r[], size_t n, fmi3UInt64 counter[],
+                                   fmi3UInt64 resolution[], fmi3IntervalQualifier qualifier[])
+{
+    (void)r, (void)n, (void)counter, (void)resolution, (void)qualifier;
+    return absent(c, "clocks");
+}
+
+fmi3Status fmi3GetNumberOfVariableDependencies(fmi3Instance c, fmi3ValueReference r, size_t *n)
+{
+    (void)r, (void)n;
     return absent(c, "variable dependencies at run time");
 }
 
-fmi3Status fmi3GetVariableDependencies(fmi3Instance c, fmi3ValueReference dependent, size_t rows[], fmi3ValueReference independents[], size_t columns[], fmi3DependencyKind kinds[], size_t n)
+fmi3Status fmi3GetVariableDependencies(fmi3Instance c, fmi3ValueReference dependent, size_t rows[], fmi3ValueReference r[],
+                                       size_t columns[], fmi3DependencyKind kinds[], size_t n)
 {
-    (void)dependent;
-    (void)rows;
-    (void)independents;
-    (void)columns;
-    (void)kinds;
-    (void)n;
+    (void)dependent, (void)rows, (void)r, (void)columns, (void)kinds, (void)n;
     return absent(c, "variable dependencies at run time");
 }
+
+#define NO_DERIVATIVE(Name, what)                                                                                              \
+    fmi3Status Name(fmi3Instance c, const fmi3ValueReference unknowns[], size_t nu, const fmi3ValueReference knowns[],         \
+                    size_t nk, const fmi3Float64 seed[], size_t ns, fmi3Float64 sensitivity[], size_t nv)                      \
+    {                                                                                                                          \
+        (void)unknowns, (void)nu, (void)knowns, (void)nk, (void)seed, (void)ns, (void)sensitivity, (void)nv;                   \
+        return absent(c, what);                                                                                                \
+    }
+
+NO_DERIVATIVE(fmi3GetDirectionalDerivative, "directional derivatives (it does not advertise them)")
+NO_DERIVATIVE(fmi3GetAdjointDerivative, "adjoint derivatives (it does not advertise them)")
+
+fmi3Status fmi3EnterConfigurationMode(fmi3Instance c) { return absent(c, "configuration mode"); }
+
+fmi3Status fmi3ExitConfigurationMode(fmi3Instance c) { return absent(c, "configuration mode"); }
+
+fmi3Status fmi3EvaluateDiscreteStates(fmi3Instance c) { return absent(c, "discrete states to evaluate"); }
+
+fmi3Status fmi3EnterStepMode(fmi3Instance c) { return absent(c, "event mode in co-simulation"); }
+
+fmi3Status fmi3GetOutputDerivatives(fmi3Instance c, const fmi3ValueReference r[], size_t nr, const fmi3Int32 orders[],
+                                    fmi3Float64 value[], size_t n)
+{
+    (void)r, (void)nr, (void)orders, (void)value, (void)n;
+    return absent(c, "output derivatives");
+}
+
+fmi3Status fmi3ActivateModelPartition(fmi3Instance c, fmi3ValueReference clock, fmi3Float64 time)
+{
+    (void)clock, (void)time;
+    return absent(c, "scheduled execution");
+}
+
+/* Saved states */
 
 fmi3Status fmi3GetFMUState(fmi3Instance c, fmi3FMUState *saved)
 {
@@ -502,117 +389,6 @@ fmi3Status fmi3DeserializeFMUState(fmi3Instance c, const fmi3Byte bytes[], size_
         return fmi3Error;
     memcpy(*saved, bytes, size);
     return fmi3OK;
-}
-
-fmi3Status fmi3GetDirectionalDerivative(fmi3Instance c, const fmi3ValueReference unknowns[], size_t nu, const fmi3ValueReference knowns[], size_t nk, const fmi3Float64 seed[], size_t ns, fmi3Float64 sensitivity[], size_t nv)
-{
-    (void)unknowns;
-    (void)nu;
-    (void)knowns;
-    (void)nk;
-    (void)seed;
-    (void)ns;
-    (void)sensitivity;
-    (void)nv;
-    return absent(c, "directional derivatives (it does not advertise them)");
-}
-
-fmi3Status fmi3GetAdjointDerivative(fmi3Instance c, const fmi3ValueReference unknowns[], size_t nu, const fmi3ValueReference knowns[], size_t nk, const fmi3Float64 seed[], size_t ns, fmi3Float64 sensitivity[], size_t nv)
-{
-    (void)unknowns;
-    (void)nu;
-    (void)knowns;
-    (void)nk;
-    (void)seed;
-    (void)ns;
-    (void)sensitivity;
-    (void)nv;
-    return absent(c, "adjoint derivatives (it does not advertise them)");
-}
-
-fmi3Status fmi3EnterConfigurationMode(fmi3Instance c)
-{
-    return absent(c, "configuration mode");
-}
-
-fmi3Status fmi3ExitConfigurationMode(fmi3Instance c)
-{
-    return absent(c, "configuration mode");
-}
-
-fmi3Status fmi3GetIntervalDecimal(fmi3Instance c, const fmi3ValueReference reference[], size_t n, fmi3Float64 interval[], fmi3IntervalQualifier qualifier[])
-{
-    (void)reference;
-    (void)n;
-    (void)interval;
-    (void)qualifier;
-    return absent(c, "clocks");
-}
-
-fmi3Status fmi3GetIntervalFraction(fmi3Instance c, const fmi3ValueReference reference[], size_t n, fmi3UInt64 counter[], fmi3UInt64 resolution[], fmi3IntervalQualifier qualifier[])
-{
-    (void)reference;
-    (void)n;
-    (void)counter;
-    (void)resolution;
-    (void)qualifier;
-    return absent(c, "clocks");
-}
-
-fmi3Status fmi3GetShiftDecimal(fmi3Instance c, const fmi3ValueReference reference[], size_t n, fmi3Float64 shift[])
-{
-    (void)reference;
-    (void)n;
-    (void)shift;
-    return absent(c, "clocks");
-}
-
-fmi3Status fmi3GetShiftFraction(fmi3Instance c, const fmi3ValueReference reference[], size_t n, fmi3UInt64 counter[], fmi3UInt64 resolution[])
-{
-    (void)reference;
-    (void)n;
-    (void)counter;
-    (void)resolution;
-    return absent(c, "clocks");
-}
-
-fmi3Status fmi3SetIntervalDecimal(fmi3Instance c, const fmi3ValueReference reference[], size_t n, const fmi3Float64 interval[])
-{
-    (void)reference;
-    (void)n;
-    (void)interval;
-    return absent(c, "clocks");
-}
-
-fmi3Status fmi3SetIntervalFraction(fmi3Instance c, const fmi3ValueReference reference[], size_t n, const fmi3UInt64 counter[], const fmi3UInt64 resolution[])
-{
-    (void)reference;
-    (void)n;
-    (void)counter;
-    (void)resolution;
-    return absent(c, "clocks");
-}
-
-fmi3Status fmi3SetShiftDecimal(fmi3Instance c, const fmi3ValueReference reference[], size_t n, const fmi3Float64 shift[])
-{
-    (void)reference;
-    (void)n;
-    (void)shift;
-    return absent(c, "clocks");
-}
-
-fmi3Status fmi3SetShiftFraction(fmi3Instance c, const fmi3ValueReference reference[], size_t n, const fmi3UInt64 counter[], const fmi3UInt64 resolution[])
-{
-    (void)reference;
-    (void)n;
-    (void)counter;
-    (void)resolution;
-    return absent(c, "clocks");
-}
-
-fmi3Status fmi3EvaluateDiscreteStates(fmi3Instance c)
-{
-    return absent(c, "discrete states to evaluate");
 }
 
 fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *again, fmi3Boolean *terminate, fmi3Boolean *nominals_changed,
@@ -698,21 +474,6 @@ fmi3Status fmi3GetNumberOfContinuousStates(fmi3Instance c, size_t *n)
 
 /* Co-simulation */
 
-fmi3Status fmi3EnterStepMode(fmi3Instance c)
-{
-    return absent(c, "event mode in co-simulation");
-}
-
-fmi3Status fmi3GetOutputDerivatives(fmi3Instance c, const fmi3ValueReference reference[], size_t nr, const fmi3Int32 orders[], fmi3Float64 value[], size_t n)
-{
-    (void)reference;
-    (void)nr;
-    (void)orders;
-    (void)value;
-    (void)n;
-    return absent(c, "output derivatives");
-}
-
 fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 time, fmi3Float64 size, fmi3Boolean no_set_state, fmi3Boolean *event,
                       fmi3Boolean *terminate, fmi3Boolean *early, fmi3Float64 *last_time)
 {
@@ -724,9 +485,3 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 time, fmi3Float64 size, fmi3Bo
     return status(s);
 }
 
-fmi3Status fmi3ActivateModelPartition(fmi3Instance c, fmi3ValueReference clock, fmi3Float64 time)
-{
-    (void)clock;
-    (void)time;
-    return absent(c, "scheduled execution");
-}

@@ -45,7 +45,7 @@ def error(actual: SX, desired: SX) -> SX:
     The orientation part of Delta x in (7) and (8): K times it is the gradient of 2 K eps^T eps for isotropic K, and it is the
     rotation vector to third order in the angle.
     """
-    e = product(actual, conjugate(desired))
+    e = normalised(product(actual, conjugate(desired)))
     return 2.0 * ca.if_else(e[3] < 0, -1.0, 1.0) * e[:3]
 
 
