@@ -15,7 +15,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -50,7 +50,6 @@ class Outcome:
     diverged: bool = False
     cause: str | None = None
     interrupted: bool = False
-    final_values: Mapping[str, Array] = field(default_factory=dict)
 
 
 Progress = Callable[[float], None]

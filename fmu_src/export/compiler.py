@@ -29,6 +29,7 @@ LINUX = Platform("linux64", "x86_64-linux", "x86_64-linux-gnu.2.17", ".so")
 PLATFORMS = {
     "x86_64-linux": LINUX,
     "aarch64-linux": Platform("aarch64-linux", "aarch64-linux", "aarch64-linux-gnu.2.17", ".so"),
+    "x86_64-windows": Platform("win64", "x86_64-windows", "x86_64-windows-gnu", ".dll"),
     "x86_64-darwin": Platform("darwin64", "x86_64-darwin", "x86_64-macos", ".dylib"),
     "aarch64-darwin": Platform("aarch64-darwin", "aarch64-darwin", "aarch64-macos", ".dylib"),
 }
