@@ -5,14 +5,14 @@ from __future__ import annotations
 import importlib
 import importlib.util
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
 from cosim import graph, parameters, schedule
 from cosim.component import Component
-from cosim.errors import ComponentError, CosimError
+from cosim.errors import ComponentError, CosimError, ScenarioError
 from cosim.fmu import FmuComponent
 from cosim.master import Master
 from cosim.model_exchange import ModelExchangeComponent
@@ -45,7 +45,7 @@ def _known_options(name: str, options: Mapping[str, Any], known: tuple[str, ...]
     for key in options:
         if key not in known:
             raise ComponentError(
-                f"component {name}: unknown key {key!r}{did_you_mean(key, [*known, 'kind', 'step_s', 'parameters'])}"
+                f"component {name}: unknown key {key!r}{did_you_mean(key, [*known, 'kind', 'step_s', 'samples', 'parameters'])}"
             )
 
 
@@ -74,8 +74,14 @@ def python_component(name: str, options: Mapping[str, Any], directory: Path) -> 
         else:
             module = importlib.import_module(where)
         made: Component = getattr(module, attribute)(name)
-    except (ImportError, AttributeError, SyntaxError) as error:
-        raise ComponentError(f"component {name}: {where}:{attribute} cannot be loaded: {error}") from error
+    except CosimError:
+        raise
+    except (Exception, SystemExit) as error:  # a user's file may fail in any way
+        raise ComponentError(
+            f"component {name}: {where}:{attribute} cannot be used: {type(error).__name__}: {error}"
+        ) from error
+    if not hasattr(made, "ports") or not hasattr(made, "step"):
+        raise ComponentError(f"component {name}: {where}:{attribute} gave a {type(made).__name__}; a component is expected")
     return made
 
 
@@ -92,7 +98,16 @@ def make(spec: ComponentSpec, directory: Path, fmi: int | None) -> Component:
     except CosimError:
         raise
     except Exception as error:  # a component kind of another package has errors of its own
-        raise ComponentError(f"component {spec.name}: {error}") from error
+        text = " ".join(str(error).split())
+        raise ComponentError(text if text.startswith("component ") else f"component {spec.name}: {text}") from error
+
+
+def _refuse_driven(scenario: Scenario, values: Values) -> None:
+    """A value for an input that a connection drives would be lost without a word."""
+    for connection in scenario.connections:
+        component, variable = graph.split(connection.target)
+        if variable in values.get(component, {}):
+            raise ScenarioError(f"{connection.target} cannot be set: it is driven by the connection from {connection.source}")
 
 
 @contextmanager
@@ -103,15 +118,18 @@ def assembled(scenario: Scenario, fmi: int | None = None) -> Iterator[tuple[Mast
         for spec in scenario.components:
             components[spec.name] = make(spec, scenario.directory, fmi)
         values = parameters.resolve(scenario, components)
+        _refuse_driven(scenario, values)
         plan = schedule.build(
             parameters.steps(scenario, components, values),
             scenario.stop,
             scenario.record_every,
             {name: component.variable_step for name, component in components.items()},
         )
-        master = Master(graph.build(components, scenario.connections), plan, scenario.limits)
+        samples = {spec.name: spec.samples for spec in scenario.components if spec.samples is not None}
+        master = Master(graph.build(components, scenario.connections, samples), plan, scenario.limits)
         master.initialise(values)
         yield master, values
     finally:
         for component in components.values():
-            component.close()
+            with suppress(Exception):  # one that cannot be closed must not keep the others, or the results, from theirs
+                component.close()

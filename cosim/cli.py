@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import io
+import os
 import sys
 from collections.abc import Sequence
 from importlib.metadata import entry_points, version
 from pathlib import Path
-from typing import Protocol
+from typing import NoReturn, Protocol
 
 from rich.console import Console
 from rich.table import Table
@@ -29,7 +31,11 @@ class Command(Protocol):
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Exit codes: 0 done, 2 bad input, 3 the run stopped."""
-    parser = argparse.ArgumentParser(prog="freeflyer", description="Multi-rate co-simulation of a free-flying space robot.")
+    # A path may hold bytes that are no text; what is said of it must not fail for that.
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+    parser = Parser(prog="freeflyer", description="Multi-rate co-simulation of a free-flying space robot.")
     parser.add_argument("--version", action="version", version=f"freeflyer-cosim {version('freeflyer-cosim')}")
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     commands: dict[str, Command] = {}
@@ -38,20 +44,39 @@ def main(arguments: Sequence[str] | None = None) -> int:
         commands[point.name] = command
         command.configure(subparsers.add_parser(point.name, help=command.help, description=command.help))
     parsed = parser.parse_args(arguments)
-    console = Console(stderr=False, highlight=False)
+    console = PlainConsole(highlight=False, markup=False)
     try:
         return commands[parsed.command].execute(parsed, console)
     except CosimError as error:
         return complain(str(error), error.exit_code)
-    except KeyboardInterrupt:
-        return complain("interrupted before there was anything to save", STOPPED)
-    except BrokenPipeError:
-        return DONE
+    except OSError as error:
+        return complain(f"the output cannot be written: {error.strerror or error}", STOPPED)
+
+
+def folder(text: str) -> Path:
+    if not text:
+        raise argparse.ArgumentTypeError("a directory is expected, got an empty name")
+    return Path(text)
 
 
 def complain(sentence: str, code: int) -> int:
     print(f"freeflyer: {sentence}", file=sys.stderr)
     return code
+
+
+class Parser(argparse.ArgumentParser):
+    """Says what is wrong with the arguments in one sentence."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(BAD_INPUT, f"freeflyer: {message}; `{self.prog} --help` tells what is expected\n")
+
+
+class PlainConsole(Console):
+    """A console that goes silent, instead of ending the command, when nobody reads any more."""
+
+    def on_broken_pipe(self) -> None:
+        self.quiet = True
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 class RunCommand:
@@ -64,7 +89,7 @@ class RunCommand:
             "--fmi", type=int, choices=(2, 3), help="FMI version of the shipped FMUs (default: the scenario's, else 2)"
         )
         parser.add_argument("--master", choices=("python",), default="python", help="who steps the FMUs: FMPy, from Python")
-        parser.add_argument("--out", type=Path, metavar="DIR", help="default: freeflyer_out/SCENARIO")
+        parser.add_argument("--out", type=folder, metavar="DIR", help="default: freeflyer_out/SCENARIO")
 
     def execute(self, arguments: argparse.Namespace, console: Console) -> int:
         chosen = scenario.load(arguments.scenario, arguments.overrides)
@@ -82,7 +107,7 @@ class ReproduceCommand:
     help = "every experiment of the paper: figures, a table beside the paper's statements, a report page, summary.json"
 
     def configure(self, parser: argparse.ArgumentParser) -> None:
-        parser.add_argument("--out", type=Path, default=Path("freeflyer_out") / "reproduce", metavar="DIR")
+        parser.add_argument("--out", type=folder, default=Path("freeflyer_out") / "reproduce", metavar="DIR")
         parser.add_argument("--fmi", type=int, choices=(2, 3), default=2, help="FMI version of the FMUs (default: 2)")
 
     def execute(self, arguments: argparse.Namespace, console: Console) -> int:
@@ -97,11 +122,15 @@ def result_table(result: Result) -> Table:
     for name in result.errors:
         label, _, unit = name.rpartition("_error_")
         values = result.summary[name]
-        table.add_row(f"{label.replace('_', ' ')} error [{unit}]", f"{values['max']:.3g}", f"{values['last_10_s']:.3g}")
+        table.add_row(f"{label.replace('_', ' ')} error [{unit}]", shown(values["max"]), shown(values["last_10_s"]))
     for name, energy in result.summary["observed_energy_j"].items():
-        table.add_row(f"{name} observed energy, least [J]", f"{energy['min']:.3g}", "")
+        table.add_row(f"{name} observed energy, least [J]", shown(energy["min"]), "")
     table.add_row("simulated [s] / wall [s]", f"{result.outcome.simulated:g}", f"{result.outcome.wall:.2f}")
     return table
+
+
+def shown(value: float | None) -> str:
+    return "not finite" if value is None else f"{value:.3g}"
 
 
 def verdict(result: Result) -> int:
@@ -109,6 +138,8 @@ def verdict(result: Result) -> int:
     outcome = result.outcome
     if outcome.interrupted:
         return complain(f"interrupted at {outcome.simulated:g} s; what was simulated is saved", STOPPED)
+    if outcome.failed:
+        return complain(f"the run stopped at {outcome.simulated:g} s: {outcome.cause}; it is saved until there", STOPPED)
     if outcome.diverged and result.as_expected:
         print(f"Diverged at {outcome.simulated:g} s, as this scenario expects ({outcome.cause})")
     elif outcome.diverged:

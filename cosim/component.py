@@ -9,7 +9,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.errors import ComponentError
+from cosim import units
+from cosim.errors import ComponentError, StepFailed
 
 Array = NDArray[np.float64]
 
@@ -19,7 +20,8 @@ class Port:
     """A variable as the graph sees it.
 
     `units` has one entry per element, None where none is declared. `settable` is true for parameters and for start values
-    of states. `direct` names the inputs that an output depends on at the same instant. `choices` are an enumeration's names.
+    of states. Only `real` ports can be connected and recorded. `direct` names the inputs that an output depends on at the same instant; `sampled` outputs are computed at the
+    begin of a step even if they depend on none. `choices` are an enumeration's names.
     """
 
     name: str
@@ -30,7 +32,26 @@ class Port:
     settable: bool = False
     choices: tuple[str, ...] = ()
     boolean: bool = False
+    real: bool = True
     direct: frozenset[str] = field(default_factory=frozenset)
+    sampled: bool = False
+
+    def __post_init__(self) -> None:
+        causalities = ("parameter", "input", "output", "local", "independent", "calculatedParameter", "structuralParameter")
+        if self.causality not in causalities:
+            raise ComponentError(
+                f"port {self.name}: causality is {self.causality!r}; one of {', '.join(causalities)} is expected"
+            )
+        if len(self.units) != self.size or (self.start is not None and len(self.start) != self.size):
+            starts = "no" if self.start is None else len(self.start)
+            raise ComponentError(
+                f"port {self.name}: size is {self.size}, but it has {len(self.units)} units and {starts} start values"
+            )
+
+    @property
+    def prompt(self) -> bool:
+        """Whether the value of an instant is there only after the component's step that begins at that instant."""
+        return bool(self.direct) or self.sampled
 
 
 class Component(Protocol):
@@ -63,11 +84,18 @@ class Component(Protocol):
     def close(self) -> None: ...
 
 
+class _InPlace(dict[str, Array]):
+    """Arrays that stay where they are: assigning to a name copies into its array, because the master holds on to it."""
+
+    def __setitem__(self, name: str, value: Array) -> None:
+        self[name][:] = value
+
+
 class PythonComponent:
     """A component written in Python: declare ports, then override `advance`.
 
-    `values` holds every variable as an array under its name. With `samples = True` the outputs of `advance` belong to the
-    begin of the step (a controller); else to its end (a plant).
+    `values` holds every variable as an array under its name. Outputs whose ports are `direct` or `sampled` belong to the begin
+    of a step (a controller's), the others to its end (a plant's).
     """
 
     variable_step = True
@@ -75,16 +103,21 @@ class PythonComponent:
     def __init__(self, name: str, ports: Sequence[Port]) -> None:
         self.name = name
         self._ports = {port.name: port for port in ports}
-        self.values: dict[str, Array] = {
-            port.name: np.array(port.start if port.start is not None else np.zeros(port.size), dtype=float) for port in ports
-        }
+        for port in ports:
+            for unit in set(port.units) - {None}:
+                try:
+                    units.unit(str(unit))
+                except ValueError as error:
+                    raise ComponentError(f"component {name}: port {port.name}: {error}") from error
+        starts = {port.name: port.start if port.start is not None else np.zeros(port.size) for port in ports}
+        self.values: dict[str, Array] = _InPlace((key, np.array(start, dtype=float)) for key, start in starts.items())
 
     @property
     def ports(self) -> Mapping[str, Port]:
         return self._ports
 
     def advance(self, time: float, size: float) -> None:
-        """Change `self.values` of the outputs in place."""
+        """Compute the outputs into `self.values`."""
         raise NotImplementedError
 
     def initialise(self, start: float) -> None:
@@ -128,6 +161,9 @@ class PythonComponent:
 
     def step(self, time: float, size: float) -> None:
         self.advance(time, size)
+        for name, port in self._ports.items():
+            if port.causality == "output" and not np.isfinite(self.values[name]).all():
+                raise StepFailed(self.name, f"its output {name} is {self.values[name]}; finite numbers are expected")
 
     def close(self) -> None:
         pass

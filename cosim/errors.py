@@ -26,7 +26,12 @@ class OutputError(CosimError):
 
 
 class StepFailed(Exception):
-    """A component could not make its step; the run stops there and keeps what it has."""
+    """A component could not make its step; the run stops there and keeps what it has.
 
-    def __init__(self, component: str, message: str) -> None:
-        super().__init__(f"{component}: {message}")
+    `left_validity`: the equations' own limits were passed (a singular Jacobian, a state that is not finite), which makes the
+    run a diverged one; else something is wrong with the system or the call.
+    """
+
+    def __init__(self, component: str, message: str, *, left_validity: bool = False) -> None:
+        super().__init__(f"{component}: {' '.join(message.split())}")
+        self.left_validity = left_validity

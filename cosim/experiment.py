@@ -16,7 +16,7 @@ from cosim import metrics
 from cosim.assemble import assembled
 from cosim.clock import seconds
 from cosim.component import Array
-from cosim.master import Outcome
+from cosim.master import Outcome, interrupts
 from cosim.master import Progress as Report
 from cosim.record import check_writable, write_text
 from cosim.scenario import Scenario
@@ -33,12 +33,15 @@ class Result:
 
     @property
     def as_expected(self) -> bool:
-        return not self.outcome.interrupted and self.outcome.diverged == (self.scenario.expect == "diverges")
+        return not (self.outcome.interrupted or self.outcome.failed) and self.outcome.diverged == (
+            self.scenario.expect == "diverges"
+        )
 
 
 def run(scenario: Scenario, *, fmi: int | None = None, progress: Report | None = None) -> Result:
     """Load, check, simulate, measure. Raises CosimError before the run; afterwards everything is in the result."""
     with assembled(scenario, fmi) as (master, values):
+        metrics.check(scenario, master.graph.components)
         outcome = master.run(progress)
         series = metrics.errors(scenario, outcome.record, master.graph.components, values)
     return Result(scenario=scenario, outcome=outcome, errors=series, summary=metrics.summary(scenario, outcome, series))
@@ -46,15 +49,16 @@ def run(scenario: Scenario, *, fmi: int | None = None, progress: Report | None =
 
 def write(result: Result, directory: Path) -> None:
     """record.parquet and summary.json, each whole or not at all. Raises OutputError."""
-    result.outcome.record.write(directory / "record.parquet")
-    write_text(directory / "summary.json", json.dumps(result.summary, indent=2) + "\n")
+    with interrupts():  # a Ctrl-C that comes now waits until both are whole
+        result.outcome.record.write(directory / "record.parquet")
+        write_text(directory / "summary.json", json.dumps(result.summary, indent=2) + "\n")
 
 
 @contextmanager
 def progress_bar(console: Console, scenarios: Sequence[Scenario]) -> Iterator[dict[str, Report]]:
     """A bar per scenario, with the simulated time; shown only where somebody watches."""
     columns = (
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         TextColumn("{task.completed:.0f} of {task.total:.0f} s"),
         TimeRemainingColumn(),

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import itertools
 import re
 import shutil
 import tempfile
@@ -14,6 +15,7 @@ import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import fmpy
 import numpy as np
@@ -27,22 +29,26 @@ from cosim.errors import ComponentError, StepFailed
 
 ELEMENT = re.compile(r"^(?P<name>.+)\[(?P<index>\d+)\]$")
 REAL = ("Real", "Float64")
+REQUIREMENT = "logRequirement"
+"""Log category by which our FMUs say that the run has left what their equations hold for."""
+UNITS_ANNOTATION = "org.freeflyer-cosim.units"
 
 
 # FMPy's proxy, which formats an FMI 2.0 message's variable arguments, knows one logger for the whole process: it is this one,
 # and the environment pointer says whose message it is.
-_listeners: dict[int, list[str]] = {}
+_listeners: dict[int, FmuComponent] = {}
+_numbers = itertools.count(1)
 
 
-def _listen(messages: list[str]) -> int:
-    number = len(_listeners) + 1
-    _listeners[number] = messages
+def _listen(component: FmuComponent) -> int:
+    number = next(_numbers)
+    _listeners[number] = component
     return number
 
 
 def _route(environment: int | None, name: object, status: int, category: object, message: bytes | None) -> None:
-    if message and environment in _listeners:
-        _listeners[environment].append(message.decode("utf-8", "replace"))
+    if environment in _listeners:
+        _listeners[environment].note(category, message)
 
 
 _LOGGER = fmi2.fmi2CallbackLoggerTYPE(_route)
@@ -51,7 +57,7 @@ _LOGGER = fmi2.fmi2CallbackLoggerTYPE(_route)
 def describe(path: Path) -> ModelDescription:
     """The FMU's model description; ComponentError with one sentence for a file that is no usable FMU."""
     if not path.is_file():
-        raise ComponentError(f"FMU {path} does not exist")
+        raise ComponentError(f"FMU {path} " + ("is not a file" if path.exists() else "does not exist"))
     try:
         with zipfile.ZipFile(path) as archive:
             names = archive.namelist()
@@ -64,6 +70,8 @@ def describe(path: Path) -> ModelDescription:
         if not version.startswith(("2.", "3.")):
             raise ComponentError(f"FMU {path} is of FMI version {version}; FMI 2.0 and FMI 3.0 are supported")
         return read_model_description(str(path))
+    except OSError as error:
+        raise ComponentError(f"FMU {path} cannot be read: {error.strerror}") from error
     except zipfile.BadZipFile as error:
         raise ComponentError(f"{path} is not an FMU: it is no zip archive") from error
     except ComponentError:
@@ -79,11 +87,25 @@ def _version(path: Path) -> str:
     return found.group(1) if found else "unknown"
 
 
+def _annotated_units(path: Path) -> dict[str, tuple[str, ...]]:
+    """Units element by element, which our FMI 3.0 FMUs give in an annotation (FMI 3.0 itself has one unit for an array)."""
+    with zipfile.ZipFile(path) as archive:
+        root = ElementTree.fromstring(archive.read("modelDescription.xml"))
+    found = {}
+    for variable in root.iterfind("ModelVariables/*"):
+        for annotation in variable.iterfind("Annotations/Annotation"):
+            if annotation.get("type") == UNITS_ANNOTATION and annotation.text:
+                found[variable.get("name", "")] = tuple(annotation.text.split())
+    return found
+
+
 def _sentence(error: Exception) -> str:
     return " ".join(str(error).split())[:300]
 
 
-def ports_of(description: ModelDescription) -> tuple[dict[str, Port], dict[str, list[ModelVariable]]]:
+def ports_of(
+    description: ModelDescription, annotated: Mapping[str, tuple[str, ...]]
+) -> tuple[dict[str, Port], dict[str, list[ModelVariable]]]:
     """Ports by name, and for each the model variables that make it up, in order."""
     groups: dict[str, list[ModelVariable]] = {}
     for variable in description.modelVariables:
@@ -100,6 +122,7 @@ def ports_of(description: ModelDescription) -> tuple[dict[str, Port], dict[str, 
         units: list[str | None] = []
         for variable, size in zip(group, sizes, strict=True):
             units += [variable.unit or (variable.declaredType.unit if variable.declaredType else None)] * size
+        units = list(annotated.get(name, units))
         items = first.declaredType.items if first.type == "Enumeration" and first.declaredType else []
         direct: set[str] = set()
         for variable in group:
@@ -119,7 +142,9 @@ def ports_of(description: ModelDescription) -> tuple[dict[str, Port], dict[str, 
             or (first.causality != "input" and first.initial in ("exact", "approx")),
             choices=tuple(item.name for item in items),
             boolean=first.type == "Boolean",
+            real=first.type in REAL,
             direct=frozenset(direct),
+            sampled=first.causality == "output" and first.variability == "discrete",
         )
     return ports, groups
 
@@ -145,10 +170,12 @@ class FmuComponent:
         self.name, self.path = name, path
         self.description = describe(path)
         self.version = 2 if self.description.fmiVersion.startswith("2") else 3
-        self._ports, self._variables = ports_of(self.description)
+        self._ports, self._variables = ports_of(self.description, _annotated_units(path))
         interface = self._interface()
         self.variable_step = bool(getattr(interface, "canHandleVariableCommunicationStepSize", True))
         self._messages: list[str] = []
+        self._left_validity = False
+        self._listener = 0
         self._buffers: list[Any] = []
         self._directory = Path(tempfile.mkdtemp(prefix="freeflyer-"))
         try:
@@ -181,6 +208,10 @@ class FmuComponent:
             names = archive.namelist()
         if wanted not in names:
             found = sorted({name.split("/")[1] for name in names if name.startswith("binaries/") and name.count("/") > 1})
+            if folder in found:
+                raise ComponentError(
+                    f"FMU {self.path} has no library {identifier}{fmpy.sharedLibraryExtension} in binaries/{folder}"
+                )
             raise ComponentError(
                 f"FMU {self.path} has no binary for this platform ({folder}); it has {', '.join(found) or 'none'}: build it for {folder}"
             )
@@ -216,15 +247,24 @@ class FmuComponent:
     def _callbacks(self) -> Any:
         callbacks = fmi2.fmi2CallbackFunctions()
         callbacks.logger = _LOGGER
-        callbacks.componentEnvironment = _listen(self._messages)
+        callbacks.componentEnvironment = self._listener = _listen(self)
         callbacks.allocateMemory = fmi2.defaultCallbacks.allocateMemory
         callbacks.freeMemory = fmi2.defaultCallbacks.freeMemory
         addLoggerProxy(ctypes.byref(callbacks))
         return callbacks
 
     def _log(self, environment: object, status: int, category: object, message: bytes | None) -> None:
+        self.note(category, message)
+
+    def note(self, category: object, message: bytes | None) -> None:
+        """Keep a log message of the FMU until its failure is told."""
         if message:
             self._messages.append(message.decode("utf-8", "replace"))
+            self._left_validity |= category == REQUIREMENT.encode()
+
+    def _failed(self, error: Exception) -> StepFailed:
+        left, self._left_validity = self._left_validity, False
+        return StepFailed(self.name, self._why(error), left_validity=left)
 
     def _why(self, error: Exception) -> str:
         """What the FMU itself said, or else what FMPy says."""
@@ -304,7 +344,7 @@ class FmuComponent:
             try:
                 call()
             except (FMICallException, OSError) as error:
-                raise StepFailed(self.name, self._why(error)) from error
+                raise self._failed(error) from error
 
         return guarded
 
@@ -315,7 +355,7 @@ class FmuComponent:
             else:
                 self._slave.doStep(time, size)
         except (FMICallException, OSError) as error:
-            raise StepFailed(self.name, self._why(error)) from error
+            raise self._failed(error) from error
 
     def close(self) -> None:
         slave, self._slave = self._slave, None
@@ -324,4 +364,5 @@ class FmuComponent:
             with contextlib.suppress(FMICallException, OSError):
                 slave.terminate()
             slave.freeInstance()
+            _listeners.pop(self._listener, None)
             shutil.rmtree(self._directory, ignore_errors=True)

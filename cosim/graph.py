@@ -1,7 +1,7 @@
 """Components and connections: everything checked before anything moves, and the order of the components at an instant.
 
-A component's output that depends directly on its inputs (a controller's) must be computed before anybody uses it at the same
-instant; an output that does not (a plant's) is there already. A connection declared delayed carries the value from before the
+A component's output that depends directly on its inputs, or is sampled, must be computed before anybody uses it at the same
+instant (a controller's); an output that is neither (a plant's) is there already. A connection declared delayed carries the value from before the
 instant and orders nothing.
 """
 
@@ -60,8 +60,14 @@ def port(components: Mapping[str, Component], signal: str, subject: str) -> Port
     return ports[variable]
 
 
-def build(components: Mapping[str, Component], connections: Sequence[Connection]) -> Graph:
-    """Check every connection and find the order. Raises GraphError with one sentence."""
+def build(
+    components: Mapping[str, Component], connections: Sequence[Connection], samples: Mapping[str, bool] | None = None
+) -> Graph:
+    """Check every connection and find the order. Raises GraphError with one sentence.
+
+    `samples` overrides, component by component, what their descriptions say of their outputs: True, they belong to the begin
+    of a step; False, to its end.
+    """
     driven: dict[str, Connection] = {}
     for connection in connections:
         _check(components, connection)
@@ -70,7 +76,7 @@ def build(components: Mapping[str, Component], connections: Sequence[Connection]
                 f"input {connection.target} has two sources: {driven[connection.target].source} and {connection.source}"
             )
         driven[connection.target] = connection
-    first = _order(components, connections)
+    first = _order(components, connections, samples or {})
     then = tuple(name for name in components if name not in first)
     return Graph(components=components, connections=tuple(connections), first=first, then=then)
 
@@ -90,24 +96,20 @@ def _check(components: Mapping[str, Component], connection: Connection) -> None:
             raise GraphError(f"{subject}: units differ{element}: {given} and {wanted}")
 
 
-def _order(components: Mapping[str, Component], connections: Sequence[Connection]) -> tuple[str, ...]:
-    """Components with directly dependent outputs in use, each after those whose direct outputs it uses.
-
-    A component whose outputs nobody uses (a monitor) counts by what it has.
-    """
-    sorter: TopologicalSorter[str] = TopologicalSorter()
-    sources = {split(connection.source)[0] for connection in connections}
-    early = {
-        name
-        for name, component in components.items()
-        if name not in sources and any(port.causality == "output" and port.direct for port in component.ports.values())
-    }
+def _order(
+    components: Mapping[str, Component], connections: Sequence[Connection], samples: Mapping[str, bool]
+) -> tuple[str, ...]:
+    """Components whose outputs in use belong to the begin of a step, each after those whose outputs it uses."""
+    used: dict[str, set[str]] = {name: set() for name in components}
     for connection in connections:
-        (source, variable), (target, _) = split(connection.source), split(connection.target)
-        if components[source].ports[variable].direct:
-            early.add(source)
-            if not connection.delayed:
-                sorter.add(target, source)
+        source, variable = split(connection.source)
+        used[source].add(variable)
+    early = {name for name, component in components.items() if _is_early(name, component, used[name], samples.get(name))}
+    sorter: TopologicalSorter[str] = TopologicalSorter()
+    for connection in connections:
+        (source, _), (target, _) = split(connection.source), split(connection.target)
+        if source in early and not connection.delayed:
+            sorter.add(target, source)
     try:
         ordered = list(sorter.static_order())
     except CycleError as error:
@@ -117,3 +119,18 @@ def _order(components: Mapping[str, Component], connections: Sequence[Connection
             f"algebraic loop: {loop}: each needs the other's output of the same instant; declare one of the connections delayed"
         ) from error
     return tuple(name for name in [*ordered, *sorted(early - set(ordered))] if name in early)
+
+
+def _is_early(name: str, component: Component, used: set[str], samples: bool | None) -> bool:
+    """A component whose outputs nobody uses (a monitor) counts by what it has; one with both kinds in use must be declared."""
+    if samples is not None:
+        return samples
+    outputs = [port for port in component.ports.values() if port.causality == "output" and (not used or port.name in used)]
+    prompt = [port.name for port in outputs if port.prompt]
+    settled = [port.name for port in outputs if not port.prompt]
+    if prompt and settled and used:
+        raise GraphError(
+            f"component {name}: its output {prompt[0]} depends directly on its inputs and its output {settled[0]} does not, and "
+            f"both are in use; declare samples = true (its outputs belong to the begin of a step) or false (to its end)"
+        )
+    return bool(prompt)

@@ -13,6 +13,7 @@ from __future__ import annotations
 import signal
 import threading
 import time
+import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -29,25 +30,30 @@ from cosim.schedule import Schedule
 
 @dataclass(frozen=True, kw_only=True)
 class Limit:
-    """The run has diverged once the signal's largest element (or its Euclidean norm) is beyond `maximum`."""
+    """The run has diverged once the signal's largest element (or its Euclidean norm) is above a maximum, or its least below a
+    minimum. `elements` (first, last), counted from 1, picks a part of an array.
+    """
 
     signal: str
-    maximum: float
+    bound: float
     cause: str
-    first: int = 1
-    last: int | None = None
+    is_minimum: bool = False
+    elements: tuple[int, int] | None = None
     euclidean: bool = False
 
 
 @dataclass(kw_only=True)
 class Outcome:
-    """How a run ended. `cause` says why it stopped before its time."""
+    """How a run ended. `cause` says why it stopped before its time: it `diverged` (a limit, or an FMU whose equations' own limits
+    were passed), it `failed` (anything else that went wrong), or it was `interrupted`.
+    """
 
     record: Record
     simulated: float
     wall: float
     steps: dict[str, int]
     diverged: bool = False
+    failed: bool = False
     cause: str | None = None
     interrupted: bool = False
 
@@ -62,6 +68,7 @@ class _Slave:
     component: Component
     ratio: int
     take_inputs: Callable[[], None]
+    take_first_inputs: Callable[[set[str]], None]
     write: Callable[[], None]
     read: Callable[[], None]
 
@@ -71,7 +78,8 @@ class _Slave:
         except StepFailed:
             raise
         except Exception as error:  # a component written by others fails in its own ways; the run is kept all the same
-            raise StepFailed(self.component.name, str(error) or type(error).__name__) from error
+            left = bool(getattr(error, "left_validity", False))
+            raise StepFailed(self.component.name, told(error), left_validity=left) from error
 
 
 class Master:
@@ -83,7 +91,7 @@ class Master:
         outputs: dict[str, list[str]] = {}
         signals, width = [], 0
         for name, component in graph.components.items():
-            outputs[name] = [p.name for p in component.ports.values() if p.causality == "output"]
+            outputs[name] = [p.name for p in component.ports.values() if p.causality == "output" and p.real]
             for variable in outputs[name]:
                 p = component.ports[variable]
                 self._place[f"{name}.{variable}"] = slice(width, width + p.size)
@@ -98,19 +106,24 @@ class Master:
         self._limits = [self._bind_limit(limit) for limit in limits]
 
     def initialise(self, start_values: Mapping[str, Mapping[str, Array]]) -> None:
-        """Components with plant-like outputs first, so that the others are initialised with real inputs."""
+        """Components with plant-like outputs first, so that the others are initialised with real inputs.
+
+        An input whose source is not initialised yet keeps its own start value. Raises CosimError.
+        """
+        ready: set[str] = set()
         for name in (*self.graph.then, *self.graph.first):
             slave = self._slaves[name]
             try:
                 slave.component.enter_initialization(0.0, start_values.get(name, {}))
-                slave.take_inputs()
+                slave.take_first_inputs(ready)
                 slave.write()
                 slave.component.exit_initialization()
                 slave.read()
             except CosimError:
                 raise
             except Exception as error:
-                raise ComponentError(f"component {name} cannot be initialised: {error}") from error
+                raise ComponentError(f"component {name} cannot be initialised: {told(error)}") from error
+            ready.add(name)
 
     def run(self, progress: Progress | None = None) -> Outcome:
         schedule = self.schedule
@@ -118,37 +131,40 @@ class Master:
         outcome = Outcome(record=record, simulated=0.0, wall=0.0, steps=dict.fromkeys(self._slaves, 0))
         begin = time.perf_counter()
         k = 0
-        with _interrupts() as interrupted:
+        with interrupts() as interrupted:
             try:
                 for k in range(schedule.ticks + 1):
-                    if interrupted:
-                        outcome.interrupted, outcome.cause = True, "interrupted by the user"
-                        break
-                    cause = self._instant(k, outcome)
+                    outcome.interrupted = bool(interrupted)
+                    cause = self._instant(k, outcome, last=outcome.interrupted or k == schedule.ticks)
                     if cause:
                         outcome.diverged, outcome.cause = True, cause
+                        break
+                    if outcome.interrupted:
+                        outcome.cause = "interrupted by the user"
                         break
                     if progress and k % 1000 == 0:
                         progress(seconds(k * schedule.tick))
             except StepFailed as error:
-                outcome.diverged, outcome.cause = True, str(error)
+                if k == 0 and not error.left_validity:
+                    raise ComponentError(f"component {error}") from error
+                outcome.diverged, outcome.failed, outcome.cause = error.left_validity, not error.left_validity, str(error)
         outcome.wall = time.perf_counter() - begin
         outcome.simulated = seconds(k * schedule.tick)
         if record.rows == 0 or record.time[-1] < outcome.simulated:
             record.append(outcome.simulated, self._now)
         return outcome
 
-    def _instant(self, k: int, outcome: Outcome) -> str | None:
-        """Everything that happens at tick k; a cause if a limit is passed."""
+    def _instant(self, k: int, outcome: Outcome, *, last: bool) -> str | None:
+        """Everything that happens at tick k; at the last one nobody steps on. A cause if a limit is passed."""
         schedule, graph, slaves = self.schedule, self.graph, self._slaves
-        moment, over = seconds(k * schedule.tick), k == schedule.ticks
+        moment = seconds(k * schedule.tick)
         if self._has_delays:
             self._before[:] = self._now
         if k:
             for name in graph.then:
-                if k % slaves[name].ratio == 0 or over:
+                if k % slaves[name].ratio == 0 or k == schedule.ticks:
                     slaves[name].read()
-        if not over:
+        if not last:
             for name in graph.first:
                 slave = slaves[name]
                 if k % slave.ratio == 0:
@@ -163,7 +179,7 @@ class Master:
             cause = check()
             if cause:
                 return cause
-        if over:
+        if last:
             return None
         due = [name for name in graph.then if k % slaves[name].ratio == 0]
         for name in due:
@@ -179,18 +195,22 @@ class Master:
     def _bind(self, name: str, outputs: Sequence[str]) -> _Slave:
         component, connections = self.graph.components[name], self.graph.inputs_of(name)
         targets = [split(connection.target)[1] for connection in connections]
-        buffer = np.zeros(sum(component.ports[target].size for target in targets))
+        # Every input begins with its own start value.
+        starts = [np.array(component.ports[target].start or [0.0] * component.ports[target].size) for target in targets]
+        buffer = np.concatenate([np.zeros(0), *starts])
         prompt: tuple[list[int], list[int]] = ([], [])
         delayed: tuple[list[int], list[int]] = ([], [])
+        first_time: list[tuple[str, slice, slice]] = []
         first = 0
-        for connection, target in zip(connections, targets, strict=True):
-            place, size = self._place[connection.source], component.ports[target].size
+        for connection, start in zip(connections, starts, strict=True):
+            place, there = self._place[connection.source], slice(first, first + start.size)
             into, sources = delayed if connection.delayed else prompt
-            into += range(first, first + size)
+            into += range(there.start, there.stop)
             sources += range(place.start, place.stop)
-            first += size
+            first_time.append((split(connection.source)[0], there, place))
+            first = there.stop
         now, before = self._now, self._before
-        (p_to, p_from), (d_to, d_from) = (tuple(map(np.array, pair)) for pair in (prompt, delayed))
+        (p_to, p_from), (d_to, d_from) = (tuple(np.array(part, dtype=int) for part in pair) for pair in (prompt, delayed))
 
         def take_inputs() -> None:
             if p_to.size:
@@ -198,30 +218,53 @@ class Master:
             if d_to.size:
                 buffer[d_to] = before[d_from]
 
+        def take_first_inputs(ready: set[str]) -> None:
+            for source, there, place in first_time:
+                if source in ready:
+                    buffer[there] = now[place]
+
         write = component.bind_inputs(targets, buffer) if targets else _nothing
         own = [self._place[f"{name}.{variable}"] for variable in outputs]
         read = component.bind_outputs(outputs, now[own[0].start : own[-1].stop]) if own else _nothing
-        return _Slave(component, self.schedule.ratios[name], take_inputs, write, read)
+        return _Slave(component, self.schedule.ratios[name], take_inputs, take_first_inputs, write, read)
 
     def _bind_limit(self, limit: Limit) -> Callable[[], str | None]:
         if limit.signal not in self._place:
             port(self.graph.components, limit.signal, "limit")
-            raise GraphError(f"limit: {limit.signal} is not an output")
+            raise GraphError(f"limit: {limit.signal} is not a real output")
         place = self._place[limit.signal]
-        last = limit.last if limit.last is not None else place.stop - place.start
-        view = self._now[place.start + limit.first - 1 : place.start + last]
-        square = limit.maximum**2
+        first, last = limit.elements or (1, place.stop - place.start)
+        if last > place.stop - place.start:
+            raise GraphError(
+                f"limit on {limit.signal}: elements {first} to {last} are watched, but it has {place.stop - place.start}"
+            )
+        view = self._now[place.start + first - 1 : place.start + last]
+        square = limit.bound**2
 
-        def check() -> str | None:
+        def check_maximum() -> str | None:
             # The Euclidean norm bounds the largest element: one product decides the common case; NaN fails it.
             if view @ view <= square:
                 return None
             size = float(np.linalg.norm(view) if limit.euclidean else np.abs(view).max())
-            if size <= limit.maximum:
+            if size <= limit.bound:
                 return None
-            return f"{limit.cause}: {limit.signal} is {size:.4g}, the limit is {limit.maximum:g}"
+            return f"{limit.cause}: {limit.signal} is {size:.4g}, the limit is {limit.bound:g}"
 
-        return check
+        def check_minimum() -> str | None:
+            least = float(view.min())
+            if least >= limit.bound:
+                return None
+            return f"{limit.cause}: {limit.signal} is {least:.4g}, the least allowed is {limit.bound:g}"
+
+        return check_minimum if limit.is_minimum else check_maximum
+
+
+def told(error: Exception) -> str:
+    """One sentence for an exception of somebody else's component: its own if it knows of us, else with kind and place."""
+    if hasattr(error, "left_validity"):
+        return " ".join(str(error).split())
+    place = traceback.extract_tb(error.__traceback__)[-1]
+    return " ".join(f"{type(error).__name__}: {error} ({place.filename}, line {place.lineno})".split())
 
 
 def _nothing() -> None:
@@ -229,20 +272,24 @@ def _nothing() -> None:
 
 
 @contextmanager
-def _interrupts() -> Iterator[list[int]]:
-    """Ctrl-C as a list that fills, so that a run ends between two instants; a second one interrupts for good."""
-    seen: list[int] = []
+def interrupts() -> Iterator[list[float]]:
+    """Ctrl-C and SIGTERM as a list that fills, so that a run ends between two instants.
+
+    Another one, more than two seconds after the first, interrupts for good: somebody waits for a component that hangs.
+    """
+    seen: list[float] = []
     if threading.current_thread() is not threading.main_thread():
         yield seen
         return
 
     def note(number: int, frame: object) -> None:
-        if seen:
+        seen.append(time.monotonic())
+        if seen[-1] - seen[0] > 2.0:
             raise KeyboardInterrupt
-        seen.append(number)
 
-    before = signal.signal(signal.SIGINT, note)
+    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield seen
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)

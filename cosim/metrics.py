@@ -28,10 +28,12 @@ def position_error(actual: Array, desired: Array) -> Array:
 
 def orientation_error(actual: Array, desired: Array) -> Array:
     """Angle (rows) [deg] between quaternions [x, y, z, w]."""
-    product = np.abs(np.sum(actual * desired, axis=1)) / np.linalg.norm(actual, axis=1) / np.linalg.norm(desired, axis=1)
-    # Near zero the vector part is exact where the scalar part has lost all digits.
+    actual = actual / np.linalg.norm(actual, axis=1, keepdims=True)
+    desired = desired / np.linalg.norm(desired, axis=1, keepdims=True)
+    product = np.abs(np.sum(actual * desired, axis=1))
+    # Near zero the chord between the two is exact where the scalar product has lost all digits.
     signed = desired * np.sign(np.sum(actual * desired, axis=1, keepdims=True) + 1e-300)
-    half_chord = 0.5 * np.linalg.norm(actual / np.linalg.norm(actual, axis=1, keepdims=True) - signed, axis=1)
+    half_chord = 0.5 * np.linalg.norm(actual - signed, axis=1)
     return np.asarray(
         np.degrees(
             np.where(product > 0.9, 4.0 * np.arcsin(np.minimum(half_chord, 1.0)), 2.0 * np.arccos(np.minimum(product, 1.0)))
@@ -48,13 +50,26 @@ def signal_or_parameter(signal: str, record: Record, components: Mapping[str, Co
     return np.broadcast_to(value, (record.rows, value.size))
 
 
+def check(scenario: Scenario, components: Mapping[str, Component]) -> None:
+    """What will be measured exists and fits, known before the run rather than after it. Raises CosimError."""
+    for name, measure in scenario.errors.items():
+        actual, desired = (port(components, signal, f"errors.{name}") for signal in (measure.actual, measure.desired))
+        size = 4 if name.endswith("orientation") else 3
+        for signal, found in ((measure.actual, actual), (measure.desired, desired)):
+            if found.size != size:
+                raise ScenarioError(f"errors.{name}: {signal} has {found.size} elements; {size} are expected")
+            if not found.real or not (found.causality == "output" or found.start is not None):
+                raise ScenarioError(f"errors.{name}: {signal} is neither an output nor a parameter")
+    for name, signal in scenario.observed_energy.items():
+        if port(components, signal, f"observed_energy.{name}").causality != "output":
+            raise ScenarioError(f"observed_energy.{name}: {signal} is not an output")
+
+
 def errors(scenario: Scenario, record: Record, components: Mapping[str, Component], values: Values) -> dict[str, Array]:
     """Every error of the scenario over time, under its name in summary.json."""
     series = {}
     for name, measure in scenario.errors.items():
         actual, desired = (signal_or_parameter(s, record, components, values) for s in (measure.actual, measure.desired))
-        if actual.shape != desired.shape:
-            raise ScenarioError(f"errors.{name}: {measure.actual} and {measure.desired} differ in size")
         if name.endswith("position"):
             series[f"{name}_error_m"] = position_error(actual, desired)
         else:
@@ -63,19 +78,18 @@ def errors(scenario: Scenario, record: Record, components: Mapping[str, Componen
 
 
 def summary(scenario: Scenario, outcome: Outcome, series: Mapping[str, Array]) -> dict[str, Any]:
-    """The contract of summary.json. Values that are not finite are left out of the maxima, so that every number is one."""
+    """The contract of summary.json. Values that are not finite are left out of the extremes, so that every number is one."""
     time = outcome.record.time
     last = time >= outcome.simulated - LAST
     energies = {}
     for name, signal in scenario.observed_energy.items():
-        if signal not in outcome.record:
-            raise ScenarioError(f"observed_energy.{name}: {signal!r} is not an output of any component")
-        energies[name] = {"min": float(np.min(outcome.record[signal]))}
+        energies[name] = {"min": finite_minimum(outcome.record[signal])}
     return {
         "scenario": scenario.name,
         "diverged": outcome.diverged,
         "cause": outcome.cause,
         "diverged_at_s": outcome.simulated if outcome.diverged else None,
+        "failed": outcome.failed,
         "interrupted": outcome.interrupted,
         "simulated_s": outcome.simulated,
         "wall_s": outcome.wall,
@@ -86,9 +100,15 @@ def summary(scenario: Scenario, outcome: Outcome, series: Mapping[str, Array]) -
     }
 
 
-def finite_maximum(values: Array) -> float:
+def finite_maximum(values: Array) -> float | None:
+    """None where nothing is finite: no number stands for that."""
     finite = values[np.isfinite(values)]
-    return float(finite.max()) if finite.size else 0.0
+    return float(finite.max()) if finite.size else None
+
+
+def finite_minimum(values: Array) -> float | None:
+    highest = finite_maximum(-values)
+    return None if highest is None else -highest
 
 
 def versions() -> dict[str, str]:

@@ -98,9 +98,6 @@ class ModelExchangeComponent(FmuComponent):
             self._first_step = min(max(solver.h_abs, 1e-6), size)
             self._x = solver.y
             self._rates(time + size, self._x)
-            if self.version == 2:
-                self._slave.completedIntegratorStep()
-            else:
-                self._slave.completedIntegratorStep()
+            self._slave.completedIntegratorStep()
         except (FMICallException, OSError) as error:
-            raise StepFailed(self.name, self._why(error)) from error
+            raise self._failed(error) from error

@@ -12,4 +12,4 @@ def did_you_mean(name: str, candidates: Iterable[str]) -> str:
     close = difflib.get_close_matches(name, known, n=1)
     if close:
         return f"; did you mean {close[0]!r}?"
-    return f"; known are {', '.join(known)}" if 0 < len(known) <= 12 else ""
+    return f"; known are {', '.join(known)}" if 3 < len(known) <= 12 else ""

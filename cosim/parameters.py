@@ -12,7 +12,7 @@ from cosim.component import Array, Component, Port
 from cosim.errors import ScenarioError
 from cosim.near import did_you_mean
 from cosim.scenario import ComponentSpec, Scenario
-from cosim.units import DIMENSIONLESS, factor
+from cosim.units import DIMENSIONLESS, factor, same
 
 Values = dict[str, dict[str, Array]]
 
@@ -96,8 +96,11 @@ def _value(
         if given is None and other in components and parameter in components[other].ports:
             start = components[other].ports[parameter].start
             given = list(start) if start is not None else None
-        result = _value(raw, components, other, parameter, given, (*seen, subject))
-        return _sized(result, port, subject)
+        result = _sized(_value(raw, components, other, parameter, given, (*seen, subject)), port, subject)
+        for there, here in zip(components[other].ports[parameter].units, port.units, strict=False):
+            if not same(there, here):
+                raise ScenarioError(f"{subject} = {value!r}: units differ: {here} and {there}")
+        return result
     return _sized(_numbers(value, port, subject), port, subject)
 
 
@@ -111,13 +114,15 @@ def _numbers(value: Any, port: Port, subject: str) -> Array:
         value = value["value"]
     if isinstance(value, str):
         if value not in port.choices:
-            raise ScenarioError(f"{subject} is {value!r}; {_expected(port)} is expected{did_you_mean(value, port.choices)}")
+            raise ScenarioError(
+                f"{subject} is {value!r}; {_expected(port)} is expected{did_you_mean(value, port.choices) if port.choices else ''}"
+            )
         return np.array([float(port.choices.index(value) + 1)])
     items = value if isinstance(value, list) else [value]
     for item in items:
         if isinstance(item, bool) != port.boolean or not isinstance(item, bool | int | float):
             raise ScenarioError(f"{subject} is {value!r}; {_expected(port)} is expected")
-        if not np.isfinite(item):
+        if not abs(item) <= 1e300:
             raise ScenarioError(f"{subject} is {value!r}; finite numbers are expected")
     numbers = np.array([float(item) for item in items])
     if port.choices and not all(1 <= number <= len(port.choices) and number == int(number) for number in numbers):

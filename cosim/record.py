@@ -17,7 +17,7 @@ import pyarrow as pa
 import pyarrow.parquet as parquet
 
 from cosim.component import Array
-from cosim.errors import OutputError
+from cosim.errors import CosimError, OutputError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,8 +40,15 @@ class Record:
     def __init__(self, signals: Sequence[Signal], rows: int) -> None:
         self.signals: Mapping[str, Signal] = {signal.name: signal for signal in signals}
         width = max((signal.first + signal.size for signal in signals), default=0)
-        self._time = np.empty(rows)
-        self._values = np.empty((rows, width))
+        try:
+            self._time = np.empty(rows)
+            self._values = np.empty((rows, width))
+        except MemoryError as error:
+            size = rows * (width + 1) * 8 / 2**30
+            raise CosimError(
+                f"the record of {rows} rows with {width} columns needs {size:.3g} GiB, more than there is; record less often "
+                f"([record] every_s) or stop earlier"
+            ) from error
         self.rows = 0
 
     def append(self, time: float, values: Array) -> None:
@@ -66,7 +73,7 @@ class Record:
     @property
     def units(self) -> dict[str, str]:
         named = {
-            column: unit or "1"
+            column: unit or ""
             for signal in self.signals.values()
             for column, unit in zip(signal.columns, signal.units, strict=True)
         }
@@ -94,9 +101,10 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
         write(partial)
         os.replace(partial, path)
     except OSError as error:
-        with contextlib.suppress(OSError):  # the first error is the one to tell
-            partial.unlink(missing_ok=True)
         raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
+    finally:
+        with contextlib.suppress(OSError):  # nothing half-written stays, whatever interrupted the writing
+            partial.unlink(missing_ok=True)
 
 
 def write_text(path: Path, text: str) -> None:

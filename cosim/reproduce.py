@@ -91,10 +91,9 @@ def statements(results: Mapping[str, Result]) -> list[Statement]:
             paper="in continuous time both errors converge; tracking error of the order of 1e-4 m",
             measured=f"sampled at 1 ms: hand at most {late(continuous, 'end_effector_position_error_m')} m in the last 10 s, "
             f"base {late(continuous, 'base_position_error_m')} m; continuous time (DOP853): hand {exact[0]:.1e} m, base {exact[1]:.1e} m",
-            verdict=judged(
-                not continuous.outcome.diverged and continuous.summary["end_effector_position_error_m"]["last_10_s"] < 1e-3
-            ),
-            remark="below the paper's 1e-4 m: no noise, and the controllers' model is exact here",
+            verdict="in part" if not continuous.outcome.diverged and max(*exact, late_hand(continuous)) < 1e-4 else "differs",
+            remark="both stay far below the paper's 1e-4 m (no noise, and the controllers' model is exact here); the run starts "
+            "without error: that errors converge is shown by V of (10), which falls from random errors (tests/laws)",
         ),
         Statement(
             where="Fig. 4",
@@ -155,6 +154,10 @@ def statements(results: Mapping[str, Result]) -> list[Statement]:
 
 def judged(*parts: bool) -> Verdict:
     return "as stated" if all(parts) else "in part" if any(parts) else "differs"
+
+
+def late_hand(result: Result) -> float:
+    return float(result.summary["end_effector_position_error_m"]["last_10_s"])
 
 
 def late_value(result: Result) -> float:

@@ -34,6 +34,8 @@ class ComponentSpec:
     step: Step
     parameters: Mapping[str, Any] = field(default_factory=dict)
     options: Mapping[str, Any] = field(default_factory=dict)
+    samples: bool | None = None
+    """Whether the outputs belong to the begin of a step (True) or its end (False); None: as its description says."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,12 +80,14 @@ def load(name: str, overrides: Sequence[str] = ()) -> Scenario:
 
 def find(name: str, beside: Path | None = None) -> Path:
     candidates = [Path(name)] if beside is None else [beside / name, Path(name)]
-    for path in candidates:
-        if path.suffix == ".toml" and path.is_file():
-            return path
-    path = SHIPPED / f"{name}.toml"
-    if path.is_file():
-        return path
+    if beside is not None or not name.startswith("_"):
+        candidates.append(SHIPPED / f"{name}.toml")
+    try:
+        for path in candidates:
+            if path.suffix == ".toml" and path.is_file():
+                return path
+    except (OSError, ValueError):
+        pass  # a name that no file can have
     if name.endswith(".toml"):
         raise ScenarioError(f"scenario file {name} does not exist")
     raise ScenarioError(f"there is no scenario {name!r}: neither a shipped one nor a .toml file{did_you_mean(name, shipped())}")
@@ -93,7 +97,7 @@ def _read(path: Path, seen: tuple[Path, ...]) -> Raw:
     if path in seen:
         raise ScenarioError(f"scenario {path} extends itself, by way of {' -> '.join(p.name for p in seen)}")
     try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8"))
+        raw = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise ScenarioError(f"scenario {path} cannot be read: {error.strerror}") from error
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
@@ -108,16 +112,39 @@ def _read(path: Path, seen: tuple[Path, ...]) -> Raw:
 
 def _merge(base: Raw, change: Raw) -> Raw:
     merged = dict(base)
+    for key in ("connections", "delayed"):
+        # A connection replaces the one that drove the same input; the others stay.
+        if isinstance(base.get(key), list):
+            merged[key] = [kept for text in base[key] for kept in _without(text, _driven(change))]
     for key, value in change.items():
+        if key in ("connections", "delayed") and isinstance(value, list) and isinstance(merged.get(key), list):
+            merged[key] = [*merged[key], *value]
+            continue
         both_tables = isinstance(value, dict) and isinstance(merged.get(key), dict) and "value" not in value
         merged[key] = _merge(merged[key], value) if both_tables else value
     return merged
+
+
+def _driven(raw: Raw) -> set[str]:
+    """The inputs that a file's own connections drive."""
+    texts = [text for key in ("connections", "delayed") if isinstance(raw.get(key), list) for text in raw[key]]
+    return {target.strip() for text in texts for target in str(text).partition("->")[2].split(",")}
+
+
+def _without(text: object, driven: set[str]) -> list[str]:
+    """A connection's text without the targets in `driven`; none if nothing is left."""
+    source, arrow, targets = str(text).partition("->")
+    left = [target.strip() for target in targets.split(",") if target.strip() not in driven]
+    return [f"{source.strip()} {arrow} {', '.join(left)}"] if left else []
 
 
 def _override(raw: Raw, text: str) -> None:
     """COMPONENT.PARAMETER=VALUE; VALUE as in TOML, or a bare word, or a number with a unit ("300 ms")."""
     target, equals, value = text.partition("=")
     component, dot, parameter = target.strip().partition(".")
+    if equals and target.strip() == "stop_s":
+        raw["stop_s"] = parse_value(value.strip())
+        return
     if not equals or not dot or not component or not parameter:
         raise ScenarioError(f"--set {text}: COMPONENT.PARAMETER=VALUE is expected, for example base_controller.period=0.1")
     components = raw.get("components", {})
@@ -198,9 +225,14 @@ class _Reader:
     def component(self, name: str, raw: object) -> ComponentSpec:
         if not isinstance(raw, dict):
             raise self.fail(f"components.{name} is {raw!r}; a table is expected")
+        if not name.isidentifier():
+            raise self.fail(f"component {name!r}: a name of letters, digits and underscores is expected")
         rest = dict(raw)
         kind = rest.pop("kind", "fmu")
         parameters = rest.pop("parameters", {})
+        samples = rest.pop("samples", None)
+        if samples is not None and not isinstance(samples, bool):
+            raise self.fail(f"component {name}: samples is {samples!r}; true or false is expected")
         if "step_s" not in rest:
             raise self.fail(f"component {name} has no step_s, its communication step in seconds")
         step = rest.pop("step_s")
@@ -214,11 +246,11 @@ class _Reader:
             except ValueError as error:
                 raise self.fail(f"component {name}: step_s: {error}") from error
         if isinstance(step, str) and step.startswith("="):
-            return ComponentSpec(name=name, kind=kind, step=step, parameters=parameters, options=rest)
+            return ComponentSpec(name=name, kind=kind, step=step, parameters=parameters, options=rest, samples=samples)
         if isinstance(step, bool) or not isinstance(step, int | float):
             raise self.fail(f"component {name}: step_s is {step!r}; seconds or '=PARAMETER' are expected")
-        exact = nanoseconds(step, f"scenario {self.path}: component {name}: step_s")
-        return ComponentSpec(name=name, kind=kind, step=exact, parameters=parameters, options=rest)
+        exact = nanoseconds(step, f"component {name}: step_s")
+        return ComponentSpec(name=name, kind=kind, step=exact, parameters=parameters, options=rest, samples=samples)
 
     def connections(self, raw: Raw, key: str, delayed: bool) -> Iterable[Connection]:
         for text in self.array(raw, key):
@@ -231,21 +263,25 @@ class _Reader:
     def limit(self, raw: object) -> Limit:
         if not isinstance(raw, dict):
             raise self.fail(f"limits: {raw!r}; a table is expected")
-        self.known(raw, ("signal", "elements", "norm", "maximum", "cause"), "[[limits]]")
-        signal, maximum, norm = raw.get("signal"), raw.get("maximum"), raw.get("norm", "maximum")
-        if not isinstance(signal, str) or isinstance(maximum, bool) or not isinstance(maximum, int | float) or not maximum > 0:
-            raise self.fail(f"limits: {raw!r}; a 'signal' and a positive 'maximum' are expected")
+        self.known(raw, ("signal", "elements", "norm", "maximum", "minimum", "cause"), "[[limits]]")
+        signal, norm = raw.get("signal"), raw.get("norm", "maximum")
+        if not isinstance(signal, str) or ("maximum" in raw) == ("minimum" in raw):
+            raise self.fail(f"limits: {raw!r}; a 'signal' and either a 'maximum' or a 'minimum' are expected")
+        bound = raw.get("maximum", raw.get("minimum"))
+        if isinstance(bound, bool) or not isinstance(bound, int | float) or ("maximum" in raw and not bound > 0):
+            raise self.fail(f"limit on {signal}: {bound!r}; a number is expected, greater than zero for a maximum")
         if norm not in ("maximum", "euclidean"):
             raise self.fail(f"limit on {signal}: norm is {norm!r}; 'maximum' or 'euclidean' is expected")
-        elements = raw.get("elements", [1, None])
-        if not isinstance(elements, list) or len(elements) != 2:
+        elements = raw.get("elements")
+        whole = isinstance(elements, list) and len(elements) == 2 and all(isinstance(k, int) and k >= 1 for k in elements)
+        if elements is not None and not (whole and elements[0] <= elements[1]):
             raise self.fail(f"limit on {signal}: elements is {elements!r}; [first, last], counted from 1, is expected")
         return Limit(
             signal=signal,
-            maximum=float(maximum),
-            cause=str(raw.get("cause", "limit passed")),
-            first=elements[0],
-            last=elements[1],
+            bound=float(bound),
+            is_minimum="minimum" in raw,
+            cause=self.text(raw, "cause", "limit passed"),
+            elements=None if elements is None else (elements[0], elements[1]),
             euclidean=norm == "euclidean",
         )
 

@@ -15,8 +15,9 @@ from typing import Literal
 import casadi as ca
 import numpy as np
 
-from fmu_src.errors import BlockError
+from fmu_src.errors import BlockError, did_you_mean
 from fmu_src.robot import Array, constant
+from fmu_src.units import UNITS
 
 SX = ca.SX
 Units = tuple[str, ...]
@@ -67,8 +68,8 @@ class Block:
     """
 
     def __init__(self, name: str, description: str) -> None:
-        if not name.isidentifier():
-            raise BlockError(f"block {name!r}: the name must be an identifier (letters, digits, underscores)")
+        if not (name.isidentifier() and name.isascii()):
+            raise BlockError(f"block {name!r}: the name must be an identifier (letters a to z, digits, underscores)")
         self.name, self.description = name, description
         self.variables: dict[str, Variable] = {}
         self.symbols: dict[str, SX] = {}
@@ -77,6 +78,7 @@ class Block:
         self._next: dict[str, SX] = {}
         self._initial: dict[str, SX] = {}
         self._outputs: dict[str, SX] = {}
+        self._kinds: set[str] = set()
         self.period: str | None = None
         self.default_step = 1e-3
 
@@ -97,6 +99,9 @@ class Block:
         symbol = self._declare(name, "parameter", start, unit, description, tunable=tunable)
         bound = minimum if minimum is not None else above
         if bound is not None:
+            given = self.start_of(name)
+            if not ((given >= bound).all() if above is None else (given > bound).all()):
+                raise BlockError(f"block {self.name}: the start value of {name!r} is {given}, beyond its own bound {bound:g}")
             for element, part in zip(self.variables[name].element_names, ca.vertsplit(symbol), strict=True):
                 self.require(part, bound, f"parameter {element}", "correct the parameter", strict=above is not None)
         return symbol
@@ -123,6 +128,8 @@ class Block:
 
     def sampled_every(self, name: str, start: float, description: str) -> SX:
         """Make the block a sampled one; its period [s] is the fixed parameter `name`."""
+        if self.period is not None:
+            raise BlockError(f"block {self.name}: it is sampled at {self.period!r} already, and cannot be at {name!r} too")
         self.period = name
         self.default_step = start
         return self.parameter(name, start, "s", description, above=0.0)
@@ -131,17 +138,20 @@ class Block:
 
     def initial(self, state: str, value: SX) -> None:
         """A state's value after initialisation, from parameters and its own start value."""
-        self._initial[state] = value
+        self._assign(self._initial, state, value)
 
     def derivative(self, state: str, value: SX) -> None:
         """dx/dt of a continuous block."""
+        self._kinds.add("derivative")
         self._assign(self._next, state, value)
 
     def update(self, state: str, value: SX) -> None:
         """x(k) of a sampled block, from x(k-1) and the inputs of sample k."""
+        self._kinds.add("update")
         self._assign(self._next, state, value)
 
     def output(self, name: str, value: SX, unit: str | Units, description: str) -> None:
+        value = SX(value)
         self._declare(name, "output", np.zeros(value.numel()), unit, description, is_array=value.numel() > 1)
         self._assign(self._outputs, name, value)
 
@@ -189,6 +199,12 @@ class Block:
         missing = [name for name in names if name not in self._next]
         if missing:
             raise BlockError(f"block {self.name}: no equation for the states {', '.join(missing)}")
+        wrong = "derivative" if self.is_sampled else "update"
+        if wrong in self._kinds:
+            kind = "sampled" if self.is_sampled else "continuous"
+            raise BlockError(f"block {self.name}: it is {kind}, so `{wrong}` has no meaning in it")
+        if not self._outputs and not names:
+            raise BlockError(f"block {self.name}: it has neither outputs nor states")
         self._check_symbols()
         initial = ca.vertcat(*(self._initial.get(name, self.symbols[name]) for name in names))
         rates = ca.vertcat(*(self._next[name] for name in names))
@@ -207,9 +223,9 @@ class Block:
 
     @cached_property
     def dependencies(self) -> dict[str, list[str]]:
-        """For every output element, the input elements that it depends on directly, at the same instant."""
-        u = self._symbols("input")
-        inputs = [name for variable in self.having("input") for name in variable.element_names]
+        """For every output element, the input elements, and `time`, that it depends on directly, at the same instant."""
+        u = ca.vertcat(self.time, self._symbols("input"))
+        knowns = ["time", *(name for variable in self.having("input") for name in variable.element_names)]
         result: dict[str, list[str]] = {}
         for variable in self.having("output", "state"):
             # A sampled state's visible value is the new one: it depends on the inputs of its sample.
@@ -217,9 +233,20 @@ class Block:
             if expression is None:
                 expression = self._next[variable.name] if self.is_sampled else self.symbols[variable.name]
             for element, row in zip(variable.element_names, ca.vertsplit(expression), strict=True):
-                pattern = ca.jacobian_sparsity(row, u) if u.numel() else ca.Sparsity(1, 0)
-                result[element] = [inputs[column] for column in pattern.get_col()]
+                result[element] = [knowns[column] for column in ca.jacobian_sparsity(row, u).get_col()]
         return result
+
+    def has_start(self, variable: Variable) -> bool:
+        """Whether a start value can be given: not for an output, nor for a state whose initial value follows from others."""
+        if variable.causality == "output":
+            return False
+        expression = self._initial.get(variable.name)
+        return expression is None or bool(ca.depends_on(expression, self.symbols[variable.name]))
+
+    def start_of(self, name: str) -> Array:
+        start = self.variables[name].start
+        assert start is not None
+        return start
 
     def start_values(self, *causalities: str) -> Array:
         parts = [variable.start for variable in self.having(*causalities) if variable.start is not None]
@@ -247,11 +274,20 @@ class Block:
         is_array: bool | None = None,
         **more: object,
     ) -> SX:
-        if name in self.variables or not name.isidentifier():
-            raise BlockError(f"block {self.name}: {name!r} is not an identifier, or is declared twice")
+        if name in self.variables or name == "time" or not (name.isidentifier() and name.isascii()):
+            raise BlockError(
+                f"block {self.name}: {name!r} is not an identifier, is declared twice, or is 'time', which every FMU has"
+            )
+        if not (isinstance(description, str) and description.isprintable()):
+            raise BlockError(f"block {self.name}: the description of {name!r} must be one line of printable text")
         values = np.atleast_1d(np.asarray(start, dtype=np.float64)).ravel()
         array = np.ndim(np.asarray(start)) > 0 if is_array is None else is_array
         units = (unit,) * values.size if isinstance(unit, str) else tuple(unit)
+        for one in units:
+            if one not in UNITS:
+                raise BlockError(
+                    f"block {self.name}: {name!r} has the unit {one!r}, which is not known{did_you_mean(one, UNITS)}"
+                )
         if len(units) != values.size:
             raise BlockError(f"block {self.name}: {name!r} has {values.size} elements but {len(units)} units")
         self.variables[name] = Variable(
@@ -283,7 +319,7 @@ class Block:
         return ca.Function(f"{self.name}_{name}", self.arguments, shared)
 
     def _check_symbols(self) -> None:
-        used = ca.symvar(ca.vertcat(*self._next.values(), *self._outputs.values(), *self._initial.values()))
+        used = ca.symvar(ca.vertcat(SX(0), *self._next.values(), *self._outputs.values(), *self._initial.values()))
         known = {str(symbol) for argument in self.arguments for symbol in ca.vertsplit(argument)}
         strange = sorted({str(symbol) for symbol in used} - known)
         if strange:

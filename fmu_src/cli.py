@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from fmu_src.block import Block
-from fmu_src.errors import BlockError, FmuSourceError, RobotError
+from fmu_src.errors import FmuSourceError, RobotError
 from fmu_src.export.archive import build
 from fmu_src.export.compiler import PLATFORMS, Platform, host_platform
 from fmu_src.oracle import disagreement
 from fmu_src.robot import Robot
 from fmu_src.shipped import BLOCKS
 from fmu_src.urdf import load_robot_file, load_urdf
+from fmu_src.user_block import load_block
+
+AGREEMENT = 1e-8
+"""Largest relative difference from Pinocchio's forward dynamics that a user's robot may have."""
 
 
 class FmusCommand:
@@ -50,10 +52,16 @@ class FmusCommand:
         makers = BLOCKS if arguments.block is None else {arguments.block.stem: load_block(arguments.block)}
         # Everything is declared and checked before the first file is written.
         blocks = [make(robot) for make in makers.values()]
+        for block in blocks:
+            _ = block.functions
         if arguments.robot is not None:
-            console.print(
-                f"{robot.name}: {robot.joint_count} free joints; forward dynamics differ from Pinocchio's by {disagreement(robot):.1e}"
-            )
+            difference = disagreement(robot)
+            if not difference < AGREEMENT:
+                raise RobotError(
+                    f"robot {robot.name}: the generated forward dynamics differ from Pinocchio's by {difference:.1e}; less than "
+                    f"{AGREEMENT:g} is expected: the inertias are too far apart in size to compute with"
+                )
+            console.print(f"{robot.name}: {robot.joint_count} free joints; dynamics agree with Pinocchio's to {difference:.1e}")
         for block in blocks:
             with console.status(f"compiling {block.name}"):
                 paths = build(block, arguments.out, platforms)
@@ -110,26 +118,3 @@ def posture_of(words: Sequence[str] | None) -> dict[str, float] | list[float] | 
         return [float(word) for word in words]
     except ValueError as error:
         raise RobotError(f"--posture {' '.join(words)}: numbers, or JOINT=VALUE for each joint, are expected") from error
-
-
-def load_block(path: Path) -> Callable[[Robot], Block]:
-    """The function `block` of a user's file."""
-    if not path.is_file():
-        raise BlockError(f"block file {path} does not exist")
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    try:
-        spec.loader.exec_module(module)
-        made: Callable[[Robot], Block] = module.block
-    except (SyntaxError, ImportError, AttributeError, NameError) as error:
-        raise BlockError(f"block file {path} does not define block(robot): {error}") from error
-
-    def make(robot: Robot) -> Block:
-        block = made(robot)
-        if not isinstance(block, Block):
-            raise BlockError(f"block file {path}: block(robot) gave a {type(block).__name__}; a Block is expected")
-        return block
-
-    return make

@@ -1,5 +1,10 @@
 """What can go wrong between a URDF and an FMU; every message is one sentence for the user."""
 
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
 
 class FmuSourceError(Exception):
     """Base of this package's errors."""
@@ -15,3 +20,9 @@ class BlockError(FmuSourceError):
 
 class BuildError(FmuSourceError):
     """The C compiler or the packaging failed."""
+
+
+def did_you_mean(name: str, candidates: Iterable[str]) -> str:
+    """'; did you mean NAME?' where a known name is near."""
+    close = difflib.get_close_matches(name, list(candidates), n=1)
+    return f"; did you mean {close[0]!r}?" if close else ""

@@ -6,8 +6,7 @@ Every joint frame is turned so that the joint's axis is its own z axis: the recu
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -145,6 +144,3 @@ class Robot:
     @property
     def joint_count(self) -> int:
         return len(self.joints)
-
-    def with_posture(self, posture: Sequence[float]) -> Robot:
-        return replace(self, posture=constant(posture, (len(posture),)))

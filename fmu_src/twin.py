@@ -1,6 +1,6 @@
-"""The Python twin of a block: the same equations in process, with the same stepping rules as the C runtime.
+"""The Python twin of a block: the same equations in process, sampled and integrated as the C runtime does.
 
-It needs no compiler, can be stepped in a debugger, and takes an FMU's place in any scenario (`kind = "twin"`).
+It leaves out what guards a binary against strangers (call order, contiguous steps) and the runtime's compensated summation. It needs no compiler, can be stepped in a debugger, and takes an FMU's place in any scenario (`kind = "twin"`).
 """
 
 from __future__ import annotations
@@ -14,14 +14,23 @@ import casadi as ca
 import numpy as np
 
 from fmu_src.block import Block, Requirement, Variable
-from fmu_src.errors import BlockError
+from fmu_src.errors import BlockError, did_you_mean
 from fmu_src.robot import Array
 from fmu_src.shipped import BLOCKS
 from fmu_src.urdf import DEFAULT_ROBOT, load_robot_file
+from fmu_src.user_block import load_block
 
 
 class TwinError(Exception):
-    """A requirement that is not met, a value that is refused, or a step that cannot be made."""
+    """A value that is refused, or a step that cannot be made."""
+
+    left_validity = False
+
+
+class RequirementError(TwinError):
+    """The run has left what the equations hold for."""
+
+    left_validity = True
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,24 +45,34 @@ class TwinPort:
     settable: bool
     choices: tuple[str, ...] = ()
     boolean: bool = False
+    real: bool = True
     direct: frozenset[str] = field(default_factory=frozenset)
+    sampled: bool = False
+
+    @property
+    def prompt(self) -> bool:
+        return bool(self.direct) or self.sampled
 
 
 def ports(block: Block) -> dict[str, TwinPort]:
     owner = {element: v.name for v in block.having("input") for element in v.element_names}
     result = {}
     for variable in block.variables.values():
-        direct = {owner[name] for element in variable.element_names for name in block.dependencies.get(element, [])}
+        depends = {name for element in variable.element_names for name in block.dependencies.get(element, [])}
+        direct = {owner[name] for name in depends if name in owner}
+        started = block.has_start(variable)
         result[variable.name] = TwinPort(
             name=variable.name,
             size=variable.size,
             causality=_causality(variable),
             units=variable.units,
-            start=None if variable.start is None else tuple(float(value) for value in variable.start),
-            settable=variable.causality in ("parameter", "state"),
+            start=tuple(map(float, variable.start)) if started and variable.start is not None else None,
+            settable=started and variable.causality != "input",
             choices=variable.choices,
             boolean=variable.kind == "boolean",
+            real=variable.kind == "real",
             direct=frozenset(direct),
+            sampled=block.is_sampled and _causality(variable) == "output",
         )
     return result
 
@@ -176,7 +195,9 @@ class Twin:
             x += h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
         if not np.isfinite(x).all():
             x[:] = before
-            raise TwinError(f"the states did not stay finite in a step of {size:g} s; the step was not made: check the inputs")
+            raise RequirementError(
+                f"the states did not stay finite in a step of {size:g} s; the step was not made: check the inputs"
+            )
 
     def rates(self) -> Array:
         """dx/dt of a continuous block at its present time, inputs and states."""
@@ -202,7 +223,9 @@ class Twin:
             if value > minimum or (value == minimum and not requirement.strict):
                 continue
             bound = "more than" if requirement.strict else "at least"
-            raise TwinError(f"{requirement.subject} is {value:.6g}; {bound} {minimum:g} is expected: {requirement.remedy}")
+            raise RequirementError(
+                f"{requirement.subject} is {value:.6g}; {bound} {minimum:g} is expected: {requirement.remedy}"
+            )
 
 
 class _Evaluator:
@@ -234,9 +257,16 @@ def _views(twin: Twin, names: Sequence[str], buffer: Array) -> list[tuple[Array,
 
 
 def twin_component(name: str, options: Mapping[str, Any], directory: Path) -> Twin:
-    """For scenarios: `block` (default: the component's name) and `robot`, the path of a robot file (default: the shipped one)."""
+    """For scenarios: `block`, a shipped one or a FILE.py (default: the component's name), and `robot`, the path of a robot file (default: the shipped one)."""
+    for key in options:
+        if key not in ("block", "robot"):
+            raise BlockError(
+                f"component {name}: unknown key {key!r}{did_you_mean(key, ('block', 'robot', 'step_s', 'parameters'))}"
+            )
     block = options.get("block", name)
+    robot = directory / str(options["robot"]) if "robot" in options else DEFAULT_ROBOT
+    if str(block).endswith(".py"):
+        return Twin(load_block(directory / block)(load_robot_file(robot)), name)
     if block not in BLOCKS:
         raise BlockError(f"component {name}: there is no block {block!r}; known are {', '.join(BLOCKS)}")
-    robot = directory / options["robot"] if "robot" in options else DEFAULT_ROBOT
     return Twin(BLOCKS[block](load_robot_file(robot)), name)

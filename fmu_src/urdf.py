@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from fmu_src.errors import RobotError
+from fmu_src.errors import RobotError, did_you_mean
 from fmu_src.robot import Array, Inertial, Joint, Robot, constant
-from fmu_src.urdf_tree import UrdfJoint, UrdfTree, near
+from fmu_src.urdf_tree import UrdfJoint, UrdfTree
 
 ROBOTS = Path(__file__).parent / "robots"
 DEFAULT_ROBOT = ROBOTS / "lwr4_free_flyer.toml"
@@ -29,7 +29,7 @@ def load_robot_file(path: Path = DEFAULT_ROBOT) -> Robot:
     known = ("urdf", "base_link", "end_effector", "tool_link", "lock", "posture")
     for key in data:
         if key not in known:
-            raise RobotError(f"robot file {path}: unknown key {key!r}{near(key, known)}")
+            raise RobotError(f"robot file {path}: unknown key {key!r}{did_you_mean(key, known)}")
     if not isinstance(data.get("urdf"), str):
         raise RobotError(f"robot file {path}: 'urdf' must be the path of a URDF file")
     return load_urdf(
@@ -80,9 +80,13 @@ def _robot(
     path = tree.chain(base, tip)
     for name, value in lock.items():
         if name not in tree.joints:
-            raise RobotError(f"URDF {tree.path}: locked joint {name!r} does not exist{near(name, tree.joints)}")
+            raise RobotError(f"URDF {tree.path}: locked joint {name!r} does not exist{did_you_mean(name, tree.joints)}")
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
             raise RobotError(f"URDF {tree.path}: joint {name} is locked at {value!r}; a finite number is expected")
+        joint = tree.joints[name]
+        if not joint.lower <= value <= joint.upper:
+            limits = f"[{joint.lower:g}, {joint.upper:g}]"
+            raise RobotError(f"URDF {tree.path}: joint {name} is locked at {value:g}, outside its limits {limits}")
     base_inertial = tree.links[base]
     if base_inertial is None:
         raise RobotError(f"URDF {tree.path}: base link {base!r} has no mass; a floating base needs an <inertial>")
@@ -167,7 +171,7 @@ def _posture(tree: UrdfTree, free: Sequence[Joint], posture: Mapping[str, float]
     if isinstance(posture, Mapping):
         for name in posture:
             if name not in names:
-                raise RobotError(f"URDF {tree.path}: posture names {name!r}, which is no free joint{near(name, names)}")
+                raise RobotError(f"URDF {tree.path}: posture names {name!r}, which is no free joint{did_you_mean(name, names)}")
         missing = [name for name in names if name not in posture]
         if missing:
             raise RobotError(f"URDF {tree.path}: posture lacks the joints {', '.join(missing)}")

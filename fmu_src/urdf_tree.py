@@ -5,7 +5,6 @@ The XML is read directly: the checks need every link's own `<inertial>`, which r
 
 from __future__ import annotations
 
-import difflib
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +12,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from fmu_src.errors import RobotError
+from fmu_src.errors import RobotError, did_you_mean
 from fmu_src.robot import Array, Inertial, Joint, constant
 
 MOVING = ("revolute", "continuous", "prismatic")
@@ -89,7 +88,7 @@ class UrdfTree:
 
     def require_link(self, name: str, role: str) -> None:
         if name not in self.links:
-            raise RobotError(f"URDF {self.path}: {role} {name!r} does not exist{near(name, self.links)}")
+            raise RobotError(f"URDF {self.path}: {role} {name!r} does not exist{did_you_mean(name, self.links)}")
 
     def only_leaf(self, base: str) -> str:
         leaves, stack = [], [base]
@@ -133,7 +132,7 @@ class UrdfTree:
         for role, link in (("parent", joint.parent), ("child", joint.child)):
             if link not in self.links:
                 raise RobotError(
-                    f"URDF {self.path}: joint {joint.name!r} has {role} link {link!r}, which does not exist{near(link, self.links)}"
+                    f"URDF {self.path}: joint {joint.name!r} has {role} link {link!r}, which does not exist{did_you_mean(link, self.links)}"
                 )
         if joint.name in self.joints:
             raise RobotError(f"URDF {self.path}: joint {joint.name!r} is defined twice")
@@ -259,8 +258,3 @@ def _rotation_about(axis: Array, angle: float) -> Array:
     x, y, z = axis
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return np.asarray(np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross)
-
-
-def near(name: str, candidates: object) -> str:
-    close = difflib.get_close_matches(name, list(candidates), n=1)  # type: ignore[call-overload]
-    return f"; did you mean {close[0]!r}?" if close else ""

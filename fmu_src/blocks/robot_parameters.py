@@ -61,12 +61,14 @@ def _require_physical(block: Block, name: str, entries: SX, *, strict: bool) -> 
     covariance = 0.5 * ca.trace(matrix) * SX.eye(3) - matrix
     scale = ca.trace(matrix)
     for what, tested, exact in (("positive definite", matrix, strict), ("within the triangle inequality", covariance, False)):
-        for size in (1, 2, 3):
-            minor = ca.det(tested[:size, :size])
+        # All principal minors: the leading ones do not decide semidefiniteness.
+        for rows in ([0], [1], [2], [0, 1], [0, 2], [1, 2], [0, 1, 2]):
+            minor = ca.det(tested[rows, rows])
             # A body may lie on the triangle inequality's edge: rounding must not throw it over.
-            slack = 0.0 if exact else -1e-12 * scale**size
+            slack = 0.0 if exact else -1e-12 * scale ** len(rows)
+            label = "".join("xyz"[row] for row in rows)
             block.require(
-                minor, slack, f"{name}: leading minor {size} of what must be {what}", "correct the inertia", strict=exact
+                minor, slack, f"{name}: principal minor {label} of what must be {what}", "correct the inertia", strict=exact
             )
 
 

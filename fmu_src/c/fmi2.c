@@ -45,6 +45,8 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String token, 
     if (type == fmi2ModelExchange && block.period >= 0)
         return NULL;
     Instance *c = instance_new(name, token, type == fmi2ModelExchange);
+    if (!c && name && callbacks && callbacks->logger)
+        callbacks->logger(callbacks->componentEnvironment, name, fmi2Error, "logStatusError", "%s", INSTANCE_NOT_MADE);
     if (!c)
         return NULL;
     c->logging = logging;

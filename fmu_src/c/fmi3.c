@@ -51,6 +51,8 @@ static Instance *instantiate(fmi3String name, fmi3String token, int model_exchan
     if (model_exchange && block.period >= 0)
         return NULL;
     Instance *c = instance_new(name, token, model_exchange);
+    if (!c && logger)
+        logger(environment, fmi3Error, "logStatusError", INSTANCE_NOT_MADE);
     if (!c)
         return NULL;
     c->logging = logging;

@@ -7,6 +7,9 @@
 #include "integrate.h"
 
 #define TIME 0
+/* Log categories: a wrong call, and a run that has left what the equations hold for. The description declares both. */
+#define MISUSE "logStatusError"
+#define REQUIREMENT "logRequirement"
 #define NANOSECOND 1 /* tolerance when times that were doubles are compared */
 
 static double *at(Instance *c, Range range) { return c->memory->value + range.first; }
@@ -17,6 +20,8 @@ static int inside(unsigned index, Range range)
 {
     return (int)index >= range.first && (int)index < range.first + range.count;
 }
+
+static int is_finite(double x) { return fabs(x) <= 1.7976931348623157e308; }
 
 static int64_t nanoseconds(double seconds) { return llround(seconds * 1e9); }
 
@@ -60,10 +65,10 @@ Status instance_say(Instance *c, Status status, const char *category)
     return status;
 }
 
-static Status fail(Instance *c)
+static Status fail(Instance *c, const char *category)
 {
     c->memory->state = FAILED;
-    return instance_say(c, ERROR, "logStatusError");
+    return instance_say(c, ERROR, category);
 }
 
 Status instance_allow(Instance *c, const char *function, int states)
@@ -81,7 +86,7 @@ Status instance_allow(Instance *c, const char *function, int states)
     for (size_t i = 0; i < sizeof names / sizeof *names; i++)
         if (names[i].state == c->memory->state)
             message_add(&c->message, names[i].name);
-    return instance_say(c, ERROR, "logStatusError");
+    return instance_say(c, ERROR, MISUSE);
 }
 
 /* The first margin below its minimum, told with its value; NaN is below everything. */
@@ -137,17 +142,27 @@ static Status update_outputs(Instance *c)
         return sample(c);
     double *margins = c->scratch;
     block.outputs_(&m->clock, at(c, block.parameters), at(c, block.inputs), at(c, block.states), at(c, block.outputs), margins, 0);
+    if (check_margins(c, block.running_requirement, block.running_requirements, margins) != OK)
+        return ERROR;
     m->outputs_valid = 1;
-    return check_margins(c, block.running_requirement, block.running_requirements, margins);
+    return OK;
 }
 
-static void update_rates(Instance *c)
+static Status update_rates(Instance *c)
 {
     Memory *m = c->memory;
+    double *rates = at(c, block.derivatives);
     if (m->rates_valid || block.derivatives.count == 0)
-        return;
-    block.rates(&m->clock, at(c, block.parameters), at(c, block.inputs), at(c, block.states), at(c, block.derivatives), 0, 0);
+        return OK;
+    block.rates(&m->clock, at(c, block.parameters), at(c, block.inputs), at(c, block.states), rates, 0, 0);
+    for (int i = 0; i < block.derivatives.count; i++)
+        if (!is_finite(rates[i])) {
+            message_begin(&c->message, block.value[block.derivatives.first + i].name);
+            message_add(&c->message, " is not finite: check states, inputs and parameters");
+            return ERROR;
+        }
     m->rates_valid = 1;
+    return OK;
 }
 
 /* A sampled block's outputs follow its inputs only while it is initialised: afterwards they are held. */
@@ -170,7 +185,7 @@ static Status check_reference(Instance *c, unsigned reference, Kind kind, int el
     message_add(&c->message, " is not ");
     message_add(&c->message, kinds[kind]);
     message_add(&c->message, " variable of this FMU");
-    return instance_say(c, ERROR, "logStatusError");
+    return instance_say(c, ERROR, MISUSE);
 }
 
 Status instance_get(Instance *c, unsigned reference, Kind kind, int elements, double *value)
@@ -178,9 +193,9 @@ Status instance_get(Instance *c, unsigned reference, Kind kind, int elements, do
     if (check_reference(c, reference, kind, elements) != OK)
         return ERROR;
     if (inside(reference, block.outputs) && update_outputs(c) != OK)
-        return instance_say(c, ERROR, "logStatusError");
-    if (inside(reference, block.derivatives))
-        update_rates(c);
+        return instance_say(c, ERROR, REQUIREMENT);
+    if (inside(reference, block.derivatives) && update_rates(c) != OK)
+        return instance_say(c, ERROR, REQUIREMENT);
     if (reference == TIME)
         c->memory->value[TIME] = c->memory->clock;
     memcpy(value, c->memory->value + reference, (size_t)elements * sizeof(double));
@@ -193,7 +208,7 @@ static Status refuse(Instance *c, unsigned index, double value, const char *reas
     message_add(&c->message, " cannot be set to ");
     message_add_number(&c->message, value);
     message_add(&c->message, reason);
-    return instance_say(c, DISCARD, "logStatusDiscard");
+    return instance_say(c, DISCARD, MISUSE);
 }
 
 Status instance_set(Instance *c, unsigned reference, Kind kind, int elements, const double *value)
@@ -211,10 +226,10 @@ Status instance_set(Instance *c, unsigned reference, Kind kind, int elements, co
     if (!((int)c->memory->state & allowed[variable->access])) {
         message_begin(&c->message, variable->name);
         message_add(&c->message, variable->access == READ_ONLY ? " cannot be set: it is computed" : " cannot be set any more: it is fixed once the run has begun");
-        return instance_say(c, ERROR, "logStatusError");
+        return instance_say(c, ERROR, MISUSE);
     }
     for (int i = 0; i < elements; i++) {
-        if (!(fabs(value[i]) <= 1.7976931348623157e308))
+        if (!(is_finite(value[i])))
             return refuse(c, reference + (unsigned)i, value[i], ": it must be a finite number");
         if (kind == ENUMERATION && (value[i] < 1 || value[i] > variable->maximum))
             return refuse(c, reference + (unsigned)i, value[i], ": it is none of the enumeration's items");
@@ -240,16 +255,16 @@ Status instance_exit_initialization(Instance *c)
     Memory *m = c->memory;
     double *x = at(c, block.states);
     if (check_parameters(c) != OK)
-        return fail(c);
+        return fail(c, REQUIREMENT);
     block.initial(&m->clock, at(c, block.parameters), at(c, block.inputs), x, c->scratch, 0, 0);
     memcpy(x, c->scratch, (size_t)block.states.count * sizeof(double));
     m->outputs_valid = 0;
     m->rates_valid = 0;
     if (update_outputs(c) != OK)
-        return fail(c);
+        return fail(c, REQUIREMENT);
     if (block.period >= 0 && !(c->memory->value[block.period] >= 1e-9)) {
         message_begin(&c->message, "the sampling period must be at least 1 ns");
-        return fail(c);
+        return fail(c, MISUSE);
     }
     m->state = c->model_exchange ? EVENT : STEP;
     return OK;
@@ -261,7 +276,7 @@ static Status step_sampled(Instance *c, int64_t begin, int64_t end, double size)
     double period = m->value[block.period];
     if (begin + NANOSECOND >= m->next_sample) {
         if (sample(c) != OK)
-            return fail(c);
+            return fail(c, REQUIREMENT);
         memcpy(at(c, block.states), c->scratch, (size_t)block.states.count * sizeof(double));
         /* start + count x period, so that rounding never adds up. */
         int64_t count = llround((double)(m->next_sample - m->start) * 1e-9 / period);
@@ -273,7 +288,7 @@ static Status step_sampled(Instance *c, int64_t begin, int64_t end, double size)
         message_add(&c->message, " s passes over a sample of this block, whose period is ");
         message_add_number(&c->message, period);
         message_add(&c->message, " s; choose a step that divides the period");
-        return fail(c);
+        return fail(c, MISUSE);
     }
     return OK;
 }
@@ -292,7 +307,7 @@ static Status step_continuous(Instance *c, double time, double size)
     m->outputs_valid = 0;
     m->rates_valid = 0;
     for (int i = 0; i < n; i++) {
-        if (fabs(x[i]) <= 1.7976931348623157e308)
+        if (is_finite(x[i]))
             continue;
         memcpy(x, saved, (size_t)n * sizeof(double));
         memcpy(lost(c), saved + n, (size_t)n * sizeof(double));
@@ -300,7 +315,7 @@ static Status step_continuous(Instance *c, double time, double size)
         message_add(&c->message, " did not stay finite in a step of ");
         message_add_number(&c->message, size);
         message_add(&c->message, " s; the step was not made: check the inputs");
-        return instance_say(c, DISCARD, "logStatusDiscard");
+        return instance_say(c, DISCARD, REQUIREMENT);
     }
     return OK;
 }
@@ -317,10 +332,10 @@ Status instance_step(Instance *c, double time, double size)
         message_add(&c->message, " s does not begin where the last one ended, at ");
         message_add_number(&c->message, (double)m->time * 1e-9);
         message_add(&c->message, " s, or has no valid size");
-        return fail(c);
+        return fail(c, MISUSE);
     }
     if (check_parameters(c) != OK)
-        return fail(c);
+        return fail(c, REQUIREMENT);
     m->clock = time;
     Status status = block.period >= 0 ? step_sampled(c, begin, end, size) : step_continuous(c, time, size);
     if (status != OK)
@@ -329,7 +344,7 @@ Status instance_step(Instance *c, double time, double size)
     m->time = end;
     /* Outputs wait until somebody asks, unless a requirement watches the motion. */
     if (block.running_requirements > 0 && update_outputs(c) != OK)
-        return fail(c);
+        return fail(c, REQUIREMENT);
     return OK;
 }
 
@@ -347,7 +362,7 @@ static Status check_count(Instance *c, size_t n)
     message_add_number(&c->message, block.states.count);
     message_add(&c->message, " continuous states, not ");
     message_add_number(&c->message, (double)n);
-    return instance_say(c, ERROR, "logStatusError");
+    return instance_say(c, ERROR, MISUSE);
 }
 
 Status instance_set_states(Instance *c, const double *x, size_t n)
@@ -355,7 +370,7 @@ Status instance_set_states(Instance *c, const double *x, size_t n)
     if (check_count(c, n) != OK)
         return ERROR;
     for (size_t i = 0; i < n; i++)
-        if (!(fabs(x[i]) <= 1.7976931348623157e308))
+        if (!(is_finite(x[i])))
             return refuse(c, (unsigned)block.states.first + (unsigned)i, x[i], ": it must be a finite number");
     memcpy(at(c, block.states), x, n * sizeof(double));
     changed(c);
@@ -374,7 +389,8 @@ Status instance_get_rates(Instance *c, double *dx, size_t n)
 {
     if (check_count(c, n) != OK)
         return ERROR;
-    update_rates(c);
+    if (update_rates(c) != OK)
+        return instance_say(c, ERROR, REQUIREMENT);
     memcpy(dx, at(c, block.derivatives), n * sizeof(double));
     return OK;
 }

@@ -42,6 +42,7 @@ typedef struct Instance {
     Memory *memory; /* everything that a saved FMU state holds */
 } Instance;
 
+#define INSTANCE_NOT_MADE "the instantiation token is not this library's, or there is no memory: description and binary do not belong together"
 Instance *instance_new(const char *name, const char *token, int model_exchange);
 void instance_free(Instance *);
 /* Back to start values. */

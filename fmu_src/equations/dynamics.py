@@ -5,6 +5,8 @@ All recursions run in body coordinates; wrenches and velocities go in and out in
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import casadi as ca
 
 from fmu_src.equations import rotation
@@ -79,10 +81,19 @@ def articulated_hand_inertia(mechanism: Mechanism, state: State) -> SX:
     return ca.vertcat(ca.diag(turn @ hand.M @ turn.T), ca.diag(turn @ hand.I @ turn.T))
 
 
-def forward_dynamics(mechanism: Mechanism, state: State, base_wrench: SX, joint_torque: SX) -> tuple[SX, SX]:
-    """(1) solved for x_b'' (6, in I) and q'' (n) by the articulated-body algorithm (Featherstone, table 7.1)."""
+class _Pass(NamedTuple):
+    """What the articulated-body algorithm's way outside in leaves for the way back."""
+
+    velocities: list[tuple[SX, SX]]
+    transforms: list[tuple[SX, SX]]
+    base_inertia: ArticulatedInertia
+    base_bias: tuple[SX, SX]
+    saved: list[tuple[SX, SX, SX, SX]]
+
+
+def _outside_in(mechanism: Mechanism, state: State, joint_torque: SX) -> _Pass:
+    """Articulated inertias and bias wrenches, tip to base (Featherstone, table 7.1)."""
     joints, n = mechanism.joints, len(mechanism.joints)
-    R_IB = rotation.matrix(state.orientation)
     velocities = body_velocities(mechanism, state)
     transforms = [transform(joint, state.q[i]) for i, joint in enumerate(joints)]
     inertias = [body.articulated() for body in (mechanism.base, *mechanism.bodies)]
@@ -90,7 +101,6 @@ def forward_dynamics(mechanism: Mechanism, state: State, base_wrench: SX, joint_
     for body, (v, w) in zip((mechanism.base, *mechanism.bodies), velocities, strict=True):
         p, L = body.momentum(v, w)
         bias.append((cross(w, p), cross(w, L) + cross(v, p)))
-    # Outside in: articulated inertias and bias wrenches.
     saved: list[tuple[SX, SX, SX, SX]] = [(SX(0), SX(0), SX(0), SX(0))] * n
     for i in reversed(range(n)):
         (M, H, I), (f, t), (v, w) = inertias[i + 1], bias[i + 1], velocities[i + 1]
@@ -108,23 +118,46 @@ def forward_dynamics(mechanism: Mechanism, state: State, base_wrench: SX, joint_
         f, t = wrench_to_parent(R, r, f, t)
         bias[i] = (bias[i][0] + f, bias[i][1] + t)
         saved[i] = (ca.vertcat(U_f, U_t) / D, u / D, c_v, c_w)
-    # The floating base, then inside out.
-    wrench = ca.vertcat(R_IB.T @ base_wrench[:3] - bias[0][0], R_IB.T @ base_wrench[3:] - bias[0][1])
-    acceleration = solve_positive_definite(inertias[0].matrix(), wrench)
-    a, alpha = acceleration[:3], acceleration[3:]
-    v_b, w_b = velocities[0]
-    base_acceleration = ca.vertcat(R_IB @ (a + cross(w_b, v_b)), R_IB @ alpha)
+    return _Pass(velocities, transforms, inertias[0], bias[0], saved)
+
+
+def _inside_out(mechanism: Mechanism, done: _Pass, a: SX, alpha: SX) -> SX:
+    """q'' (n) from the base's spatial acceleration (a, alpha), in its own axes."""
     qdd = []
-    for i in range(n):
-        R, r = transforms[i]
-        U_over_D, u_over_D, c_v, c_w = saved[i]
+    for i, joint in enumerate(mechanism.joints):
+        R, r = done.transforms[i]
+        U_over_D, u_over_D, c_v, c_w = done.saved[i]
         a, alpha = R.T @ (a + cross(alpha, r)) + c_v, R.T @ alpha + c_w
         qdd.append(u_over_D - ca.dot(U_over_D, ca.vertcat(a, alpha)))
-        if joints[i].kind == "revolute":
+        if joint.kind == "revolute":
             alpha = alpha + Z * qdd[-1]
         else:
             a = a + Z * qdd[-1]
-    return base_acceleration, ca.vertcat(*qdd)
+    return ca.vertcat(*qdd)
+
+
+def forward_dynamics(mechanism: Mechanism, state: State, base_wrench: SX, joint_torque: SX) -> tuple[SX, SX]:
+    """(1) solved for x_b'' (6, in I) and q'' (n) by the articulated-body algorithm."""
+    R_IB = rotation.matrix(state.orientation)
+    done = _outside_in(mechanism, state, joint_torque)
+    force, torque = done.base_bias
+    wrench = ca.vertcat(R_IB.T @ base_wrench[:3] - force, R_IB.T @ base_wrench[3:] - torque)
+    acceleration = solve_positive_definite(done.base_inertia.matrix(), wrench)
+    a, alpha = acceleration[:3], acceleration[3:]
+    v_b, w_b = done.velocities[0]
+    return ca.vertcat(R_IB @ (a + cross(w_b, v_b)), R_IB @ alpha), _inside_out(mechanism, done, a, alpha)
+
+
+def arm_on_moving_base(mechanism: Mechanism, state: State, base_acceleration: SX, joint_torque: SX, gravity: SX) -> SX:
+    """q'' (n) of the arm alone: the base moves as it is told, with x_b'' (6) and in the uniform field `gravity` (3), in I.
+
+    The lower rows of (1). Gravity is an acceleration of the base the other way.
+    """
+    R_IB = rotation.matrix(state.orientation)
+    done = _outside_in(mechanism, state, joint_torque)
+    v_b, w_b = done.velocities[0]
+    a = R_IB.T @ (base_acceleration[:3] - gravity) - cross(w_b, v_b)
+    return _inside_out(mechanism, done, a, R_IB.T @ base_acceleration[3:])
 
 
 def two_velocity_inverse_dynamics(
@@ -205,7 +238,3 @@ def momentum(mechanism: Mechanism, position: SX, state: State) -> tuple[SX, SX]:
     R_IB = rotation.matrix(state.orientation)
     p = R_IB @ p
     return p, R_IB @ L + cross(position, p)
-
-
-def total_mass(mechanism: Mechanism) -> SX:
-    return sum((body.mass for body in mechanism.bodies), start=mechanism.base.mass)

@@ -29,9 +29,18 @@ class FeedForward(NamedTuple):
 
 
 def inverse(J: SX) -> SX:
-    """J^-1 of a square matrix by QR: no pivoting, and stable down to the singularity that the controllers refuse."""
-    Q, R = ca.qr(J)
+    """J^-1 of a square matrix by modified Gram-Schmidt: no pivoting, stable down to the singularity that is refused.
+
+    The pivots' tiny addend (1e-30 in the norm) keeps J^-1 finite at an exact singularity, so that it can be reported, with a value.
+    """
     n = J.size1()
+    Q, R = SX(J), SX.zeros(n, n)
+    for k in range(n):
+        R[k, k] = ca.sqrt(ca.sumsqr(Q[:, k]) + 1e-60)
+        Q[:, k] /= R[k, k]
+        for i in range(k + 1, n):
+            R[k, i] = ca.dot(Q[:, k], Q[:, i])
+            Q[:, i] -= R[k, i] * Q[:, k]
     X = Q.T
     for i in reversed(range(n)):
         for k in range(i + 1, n):

@@ -49,3 +49,18 @@ def ramped_sine(t: SX, position: SX, orientation: SX, translation: SX, turn: SX,
         amplitude * gd,
         amplitude * gdd,
     )
+
+
+def straight_line(t: SX, position: SX, orientation: SX, displacement: SX, duration: SX) -> Motion:
+    """x_md = x_0 + displacement ramp(t / duration): a straight line at rest at both ends, the orientation kept.
+
+    The paper's Sec. VI gives line and duration; the quintic course along it is this project's assumption.
+    """
+    s, sd, sdd = quintic_ramp(t, duration)
+    still = SX(3, 1)
+    return Motion(
+        position + displacement * s,
+        rotation.normalised(orientation),
+        ca.vertcat(displacement * sd, still),
+        ca.vertcat(displacement * sdd, still),
+    )

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 import tempfile
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from fmu_src.block import Block
@@ -37,7 +38,7 @@ def build(block: Block, directory: Path, platforms: Sequence[Platform] | None = 
     """
     token = content_token(block)
     targets = platforms or [host_platform()]
-    with tempfile.TemporaryDirectory() as scratch:
+    with _scratch() as scratch:
         source = Path(scratch) / "block.c"
         source.write_text(print_block(block, token), encoding="ascii")
         libraries: dict[Platform, bytes] = {}
@@ -73,4 +74,17 @@ def write_archive(path: Path, files: Mapping[str, bytes]) -> Path:
         os.replace(partial, path)
     except OSError as error:
         raise BuildError(f"{path} cannot be written: {error.strerror}") from error
+    finally:
+        with contextlib.suppress(OSError, UnboundLocalError):
+            partial.unlink(missing_ok=True)
     return path
+
+
+@contextlib.contextmanager
+def _scratch() -> Iterator[str]:
+    """A temporary directory; what goes wrong in it is said in one sentence."""
+    try:
+        with tempfile.TemporaryDirectory() as scratch:
+            yield scratch
+    except OSError as error:
+        raise BuildError(f"the temporary directory {tempfile.gettempdir()} cannot be used: {error.strerror}") from error

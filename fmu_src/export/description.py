@@ -7,32 +7,11 @@ from xml.etree import ElementTree
 
 from fmu_src.block import Block, Variable
 from fmu_src.export.layout import Layout, derivative_elements, derivative_name, layout
+from fmu_src.units import DISPLAY, UNITS
 
 TOOL = "freeflyer-cosim"
-# Units as products of SI base units: kg, m, s, rad with their exponents.
-UNITS: dict[str, dict[str, int]] = {
-    "m": {"m": 1},
-    "m/s": {"m": 1, "s": -1},
-    "m/s2": {"m": 1, "s": -2},
-    "rad": {"rad": 1},
-    "rad/s": {"rad": 1, "s": -1},
-    "rad/s2": {"rad": 1, "s": -2},
-    "s": {"s": 1},
-    "Hz": {"s": -1},
-    "kg": {"kg": 1},
-    "kg.m2": {"kg": 1, "m": 2},
-    "kg.m/s": {"kg": 1, "m": 1, "s": -1},
-    "kg.m2/s": {"kg": 1, "m": 2, "s": -1},
-    "N": {"kg": 1, "m": 1, "s": -2},
-    "N.m": {"kg": 1, "m": 2, "s": -2},
-    "J": {"kg": 1, "m": 2, "s": -2},
-    "W": {"kg": 1, "m": 2, "s": -3},
-    "N/m": {"kg": 1, "s": -2},
-    "N.s/m": {"kg": 1, "s": -1},
-    "N.m/rad": {"kg": 1, "m": 2, "s": -2, "rad": -1},
-    "N.m.s/rad": {"kg": 1, "m": 2, "s": -1, "rad": -1},
-}
-DISPLAY = {"rad": ("deg", 57.29577951308232), "rad/s": ("deg/s", 57.29577951308232)}
+UNITS_ANNOTATION = "org.freeflyer-cosim.units"
+"""Type of the FMI 3.0 annotation that gives an array's units element by element."""
 
 
 def text(root: ElementTree.Element) -> bytes:
@@ -45,15 +24,21 @@ def number(value: float) -> str:
 
 
 def _units(root: ElementTree.Element, block: Block) -> None:
-    used = sorted({unit for variable in block.variables.values() for unit in variable.units if unit != "1"} | {"s"})
+    used = sorted({unit for variable in block.variables.values() for unit in variable.units} | {"s"})
     definitions = ElementTree.SubElement(root, "UnitDefinitions")
     for name in used:
         unit = ElementTree.SubElement(definitions, "Unit", name=name)
-        if name in UNITS:
-            ElementTree.SubElement(unit, "BaseUnit", {base: str(power) for base, power in UNITS[name].items()})
+        ElementTree.SubElement(unit, "BaseUnit", {base: str(power) for base, power in UNITS[name].items()})
         if name in DISPLAY:
             display, factor = DISPLAY[name]
             ElementTree.SubElement(unit, "DisplayUnit", name=display, factor=number(factor))
+
+
+def _log_categories(root: ElementTree.Element) -> None:
+    categories = ElementTree.SubElement(root, "LogCategories")
+    ElementTree.SubElement(categories, "Category", name="logStatusError", description="Calls and values that are not allowed")
+    requirement = "The run has left what the equations hold for, such as a singular Jacobian"
+    ElementTree.SubElement(categories, "Category", name="logRequirement", description=requirement)
 
 
 def _experiment(root: ElementTree.Element, block: Block) -> None:
@@ -118,6 +103,7 @@ def fmi2(block: Block, token: str) -> bytes:
             )
             for index, choice in enumerate(variable.choices):
                 ElementTree.SubElement(items, "Item", name=choice, value=str(index + 1))
+    _log_categories(root)
     _experiment(root, block)
     variables = ElementTree.SubElement(root, "ModelVariables")
     positions = _fmi2_variables(variables, block, plan)
@@ -143,18 +129,17 @@ def _fmi2_variables(parent: ElementTree.Element, block: Block, plan: Layout) -> 
                 "description": variable.description,
             }
             typed: dict[str, str] = {}
-            if variable.causality in ("parameter", "state"):
-                attributes["initial"] = "exact"
-            elif variable.causality == "output":
-                attributes["initial"] = "calculated"
-            if variable.start is not None:
+            started = block.has_start(variable)
+            if variable.causality != "input":
+                attributes["initial"] = "exact" if started else "calculated"
+            if started and variable.start is not None:
                 value = variable.start[i]
                 typed["start"] = number(value) if variable.kind == "real" else str(int(value))
             if variable.kind == "boolean" and "start" in typed:
                 typed["start"] = "true" if variable.start is not None and variable.start[i] else "false"
             if variable.kind == "enumeration":
                 typed["declaredType"] = _type_name(block, variable)
-            if variable.kind == "real" and variable.units[i] != "1":
+            if variable.kind == "real":
                 typed["unit"] = variable.units[i]
             element = scalar(name, plan.reference[variable.name] + i, **attributes)
             ElementTree.SubElement(
@@ -192,7 +177,8 @@ def _fmi2_structure(parent: ElementTree.Element, block: Block, index: dict[str, 
         derivatives = ElementTree.SubElement(parent, "Derivatives")
         for name in states:
             ElementTree.SubElement(derivatives, "Unknown", index=str(index[f"der({name})"]))
-    unknowns = [name for variable, name in outputs if variable.causality == "output"] + [f"der({name})" for name in states]
+    computed = [variable for variable in block.having("output", "state") if not (variable.local or block.has_start(variable))]
+    unknowns = [name for variable in computed for name in variable.element_names] + [f"der({name})" for name in states]
     if unknowns:
         initial = ElementTree.SubElement(parent, "InitialUnknowns")
         for name in sorted(unknowns, key=index.__getitem__):
@@ -230,6 +216,7 @@ def fmi3(block: Block, token: str) -> bytes:
             items = ElementTree.SubElement(types, "EnumerationType", name=_type_name(block, variable))
             for index, choice in enumerate(variable.choices):
                 ElementTree.SubElement(items, "Item", name=choice, value=str(index + 1))
+    _log_categories(root)
     _experiment(root, block)
     _fmi3_variables(ElementTree.SubElement(root, "ModelVariables"), block, plan)
     _fmi3_structure(ElementTree.SubElement(root, "ModelStructure"), block, plan)
@@ -249,11 +236,10 @@ def _fmi3_variables(parent: ElementTree.Element, block: Block, plan: Layout) -> 
             "variability": _variability(block, variable),
             "description": variable.description,
         }
-        if variable.causality in ("parameter", "state"):
-            attributes["initial"] = "exact"
-        elif variable.causality == "output":
-            attributes["initial"] = "calculated"
-        if variable.start is not None:
+        started = block.has_start(variable)
+        if variable.causality != "input":
+            attributes["initial"] = "exact" if started else "calculated"
+        if started and variable.start is not None:
             values = variable.start
             if variable.kind == "boolean":
                 attributes["start"] = "true" if values[0] else "false"
@@ -263,11 +249,14 @@ def _fmi3_variables(parent: ElementTree.Element, block: Block, plan: Layout) -> 
                 attributes["start"] = " ".join(number(value) for value in values)
         if variable.kind == "enumeration":
             attributes["declaredType"] = _type_name(block, variable)
-        # One unit for a whole array; a wrench or twist mixes two and goes without (FMI 2.0 has them element by element).
-        if variable.kind == "real" and len(set(variable.units)) == 1 and variable.units[0] != "1":
+        # FMI 3.0 has one unit for a whole array; a wrench or twist mixes two and tells them in an annotation.
+        if variable.kind == "real" and len(set(variable.units)) == 1:
             attributes["unit"] = variable.units[0]
         tag = {"real": "Float64", "boolean": "Boolean", "enumeration": "Enumeration"}[variable.kind]
         element = ElementTree.SubElement(parent, tag, attributes)
+        if len(set(variable.units)) > 1:
+            annotations = ElementTree.SubElement(element, "Annotations")
+            ElementTree.SubElement(annotations, "Annotation", type=UNITS_ANNOTATION).text = " ".join(variable.units)
         if variable.is_array:
             ElementTree.SubElement(element, "Dimension", start=str(variable.size))
     for variable in [] if block.is_sampled else block.having("state"):
@@ -289,7 +278,7 @@ def _fmi3_variables(parent: ElementTree.Element, block: Block, plan: Layout) -> 
 def _fmi3_structure(parent: ElementTree.Element, block: Block, plan: Layout) -> None:
     states = [] if block.is_sampled else block.having("state")
     outputs = [variable for variable in block.having("output", "state") if not variable.local]
-    owner = {name: variable.name for variable in block.having("input") for name in variable.element_names}
+    owner = {name: variable.name for variable in block.having("input") for name in variable.element_names} | {"time": "time"}
 
     def references(names: Iterable[str]) -> str:
         return " ".join(str(reference) for reference in sorted({plan.reference[name] for name in names}))
@@ -306,7 +295,9 @@ def _fmi3_structure(parent: ElementTree.Element, block: Block, plan: Layout) -> 
         ElementTree.SubElement(
             parent, "ContinuousStateDerivative", valueReference=str(plan.reference[derivative_name(variable)])
         )
-    unknowns = [variable.name for variable in outputs if variable.causality == "output"]
+    unknowns = [
+        variable.name for variable in block.having("output", "state") if not (variable.local or block.has_start(variable))
+    ]
     unknowns += [derivative_name(variable) for variable in states]
     for name in sorted(unknowns, key=plan.reference.__getitem__):
         ElementTree.SubElement(parent, "InitialUnknown", valueReference=str(plan.reference[name]))

@@ -51,6 +51,8 @@ def layout(block: Block) -> Layout:
         for variable in block.having(causality):
             reference[variable.name] = len(values)
             how: Access = access.get(causality) or ("tunable" if variable.tunable else "fixed")
+            if not block.has_start(variable):
+                how = "read_only"
             for index, element in enumerate(variable.element_names):
                 extent = variable.size if index == 0 else 0
                 values.append(Value(element, variable.kind, how, len(variable.choices), extent))

@@ -100,8 +100,7 @@ def test_step_times(fmus: Path, robot: Robot, tmp_path: Path) -> None:
     print(
         f"{'MuJoCo RK4, same robot':24s} {theirs:6.2f} us a step: {theirs / times['free_flyer']:.1f} times the plant's doStep"
     )
-    # A guard against gross regressions only; the plant's aim is 3.5 us.
-    assert times["free_flyer"] < 10.0
+    assert times["free_flyer"] < 3.5
 
 
 def test_multirate_passive_through_fmpy(fmus: Path) -> None:
@@ -109,4 +108,4 @@ def test_multirate_passive_through_fmpy(fmus: Path) -> None:
     print(
         f"\nmultirate_passive, 100 s, python master: {result.outcome.wall:.2f} s, {100.0 / result.outcome.wall:.0f} times real time"
     )
-    assert result.outcome.wall < 45.0, "the aim is 15 s"
+    assert result.outcome.wall < 15.0

@@ -126,6 +126,102 @@ def test_scenario_files(capsys: pytest.CaptureFixture[str], tmp_path: Path, text
     assert code == 2
 
 
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            "[[limits]]\nsignal='free_flyer.base_velocity'\nmaximum=1.0\nelements=['a','b']\n",
+            "[first, last], counted from 1, is expected",
+        ),
+        (
+            "[[limits]]\nsignal='free_flyer.base_velocity'\nmaximum=1.0\nelements=[0,3]\n",
+            "[first, last], counted from 1, is expected",
+        ),
+        (
+            "[[limits]]\nsignal='free_flyer.base_velocity'\nmaximum=1.0\nelements=[7,9]\n",
+            "elements 7 to 9 are watched, but it has 6",
+        ),
+        ("[[limits]]\nsignal='free_flyer.base_velocity'\nmaximum=1.0\nminimum=0.0\n", "either a 'maximum' or a 'minimum'"),
+        (
+            "[errors]\nbase_position=['free_flyer.base_positon','base_controller.position_setpoint']\n",
+            "no variable 'base_positon'; did you mean",
+        ),
+        (
+            "[errors]\nx_orientation=['free_flyer.base_position','base_controller.position_setpoint']\n",
+            "has 3 elements; 4 are expected",
+        ),
+        (
+            "[observed_energy]\nbase='manipulator_controller.base_observed_enrgy'\n",
+            "no variable 'base_observed_enrgy'; did you mean",
+        ),
+        ("stop_s = 1e9\n", "needs "),
+        ("[components.free_flyer]\nkind='twin'\nblok='free_flyer'\n", "unknown key 'blok'; did you mean 'block'"),
+        ("[components.free_flyer.parameters]\nbase_mass='=base_controller.period'\n", "units differ: kg and s"),
+        (
+            "[components.base_controller.parameters]\nbase_position=[1,0,0]\n",
+            "it is driven by the connection from free_flyer.base_position",
+        ),
+        ("[components.'x.y']\nstep_s=0.001\n", "a name of letters, digits and underscores is expected"),
+        ("[components.base_controller]\nstep_s=0.5\n", "passes over a sample of this block, whose period is 0.3 s"),
+        ("[components.free_flyer]\nsamples='yes'\n", "samples is 'yes'; true or false is expected"),
+        ("[components.extra]\nkind='python'\nobject='builtins:exit'\nstep_s=0.001\n", "cannot be used: SystemExit"),
+        ("[components.extra]\nkind='python'\nobject='builtins:str'\nstep_s=0.001\n", "gave a str; a component is expected"),
+    ],
+)
+def test_scenario_files_that_look_right(capsys: pytest.CaptureFixture[str], tmp_path: Path, text: str, message: str) -> None:
+    code, error = said(capsys, "run", scenario_file(tmp_path, text), "--out", str(tmp_path / "out"))
+    assert message in error
+    assert code == 2
+
+
+def test_a_failure_that_is_no_divergence_is_none_even_where_divergence_is_expected(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (tmp_path / "lame.py").write_text(
+        "from cosim.component import Port, PythonComponent\n"
+        "class Lame(PythonComponent):\n"
+        "    def __init__(self, name):\n"
+        "        super().__init__(name, [Port(name='y', size=1, causality='output', units=('m',))])\n"
+        "    def advance(self, time, size):\n"
+        "        if time > 1.05:\n"
+        "            raise RuntimeError('boom')\n"
+    )
+    text = "[components.lame]\nkind='python'\nobject='lame.py:Lame'\nstep_s=0.1\n"
+    code, error = said(capsys, "run", scenario_file(tmp_path, text, "multirate_unstable"), "--out", str(tmp_path / "out"))
+    assert code == 3
+    assert "the run stopped at 1.1 s: lame: RuntimeError: boom (" in error
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert (summary["failed"], summary["diverged"]) == (True, False)
+
+
+def test_one_connection_can_be_replaced(tmp_path: Path) -> None:
+    from cosim import scenario as scenarios
+
+    mine = scenario_file(
+        tmp_path,
+        'connections = ["free_flyer.base_position -> base_controller.base_position"]\ndelayed = ["manipulator_controller.base_damping -> base_controller.base_damping"]\n',
+    )
+    before, after = scenarios.load("multirate_passive").connections, scenarios.load(mine).connections
+    assert len(before) == len(after)
+    assert [c.delayed for c in after if c.target == "base_controller.base_damping"] == [True]
+
+
+def test_a_reader_that_goes_away_does_not_stop_the_work(tmp_path: Path) -> None:
+    scenario = scenario_file(tmp_path, "stop_s = 1.2\n")
+    command = f"{sys.executable} -m cosim.command run {scenario} --out {tmp_path / 'out'} | true; exit ${{PIPESTATUS[0]}}"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (tmp_path / "out" / "summary.json").is_file()
+
+
+def test_the_table_shows_its_units(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert cli.main(["run", scenario_file(tmp_path, "stop_s = 1.2\ntitle = '[/bold] odd'\n"), "--out", str(tmp_path)]) == 0
+    shown = capsys.readouterr().out
+    assert "end effector position error [m]" in shown
+    assert "[deg]" in shown
+    assert "[/bold] odd" in shown
+
+
 def test_scenarios_that_are_not_there(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert (
         "there is no scenario 'multirate_pasive': neither a shipped one nor a .toml file; did you mean 'multirate_passive'"
@@ -250,7 +346,7 @@ def test_ctrl_c_in_mid_run_saves_what_was_simulated_and_says_so(tmp_path: Path) 
     scenario = scenario_file(tmp_path, "stop_s = 3000.0\n")
     out = tmp_path / "out"
     process = subprocess.Popen(
-        [sys.executable, "-m", "cosim.cli", "run", scenario, "--out", str(out)],
+        [sys.executable, "-m", "cosim.command", "run", scenario, "--out", str(out)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -389,6 +485,26 @@ def test_robot_files_and_missing_urdfs(capsys: pytest.CaptureFixture[str], tmp_p
     ("text", "message"),
     [
         ("x = 1\n", "does not define block(robot)"),
+        ("1/0\n", "ZeroDivisionError"),
+        ("def block(robot):\n    return {}['k']\n", "block(robot) failed: KeyError"),
+        ("from fmu_src.block import Block\ndef block(robot):\n    return Block('größe', '')\n", "must be an identifier"),
+        (
+            "from fmu_src.block import Block\ndef block(robot):\n    b = Block('b', '')\n    b.input('time', 0.0, 'm', '')\n",
+            "which every FMU has",
+        ),
+        (
+            "from fmu_src.block import Block\ndef block(robot):\n    b = Block('b', '')\n    b.input('x', 0.0, 'furlong', '')\n",
+            "the unit 'furlong', which is not known",
+        ),
+        (
+            "from fmu_src.block import Block\ndef block(robot):\n    b = Block('b', '')\n    b.parameter('x', -1.0, 'm', '', above=0.0)\n",
+            "beyond its own bound 0",
+        ),
+        ("from fmu_src.block import Block\ndef block(robot):\n    return Block('b', '')\n", "neither outputs nor states"),
+        (
+            "from fmu_src.block import Block\ndef block(robot):\n    b = Block('b', '')\n    x = b.state('x', 0.0, 'm', '')\n    b.update('x', x)\n    return b\n",
+            "it is continuous, so `update` has no meaning",
+        ),
         ("def block(robot):\n    return 5\n", "block(robot) gave a int; a Block is expected"),
         ("def block(:\n", "does not define block(robot)"),
         (

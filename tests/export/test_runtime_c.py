@@ -98,7 +98,7 @@ def test_numbers_in_messages_are_written_with_six_digits(tmp_path: Path, value: 
 
 
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="no system gcc: the sanitizers need one (CI has it)")
-@pytest.mark.parametrize("name", ["free_flyer", "manipulator_controller"])
+@pytest.mark.parametrize("name", BLOCKS)
 def test_the_runtime_is_clean_under_sanitizers_and_gcc_warnings(robot: Robot, tmp_path: Path, name: str) -> None:
     """Both interfaces, legal and illegal calls, with address, leak and undefined-behaviour checks."""
     block = BLOCKS[name](robot)

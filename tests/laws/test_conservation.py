@@ -68,6 +68,7 @@ def test_drift_over_1000_s_without_inputs(fmus: Path) -> None:
     print("drift over 1000 s:", ", ".join(f"{quantity} {change:.1e}" for quantity, change in found.items()))
     assert found["energy"] <= 1e-13
     assert found["linear momentum"] <= 1e-13
+    assert found["angular momentum"] <= 2e-13
 
 
 def test_work_of_held_wrench_and_torques_is_the_change_of_kinetic_energy(fmus: Path) -> None:

@@ -172,22 +172,25 @@ def test_times_that_are_no_whole_nanoseconds_are_refused(value: float) -> None:
 def test_a_limit_ends_the_run_with_its_cause_and_keeps_what_was_simulated() -> None:
     plant = Plant("plant")
     plant.values["u"][:] = 1.0
-    limit = Limit(signal="plant.x", maximum=0.0345, cause="too far")
+    limit = Limit(signal="plant.x", bound=0.0345, cause="too far")
     outcome = ready({"plant": plant}, [], {"plant": 10 * MS}, 100 * MS, limits=[limit]).run()
     assert outcome.diverged
     assert outcome.cause == "too far: plant.x is 0.04, the limit is 0.0345"
     assert outcome.simulated == 0.04
     assert outcome.record.time[-1] == 0.04
     with pytest.raises(CosimError, match="did you mean"):
-        ready({"plant": plant}, [], {"plant": 10 * MS}, 100 * MS, limits=[Limit(signal="plamt.x", maximum=1.0, cause="")])
+        ready({"plant": plant}, [], {"plant": 10 * MS}, 100 * MS, limits=[Limit(signal="plamt.x", bound=1.0, cause="")])
 
 
 def test_nan_passes_no_limit() -> None:
-    plant = Plant("plant")
+    class Careless(Plant):
+        def step(self, time: float, size: float) -> None:
+            self.advance(time, size)
+
+    plant = Careless("plant")
     plant.values["u"][:] = np.nan
-    outcome = ready(
-        {"plant": plant}, [], {"plant": 10 * MS}, 100 * MS, limits=[Limit(signal="plant.x", maximum=1.0, cause="x")]
-    ).run()
+    limit = Limit(signal="plant.x", bound=1.0, cause="x")
+    outcome = ready({"plant": plant}, [], {"plant": 10 * MS}, 100 * MS, limits=[limit]).run()
     assert outcome.diverged
     assert outcome.simulated == 0.01
 
@@ -200,9 +203,90 @@ def test_a_component_that_fails_in_mid_run_ends_it_with_its_name() -> None:
                 raise RuntimeError("out of fuel")
 
     outcome = ready({"plant": Failing("plant")}, [], {"plant": 10 * MS}, 100 * MS).run()
-    assert outcome.diverged
-    assert outcome.cause == "plant: out of fuel"
+    assert outcome.failed
+    assert not outcome.diverged
+    assert outcome.cause is not None
+    assert outcome.cause.startswith("plant: RuntimeError: out of fuel (")
+    assert f"{Path(__file__).name}, line " in outcome.cause
     assert outcome.record.rows == 7
+
+
+def test_a_minimum_is_a_limit_too() -> None:
+    plant = Plant("plant")
+    plant.values["u"][:] = -1.0
+    limit = Limit(signal="plant.x", bound=-0.025, is_minimum=True, cause="too low")
+    outcome = ready({"plant": plant}, [], {"plant": 10 * MS}, 100 * MS, limits=[limit]).run()
+    assert outcome.cause == "too low: plant.x is -0.03, the least allowed is -0.025"
+
+
+def test_limits_watch_only_what_they_name() -> None:
+    with pytest.raises(GraphError, match="elements 1 to 2 are watched, but it has 1"):
+        ready(
+            {"plant": Plant("plant")},
+            [],
+            {"plant": 10 * MS},
+            100 * MS,
+            limits=[Limit(signal="plant.x", bound=1.0, cause="", elements=(1, 2))],
+        )
+
+
+def test_a_component_with_both_kinds_of_outputs_in_use_must_say_which_it_is() -> None:
+    class Both(Plant):
+        """x' = u with its acceleration as a second, direct output."""
+
+        def __init__(self, name: str) -> None:
+            PythonComponent.__init__(self, name, [port("u", "input"), port("x", "output"), port("a", "output", direct=("u",))])
+
+    components = {"plant": Both("plant"), "one": Gain("one", 1.0, "m"), "two": Gain("two", 1.0, "m")}
+    wires = [Connection(source="plant.x", target="one.u"), Connection(source="plant.a", target="two.u")]
+    with pytest.raises(GraphError, match="its output a depends directly on its inputs and its output x does not"):
+        graph.build(components, wires)
+    assert "plant" in graph.build(components, wires, {"plant": False}).then
+    assert graph.build(components, wires, {"plant": True}).first[0] == "plant"
+
+
+def test_before_its_source_is_initialised_an_input_keeps_its_own_start_value() -> None:
+    class Careful(Plant):
+        def __init__(self, name: str) -> None:
+            ports = [port("x", "output"), Port(name="u", size=1, causality="input", units=("m/s",), start=(0.7,))]
+            PythonComponent.__init__(self, name, ports)
+
+        def initialise(self, start: float) -> None:
+            self.seen = float(self.values["u"][0])
+
+    plant, gain = Careful("plant"), Gain("gain", -1.0)
+    ready(
+        {"plant": plant, "gain": gain},
+        [Connection(source="plant.x", target="gain.u"), Connection(source="gain.y", target="plant.u")],
+        {"plant": 10 * MS, "gain": 10 * MS},
+        100 * MS,
+    )
+    assert plant.seen == 0.7
+
+
+@pytest.mark.parametrize(
+    ("ports", "message"),
+    [
+        ({"size": 3, "units": ("m",), "start": None}, "size is 3, but it has 1 units"),
+        ({"size": 3, "units": ("m",) * 3, "start": (1.0, 2.0)}, "2 start values"),
+        ({"size": 1, "units": ("blorg",), "start": None}, "unit 'blorg' is not known"),
+        ({"size": 1, "units": ("m",), "start": None, "causality": "outptu"}, "causality is 'outptu'"),
+    ],
+)
+def test_ports_of_python_components_are_checked(ports: dict, message: str) -> None:
+    with pytest.raises(CosimError, match=message):
+        PythonComponent("mine", [Port(**{"name": "y", "causality": "output", **ports})])
+
+
+def test_a_python_component_may_assign_its_outputs_and_must_keep_them_finite() -> None:
+    class Assigning(Plant):
+        def advance(self, time: float, size: float) -> None:
+            self.values["x"] = np.array([time + size if time < 0.05 else np.nan])
+
+    outcome = ready({"plant": Assigning("plant")}, [], {"plant": 10 * MS}, 100 * MS).run()
+    assert outcome.record["plant.x"][3] == pytest.approx(0.03)
+    assert outcome.failed
+    assert "finite numbers are expected" in str(outcome.cause)
 
 
 def test_the_record_loads_in_one_line_with_units(tmp_path: Path) -> None:

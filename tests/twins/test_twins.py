@@ -31,7 +31,9 @@ def disturbed(name: str, random: np.random.Generator, start: np.ndarray) -> np.n
     return start + random.normal(size=start.size) * 0.03
 
 
-def outputs_of(component: object, steps: int, seed: int, period: float) -> np.ndarray:
+def outputs_of(
+    component: object, steps: int, seed: int, period: float, values: dict[str, np.ndarray] | None = None
+) -> np.ndarray:
     """Outputs after every step, under the same random inputs."""
     ports = component.ports  # type: ignore[attr-defined]
     names = [name for name, port in ports.items() if port.causality == "input"]
@@ -40,7 +42,7 @@ def outputs_of(component: object, steps: int, seed: int, period: float) -> np.nd
     y = np.zeros(sum(ports[name].size for name in results))
     start = u.copy()
     random = np.random.default_rng(seed)
-    component.enter_initialization(0.0, {})  # type: ignore[attr-defined]
+    component.enter_initialization(0.0, values or {})  # type: ignore[attr-defined]
     write = component.bind_inputs(names, u) if names else None  # type: ignore[attr-defined]
     read = component.bind_outputs(results, y)  # type: ignore[attr-defined]
     component.exit_initialization()  # type: ignore[attr-defined]
@@ -68,6 +70,21 @@ def test_twin_and_both_fmus_give_the_same_numbers(name: str, seed: int) -> None:
     assert np.abs(twin).max() > 0.0
     assert np.array_equal(two, three), "the same binary must give the same bits through both interfaces"
     agree(twin, two, name)
+
+
+@pytest.mark.parametrize("bookkeeping", [1, 2])
+@pytest.mark.parametrize(
+    ("name", "choice", "options"), [("manipulator_controller", "observer", 3), ("base_controller", "discretisation", 2)]
+)
+def test_twin_and_fmu_agree_in_every_mode(name: str, choice: str, options: int, bookkeeping: int) -> None:
+    for option in range(1, options + 1):
+        values = {choice: np.array([float(option)]), "bookkeeping": np.array([float(bookkeeping)])}
+        if name == "manipulator_controller":
+            values["manipulator_initial_energy"] = np.zeros(6)  # so that both dampers act
+        period = DECLARED[name].default_step
+        twin = outputs_of(Twin(DECLARED[name]), 30, 5, period, values)
+        fmu = outputs_of(FmuComponent(name, directory() / "fmi2" / f"{name}.fmu"), 30, 5, period, values)
+        agree(twin, fmu, f"{name} {option} {bookkeeping}")
 
 
 def test_ports_of_twin_and_fmus_are_the_same(fmus: Path) -> None:

@@ -1,0 +1,50 @@
+"""The documents' examples, run as they stand."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from cosim import cli
+
+TEXT = (Path(__file__).parents[2] / "docs" / "own_robots_and_blocks.md").read_text(encoding="utf-8")
+
+
+def example(language: str, containing: str) -> str:
+    return next(code for code in re.findall(rf"```{language}\n(.*?)```", TEXT, re.DOTALL) if containing in code)
+
+
+def test_the_users_block_in_the_loop(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("thruster_lag.py").write_text(example("python", "thruster_lag"))
+    assert cli.main(["fmus", "--block", "thruster_lag.py", "--out", "fmus"]) == 0
+    Path("lag.toml").write_text(example("toml", "thruster_lag"))
+    assert cli.main(["run", "lag.toml", "--set", "stop_s=3"]) == 0, capsys.readouterr().err
+    twin = example("toml", "thruster_lag").replace(
+        'fmu = "fmus/fmi2/thruster_lag.fmu"', 'kind = "twin"\nblock = "thruster_lag.py"'
+    )
+    Path("twin.toml").write_text(twin)
+    assert cli.main(["run", "twin.toml", "--set", "stop_s=3"]) == 0, capsys.readouterr().err
+
+
+def test_the_users_python_component_in_the_loop(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("kick.py").write_text(example("python", "class Kick"))
+    Path("kick.toml").write_text(
+        'extends = "multirate_passive"\n'
+        'connections = ["manipulator_controller.joint_torque -> kick.command", "kick.torque -> free_flyer.joint_torque"]\n'
+        '[components.kick]\nkind = "python"\nobject = "kick.py:Kick"\nstep_s = 0.001\n'
+    )
+    assert cli.main(["run", "kick.toml", "--set", "stop_s=11"]) == 0, capsys.readouterr().err
+    import pandas
+
+    frame = pandas.read_parquet("freeflyer_out/kick/record.parquet")
+    torque = frame["kick.torque[2]"] - frame["manipulator_controller.joint_torque[2]"]
+    assert torque.max() == pytest.approx(0.5)
+    assert (torque > 0.1).sum() == 10
