@@ -147,6 +147,28 @@ def energies(record: Record) -> Any:
     )
 
 
+def facility_manipulator(record: Record) -> Any:
+    """Fig. 11: tracking error of the end-effector (top), force F'_m of the manipulator (bottom)."""
+    position = record["hand_kinematics.end_effector_position"] - record["reference_trajectory.position"]
+    orientation = record["hand_kinematics.end_effector_orientation"]
+    angles = orientation_error_angles(orientation, record["reference_trajectory.orientation"])
+    return _error_and_force(record, "m", position, angles, record["manipulator_controller.end_effector_wrench"])
+
+
+def facility_base(record: Record) -> Any:
+    """Fig. 12: regulation error of the base (top), force F'_b on the base (bottom). The base starts at its set point."""
+    position, orientation = record["base_robot.true_position"], record["base_robot.true_orientation"]
+    angles = orientation_error_angles(orientation, np.broadcast_to(orientation[0], orientation.shape))
+    return _error_and_force(record, "b", position - position[0], angles, record["base_controller.base_wrench"])
+
+
+def _error_and_force(record: Record, which: str, position: Array, angles: Array, wrench: Array) -> Any:
+    about = tuple(f"about {axis}" for axis in XYZ)
+    errors_row = [(position, XYZ, rf"$\Delta p_{which}$ [m]"), (angles, YPR, rf"$\Delta\Phi_{which}$ [deg]")]
+    forces_row = [(wrench[:, :3], XYZ, f"$f'_{which}$ [N]"), (wrench[:, 3:], about, rf"$\tau'_{which}$ [N m]")]
+    return two_by_two(record.time, [("error", errors_row), ("force", forces_row)])
+
+
 def corrections(record: Record) -> Any:
     """Fig. 8: the passivity controllers' forces and torques at the manipulator (top) and the base (bottom)."""
     return _both(

@@ -34,20 +34,27 @@ def test_reproduce_writes_figures_page_table_and_summary(tmp_path: Path, capsys:
     shown = capsys.readouterr()
     assert shown.err == ""
     assert "The paper's statements beside what was measured" in shown.out
-    for number in ("02", "03", "04", "07", "08", "09", "10"):
+    for number in ("02", "03", "04", "07", "08", "09", "10", "11", "12", "13", "14"):
         assert (tmp_path / f"fig{number}.png").stat().st_size > 20_000
         assert (tmp_path / f"fig{number}.pdf").is_file()
     cases = json.loads((tmp_path / "summary.json").read_text())["cases"]
-    assert list(cases) == ["continuous", "multirate_unstable", "multirate_passive", "overdamped_base"]
+    assert list(cases) == [
+        "continuous",
+        "multirate_unstable",
+        "multirate_passive",
+        "overdamped_base",
+        "facility",
+        "facility_without_pc",
+    ]
     for name, case in cases.items():
         assert case.keys() >= KEYS
         assert case["scenario"] == name
         assert all(set(case[error]) == {"max", "last_10_s"} for error in ERRORS)
         assert set(case["observed_energy_j"]) == {"manipulator", "base"}
         assert (tmp_path / name / "record.parquet").is_file()
-    assert [cases[name]["diverged"] for name in cases] == [False, True, False, True]
+    assert [cases[name]["diverged"] for name in cases] == [False, True, False, True, False, False]
     page = (tmp_path / "report.html").read_text()
     # Self-contained: every picture inside, nothing fetched.
-    assert page.count("data:image/png;base64,") == 9
+    assert page.count("data:image/png;base64,") == 13
     assert not re.search(r"(src|href)=\"(?!data:)", page)
     assert "http" not in re.sub(r"base64,[^\"]*", "", page)
