@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 from cosim.clock import nanoseconds
 from cosim.errors import ScenarioError
-from cosim.graph import Connection, split
+from cosim.graph import Connection
 from cosim.master import Limit
 from cosim.near import did_you_mean
 
@@ -359,4 +359,4 @@ def literal(value: object) -> str:
     return repr(value)
 
 
-__all__ = ["ComponentSpec", "Measure", "Scenario", "find", "load", "parse_value", "shipped", "split"]
+__all__ = ["ComponentSpec", "Measure", "Scenario", "find", "load", "parse_value", "shipped"]

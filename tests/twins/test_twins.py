@@ -102,28 +102,37 @@ def test_ports_of_twin_and_fmus_are_the_same(fmus: Path) -> None:
             component.close()
 
 
-def test_two_instances_in_one_process_do_not_touch_each_other(fmus: Path) -> None:
-    path = fmus / "fmi2" / "free_flyer.fmu"
-    alone = outputs_of(FmuComponent("alone", path), 20, 1, STEP)
-    first, second = FmuComponent("first", path), FmuComponent("second", path)
-    u1, u2, y1, y2 = np.zeros(12), np.zeros(12), np.zeros(alone.shape[1]), np.zeros(alone.shape[1])
-    results = [name for name, port in first.ports.items() if port.causality == "output"]
-    names = [name for name, port in first.ports.items() if port.causality == "input"]
-    for component in (first, second):
+@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.parametrize("name", BLOCKS)
+def test_two_instances_in_one_process_do_not_touch_each_other(fmus: Path, name: str, version: int) -> None:
+    """Stepped in turn under different inputs, each gives what it gives alone."""
+    path = fmus / f"fmi{version}" / f"{name}.fmu"
+    period = DECLARED[name].default_step
+    alone = [outputs_of(FmuComponent(name, path), 12, seed, period) for seed in (1, 2)]
+    pair = [FmuComponent(name, path) for _ in range(2)]
+    ports = pair[0].ports
+    inputs = [port.name for port in ports.values() if port.causality == "input"]
+    results = [port.name for port in ports.values() if port.causality == "output"]
+    start = np.concatenate([np.zeros(0), *(np.array(ports[name].start) for name in inputs)])
+    u = [start.copy(), start.copy()]
+    y = [np.zeros(alone[0].shape[1]) for _ in range(2)]
+    random = [np.random.default_rng(seed) for seed in (1, 2)]
+    write, read = [], []
+    for i, component in enumerate(pair):
         component.enter_initialization(0.0, {})
+        write.append(component.bind_inputs(inputs, u[i]) if inputs else lambda: None)
+        read.append(component.bind_outputs(results, y[i]))
         component.exit_initialization()
-    bound = [(c, c.bind_inputs(names, u), c.bind_outputs(results, y)) for c, u, y in ((first, u1, y1), (second, u2, y2))]
-    random, other = np.random.default_rng(1), np.random.default_rng(2)
-    for k in range(20):
-        u1[:], u2[:] = random.normal(size=12) * 0.03, other.normal(size=12)
-        for component, write, read in bound:
-            write()
-            component.step(k * STEP, STEP)
-            read()
-        assert np.array_equal(y1, alone[k + 1])
-        assert not np.array_equal(y1, y2)
-    first.close()
-    second.close()
+    for k in range(12):
+        for i, component in enumerate(pair):
+            u[i][:] = disturbed(name, random[i], start)
+            write[i]()
+            component.step(k * period, period)
+            read[i]()
+            assert np.array_equal(y[i], alone[i][k + 1])
+    assert not inputs or not np.array_equal(y[0], y[1])
+    for component in pair:
+        component.close()
 
 
 @pytest.mark.parametrize("name", ["ur5", "gantry"])

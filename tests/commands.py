@@ -1,0 +1,15 @@
+"""A command as a user gives it, and what it says."""
+
+from __future__ import annotations
+
+import pytest
+
+from cosim import cli
+
+
+def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str]:
+    code = cli.main(arguments)
+    error = capsys.readouterr().err
+    assert "Traceback" not in error
+    assert len(error.strip().splitlines()) <= 1, error
+    return code, error
