@@ -6,6 +6,8 @@ One row comes out otherwise, and says why: docs/reference_results.md.
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -121,3 +123,38 @@ def test_every_slave_at_1_ms_gives_the_same_numbers_as_1_and_300_ms() -> None:
     assert slow.steps[B] == 334
     for name in slow.record.signals:
         assert np.abs(fast.record[name] - slow.record[name]).max() <= 1e-12, name
+
+
+KICK = """
+from pathlib import Path
+
+import numpy as np
+from cosim.component import Port, PythonComponent
+
+
+class Kick(PythonComponent):
+    def __init__(self, name):
+        unit = ("N.m",) * 6
+        command = Port(name="command", size=6, causality="input", units=unit)
+        super().__init__(name, [command, Port(name="torque", size=6, causality="output", units=unit, direct=frozenset({"command"}))])
+
+    def advance(self, time, size):
+        self.values["torque"] = self.values["command"] + (np.array([0, 5.0, 0, 0, 0, 0]) if 10.0 <= time < 10.1 else 0.0)
+"""
+
+
+@pytest.mark.parametrize(("observer", "diverges"), [("port", True), ("tracking", False)])
+def test_a_push_uses_up_the_port_observers_energy_but_not_the_tracking_ones(
+    tmp_path: Path, observer: str, diverges: bool
+) -> None:
+    (tmp_path / "kick.py").write_text(KICK)
+    (tmp_path / "kick.toml").write_text(
+        'extends = "multirate_passive"\nstop_s = 30.0\n'
+        'connections = ["manipulator_controller.joint_torque -> kick.command", "kick.torque -> free_flyer.joint_torque"]\n'
+        '[components.kick]\nkind = "python"\nobject = "kick.py:Kick"\nstep_s = 0.001\n'
+    )
+    result, (hand, _, _) = last_10_s(str(tmp_path / "kick.toml"), f"{M}.observer={observer}")
+    assert result.outcome.diverged == diverges
+    if not diverges:
+        assert 0.005 < result.summary["end_effector_position_error_m"]["max"] < 0.02
+        assert hand < 1e-3
