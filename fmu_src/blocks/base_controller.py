@@ -11,6 +11,7 @@ from fmu_src.block import WRENCH, Block
 from fmu_src.blocks.gains import BASE, DAMPING, gains
 from fmu_src.blocks.robot_parameters import (
     IDENTITY,
+    SINGULARITY_THRESHOLD,
     desired_motion,
     mass_parameters,
     measured_state,
@@ -53,7 +54,7 @@ def base_controller(robot: Robot) -> Block:
         "damper_bound", 0.5, "1", "c in beta <= c M~ / T_b - K_D (0: no bound), as applied", tunable=True, minimum=0.0
     )
     least_sigma = block.parameter(
-        "singularity_threshold", 0.02, "1", "Least singular value of J_m allowed", tunable=True, minimum=0.0
+        "singularity_threshold", SINGULARITY_THRESHOLD, "1", "Least singular value of J_m allowed", tunable=True, minimum=0.0
     )
     p_bd = block.parameter("position_setpoint", np.zeros(3), "m", "x_bd: base position to hold, in I", tunable=True)
     R_bd = block.parameter(

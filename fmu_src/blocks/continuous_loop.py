@@ -13,6 +13,7 @@ from fmu_src.blocks.gains import BASE, MANIPULATOR, gains
 from fmu_src.blocks.reference_trajectory import reference_motion
 from fmu_src.blocks.robot_parameters import (
     IDENTITY,
+    SINGULARITY_THRESHOLD,
     joint_units,
     mass_parameters,
     require_quaternions,
@@ -52,7 +53,7 @@ def continuous_loop(robot: Robot) -> Block:
         "orientation_setpoint", IDENTITY, "1", "Base orientation to hold, quaternion x, y, z, w", tunable=True
     )
     least_sigma = block.parameter(
-        "singularity_threshold", 0.02, "1", "Least singular value of J_m allowed", tunable=True, minimum=0.0
+        "singularity_threshold", SINGULARITY_THRESHOLD, "1", "Least singular value of J_m allowed", tunable=True, minimum=0.0
     )
     desired = reference_motion(block, robot)
 

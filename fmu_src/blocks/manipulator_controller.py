@@ -8,6 +8,7 @@ import numpy as np
 from fmu_src.block import TWIST, WRENCH, Block
 from fmu_src.blocks.gains import DAMPING, MANIPULATOR, gains
 from fmu_src.blocks.robot_parameters import (
+    SINGULARITY_THRESHOLD,
     desired_motion,
     joint_units,
     mass_parameters,
@@ -55,7 +56,7 @@ def manipulator_controller(robot: Robot) -> Block:
         "damper_bound", 0.5, "1", "c in beta <= c M~ / T - K_D (0: no bound), as applied", tunable=True, minimum=0.0
     )
     least_sigma = block.parameter(
-        "singularity_threshold", 0.02, "1", "Least singular value of J_m allowed", tunable=True, minimum=0.0
+        "singularity_threshold", SINGULARITY_THRESHOLD, "1", "Least singular value of J_m allowed", tunable=True, minimum=0.0
     )
 
     state = measured_state(block, robot)

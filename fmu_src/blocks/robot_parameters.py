@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from fmu_src.block import ACCELERATION, TWIST, Block, Units
-from fmu_src.equations.kinematics import end_effector_pose
+from fmu_src.equations.kinematics import axes, end_effector_pose, manipulator_jacobian
 from fmu_src.equations.mechanism import (
     Mechanism,
     State,
@@ -20,6 +20,8 @@ from fmu_src.robot import Array, Robot
 
 SX = ca.SX
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
+SINGULARITY_THRESHOLD = 0.02
+"""Default of the least singular value of J_m that the controllers accept."""
 
 
 def joint_units(robot: Robot, revolute: str, prismatic: str) -> Units:
@@ -107,8 +109,17 @@ def require_regular_jacobian(block: Block, sigma_min: SX, threshold: SX | float)
 
 
 def require_square_jacobian(robot: Robot, subject: str) -> None:
+    """Refuse a robot that the laws cannot control from its start posture: every FMU must be sound at its start values."""
     if robot.joint_count != 6:
         raise RobotError(
             f"robot {robot.name}: {subject} needs six free joints so that J_m is square, got {robot.joint_count}; "
             f"lock joints with --lock until six are free"
+        )
+    mechanism = constant_mechanism(robot)
+    Jm = np.array(ca.evalf(manipulator_jacobian(mechanism, axes(mechanism, SX(ca.DM(robot.posture))))))
+    smallest = float(np.linalg.svd(Jm, compute_uv=False)[-1])
+    if smallest < SINGULARITY_THRESHOLD:
+        raise RobotError(
+            f"robot {robot.name}: at the start posture the smallest singular value of J_m is {smallest:.3g}; at least "
+            f"{SINGULARITY_THRESHOLD} is expected: give another start posture with --posture"
         )

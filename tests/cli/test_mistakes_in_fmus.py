@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from commands import said
-from robots import DATA
+from robots import DATA, ur5_path
 
 from fmu_src.urdf import ROBOTS as SHIPPED_ROBOTS
 
@@ -87,6 +87,27 @@ def test_options_of_fmus(capsys: pytest.CaptureFixture[str], tmp_path: Path, opt
     code, error = said(capsys, "fmus", "--robot", str(DATA / "gantry.urdf"), *options, "--out", str(tmp_path / "out"))
     assert message in error
     assert code == 2
+
+
+def test_a_singular_start_posture_is_refused_before_anything_is_built(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    arguments = (
+        "fmus",
+        "--robot",
+        str(ur5_path()),
+        "--base-link",
+        "base_link",
+        "--end-effector",
+        "tool0",
+        "--out",
+        str(tmp_path / "out"),
+    )
+    code, error = said(capsys, *arguments)
+    assert code == 2
+    assert "at the start posture the smallest singular value of J_m is" in error
+    assert "give another start posture with --posture" in error
+    assert not (tmp_path / "out").exists()
 
 
 def test_robot_files_and_missing_urdfs(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
