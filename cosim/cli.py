@@ -15,10 +15,9 @@ from rich.console import Console
 from rich.table import Table
 
 from cosim import experiment, reproduce, scenario
-from cosim.errors import CosimError
+from cosim.errors import BAD_INPUT, DONE, STOPPED, CosimError
 from cosim.experiment import Result
-
-DONE, BAD_INPUT, STOPPED = 0, 2, 3
+from cosim.record import check_writable
 
 
 class Command(Protocol):
@@ -94,7 +93,7 @@ class RunCommand:
     def execute(self, arguments: argparse.Namespace, console: Console) -> int:
         chosen = scenario.load(arguments.scenario, arguments.overrides)
         directory = arguments.out or Path("freeflyer_out") / chosen.name
-        experiment.check_writable(directory)
+        check_writable(directory)
         with experiment.progress_bar(console, [chosen]) as reports:
             result = experiment.run(chosen, fmi=arguments.fmi, progress=reports[chosen.name])
         experiment.write(result, directory)
@@ -149,7 +148,3 @@ def verdict(result: Result) -> int:
     elif not result.as_expected:
         return complain("this scenario expects to diverge, but the run completed", STOPPED)
     return DONE
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 
-STOPPED = 3
+from cosim.errors import STOPPED
 
 
 def main() -> int:

@@ -1,10 +1,13 @@
 """What can go wrong, as one small tree. Every message is one sentence for the user: subject, got, expected, remedy."""
 
+DONE, BAD_INPUT, STOPPED = 0, 2, 3
+"""Exit codes of every command."""
+
 
 class CosimError(Exception):
     """Bad input; the command ends with exit code 2."""
 
-    exit_code = 2
+    exit_code = BAD_INPUT
 
 
 class ScenarioError(CosimError):
@@ -22,7 +25,7 @@ class ComponentError(CosimError):
 class OutputError(CosimError):
     """Results that cannot be written."""
 
-    exit_code = 3
+    exit_code = STOPPED
 
 
 class StepFailed(Exception):

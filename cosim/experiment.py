@@ -18,13 +18,13 @@ from cosim.clock import seconds
 from cosim.component import Array
 from cosim.master import Outcome, interrupts
 from cosim.master import Progress as Report
-from cosim.record import check_writable, write_text
+from cosim.record import write_text
 from cosim.scenario import Scenario
 
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """`errors` are time series (rows of the record) under their names in summary.json; `series` are recorded signals."""
+    """`errors` are time series (rows of the record) under their names in summary.json."""
 
     scenario: Scenario
     outcome: Outcome
@@ -42,9 +42,11 @@ def run(scenario: Scenario, *, fmi: int | None = None, progress: Report | None =
     """Load, check, simulate, measure. Raises CosimError before the run; afterwards everything is in the result."""
     with assembled(scenario, fmi) as (master, values):
         metrics.check(scenario, master.graph.components)
-        outcome = master.run(progress)
-        series = metrics.errors(scenario, outcome.record, master.graph.components, values)
-    return Result(scenario=scenario, outcome=outcome, errors=series, summary=metrics.summary(scenario, outcome, series))
+        with interrupts():  # what was simulated is measured too, whenever a Ctrl-C comes
+            outcome = master.run(progress)
+            series = metrics.errors(scenario, outcome.record, master.graph.components, values)
+            summary = metrics.summary(scenario, outcome, series)
+    return Result(scenario=scenario, outcome=outcome, errors=series, summary=summary)
 
 
 def write(result: Result, directory: Path) -> None:
@@ -69,6 +71,3 @@ def progress_bar(console: Console, scenarios: Sequence[Scenario]) -> Iterator[di
             task = bar.add_task(scenario.name, total=seconds(scenario.stop))
             reports[scenario.name] = lambda time, task=task: bar.update(task, completed=time)  # type: ignore[misc]
         yield reports
-
-
-__all__ = ["Result", "check_writable", "progress_bar", "run", "write"]

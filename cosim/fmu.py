@@ -166,6 +166,8 @@ def _start(variable: ModelVariable) -> list[float]:
 class FmuComponent:
     """One co-simulation instance of an FMU, stepped through FMPy's FMU2Slave or FMU3Slave."""
 
+    _classes: tuple[Any, Any] = (fmi2.FMU2Slave, fmi3.FMU3Slave)
+
     def __init__(self, name: str, path: Path) -> None:
         self.name, self.path = name, path
         self.description = describe(path)
@@ -233,10 +235,10 @@ class FmuComponent:
     def _instantiate(self, identifier: str) -> Any:
         try:
             if self.version == 2:
-                slave = fmi2.FMU2Slave(**self._arguments(identifier))
+                slave = self._classes[0](**self._arguments(identifier))
                 slave.instantiate(callbacks=self._callbacks())
             else:
-                slave = fmi3.FMU3Slave(**self._arguments(identifier))
+                slave = self._classes[1](**self._arguments(identifier))
                 slave.instantiate(logMessage=self._log)
         except Exception as error:
             raise ComponentError(

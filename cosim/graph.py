@@ -1,8 +1,8 @@
 """Components and connections: everything checked before anything moves, and the order of the components at an instant.
 
 A component's output that depends directly on its inputs, or is sampled, must be computed before anybody uses it at the same
-instant (a controller's); an output that is neither (a plant's) is there already. A connection declared delayed carries the value from before the
-instant and orders nothing.
+instant (a controller's); an output that is neither (a plant's) is there already. A connection declared delayed carries the
+value from before the instant and orders nothing.
 """
 
 from __future__ import annotations

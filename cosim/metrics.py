@@ -30,15 +30,9 @@ def orientation_error(actual: Array, desired: Array) -> Array:
     """Angle (rows) [deg] between quaternions [x, y, z, w]."""
     actual = actual / np.linalg.norm(actual, axis=1, keepdims=True)
     desired = desired / np.linalg.norm(desired, axis=1, keepdims=True)
-    product = np.abs(np.sum(actual * desired, axis=1))
-    # Near zero the chord between the two is exact where the scalar product has lost all digits.
-    signed = desired * np.sign(np.sum(actual * desired, axis=1, keepdims=True) + 1e-300)
-    half_chord = 0.5 * np.linalg.norm(actual - signed, axis=1)
-    return np.asarray(
-        np.degrees(
-            np.where(product > 0.9, 4.0 * np.arcsin(np.minimum(half_chord, 1.0)), 2.0 * np.arccos(np.minimum(product, 1.0)))
-        )
-    )
+    # By the chord between the two, the shorter way round: exact near zero, where a scalar product has lost all digits.
+    nearer = desired * np.where(np.sum(actual * desired, axis=1, keepdims=True) < 0.0, -1.0, 1.0)
+    return np.asarray(np.degrees(4.0 * np.arcsin(0.5 * np.linalg.norm(actual - nearer, axis=1))))
 
 
 def signal_or_parameter(signal: str, record: Record, components: Mapping[str, Component], values: Values) -> Array:

@@ -22,6 +22,8 @@ ABSOLUTE_TOLERANCE = 1e-12
 class ModelExchangeComponent(FmuComponent):
     """Continuous FMUs without events: no event indicators, no time events."""
 
+    _classes = (fmi2.FMU2Model, fmi3.FMU3Model)
+
     def __init__(self, name: str, path: Path) -> None:
         super().__init__(name, path)
         if self.description.numberOfEventIndicators:
@@ -34,20 +36,6 @@ class ModelExchangeComponent(FmuComponent):
             raise ComponentError(f"FMU {self.path} of component {self.name} offers no model exchange")
         return interface
 
-    def _instantiate(self, identifier: str) -> Any:
-        try:
-            if self.version == 2:
-                model = fmi2.FMU2Model(**self._arguments(identifier))
-                model.instantiate(callbacks=self._callbacks())
-            else:
-                model = fmi3.FMU3Model(**self._arguments(identifier))
-                model.instantiate(logMessage=self._log)
-        except Exception as error:
-            raise ComponentError(
-                f"FMU {self.path} of component {self.name} cannot be instantiated: {self._why(error)}"
-            ) from error
-        return model
-
     def exit_initialization(self) -> None:
         super().exit_initialization()
         model = self._slave
@@ -56,13 +44,11 @@ class ModelExchangeComponent(FmuComponent):
         else:
             model.updateDiscreteStates()
         model.enterContinuousTimeMode()
-        self._x = np.zeros(len(self.description.derivatives) if self.version == 2 else self._state_count())
+        states = len(self.description.derivatives) if self.version == 2 else model.getNumberOfContinuousStates()
+        self._x = np.zeros(states)
         self._dx = np.zeros_like(self._x)
         model.getContinuousStates(self._pointer(self._x), self._x.size)
         self._first_step: float | None = None
-
-    def _state_count(self) -> int:
-        return int(self._slave.getNumberOfContinuousStates())
 
     @staticmethod
     def _pointer(array: Array) -> Any:

@@ -17,7 +17,7 @@ import pyarrow as pa
 import pyarrow.parquet as parquet
 
 from cosim.component import Array
-from cosim.errors import CosimError, OutputError
+from cosim.errors import BAD_INPUT, CosimError, OutputError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,5 +120,5 @@ def check_writable(directory: Path) -> None:
         probe.unlink()
     except OSError as error:
         failure = OutputError(f"output directory {directory} cannot be written: {error.strerror or error}")
-        failure.exit_code = 2
+        failure.exit_code = BAD_INPUT
         raise failure from error

@@ -13,17 +13,17 @@ from rich.table import Table
 
 from cosim import experiment, metrics, plots, report, scenario
 from cosim.component import Array
+from cosim.errors import DONE, STOPPED
 from cosim.experiment import Result
-from cosim.record import write_text
+from cosim.record import check_writable, write_text
 from cosim.report import ASSUMPTIONS, Figure, Statement, Verdict
 
 CASES = ("continuous", "multirate_unstable", "multirate_passive", "overdamped_base", "facility", "facility_without_pc")
-DONE, STOPPED = 0, 3
 
 
 def reproduce(directory: Path, fmi: int, console: Console) -> int:
     """Run every case, then write. Ctrl-C keeps the cases that are done, and what was simulated of the present one."""
-    experiment.check_writable(directory)
+    check_writable(directory)
     scenarios = [scenario.load(name) for name in CASES]
     results: dict[str, Result] = {}
     with experiment.progress_bar(console, scenarios) as reports:

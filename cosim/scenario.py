@@ -357,6 +357,3 @@ def literal(value: object) -> str:
     if isinstance(value, dict):
         return "{ " + ", ".join(f"{key} = {literal(item)}" for key, item in value.items()) + " }"
     return repr(value)
-
-
-__all__ = ["ComponentSpec", "Measure", "Scenario", "find", "load", "parse_value", "shipped"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ class BuildHook(BuildHookInterface):  # type: ignore[misc]
 
             robot = load_robot_file()
             directory = Path(self.root) / "fmu_src" / "prebuilt"
+            shutil.rmtree(directory, ignore_errors=True)  # no FMU of an earlier build stays in the wheel
             for block in BLOCKS.values():
                 build(block(robot), directory)
         finally:

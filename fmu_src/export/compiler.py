@@ -5,7 +5,6 @@ from __future__ import annotations
 import platform
 import subprocess
 import sys
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -51,15 +50,20 @@ def fmi_headers() -> Path:
     return Path(fmpy.__file__).parent / "c-code"
 
 
-def compile_library(block_c: Path, output: Path, target: Platform, *, extra: tuple[str, ...] = ()) -> None:
+def compiler(target: Platform, *flags: str) -> list[str]:
+    """The beginning of a compiler call for a platform."""
+    return [sys.executable, "-m", "ziglang", "cc", "-target", target.target, *flags]
+
+
+def compile_library(block_c: Path, output: Path, target: Platform) -> None:
     """Compile block.c with the runtime into one shared library that serves both FMI versions."""
     sources = sorted(str(path) for path in SOURCES.glob("*.c"))
-    command = [sys.executable, "-m", "ziglang", "cc", "-target", target.target, "-shared", "-fPIC", *FLAGS, *extra]
+    command = compiler(target, "-shared", "-fPIC", *FLAGS)
     command += ["-Wl,-s", "-isystem", str(fmi_headers()), "-I", str(SOURCES), str(block_c), *sources, "-lm", "-o", str(output)]
     run(command, f"compiling {block_c.name} for {target.fmi3}")
 
 
-def run(command: list[str], subject: str, environment: Mapping[str, str] | None = None) -> None:
-    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+def run(command: list[str], subject: str) -> None:
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise BuildError(f"{subject} failed (exit code {done.returncode}): {done.stderr.strip()[-2000:]}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 import time
 import zipfile
 from pathlib import Path
@@ -13,7 +12,7 @@ import pytest
 from fmpy import read_model_description
 
 from cosim import experiment, scenario
-from fmu_src.export.compiler import fmi_headers, host_platform, run
+from fmu_src.export.compiler import compiler, fmi_headers, host_platform, run
 from fmu_src.robot import Robot
 
 pytestmark = pytest.mark.benchmark
@@ -24,18 +23,7 @@ def step_time(fmus: Path, tmp_path: Path, name: str, step: float) -> float:
     program = tmp_path / "time_steps"
     if not program.exists():
         source = Path(__file__).parent / "time_steps.c"
-        zig = [
-            sys.executable,
-            "-m",
-            "ziglang",
-            "cc",
-            "-target",
-            host_platform().target,
-            "-std=c99",
-            "-O2",
-            "-isystem",
-            str(fmi_headers()),
-        ]
+        zig = compiler(host_platform(), "-std=c99", "-O2", "-isystem", str(fmi_headers()))
         run([*zig, str(source), "-ldl", "-o", str(program)], "time_steps")
     path = fmus / "fmi2" / f"{name}.fmu"
     with zipfile.ZipFile(path) as archive:

@@ -312,7 +312,7 @@ def test_a_full_disk_leaves_nothing_half_written(tmp_path: Path, limit: int, cod
         [
             sys.executable,
             "-m",
-            "cosim.cli",
+            "cosim.command",
             "run",
             scenario,
             "--out",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import mpmath
@@ -14,7 +13,7 @@ import pytest
 
 from fmu_src.export.archive import content_token
 from fmu_src.export.c_code import print_block
-from fmu_src.export.compiler import SOURCES, fmi_headers, host_platform, run
+from fmu_src.export.compiler import SOURCES, compiler, fmi_headers, host_platform, run
 from fmu_src.robot import Robot
 from fmu_src.shipped import BLOCKS
 
@@ -24,19 +23,7 @@ DRIVER = Path(__file__).parent / "driver.c"
 def compiled(tmp_path: Path, text: str) -> ctypes.CDLL:
     source, library = tmp_path / "probe.c", tmp_path / "probe.so"
     source.write_text(text)
-    zig = [
-        sys.executable,
-        "-m",
-        "ziglang",
-        "cc",
-        "-target",
-        host_platform().target,
-        "-shared",
-        "-fPIC",
-        "-std=c99",
-        "-O2",
-        "-ffp-contract=off",
-    ]
+    zig = compiler(host_platform(), "-shared", "-fPIC", "-std=c99", "-O2", "-ffp-contract=off")
     run([*zig, "-I", str(SOURCES), str(source), str(SOURCES / "message.c"), "-lm", "-o", str(library)], "probe")
     return ctypes.CDLL(str(library))
 
