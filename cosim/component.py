@@ -20,8 +20,9 @@ class Port:
     """A variable as the graph sees it.
 
     `units` has one entry per element, None where none is declared. `settable` is true for parameters and for start values
-    of states. Only `real` ports can be connected and recorded. `direct` names the inputs that an output depends on at the same instant; `sampled` outputs are computed at the
-    begin of a step even if they depend on none. `choices` are an enumeration's names.
+    of states. Only `real` ports can be connected and recorded. `direct` names the inputs that an output depends on at the same
+    instant; `sampled` outputs are computed at the begin of a step even if they depend on none. `choices` are an enumeration's
+    names.
     """
 
     name: str

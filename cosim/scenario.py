@@ -18,6 +18,7 @@ from cosim.errors import ScenarioError
 from cosim.graph import Connection
 from cosim.master import Limit
 from cosim.near import did_you_mean
+from cosim.units import factor
 
 SHIPPED = Path(__file__).parent / "scenarios"
 Raw = dict[str, Any]
@@ -239,8 +240,6 @@ class _Reader:
         if not isinstance(kind, str) or not isinstance(parameters, dict):
             raise self.fail(f"component {name}: 'kind' must be a name and 'parameters' a table")
         if isinstance(step, dict) and step.get("unit") and isinstance(step.get("value"), int | float):
-            from cosim.units import factor
-
             try:
                 step = step["value"] * factor(step["unit"], "s")
             except ValueError as error:

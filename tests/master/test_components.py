@@ -92,3 +92,13 @@ def test_a_controller_fmu_in_step_with_the_plant_samples_what_the_record_shows(r
     changes = np.flatnonzero(np.abs(np.diff(held, axis=0)).max(axis=1) > 0.0) + 1
     assert set(changes) <= set(np.flatnonzero(rows))
     assert len(changes) >= 3
+
+
+@pytest.mark.parametrize("name", scenario.shipped())
+def test_the_reports_scenario_text_is_a_scenario_that_says_the_same(tmp_path: Path, name: str) -> None:
+    shipped = scenario.load(name)
+    path = tmp_path / f"{name}.toml"
+    path.write_text(shipped.source)
+    again = scenario.load(str(path))
+    for field in ("title", "stop", "expect", "components", "connections", "limits", "errors", "observed_energy"):
+        assert getattr(again, field) == getattr(shipped, field), field
