@@ -10,7 +10,7 @@ import numpy as np
 
 from fmu_src.block import ACCELERATION, TWIST, Block
 from fmu_src.blocks.facility_parameters import gravity_model, gravity_parameters
-from fmu_src.blocks.robot_parameters import IDENTITY, joint_units, mass_parameters, require_quaternions
+from fmu_src.blocks.robot_parameters import IDENTITY, joint_limits, joint_units, mass_parameters, require_quaternions
 from fmu_src.equations import noise
 from fmu_src.equations.dynamics import arm_on_moving_base
 from fmu_src.equations.mechanism import State
@@ -42,9 +42,11 @@ def arm_drive(robot: Robot) -> Block:
     )
     torque_noise = block.parameter("torque_noise", 0.02, "N.m", "Standard deviation of measured torques (assumed)", minimum=0.0)
     seed = block.parameter("seed", 1.0, "1", "Seed of the noise")
+    limits = joint_limits(block, robot)
 
     # Delayed: what acted, and how the base moved, since the last cycle.
     command = block.input("joint_torque_command", np.zeros(n), torque_unit, "Commanded torque since the last cycle (delayed)")
+    brake = block.input("brake", 0.0, "1", "Brakes since the last cycle: 0 released, 1 holding every joint (delayed)")
     R_b = block.input("base_orientation", IDENTITY, "1", "Orientation of the base robot at the last cycle (delayed)")
     v_b = block.input("base_velocity", np.zeros(6), TWIST, "Velocity of the base robot at the last cycle, in I (delayed)")
     a_b = block.input(
@@ -56,8 +58,7 @@ def arm_drive(robot: Robot) -> Block:
     begun = block.state("begun", 0.0, "1", "1 once the first cycle is over", local=True)
     block.initial("random", noise.first_state(seed))
 
-    limits = np.clip([joint.effort_limit for joint in robot.joints], 0.0, 1e9)
-    drive = ca.fmin(ca.fmax(command, -SX(ca.DM(limits))), SX(ca.DM(limits)))
+    drive = ca.fmin(ca.fmax(command, -limits.effort), limits.effort)
 
     def link_torque(position: SX, speed: SX) -> SX:
         """What the sensor behind the gear sees: the command, the compensation's idea of gravity, ripple, less friction."""
@@ -75,7 +76,8 @@ def arm_drive(robot: Robot) -> Block:
     k2 = rates(h / 2, q + h / 2 * k1[0], qd + h / 2 * k1[1])
     k3 = rates(h / 2, q + h / 2 * k2[0], qd + h / 2 * k2[1])
     k4 = rates(h, q + h * k3[0], qd + h * k3[1])
-    q, qd = (x + h / 6 * (a + 2 * b + 2 * c + d) for x, a, b, c, d in zip((q, qd), k1, k2, k3, k4, strict=True))
+    free = (x + h / 6 * (a + 2 * b + 2 * c + d) for x, a, b, c, d in zip((q, qd), k1, k2, k3, k4, strict=True))
+    q, qd = (ca.if_else(brake > 0.5, held, moved) for held, moved in zip((q, SX(n, 1)), free, strict=True))
 
     next_random, normal = noise.normal(random, 2 * n)
     block.update("true_joint_position", q)

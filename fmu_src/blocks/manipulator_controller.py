@@ -10,6 +10,7 @@ from fmu_src.blocks.gains import DAMPING, MANIPULATOR, gains
 from fmu_src.blocks.robot_parameters import (
     SINGULARITY_THRESHOLD,
     desired_motion,
+    joint_limits,
     joint_units,
     mass_parameters,
     measured_state,
@@ -32,8 +33,6 @@ from fmu_src.equations.tracking_control import (
 from fmu_src.robot import Robot
 
 SX = ca.SX
-NO_LIMIT = 1e6
-"""Stands for the limits of a joint that has none [rad or m]."""
 
 
 def manipulator_controller(robot: Robot) -> Block:
@@ -58,6 +57,7 @@ def manipulator_controller(robot: Robot) -> Block:
     least_sigma = block.parameter(
         "singularity_threshold", SINGULARITY_THRESHOLD, "1", "Least singular value of J_m allowed", tunable=True, minimum=0.0
     )
+    limits = joint_limits(block, robot)
 
     state = measured_state(block, robot)
     p_start, R_start = start_pose(robot)
@@ -149,11 +149,7 @@ def manipulator_controller(robot: Robot) -> Block:
     block.output("passivity_wrench", F_pcm, WRENCH, "F_pcm: share of the passivity controller, (21), in I")
     sigma = smallest_singular_value(star.Jm_inverse)
     block.output("jacobian_sigma_min", sigma, "1", "Lower bound of the smallest singular value of J_m")
-    lower, upper = (
-        SX(ca.DM(np.clip(limits, -NO_LIMIT, NO_LIMIT)))
-        for limits in zip(*((j.lower, j.upper) for j in robot.joints), strict=True)
-    )
-    margin = ca.fmin(state.q - lower, upper - state.q)
+    margin = ca.fmin(state.q - limits.lower, limits.upper - state.q)
     block.output("joint_limit_margin", margin, joint_units(robot, "rad", "m"), "Distance of each joint from its nearer limit")
     quaternions = {"base_orientation": state.orientation, "end_effector_orientation": R_e, "desired_orientation": R_d}
     require_quaternions(block, quaternions)

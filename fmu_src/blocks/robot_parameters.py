@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import casadi as ca
 import numpy as np
 
@@ -22,6 +24,8 @@ SX = ca.SX
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
 SINGULARITY_THRESHOLD = 0.02
 """Default of the least singular value of J_m that the controllers accept."""
+NO_LIMIT = 1e6
+"""Stands for the limits of a joint that has none [SI]."""
 
 
 def joint_units(robot: Robot, revolute: str, prismatic: str) -> Units:
@@ -85,6 +89,38 @@ def measured_state(block: Block, robot: Robot) -> State:
         velocity[3:],
         block.input("joint_position", robot.posture, joint_units(robot, "rad", "m"), "Joint positions"),
         block.input("joint_velocity", np.zeros(n), joint_units(robot, "rad/s", "m/s"), "Joint velocities"),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointLimits:
+    """Each (n), as parameters of the block."""
+
+    lower: SX
+    upper: SX
+    velocity: SX
+    effort: SX
+
+
+def joint_limits(block: Block, robot: Robot) -> JointLimits:
+    """Declare what the robot's file says of its joints, so that whoever drives the arm can compare it with what he has."""
+
+    def declared(name: str, values: list[float], units: Units, description: str) -> SX:
+        return block.parameter(name, np.clip(values, -NO_LIMIT, NO_LIMIT), units, description)
+
+    rad, joints = joint_units(robot, "rad", "m"), robot.joints
+    return JointLimits(
+        lower=declared("joint_lower_limit", [j.lower for j in joints], rad, "Least joint positions"),
+        upper=declared("joint_upper_limit", [j.upper for j in joints], rad, "Largest joint positions"),
+        velocity=declared(
+            "joint_velocity_limit",
+            [j.velocity_limit for j in joints],
+            joint_units(robot, "rad/s", "m/s"),
+            "Largest joint speeds",
+        ),
+        effort=declared(
+            "joint_effort_limit", [j.effort_limit for j in joints], joint_units(robot, "N.m", "N"), "Largest joint torques"
+        ),
     )
 
 
