@@ -106,6 +106,8 @@ def _order(
         used[source].add(variable)
     early = {name for name, component in components.items() if _is_early(name, component, used[name], samples.get(name))}
     sorter: TopologicalSorter[str] = TopologicalSorter()
+    for name in components:  # those that wait for nobody come in the scenario's order
+        sorter.add(name)
     for connection in connections:
         (source, _), (target, _) = split(connection.source), split(connection.target)
         if source in early and not connection.delayed:
@@ -118,7 +120,7 @@ def _order(
         raise GraphError(
             f"algebraic loop: {loop}: each needs the other's output of the same instant; declare one of the connections delayed"
         ) from error
-    return tuple(name for name in [*ordered, *sorted(early - set(ordered))] if name in early)
+    return tuple(name for name in ordered if name in early)
 
 
 def _is_early(name: str, component: Component, used: set[str], samples: bool | None) -> bool:

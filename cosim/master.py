@@ -17,6 +17,7 @@ import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -31,7 +32,7 @@ from cosim.schedule import Schedule
 @dataclass(frozen=True, kw_only=True)
 class Limit:
     """The run has diverged once the signal's largest element (or its Euclidean norm) is above a maximum, or its least below a
-    minimum. `elements` (first, last), counted from 1, picks a part of an array.
+    minimum, without a break for longer than `lasting` [ns]. `elements` (first, last), counted from 1, picks a part of an array.
     """
 
     signal: str
@@ -40,6 +41,7 @@ class Limit:
     is_minimum: bool = False
     elements: tuple[int, int] | None = None
     euclidean: bool = False
+    lasting: int = 0
 
 
 @dataclass(kw_only=True)
@@ -59,6 +61,14 @@ class Outcome:
 
 
 Progress = Callable[[float], None]
+
+
+class Pace(Protocol):
+    """What ties a run's instants to the outside: both are called at every instant, before anything happens and after all has."""
+
+    def begin(self, k: int) -> None: ...
+
+    def end(self, k: int) -> None: ...
 
 
 @dataclass(frozen=True)
@@ -125,7 +135,7 @@ class Master:
                 raise ComponentError(f"component {name} cannot be initialised: {told(error)}") from error
             ready.add(name)
 
-    def run(self, progress: Progress | None = None) -> Outcome:
+    def run(self, progress: Progress | None = None, pace: Pace | None = None) -> Outcome:
         schedule = self.schedule
         record = Record(self._record_signals, schedule.ticks // schedule.record_ratio + 2)
         outcome = Outcome(record=record, simulated=0.0, wall=0.0, steps=dict.fromkeys(self._slaves, 0))
@@ -134,6 +144,8 @@ class Master:
         with interrupts() as interrupted:
             try:
                 for k in range(schedule.ticks + 1):
+                    if pace:
+                        pace.begin(k)
                     outcome.interrupted = bool(interrupted)
                     cause = self._instant(k, outcome, last=outcome.interrupted or k == schedule.ticks)
                     if cause:
@@ -144,6 +156,8 @@ class Master:
                         break
                     if progress and k % 1000 == 0:
                         progress(seconds(k * schedule.tick))
+                    if pace:
+                        pace.end(k)
             except StepFailed as error:
                 if k == 0 and not error.left_validity:
                     raise ComponentError(f"component {error}") from error
@@ -240,6 +254,7 @@ class Master:
             )
         view = self._now[place.start + first - 1 : place.start + last]
         square = limit.bound**2
+        patience = limit.lasting // self.schedule.tick
 
         def check_maximum() -> str | None:
             # The Euclidean norm bounds the largest element: one product decides the common case; NaN fails it.
@@ -256,7 +271,18 @@ class Master:
                 return None
             return f"{limit.cause}: {limit.signal} is {least:.4g}, the least allowed is {limit.bound:g}"
 
-        return check_minimum if limit.is_minimum else check_maximum
+        check = check_minimum if limit.is_minimum else check_maximum
+        if not patience:
+            return check
+        passed = 0
+
+        def check_lasting() -> str | None:
+            nonlocal passed
+            cause = check()
+            passed = passed + 1 if cause else 0
+            return f"{cause}, for {seconds(limit.lasting):g} s" if passed > patience else None
+
+        return check_lasting
 
 
 def told(error: Exception) -> str:

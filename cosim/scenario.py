@@ -58,6 +58,8 @@ class Scenario:
     expect: Literal["completes", "diverges"]
     robot: Mapping[str, Any]
     components: tuple[ComponentSpec, ...]
+    devices: tuple[ComponentSpec, ...]
+    """What takes the place of the components of the same names when hardware, real or virtual, is in the loop."""
     connections: tuple[Connection, ...]
     limits: tuple[Limit, ...]
     errors: Mapping[str, Measure]
@@ -143,6 +145,9 @@ def _override(raw: Raw, text: str) -> None:
     """COMPONENT.PARAMETER=VALUE; VALUE as in TOML, or a bare word, or a number with a unit ("300 ms")."""
     target, equals, value = text.partition("=")
     component, dot, parameter = target.strip().partition(".")
+    if equals and component == "devices":
+        _override_device(raw, text, parameter, parse_value(value.strip()))
+        return
     if equals and target.strip() == "stop_s":
         raw["stop_s"] = parse_value(value.strip())
         return
@@ -157,6 +162,18 @@ def _override(raw: Raw, text: str) -> None:
         table["step_s"] = parsed
     else:
         table.setdefault("parameters", {})[parameter] = parsed
+
+
+def _override_device(raw: Raw, text: str, target: str, value: Any) -> None:
+    """devices.NAME.KEY=VALUE; a key may have further parts."""
+    name, *keys = target.split(".")
+    devices = raw.get("devices", {})
+    if name not in devices or not keys or not all(keys):
+        raise ScenarioError(f"--set {text}: devices.NAME.KEY=VALUE is expected, NAME one of: {', '.join(devices) or '(none)'}")
+    table = devices[name]
+    for key in keys[:-1]:
+        table = table.setdefault(key, {})
+    table[keys[-1]] = value
 
 
 def parse_value(text: str) -> Any:
@@ -182,6 +199,7 @@ class _Reader:
         "robot",
         "record",
         "components",
+        "devices",
         "connections",
         "delayed",
         "limits",
@@ -205,6 +223,7 @@ class _Reader:
         components = tuple(self.component(name, raw["components"][name]) for name in self.table(raw, "components"))
         if not components:
             raise self.fail("it has no components; at least one [components.NAME] is expected")
+        devices = tuple(self.device(name, device, raw["components"]) for name, device in self.table(raw, "devices").items())
         errors = {name: self.measure(name, pair) for name, pair in self.table(raw, "errors").items()}
         return Scenario(
             name=self.path.stem,
@@ -216,6 +235,7 @@ class _Reader:
             expect=expect,
             robot=self.table(raw, "robot"),
             components=components,
+            devices=devices,
             connections=tuple(self.connections(raw, "connections", False)) + tuple(self.connections(raw, "delayed", True)),
             limits=tuple(self.limit(item) for item in self.array(raw, "limits")),
             errors=errors,
@@ -251,6 +271,16 @@ class _Reader:
         exact = nanoseconds(step, f"component {name}: step_s")
         return ComponentSpec(name=name, kind=kind, step=exact, parameters=parameters, options=rest, samples=samples)
 
+    def device(self, name: str, raw: object, components: Raw) -> ComponentSpec:
+        """A device has a kind of its own and the step of the component that it takes the place of."""
+        if name not in components:
+            raise self.fail(
+                f"devices.{name}: there is no component {name!r} whose place it could take{did_you_mean(name, components)}"
+            )
+        if not isinstance(raw, dict) or "kind" not in raw:
+            raise self.fail(f"devices.{name} is {raw!r}; a table with a 'kind' is expected")
+        return self.component(name, {"step_s": components[name]["step_s"], **raw})
+
     def connections(self, raw: Raw, key: str, delayed: bool) -> Iterable[Connection]:
         for text in self.array(raw, key):
             source, arrow, targets = str(text).partition("->")
@@ -262,7 +292,7 @@ class _Reader:
     def limit(self, raw: object) -> Limit:
         if not isinstance(raw, dict):
             raise self.fail(f"limits: {raw!r}; a table is expected")
-        self.known(raw, ("signal", "elements", "norm", "maximum", "minimum", "cause"), "[[limits]]")
+        self.known(raw, ("signal", "elements", "norm", "maximum", "minimum", "for_s", "cause"), "[[limits]]")
         signal, norm = raw.get("signal"), raw.get("norm", "maximum")
         if not isinstance(signal, str) or ("maximum" in raw) == ("minimum" in raw):
             raise self.fail(f"limits: {raw!r}; a 'signal' and either a 'maximum' or a 'minimum' are expected")
@@ -282,6 +312,7 @@ class _Reader:
             cause=self.text(raw, "cause", "limit passed"),
             elements=None if elements is None else (elements[0], elements[1]),
             euclidean=norm == "euclidean",
+            lasting=self.time(raw, "for_s", f"limit on {signal}: for_s") if "for_s" in raw else 0,
         )
 
     def measure(self, name: str, pair: object) -> Measure:

@@ -1,0 +1,97 @@
+"""What simulated, virtual and real devices have in common: their life cycle, their calls, and how they fail.
+
+Calls come in this order: `configure`, `activate`, then `read` and `write` in turn once a cycle, at last `deactivate`; `on_error`
+may come at any time and leaves the device in safe stop or fault. The states and what leads from one to another are those of
+`TRANSITIONS`; both ends of a link (the host's device and the device itself) keep to them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import IntEnum
+from typing import Protocol
+
+from cosim.component import Array, Port
+from cosim.errors import CosimError, StepFailed
+
+
+class LifeCycle(IntEnum):
+    """As ros2_control and KUKA's FRI have it, with safe stop apart from fault: one is left by activating anew, the other by reset."""
+
+    unconfigured = 0
+    inactive = 1
+    active = 2
+    safe_stop = 3
+    fault = 4
+
+
+TRANSITIONS: Mapping[LifeCycle, frozenset[LifeCycle]] = {
+    LifeCycle.unconfigured: frozenset({LifeCycle.inactive, LifeCycle.fault}),
+    LifeCycle.inactive: frozenset({LifeCycle.active, LifeCycle.unconfigured, LifeCycle.fault}),
+    LifeCycle.active: frozenset({LifeCycle.inactive, LifeCycle.safe_stop, LifeCycle.fault}),
+    LifeCycle.safe_stop: frozenset({LifeCycle.inactive, LifeCycle.unconfigured, LifeCycle.fault}),
+    LifeCycle.fault: frozenset({LifeCycle.unconfigured, LifeCycle.inactive}),
+}
+
+
+class DeviceError(CosimError):
+    """A device that cannot be configured or activated; nothing has moved."""
+
+
+class SafeStop(StepFailed):
+    """A device, or who watches it, demands a stop: a limit, lost cycles, or the device's own word."""
+
+
+class State:
+    """A life cycle that refuses a step which `TRANSITIONS` does not have."""
+
+    def __init__(self, subject: str) -> None:
+        self.subject = subject
+        self.now = LifeCycle.unconfigured
+
+    def to(self, following: LifeCycle) -> None:
+        if following == self.now:
+            return
+        if following not in TRANSITIONS[self.now]:
+            raise RuntimeError(f"{self.subject}: {self.now.name} -> {following.name} is no transition of its life cycle")
+        self.now = following
+
+
+class Device(Protocol):
+    """One arm or base robot as the host sees it. Values are SI, in the order and frames of `ports`."""
+
+    name: str
+    is_clock: bool
+    """Whether `read` waits for the device's own cycle, which then paces the loop."""
+    state: State
+    ports: Mapping[str, Port]
+    """Inputs are commands, outputs are measurements."""
+    measured: Mapping[str, Array]
+    command: Mapping[str, Array]
+
+    def configure(self) -> None:
+        """Open the link, compare the device with what the scenario expects, read the first measurement.
+
+        DeviceError if they do not agree, or nobody answers.
+        """
+
+    def activate(self) -> None:
+        """Take over without a bump: the first command equals the measurement. DeviceError, with both numbers, if refused."""
+
+    def read(self) -> None:
+        """Fill `measured` with what is freshest; SafeStop if a limit or the quality monitor demands it."""
+
+    def write(self) -> None:
+        """Send `command`, within its limits; SafeStop if it must not be sent."""
+
+    def ramp_down(self, elapsed: float) -> bool:
+        """One cycle of the graded stop, `elapsed` [s] after its begin; True once the device stands and holds itself."""
+
+    def deactivate(self) -> None:
+        """Leave the device inactive, holding itself, and close the link. May be called in any state, more than once."""
+
+    def on_error(self, reason: str) -> None:
+        """The loop has failed: from active to safe stop."""
+
+    def report(self) -> Mapping[str, float]:
+        """Counters and worst cases by name, for the summary and the live view."""

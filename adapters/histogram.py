@@ -1,0 +1,42 @@
+"""Times of every cycle as counts per microsecond: nothing grows while the loop runs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+BINS = 100_000
+"""One per microsecond; what is longer counts in the last, and `longest` says how long it was."""
+
+
+class Histogram:
+    """Durations in ns."""
+
+    def __init__(self) -> None:
+        self._counts = [0] * BINS
+        self.count = 0
+        self.longest = 0
+
+    def add(self, duration: int) -> None:
+        self.count += 1
+        if duration > self.longest:
+            self.longest = duration
+        index = duration // 1000
+        self._counts[index if 0 <= index < BINS else (0 if index < 0 else BINS - 1)] += 1
+
+    def quantile(self, share: float) -> float:
+        """[us], to the microsecond (its upper edge); 0 if nothing was counted."""
+        wanted, seen = share * self.count, 0
+        for index, count in enumerate(self._counts):
+            seen += count
+            if count and seen >= wanted:
+                return index + 1.0
+        return 0.0
+
+    def summary(self) -> Mapping[str, float]:
+        return {
+            "count": self.count,
+            "p50_us": self.quantile(0.5),
+            "p99_us": self.quantile(0.99),
+            "p999_us": self.quantile(0.999),
+            "max_us": self.longest / 1000.0,
+        }
