@@ -1,0 +1,93 @@
+"""Numbers that a device can be told in a scenario, `[devices.NAME.parameters]`: each with default, unit and what it does.
+
+They are ports like an FMU's parameters, so that units, references ("=COMPONENT.PARAMETER") and mistakes are handled alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cosim.component import Port
+
+
+@dataclass(frozen=True, kw_only=True)
+class Setting:
+    """`effect`: what happens when a limit is met ("clips", counted and reported, or "stops"); empty for what is no limit."""
+
+    name: str
+    default: tuple[float, ...]
+    unit: str | None
+    description: str
+    effect: str = ""
+    per_joint: bool = False
+
+    def port(self, joints: int) -> Port:
+        start = self.default * joints if self.per_joint else self.default
+        return Port(
+            name=self.name,
+            size=len(start),
+            causality="parameter",
+            units=(self.unit,) * len(start) if self.unit is None or " " not in self.unit else tuple(self.unit.split()),
+            start=start,
+            settable=True,
+        )
+
+
+def ports(settings: Sequence[Setting], joints: int = 0) -> list[Port]:
+    return [setting.port(joints) for setting in settings]
+
+
+ARM = (
+    Setting(name="joint_effort_limit", default=(10.0,), per_joint=True, unit="N.m", effect="clips",
+            description="Largest commanded joint torque"),
+    Setting(name="torque_rate_limit", default=(1000.0,), per_joint=True, unit="N.m/s", effect="clips",
+            description="Largest rate of commanded joint torque (1 kN m/s: libfranka's)"),
+    Setting(name="joint_velocity_limit", default=(1.0,), per_joint=True, unit="rad/s", effect="stops",
+            description="Largest measured joint speed"),
+    Setting(name="joint_lower_limit", default=(-np.pi,), per_joint=True, unit="rad", effect="stops",
+            description="Least measured joint position"),
+    Setting(name="joint_upper_limit", default=(np.pi,), per_joint=True, unit="rad", effect="stops",
+            description="Largest measured joint position"),
+    Setting(name="joint_limit_margin", default=(0.02,), unit="rad", effect="stops",
+            description="How far from the ends of the joint range it stops"),
+    Setting(name="state_age_limit", default=(0.02,), unit="s", effect="stops",
+            description="Largest age of the last accepted state frame"),
+    Setting(name="lost_consecutive", default=(20.0,), unit=None, effect="stops",
+            description="Lost cycles in a row (libfranka: 20)"),
+    Setting(name="lost_in_window", default=(0.0,), unit=None, effect="stops",
+            description="Lost cycles within the window; 0: off"),
+    Setting(name="window", default=(0.2,), unit="s", description="Window of lost_in_window"),
+    Setting(name="start_joint_position", default=(0.0,), per_joint=True, unit="rad",
+            description="Where the scenario expects the joints at activation"),
+    Setting(name="start_tolerance", default=(0.02,), unit="rad", effect="refuses",
+            description="Largest distance of a joint from there"),
+    Setting(name="ramp_down_time", default=(0.25,), unit="s", description="Damped ramp-down: time until the torque is gone"),
+    Setting(name="ramp_down_damping", default=(5.0,), unit="N.m.s/rad", description="Damped ramp-down: torque against joint speed"),
+    Setting(name="configure_timeout", default=(3.0,), unit="s", description="How long the arm may take to answer at first"),
+)  # fmt: skip
+
+BASE = (
+    Setting(name="cycle", default=(0.004,), unit="s", description="Cycle of set points and measurements"),
+    Setting(name="workspace_lower", default=(-0.5, -0.5, -0.5), unit="m", effect="stops", description="Least set-point position"),
+    Setting(name="workspace_upper", default=(0.5, 0.5, 0.5), unit="m", effect="stops", description="Largest set-point position"),
+    Setting(name="velocity_limit", default=(0.2, 0.5), unit="m/s rad/s", effect="stops", description="Largest set-point speeds"),
+    Setting(name="step_limit", default=(0.002, 0.005), unit="m rad", effect="stops",
+            description="Largest change of the set point from one cycle to the next"),
+    Setting(name="following_error_limit", default=(0.05, 0.1), unit="m rad", effect="stops",
+            description="Largest distance of the measured pose from the set point"),
+    Setting(name="age_limit", default=(0.02,), unit="s", effect="stops", description="Largest age of the last accepted sample"),
+    Setting(name="lost_consecutive", default=(2.0,), unit=None, effect="stops",
+            description="Lost cycles in a row (KUKA's external control: 2)"),
+    Setting(name="lost_in_window", default=(3.0,), unit=None, effect="stops", description="Lost cycles within the window; 0: off"),
+    Setting(name="window", default=(0.2,), unit="s", description="Window of lost_in_window"),
+    Setting(name="start_position", default=(0.0, 0.0, 0.0), unit="m", description="Where the scenario expects the base at activation"),
+    Setting(name="start_orientation", default=(0.0, 0.0, 0.0, 1.0), unit="1", description="Its orientation there, quaternion x, y, z, w"),
+    Setting(name="start_tolerance", default=(0.005, 0.01), unit="m rad", effect="refuses",
+            description="Largest distance of the base from there"),
+    Setting(name="approach", default=(0.0,), unit=None, description="1: a base further away is brought there by a ramp, arm braked"),
+    Setting(name="approach_speed", default=(0.02, 0.05), unit="m/s rad/s", description="Speeds of that ramp, and of taking off what is within tolerance"),
+    Setting(name="configure_timeout", default=(3.0,), unit="s", description="How long the base may take to answer at first"),
+)  # fmt: skip
