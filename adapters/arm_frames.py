@@ -113,6 +113,7 @@ class Frame:
         attributes = message.dbc.attributes if message.dbc else {}
         known = attributes.get("E2eDataId")
         self.data_id: int | None = mapping.data_ids.get(kind, int(known.value) if known and known.value else None)
+        self.e2e_offset = mapping.e2e_offset
         self.cycle_ms = float(message.cycle_time or 0)
         self._values: dict[str, float] = {signal.name: signal.offset for signal in message.signals}
 

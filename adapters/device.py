@@ -7,10 +7,11 @@ may come at any time and leaves the device in safe stop or fault. The states and
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from enum import IntEnum
 from typing import Protocol
 
+from adapters.histogram import Histogram
 from cosim.component import Array, Port
 from cosim.errors import CosimError, StepFailed
 
@@ -58,16 +59,24 @@ class State:
 
 
 class Device(Protocol):
-    """One arm or base robot as the host sees it. Values are SI, in the order and frames of `ports`."""
+    """One arm or base robot as the host sees it."""
 
     name: str
     is_clock: bool
     """Whether `read` waits for the device's own cycle, which then paces the loop."""
     state: State
     ports: Mapping[str, Port]
-    """Inputs are commands, outputs are measurements."""
-    measured: Mapping[str, Array]
-    command: Mapping[str, Array]
+    """Parameters are settings, inputs are commands, outputs are measurements; all SI, in frames that their names say."""
+    values: Mapping[str, Array]
+    """One array for each port."""
+
+    @property
+    def woken(self) -> int:
+        """A clock: when its last measurement came [ns of CLOCK_MONOTONIC]; 0 for a device that is none."""
+
+    @property
+    def step(self) -> float:
+        """How often `read` and `write` are called [s]."""
 
     def configure(self) -> None:
         """Open the link, compare the device with what the scenario expects, read the first measurement.
@@ -75,23 +84,29 @@ class Device(Protocol):
         DeviceError if they do not agree, or nobody answers.
         """
 
-    def activate(self) -> None:
-        """Take over without a bump: the first command equals the measurement. DeviceError, with both numbers, if refused."""
+    def activate(self, asked_to_stop: Callable[[], bool]) -> None:
+        """Take over without a bump: the first command equals the measurement. DeviceError, with both numbers, if refused.
+
+        `asked_to_stop` is asked while it takes its time.
+        """
 
     def read(self) -> None:
-        """Fill `measured` with what is freshest; SafeStop if a limit or the quality monitor demands it."""
+        """Fill the measurements with what is freshest; SafeStop if a limit or the quality monitor demands it."""
 
     def write(self) -> None:
-        """Send `command`, within its limits; SafeStop if it must not be sent."""
+        """Send the commands, within their limits; SafeStop if they must not be sent."""
 
     def ramp_down(self, elapsed: float) -> bool:
         """One cycle of the graded stop, `elapsed` [s] after its begin; True once the device stands and holds itself."""
 
-    def deactivate(self) -> None:
-        """Leave the device inactive, holding itself, and close the link. May be called in any state, more than once."""
-
     def on_error(self, reason: str) -> None:
         """The loop has failed: from active to safe stop."""
 
+    def deactivate(self) -> None:
+        """Leave the device inactive, holding itself, and close the link. May be called in any state, more than once."""
+
     def report(self) -> Mapping[str, float]:
-        """Counters and worst cases by name, for the summary and the live view."""
+        """Counters by name, for the summary and the live view; cheap, as the loop calls it."""
+
+    def histograms(self) -> Mapping[str, Histogram]:
+        """Times that the device measures, by name."""

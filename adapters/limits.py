@@ -9,8 +9,8 @@ from collections import Counter
 from collections.abc import Mapping
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from adapters.pose import distance
 from cosim.component import Array
 
 
@@ -86,17 +86,6 @@ class BaseLimits:
             if size > limit:
                 return f"the base is {size:.4g} {unit} from its set point, its limit is {limit:.4g} {unit}"
         return None
-
-
-def distance(position: Array, orientation: Array, other_position: Array, other_orientation: Array) -> tuple[float, float]:
-    """Between two poses: [m] and [rad]."""
-    gap = position - other_position
-    same = abs(float(orientation @ other_orientation)) / float(np.linalg.norm(orientation) * np.linalg.norm(other_orientation))
-    near = 2.0 * np.arccos(min(1.0, same))
-    if near < 1e-3:  # there the cosine has lost its digits
-        turned = Rotation.from_quat(orientation) * Rotation.from_quat(other_orientation).inv()
-        near = turned.magnitude()
-    return float(np.sqrt(gap @ gap)), float(near)
 
 
 def _listed(numbers: Array | list[float]) -> str:

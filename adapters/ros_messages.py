@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from cosim.component import Array
 
@@ -111,13 +110,3 @@ def _take(form: str, data: bytes, place: int) -> tuple[Any, ...]:
 def _align(data: bytearray, size: int) -> None:
     """Alignment counts from the end of the encapsulation header."""
     data += bytes(-(len(data) - 4) % size)
-
-
-def to_child(orientation: Array, velocity: Array) -> Array:
-    """A twist (6) in I, expressed in the frame of `orientation` (xyzw)."""
-    return np.asarray(Rotation.from_quat(orientation).inv().apply(velocity.reshape(2, 3))).ravel()
-
-
-def from_child(orientation: Array, velocity: Array) -> Array:
-    """The opposite of `to_child`."""
-    return np.asarray(Rotation.from_quat(orientation).apply(velocity.reshape(2, 3))).ravel()

@@ -13,6 +13,7 @@ import zenoh
 
 from adapters import rmw_zenoh, ros_messages
 from adapters.device import DeviceError
+from adapters.pose import twist_rotated
 from adapters.rmw_zenoh import Attachment, AttachmentError
 from adapters.ros_messages import MessageError, Odometry, OdometryWriter
 from cosim.component import Array
@@ -167,7 +168,7 @@ class OdometryLink:
         """Pose of B in I and twist in I (which goes out in B)."""
         stamp = time.time_ns()
         self._sequence += 1
-        payload = self._writer.write(stamp, position, orientation, ros_messages.to_child(orientation, velocity))
+        payload = self._writer.write(stamp, position, orientation, twist_rotated(orientation, velocity, back=True))
         self._publisher.put(payload, attachment=Attachment(self._sequence, stamp, self._gid).pack())
 
     def receive(self) -> Received | None:

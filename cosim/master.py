@@ -64,9 +64,12 @@ Progress = Callable[[float], None]
 
 
 class Pace(Protocol):
-    """What ties a run's instants to the outside: both are called at every instant, before anything happens and after all has."""
+    """What ties a run's instants to the outside: both are called at every instant, before anything happens and after all has.
 
-    def begin(self, k: int) -> None: ...
+    `begin` gives a reason to end the run before this instant, or None.
+    """
+
+    def begin(self, k: int) -> str | None: ...
 
     def end(self, k: int) -> None: ...
 
@@ -135,6 +138,10 @@ class Master:
                 raise ComponentError(f"component {name} cannot be initialised: {told(error)}") from error
             ready.add(name)
 
+    def value(self, signal: str) -> Array:
+        """The present value of an output, COMPONENT.VARIABLE: a view."""
+        return self._now[self._place[signal]]
+
     def run(self, progress: Progress | None = None, pace: Pace | None = None) -> Outcome:
         schedule = self.schedule
         record = Record(self._record_signals, schedule.ticks // schedule.record_ratio + 2)
@@ -144,8 +151,9 @@ class Master:
         with interrupts() as interrupted:
             try:
                 for k in range(schedule.ticks + 1):
-                    if pace:
-                        pace.begin(k)
+                    outcome.cause = pace.begin(k) if pace else None
+                    if outcome.cause:
+                        break
                     outcome.interrupted = bool(interrupted)
                     cause = self._instant(k, outcome, last=outcome.interrupted or k == schedule.ticks)
                     if cause:
@@ -159,7 +167,7 @@ class Master:
                     if pace:
                         pace.end(k)
             except StepFailed as error:
-                if k == 0 and not error.left_validity:
+                if k == 0 and not error.left_validity and pace is None:
                     raise ComponentError(f"component {error}") from error
                 outcome.diverged, outcome.failed, outcome.cause = error.left_validity, not error.left_validity, str(error)
         outcome.wall = time.perf_counter() - begin

@@ -60,6 +60,8 @@ class Scenario:
     components: tuple[ComponentSpec, ...]
     devices: tuple[ComponentSpec, ...]
     """What takes the place of the components of the same names when hardware, real or virtual, is in the loop."""
+    facility: Mapping[str, Any]
+    """How the virtual facility behaves; whoever plays it knows the keys."""
     connections: tuple[Connection, ...]
     limits: tuple[Limit, ...]
     errors: Mapping[str, Measure]
@@ -200,6 +202,7 @@ class _Reader:
         "record",
         "components",
         "devices",
+        "facility",
         "connections",
         "delayed",
         "limits",
@@ -236,6 +239,7 @@ class _Reader:
             robot=self.table(raw, "robot"),
             components=components,
             devices=devices,
+            facility=self.table(raw, "facility"),
             connections=tuple(self.connections(raw, "connections", False)) + tuple(self.connections(raw, "delayed", True)),
             limits=tuple(self.limit(item) for item in self.array(raw, "limits")),
             errors=errors,

@@ -1,0 +1,383 @@
+"""The arm on CAN as a device: its state frame is the clock, and every state frame is answered with one command."""
+
+from __future__ import annotations
+
+import secrets
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import can
+import numpy as np
+
+from adapters import settings as all_settings
+from adapters.arm_frames import CYCLES, LIMIT_ROLES, ArmFrames, FrameMapping, Mode
+from adapters.arm_link import Receiver, Sender, open_bus
+from adapters.device import DeviceError, LifeCycle, SafeStop, State
+from adapters.histogram import Histogram
+from adapters.limits import ArmLimits
+from adapters.options import checked, known_keys
+from adapters.quality import QualityMonitor
+from adapters.ramp_down import RampDown
+from cosim.component import Array, Port
+
+MEASURED = ("joint_position", "joint_velocity", "joint_torque")
+PATIENCE = 1.5
+"""A state frame is lost when it has not come after so many cycles since the last one."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArmOptions:
+    """What a scenario's `[devices.NAME]` with kind = "can_arm" may say besides `parameters`."""
+
+    interface: str = "local"
+    channel: str = "freeflyer"
+    bus: Mapping[str, Any] = field(default_factory=dict)
+    """Further arguments of python-can's interface, for example bit rates."""
+    joints: int = 6
+    frames: FrameMapping = field(default_factory=FrameMapping)
+
+
+class CanArm:
+    """See `adapters.device.Device` for the calls."""
+
+    is_clock = True
+
+    def __init__(self, name: str, options: ArmOptions) -> None:
+        self.name, self.options = name, options
+        self.state = State(name)
+        n = options.joints
+        self.frames = ArmFrames(options.frames, n)
+        ports = [
+            *all_settings.ports(all_settings.ARM, n),
+            Port(name="joint_torque_command", size=n, causality="input", units=("N.m",) * n),
+            Port(name="joint_position", size=n, causality="output", units=("rad",) * n, sampled=True),
+            Port(name="joint_velocity", size=n, causality="output", units=("rad/s",) * n, sampled=True),
+            Port(name="joint_torque", size=n, causality="output", units=("N.m",) * n, sampled=True),
+        ]
+        self.ports: Mapping[str, Port] = {port.name: port for port in ports}
+        self.values: Mapping[str, Array] = {port.name: np.array(port.start or (0.0,) * port.size) for port in ports}
+        self.controller = 1 + secrets.randbelow(0xFFFF)
+        self.wake_up, self.answer = Histogram(), Histogram()
+        self.late_commands = 0
+        self.skipped = 0
+        self._bus: can.BusABC | None = None
+        self._cycle_number: int | None = None
+        self._arrived = 0
+        self._last_torque = np.zeros(n)
+        self._stopping_torque: Array | None = None
+        self._echoed = 0
+        self._obeyed = 0
+        self._arm_state: LifeCycle | None = None
+        self._lost_commands = 0.0
+        self._answered = True
+        self._silent_cycles = 0
+
+    @property
+    def woken(self) -> int:
+        return self._arrived
+
+    @property
+    def step(self) -> float:
+        return float(self.values["cycle"][0])
+
+    # Before anything moves
+
+    def configure(self) -> None:
+        v = self.values
+        self.cycle = self.step
+        self.limits = ArmLimits(v, self.cycle)
+        self.monitor = QualityMonitor(
+            f"state frames of {self.name}",
+            consecutive=int(v["lost_consecutive"][0]),
+            within=int(v["lost_in_window"][0]),
+            window=round(float(v["window"][0]) / self.cycle),
+            cycle=self.cycle,
+        )
+        self.ramp = RampDown(time=float(v["ramp_down_time"][0]), damping=float(v["ramp_down_damping"][0]))
+        self._age_limit = float(v["state_age_limit"][0])
+        effort = v["joint_effort_limit"]
+        self.frames.check_ranges({
+            "joint_torque_command": [(-e, e) for e in effort],
+            "joint_torque": [(-e, e) for e in effort],
+            "joint_position": list(zip(v["joint_lower_limit"], v["joint_upper_limit"], strict=True)),
+            "joint_velocity": [(-w, w) for w in v["joint_velocity_limit"]],
+        })  # fmt: skip
+        o = self.options
+        description = self.frames.description
+        seen = [self.frames.state] if description is None else [self.frames.state, description]
+        self._bus = open_bus(o.interface, o.channel, self.frames.is_fd, seen, o.bus)
+        self._sender = Sender(self._bus, self.frames.command)
+        self._states = Receiver(self.frames.state)
+        if description is not None:
+            self._compare(self._described(Receiver(description)))
+        self._claim()
+        self.state.to(LifeCycle.inactive)
+
+    @property
+    def _where(self) -> str:
+        return f"{self.name} on CAN {self.options.interface}:{self.options.channel}"
+
+    def _described(self, receiver: Receiver) -> dict[str, list[float]]:
+        end = time.monotonic() + float(self.values["configure_timeout"][0])
+        while True:
+            message = self._received(end - time.monotonic())
+            if message is None:
+                raise DeviceError(self._silence("description", receiver))
+            if message.arbitration_id == receiver.frame.identifier:
+                found = receiver.take(message)
+                if found is not None:
+                    return found
+
+    def _silence(self, what: str, receiver: Receiver) -> str:
+        waited = self.values["configure_timeout"][0]
+        why = f"; frames came but were refused: {dict(receiver.rejected)}" if receiver.rejected else ""
+        return (
+            f"{self._where} sends no {what} frame within {waited:g} s{why}: is the arm (or `freeflyer facility`) running on this "
+            f"channel, and not active for somebody else?"
+        )
+
+    def _compare(self, described: Mapping[str, list[float]]) -> None:
+        """The arm's own description against the robot that the controllers are for."""
+        joints = int(described["joint_count"][0])
+        if joints != self.options.joints:
+            raise DeviceError(f"{self._where} has {joints} joints, but the scenario's robot has {self.options.joints}")
+        if "cycle_time" in described and abs(described["cycle_time"][0] - self.cycle) > 1e-9:
+            raise DeviceError(
+                f"{self._where} has a cycle of {described['cycle_time'][0]:g} s, but the scenario's is {self.cycle:g} s"
+            )
+        assert self.frames.description is not None
+        for role in LIMIT_ROLES:
+            for j, (theirs, ours) in enumerate(zip(described.get(role, ()), self.values[role], strict=False)):
+                f = self.frames.description.fields[role][j]
+                expected = min(max(float(ours), f.least), f.most)
+                if abs(theirs - expected) > f.resolution:
+                    unit = self.ports[role].units[j]
+                    raise DeviceError(
+                        f"{self._where}: its {role.replace('_', ' ')} of joint {j + 1} is {theirs:g} {unit}, but the scenario's robot has "
+                        f"{float(ours):g} {unit}; it is another arm, or one of the two is set wrongly"
+                    )
+
+    def _claim(self) -> None:
+        """The first measurement, and the arm's word that it listens to us."""
+        end = time.monotonic() + float(self.values["configure_timeout"][0])
+        self._drain()
+        while True:
+            if not self._wait(end - time.monotonic()):
+                raise DeviceError(self._silence("state", self._states))
+            if self._obeyed not in (0, self.controller):
+                raise DeviceError(
+                    f"{self._where} obeys controller {self._obeyed} already; this is controller {self.controller}: stop that one first"
+                )
+            if self._obeyed == self.controller or "obeyed_controller" not in self.frames.state:
+                return
+            self._send(Mode.idle, self._last_torque * 0.0)
+
+    def activate(self, asked_to_stop: Callable[[], bool]) -> None:
+        """The arm stands braked; the first torque beyond gravity is none, which is what it holds now."""
+        self._claim()
+        gap = np.abs(self.values["joint_position"] - self.values["start_joint_position"])
+        tolerance = float(self.values["start_tolerance"][0])
+        if not (gap <= tolerance).all():
+            j = int(np.argmax(gap))
+            raise DeviceError(
+                f"{self._where}: joint {j + 1} is at {self.values['joint_position'][j]:.4f} rad, the scenario starts at "
+                f"{self.values['start_joint_position'][j]:.4f} rad, and {tolerance:g} rad is the largest distance allowed: move the arm there"
+            )
+        self._last_torque = np.zeros(self.options.joints)
+        end = time.monotonic() + float(self.values["configure_timeout"][0])
+        while self._arm_state not in (LifeCycle.active, None):
+            stopped = self._arm_state in (LifeCycle.safe_stop, LifeCycle.fault)
+            self._send(Mode.reset if stopped else Mode.torque, self._last_torque)
+            if not self._wait(end - time.monotonic()):
+                raise DeviceError(
+                    f"{self._where} does not become active; its state is {self._arm_state and self._arm_state.name}"
+                )
+        self._send(Mode.torque, self._last_torque)
+        self.state.to(LifeCycle.active)
+
+    # Every cycle
+
+    def read(self) -> None:
+        left = self._arrived * 1e-9 + PATIENCE * self.cycle - time.monotonic()
+        before = self._cycle_number
+        came = self._wait(max(left, 0.0))
+        lost = 0 if came else 1
+        if came and before is not None and self._cycle_number is not None:
+            gap = (self._cycle_number - before) % CYCLES
+            if 1 < gap < CYCLES // 2:
+                lost = gap - 1
+                self.skipped += gap - 1
+        if not came:
+            # The next frame is expected one cycle later; its number, too.
+            self._arrived += round(self.cycle * 1e9)
+            self._cycle_number = None if before is None else (before + 1) % CYCLES
+            self._silent_cycles += 1
+        else:
+            self._silent_cycles = 0
+        reason = None
+        for _ in range(lost):
+            reason = self.monitor.observe(lost=True) or reason
+        if came:
+            self.monitor.observe(lost=False)
+        if self._silent_cycles * self.cycle > self._age_limit:
+            reason = reason or (
+                f"the last state frame is {self._silent_cycles * self.cycle:.4g} s old, its limit is {self._age_limit:g} s"
+            )
+        if reason:
+            raise SafeStop(self.name, reason)
+        if came and self._arm_state not in (LifeCycle.active, None):
+            raise SafeStop(
+                self.name,
+                f"the arm went to {self._arm_state.name} by itself, after {self._lost_commands:.0f} cycles without a command",
+            )
+        reason = self.limits.measured(self.values["joint_position"], self.values["joint_velocity"])
+        if reason:
+            raise SafeStop(self.name, reason)
+
+    def write(self) -> None:
+        torque, reason = self.limits.command(self.values["joint_torque_command"], self._last_torque)
+        if reason:
+            raise SafeStop(self.name, reason)
+        self._send(Mode.torque, torque)
+        self._last_torque = torque
+
+    # The end
+
+    def ramp_down(self, elapsed: float) -> bool:
+        if self._bus is None or self.state.now is not LifeCycle.active:
+            return True
+        if self._stopping_torque is None:
+            self._stopping_torque = self._last_torque.copy()
+        velocity = self.values["joint_velocity"]
+        if self.ramp.over(velocity, elapsed):
+            self._send(Mode.brake, np.zeros_like(velocity))
+            self._wait(2 * self.cycle)
+            braked = self._arm_state in (LifeCycle.inactive, LifeCycle.safe_stop, LifeCycle.fault, None)
+            return braked or elapsed > 4.0 * self.ramp.time
+        wanted = self.ramp.torque(self._stopping_torque, velocity, elapsed)
+        torque, _ = self.limits.command(wanted, self._last_torque)
+        self._send(Mode.torque, torque)
+        self._last_torque = torque
+        self._wait(PATIENCE * self.cycle)
+        return self._arm_state in (LifeCycle.safe_stop, LifeCycle.fault)
+
+    def on_error(self, reason: str) -> None:
+        if self.state.now is LifeCycle.active:
+            if self._bus is not None:
+                self._send(Mode.brake, np.zeros(self.options.joints))
+            self.state.to(LifeCycle.safe_stop)
+
+    def deactivate(self) -> None:
+        if self._bus is None:
+            return
+        if self.state.now in (LifeCycle.active, LifeCycle.safe_stop):
+            self._send(Mode.brake, np.zeros(self.options.joints))
+            self.state.to(LifeCycle.inactive)
+        self._bus.shutdown()
+        self._bus = None
+
+    def report(self) -> Mapping[str, float]:
+        counts = {
+            "state_frames_accepted": self._states.accepted if self._bus or self._arrived else 0,
+            "state_frames_rejected": sum(n for why, n in self._states.rejected.items() if not why.startswith("("))
+            if self._arrived
+            else 0,
+            "cycles_lost": self.monitor.lost,
+            "longest_loss_cycles": self.monitor.longest_row,
+            "commands_sent": self._sender.sent,
+            "commands_late_or_lost": self.late_commands,
+        }
+        acted = {f"{name}_acted": count for name, count in self.limits.acted.items()}
+        return {name: float(count) for name, count in {**counts, **acted}.items()}
+
+    def histograms(self) -> Mapping[str, Histogram]:
+        return {f"{self.name}: wake-up after the state frame": self.wake_up, f"{self.name}: answer to it": self.answer}
+
+    # Frames
+
+    def _received(self, timeout: float) -> can.Message | None:
+        assert self._bus is not None
+        try:
+            return self._bus.recv(max(timeout, 0.0))
+        except can.CanError:
+            return None
+
+    def _drain(self) -> None:
+        while self._received(0.0) is not None:
+            pass
+
+    def _wait(self, timeout: float) -> bool:
+        """Wait for a state frame, and take the newest if there are several."""
+        end = time.monotonic() + timeout
+        came = False
+        left = timeout
+        while True:
+            message = self._received(0.0 if came else left)
+            if message is None:
+                if came:
+                    return True
+            elif message.arbitration_id == self.frames.state.identifier:
+                now = time.monotonic_ns()
+                numbers = self._states.take(message)
+                if numbers is not None:
+                    late = time.time() - message.timestamp
+                    if 0.0 <= late < 1.0 and self.state.now is LifeCycle.active:
+                        self.wake_up.add(int(late * 1e9))
+                    self._take(numbers, now)
+                    came = True
+            if not came:
+                left = end - time.monotonic()
+                if left <= 0.0:
+                    return False
+
+    def _take(self, numbers: Mapping[str, list[float]], now: int) -> None:
+        for name in MEASURED:
+            self.values[name][:] = numbers[name]
+        self._cycle_number = int(numbers["cycle"][0])
+        self._arrived = now
+        self._answered = False
+        if "echoed_cycle" in numbers and self.state.now is LifeCycle.active:
+            expected = (self._cycle_number - 1) % CYCLES
+            if int(numbers["echoed_cycle"][0]) != expected:
+                self.late_commands += 1
+        self._obeyed = int(numbers.get("obeyed_controller", (0,))[0])
+        self._lost_commands = numbers.get("lost_commands", (0.0,))[0]
+        if "life_cycle" in numbers:
+            self._arm_state = self.frames.life_cycle(numbers["life_cycle"][0])
+
+    def _send(self, mode: Mode, torque: Array) -> None:
+        self._sender.send({
+            "answered_cycle": (float(self._cycle_number or 0),),
+            "controller": (float(self.controller),),
+            "mode": (float(self.frames.mode_number(mode)),),
+            "joint_torque_command": torque.tolist(),
+        })  # fmt: skip
+        if not self._answered and self.state.now is LifeCycle.active:
+            self.answer.add(time.monotonic_ns() - self._arrived)
+            self._answered = True
+
+
+def options_from(name: str, raw: Mapping[str, Any], directory: Path) -> ArmOptions:
+    """The device's table as options; DeviceError for a key or value that is none."""
+    known_keys(name, raw, ("interface", "channel", "bus", "joints", "dbc", "messages", "signals", "data_ids", "e2e_offset",
+                           "mode_values", "life_cycle_values"))  # fmt: skip
+    dbc = checked(name, raw, "dbc", str, "")
+    mapping = FrameMapping(
+        **({"dbc": directory / dbc} if dbc else {}),
+        messages=checked(name, raw, "messages", dict, {}),
+        signals=checked(name, raw, "signals", dict, {}),
+        data_ids=checked(name, raw, "data_ids", dict, {}),
+        e2e_offset=checked(name, raw, "e2e_offset", int, 0),
+        mode_values=checked(name, raw, "mode_values", dict, {}),
+        life_cycle_values=checked(name, raw, "life_cycle_values", dict, {}),
+    )
+    return ArmOptions(
+        interface=checked(name, raw, "interface", str, "local"),
+        channel=str(raw.get("channel", "freeflyer")),
+        bus=checked(name, raw, "bus", dict, {}),
+        joints=checked(name, raw, "joints", int, 6),
+        frames=mapping,
+    )

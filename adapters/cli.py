@@ -1,0 +1,129 @@
+"""`freeflyer hil` and `freeflyer facility`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Mapping
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from adapters import hil, pacing
+from adapters.facility.server import Facility
+from cosim import experiment, scenario
+from cosim.cli import folder, result_table, verdict
+from cosim.errors import DONE
+from cosim.master import interrupts
+from cosim.record import check_writable, write_text
+
+
+class HilCommand:
+    help = "run a scenario's controllers on its facility, real or virtual, in real time"
+
+    def configure(self, parser: argparse.ArgumentParser) -> None:
+        _common(parser)
+        parser.add_argument("--out", type=folder, metavar="DIR", help="default: freeflyer_out/hil_SCENARIO")
+        parser.add_argument(
+            "--view",
+            action=argparse.BooleanOptionalAction,
+            default=None,
+            help="live view of the loop (default: if the output is a terminal)",
+        )
+
+    def execute(self, arguments: argparse.Namespace, console: Console) -> int:
+        chosen = scenario.load(arguments.scenario, arguments.overrides)
+        directory = arguments.out or Path("freeflyer_out") / f"hil_{chosen.name}"
+        check_writable(directory)
+        view = console.is_terminal if arguments.view is None else arguments.view
+        result, report = hil.run(
+            chosen,
+            real_time=arguments.real_time,
+            view=view,
+            fmi=arguments.fmi,
+            say=lambda text: console.print(text, soft_wrap=True),
+        )
+        experiment.write(result, directory)
+        console.print(result_table(result))
+        console.print(times_table(report.times))
+        console.print(counts_table(report.devices))
+        console.print(f"Stop: {report.stop}", soft_wrap=True)
+        console.print(f"Results in {directory}: record.parquet, summary.json", soft_wrap=True)
+        return verdict(result)
+
+
+class FacilityCommand:
+    help = "play a scenario's facility: its arm and base robot as models behind their real protocols"
+
+    def configure(self, parser: argparse.ArgumentParser) -> None:
+        _common(parser)
+        parser.add_argument("--out", type=folder, metavar="DIR", help="write facility.json there at the end")
+
+    def execute(self, arguments: argparse.Namespace, console: Console) -> int:
+        chosen = scenario.load(arguments.scenario, arguments.overrides)
+        if arguments.out:
+            check_writable(arguments.out)
+
+        def say(text: str) -> None:
+            console.print(f"{time.strftime('%H:%M:%S')}  {text}", soft_wrap=True)
+
+        with interrupts():
+            pacing.prepare_links(arguments.real_time)
+            facility = Facility(chosen, arguments.fmi)
+            try:
+                say("real time: " + ", ".join(pacing.enter_real_time(arguments.real_time)))
+                say(
+                    f"the facility of scenario {chosen.name} is there: {', '.join(d.name for d in facility.devices)}; Ctrl-C ends it"
+                )
+                with pacing.no_collection():
+                    facility.run(say)
+            finally:
+                pacing.leave_real_time()
+                facility.close()
+                report = facility.report()
+                if arguments.out:
+                    write_text(arguments.out / "facility.json", json.dumps(report, indent=2) + "\n")
+        console.print(times_table(report["times"]))
+        console.print(counts_table(report["devices"]))
+        return DONE
+
+
+def _common(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("scenario", metavar="SCENARIO", help=f"{', '.join(scenario.shipped())}, or a .toml file")
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        dest="overrides",
+        help="COMPONENT.PARAMETER=VALUE, or devices.NAME.KEY=VALUE",
+    )
+    parser.add_argument("--fmi", type=int, choices=(2, 3), help="FMI version of the shipped FMUs (default: 2)")
+    parser.add_argument(
+        "--real-time",
+        action=argparse.BooleanOptionalAction,
+        default=True,
+        help="ask for SCHED_FIFO and locked memory (default: yes)",
+    )
+
+
+def times_table(times: Mapping[str, Mapping[str, float]]) -> Table:
+    table = Table(title="Times [us]", title_justify="left")
+    for column in ("", "count", "p50", "p99", "p99.9", "longest"):
+        table.add_column(column, justify="left" if not column else "right")
+    for name, t in times.items():
+        shown = (t[key] for key in ("p50_us", "p99_us", "p999_us", "max_us"))
+        table.add_row(name, f"{t['count']:.0f}", *(f"{value:.0f}" for value in shown))
+    return table
+
+
+def counts_table(devices: Mapping[str, Mapping[str, float]]) -> Table:
+    table = Table(title="Counts", title_justify="left")
+    table.add_column("")
+    table.add_column("", justify="right")
+    for device, counts in devices.items():
+        for name, count in counts.items():
+            table.add_row(f"{device}: {name.replace('_', ' ')}", f"{count:.0f}")
+    return table

@@ -1,0 +1,241 @@
+"""The virtual facility: the scenario's device models behind the devices' own protocols, in a process of its own.
+
+Which models, with which parameters, and how they act on each other is the scenario's; what joins them to the controllers goes over
+the wire. Its time is its own cycle count: a process that was held up goes on where it was, so that what is lost, is lost on a link.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any, Protocol
+
+from adapters.device import DeviceError
+from adapters.facility import settings as facility_settings
+from adapters.facility.settings import FacilitySettings
+from adapters.histogram import Histogram
+from adapters.pacing import Pacer
+from cosim import assemble, graph, parameters, schedule
+from cosim.clock import SECOND, seconds
+from cosim.component import Array, Component, Port, PythonComponent
+from cosim.graph import Connection, split
+from cosim.master import Master, Outcome
+from cosim.near import did_you_mean
+from cosim.scenario import Scenario
+
+LONGEST = 7 * 24 * 3600 * SECOND
+"""A session's end at the latest [ns]."""
+
+
+class VirtualDevice(Protocol):
+    """The device's end of a link."""
+
+    name: str
+    commands: tuple[Port, ...]
+    """What comes over the wire for the model's inputs."""
+    measurements: tuple[Port, ...]
+    """What goes over the wire of the model's outputs."""
+
+    def begin_session(self, parameters: Mapping[str, Array]) -> None: ...
+    def receive(self, values: Mapping[str, Array]) -> None: ...
+    def send(self, values: Mapping[str, Array]) -> None: ...
+    def report(self) -> Mapping[str, float]: ...
+    def histograms(self) -> Mapping[str, Histogram]: ...
+    def close(self) -> None: ...
+
+    @property
+    def events(self) -> list[tuple[int, str]]: ...
+    @property
+    def session_is_over(self) -> bool: ...
+    @property
+    def is_idle(self) -> bool: ...
+
+
+Factory = Callable[[str, Mapping[str, Any], Path, FacilitySettings, float], VirtualDevice]
+
+
+class _Incoming(PythonComponent):
+    def __init__(self, device: VirtualDevice) -> None:
+        super().__init__(f"{device.name}_incoming", device.commands)
+        self._device = device
+
+    def step(self, time: float, size: float) -> None:
+        self._device.receive(self.values)
+
+
+class _Outgoing(PythonComponent):
+    def __init__(self, device: VirtualDevice) -> None:
+        super().__init__(f"{device.name}_outgoing", device.measurements)
+        self._device = device
+
+    def step(self, time: float, size: float) -> None:
+        self._device.send(self.values)
+
+
+class _Pace:
+    """Real time, and the end of a session."""
+
+    def __init__(self, pacer: Pacer, devices: list[VirtualDevice], say: Callable[[str], None]) -> None:
+        self.pacer, self.devices, self.say = pacer, devices, say
+        self._told = [0] * len(devices)
+
+    def begin(self, k: int) -> str | None:
+        self.pacer.wait()
+        if k % 10 == 0:
+            self.tell()
+            # Every device that took part must have lost its controller; one that did not take part does not hold the others up.
+            moved = [device for device in self.devices if not device.is_idle]
+            if moved and all(device.session_is_over for device in moved):
+                return "session over"
+        return None
+
+    def end(self, k: int) -> None:
+        pass
+
+    def tell(self) -> None:
+        for i, device in enumerate(self.devices):
+            events = device.events
+            for cycle, event in events[self._told[i] :]:
+                self.say(f"{device.name}, cycle {cycle}: {event}")
+            self._told[i] = len(events)
+
+
+class Facility:
+    """Opens the links; `run` serves one session after another until it is interrupted."""
+
+    def __init__(self, scenario: Scenario, fmi: int | None = None) -> None:
+        if not scenario.devices:
+            raise DeviceError(
+                f"scenario {scenario.name} has no [devices.NAME]: there is nothing for a virtual facility to play"
+            )
+        self.scenario, self.fmi = scenario, fmi
+        self.settings = facility_settings.read(scenario.facility)
+        self.period = _cycle(scenario)
+        self.pacer = Pacer(self.period)
+        self.devices: list[VirtualDevice] = []
+        self.sessions = 0
+        self.history: list[dict[str, Any]] = []
+        try:
+            for spec in scenario.devices:
+                self.devices.append(
+                    _virtual(spec.name, spec.kind, spec.options, scenario.directory, self.settings, self.period)
+                )
+        except BaseException:
+            self.close()
+            raise
+
+    def run(self, say: Callable[[str], None]) -> None:
+        """Until Ctrl-C or SIGTERM."""
+        while True:
+            outcome = self._session(say)
+            self.sessions += 1
+            if outcome.failed or outcome.diverged:
+                say(f"the model failed: {outcome.cause}")
+            if outcome.interrupted or outcome.failed or outcome.diverged:
+                return
+            say("the controller has gone; the robots return to their start poses")
+
+    def _session(self, say: Callable[[str], None]) -> Outcome:
+        with self._models() as (master, values):
+            for device in self.devices:
+                device.begin_session(values[device.name])
+            pace = _Pace(self.pacer, self.devices, say)
+            outcome = master.run(pace=pace)
+            pace.tell()
+            self.history.append({
+                "ended": outcome.cause or "interrupted",
+                "cycles": outcome.steps[f"{self.devices[0].name}_outgoing"],
+                "events": {device.name: [list(event) for event in device.events] for device in self.devices},
+            })  # fmt: skip
+            return outcome
+
+    @contextmanager
+    def _models(self) -> Iterator[tuple[Master, dict[str, dict[str, Array]]]]:
+        """A master over the device models with their ends of the wires, and every model's parameters."""
+        scenario, names = self.scenario, [device.name for device in self.devices]
+        everything: dict[str, Component] = {}
+        try:
+            for spec in scenario.components:
+                everything[spec.name] = assemble.make(spec, scenario.directory, self.fmi)
+            values = parameters.resolve(scenario, everything)
+            models = {name: everything[name] for name in names}
+            components: dict[str, Component] = {}
+            for device in self.devices:
+                components[f"{device.name}_incoming"] = _Incoming(device)
+            components |= models
+            for device in self.devices:
+                components[f"{device.name}_outgoing"] = _Outgoing(device)
+            steps = parameters.steps(scenario, everything, values)
+            plan = schedule.build(
+                {name: steps.get(name, self.period) for name in components},
+                LONGEST,
+                LONGEST,
+                {name: component.variable_step for name, component in components.items()},
+            )
+            master = Master(graph.build(components, self._connections()), plan)
+            master.initialise({name: values[name] for name in names})
+            full = {
+                name: {
+                    p.name: parameters.current(everything, values, name, p.name)
+                    for p in models[name].ports.values()
+                    if p.settable
+                }
+                for name in names
+            }
+            yield master, full
+        finally:
+            for component in everything.values():
+                with suppress(Exception):
+                    component.close()
+
+    def _connections(self) -> list[Connection]:
+        names = {device.name for device in self.devices}
+        # What joins two devices is physics, and stays; all else that they are given or give goes over the wire.
+        joined = [c for c in self.scenario.connections if {split(c.source)[0], split(c.target)[0]} <= names]
+        for device in self.devices:
+            joined += [
+                Connection(source=f"{device.name}_incoming.{p.name}", target=f"{device.name}.{p.name}") for p in device.commands
+            ]
+            joined += [
+                Connection(source=f"{device.name}.{p.name}", target=f"{device.name}_outgoing.{p.name}")
+                for p in device.measurements
+            ]
+        return joined
+
+    def report(self) -> dict[str, Any]:
+        histograms = {name: h.summary() for device in self.devices for name, h in device.histograms().items()}
+        return {
+            "scenario": self.scenario.name,
+            "sessions": self.history,
+            "own_overruns": self.pacer.overruns,
+            "devices": {device.name: dict(device.report()) for device in self.devices},
+            "times": {"facility: wake-up": self.pacer.lateness.summary(), **histograms},
+        }
+
+    def close(self) -> None:
+        for device in self.devices:
+            with suppress(Exception):
+                device.close()
+
+
+def _cycle(scenario: Scenario) -> int:
+    """The device models' smallest step [ns]."""
+    names = {spec.name for spec in scenario.devices}
+    steps = [spec.step for spec in scenario.components if spec.name in names and isinstance(spec.step, int)]
+    if not steps:
+        raise DeviceError(
+            f"scenario {scenario.name}: the step of its device models must be a number, to be the facility's cycle"
+        )
+    return min(steps)
+
+
+def _virtual(
+    name: str, kind: str, options: Mapping[str, Any], directory: Path, settings: FacilitySettings, period: int
+) -> VirtualDevice:
+    points = {point.name: point for point in entry_points(group="freeflyer.virtual_devices")}
+    if kind not in points:
+        raise DeviceError(f"device {name}: no virtual device plays the kind {kind!r}{did_you_mean(kind, points)}")
+    factory: Factory = points[kind].load()
+    return factory(name, options, directory, settings, seconds(period))

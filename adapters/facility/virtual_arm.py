@@ -1,0 +1,143 @@
+"""The arm's end of the CAN link, in front of an arm model: the same frames, protection and watchdog as a real arm's."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import can
+import numpy as np
+
+from adapters import can_arm
+from adapters.arm_frames import CYCLES, LIMIT_ROLES, ArmFrames
+from adapters.arm_link import Receiver, Sender, open_bus
+from adapters.device import LifeCycle
+from adapters.facility.arm_logic import ArmLogic, Command
+from adapters.facility.settings import FacilitySettings
+from adapters.histogram import Histogram
+from adapters.ramp_down import RampDown
+from cosim.component import Array, Port
+
+SENSED = ("joint_position", "joint_velocity", "joint_torque")
+
+
+class VirtualArm:
+    """`receive` at the begin of a cycle, then the model's step, then `send`."""
+
+    def __init__(self, name: str, raw: Mapping[str, Any], directory: Path, settings: FacilitySettings, period: float) -> None:
+        self.name, self.settings, self.period = name, settings, period
+        self.options = can_arm.options_from(name, raw, directory)
+        n = self.options.joints
+        self.frames = ArmFrames(self.options.frames, n)
+        self.commands = (
+            Port(name="joint_torque_command", size=n, causality="output", units=("N.m",) * n, sampled=True),
+            Port(name="brake", size=1, causality="output", units=("1",), sampled=True, start=(1.0,)),
+        )
+        units = {"joint_position": "rad", "joint_velocity": "rad/s", "joint_torque": "N.m"}
+        self.measurements = tuple(Port(name=s, size=n, causality="input", units=(units[s],) * n) for s in SENSED)
+        self.round_trip = Histogram()
+        """From sending a state frame until its answer was taken by the system."""
+        self._velocity = np.zeros(n)
+        self._limits: dict[str, list[float]] = {}
+        self._sent_at = 0.0
+        self.logic = self._new_logic()
+        seen = [self.frames.command]
+        self._bus = open_bus(self.options.interface, self.options.channel, self.frames.is_fd, seen, self.options.bus)
+        self._receiver = Receiver(self.frames.command)
+        self._sender = Sender(self._bus, self.frames.state)
+        self._describer = None if self.frames.description is None else Sender(self._bus, self.frames.description)
+
+    def _new_logic(self) -> ArmLogic:
+        s = self.settings
+        return ArmLogic(
+            self.options.joints,
+            cycle=self.period,
+            watchdog=s.arm_watchdog_cycles,
+            silence=round(s.forget_after_s / self.period),
+            ramp=RampDown(time=s.ramp_down_time_s, damping=s.ramp_down_damping),
+        )
+
+    def begin_session(self, parameters: Mapping[str, Array]) -> None:
+        """The model's parameters, in which its limits are; the cycle number runs on."""
+        self._limits = {role: list(map(float, parameters[role])) for role in LIMIT_ROLES if role in parameters}
+        cycle = self.logic.cycle
+        self.logic = self._new_logic()
+        self.logic.cycle = cycle
+        self._velocity[:] = 0.0
+
+    def receive(self, values: Mapping[str, Array]) -> None:
+        commands = []
+        while (message := self._next()) is not None:
+            numbers = self._receiver.take(message)
+            if numbers is None:
+                continue
+            answered = int(numbers.get("answered_cycle", (self.logic.cycle,))[0])
+            commands.append(
+                Command(
+                    controller=int(numbers.get("controller", (1,))[0]),
+                    mode=self.frames.mode(numbers["mode"][0]) if "mode" in numbers else self.frames.mode(1),
+                    answered=answered,
+                    torque=np.array(numbers["joint_torque_command"]),
+                )
+            )
+            trip = message.timestamp - self._sent_at
+            if answered == self.logic.cycle and 0.0 <= trip < 1.0 and self.logic.life.now is LifeCycle.active:
+                self.round_trip.add(int(trip * 1e9))
+        self.logic.begin(commands, self._velocity)
+        values["joint_torque_command"][:] = self.logic.torque
+        values["brake"][0] = float(self.logic.braked)
+
+    def _next(self) -> can.Message | None:
+        try:
+            return self._bus.recv(0.0)
+        except can.CanError:
+            return None
+
+    def send(self, values: Mapping[str, Array]) -> None:
+        logic = self.logic
+        self._velocity[:] = values["joint_velocity"]
+        self._sent_at = time.time()
+        self._sender.send({
+            "cycle": (float(logic.cycle),),
+            "echoed_cycle": (float(logic.echoed),),
+            "obeyed_controller": (float(logic.controller),),
+            "life_cycle": (float(self.frames.life_cycle_number(logic.life.now)),),
+            "brakes": (float(logic.braked),),
+            "lost_commands": (float(logic.lost % 256),),
+            **{name: values[name].tolist() for name in SENSED},
+        })  # fmt: skip
+        due = logic.life.now is not LifeCycle.active and logic.cycle % self.settings.describe_every == 0
+        if self._describer is not None and due:
+            joints = (float(self.options.joints),)
+            self._describer.send({"joint_count": joints, "cycle_time": (self.period,), **self._limits})
+
+    @property
+    def events(self) -> list[tuple[int, str]]:
+        return self.logic.events
+
+    @property
+    def session_is_over(self) -> bool:
+        return self.logic.session_is_over
+
+    @property
+    def is_idle(self) -> bool:
+        return not self.logic.was_active
+
+    def report(self) -> Mapping[str, float]:
+        rejected = sum(n for why, n in self._receiver.rejected.items() if not why.startswith("("))
+        return {
+            "cycle": float(self.logic.cycle % CYCLES),
+            "state_frames_sent": float(self._sender.sent),
+            "commands_accepted": float(self._receiver.accepted),
+            "commands_rejected": float(rejected),
+            "commands_late_or_lost": float(self.logic.total_lost),
+            "commands_of_strangers": float(self.logic.strangers),
+        }
+
+    def histograms(self) -> Mapping[str, Histogram]:
+        return {f"{self.name}: round trip of state frame and command": self.round_trip}
+
+    def close(self) -> None:
+        self._bus.shutdown()

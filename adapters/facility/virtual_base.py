@@ -1,0 +1,106 @@
+"""The base robot's end of the Zenoh link, in front of a base-robot model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from adapters import zenoh_base
+from adapters.device import LifeCycle
+from adapters.facility.base_logic import BaseLogic
+from adapters.facility.settings import FacilitySettings
+from adapters.histogram import Histogram
+from adapters.pose import twist_rotated
+from adapters.zenoh_base import TWIST
+from adapters.zenoh_link import OdometryLink, check, open_session
+from cosim.component import Array, Port
+
+
+class VirtualBase:
+    """`receive` at the begin of a cycle, then the model's step, then `send`. It listens where the host connects to."""
+
+    def __init__(self, name: str, raw: Mapping[str, Any], directory: Path, settings: FacilitySettings, period: float) -> None:
+        self.name, self.settings, self.period = name, settings, period
+        self.options = o = zenoh_base.options_from(name, raw, directory)
+        check(o, name)
+        self.commands = (
+            Port(name="position_setpoint", size=3, causality="output", units=("m",) * 3, sampled=True),
+            Port(name="orientation_setpoint", size=4, causality="output", units=("1",) * 4, sampled=True, start=(0, 0, 0, 1)),
+            Port(name="velocity_setpoint", size=6, causality="output", units=TWIST, sampled=True),
+        )
+        self.measurements = (
+            Port(name="base_position", size=3, causality="input", units=("m",) * 3),
+            Port(name="base_orientation", size=4, causality="input", units=("1",) * 4, start=(0, 0, 0, 1)),
+            Port(name="base_velocity", size=6, causality="input", units=TWIST),
+        )
+        self.logic = self._new_logic()
+        self._pose = (np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))
+        self._calls = 0
+        self._session: Any = open_session([], o.connect, name)
+        self._link = OdometryLink(self._session, o, o.measured_topic, o.setpoint_topic)
+
+    def _new_logic(self) -> BaseLogic:
+        s = self.settings
+        return BaseLogic(
+            watchdog=round(s.base_watchdog_s / self.period),
+            silence=round(s.forget_after_s / self.period),
+            jump=(s.base_jump_m, s.base_jump_rad),
+        )
+
+    def begin_session(self, parameters: Mapping[str, Array]) -> None:
+        """The model's start pose, which is held until set points come."""
+        self.logic = self._new_logic()
+        self._link.forget_source()
+        self._pose = (parameters["true_position"].copy(), parameters["true_orientation"].copy())
+        self.logic.hold(*self._pose)
+
+    def receive(self, values: Mapping[str, Array]) -> None:
+        received = self._link.receive()
+        if received is not None:
+            odometry = received.odometry
+            velocity = odometry.velocity
+            if np.isfinite(velocity).all() and 0.98 < float(odometry.orientation @ odometry.orientation) < 1.02:
+                velocity = twist_rotated(odometry.orientation, velocity)
+            self.logic.take(odometry.position, odometry.orientation, velocity, self._pose)
+        self.logic.tick()
+        values["position_setpoint"][:] = self.logic.position
+        values["orientation_setpoint"][:] = self.logic.orientation
+        values["velocity_setpoint"][:] = self.logic.velocity
+
+    def send(self, values: Mapping[str, Array]) -> None:
+        position, orientation = values["base_position"], values["base_orientation"]
+        self._pose = (position.copy(), orientation.copy())
+        self._calls += 1
+        if self._calls % self.settings.measure_every == 0:
+            self._link.publish(position, orientation, values["base_velocity"])
+
+    @property
+    def events(self) -> list[tuple[int, str]]:
+        return self.logic.events
+
+    @property
+    def session_is_over(self) -> bool:
+        return self.logic.session_is_over
+
+    @property
+    def is_idle(self) -> bool:
+        return not self.logic.was_active
+
+    def report(self) -> Mapping[str, float]:
+        counts = self._link.counts
+        return {
+            "setpoints_accepted": float(counts.accepted),
+            "setpoints_skipped": float(counts.skipped),
+            "setpoints_refused": float(counts.malformed + counts.stale + counts.strangers + self.logic.refused),
+            "active": float(self.logic.life.now is LifeCycle.active),
+        }
+
+    def histograms(self) -> Mapping[str, Histogram]:
+        return {}
+
+    def close(self) -> None:
+        self._link.close()
+        self._session.close()

@@ -1,0 +1,193 @@
+"""The hardware in the loop: the scenario's controllers, with devices in the place of its device models.
+
+Devices are configured while the system is assembled, activated together, and stopped together, whatever ended the loop: a damped
+ramp-down under the arm's own clock, then brakes. The arm's state frame is the clock; without an arm, absolute deadlines are.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from adapters import pacing
+from adapters.device import Device, DeviceError, LifeCycle
+from adapters.device_component import DeviceComponent
+from adapters.histogram import Histogram
+from adapters.live_view import LiveValues
+from adapters.pacing import Pacer
+from cosim import metrics
+from cosim.assemble import assembled
+from cosim.clock import seconds
+from cosim.experiment import Result
+from cosim.graph import split
+from cosim.master import Master, Outcome, interrupts
+from cosim.parameters import Values
+from cosim.scenario import ComponentSpec, Scenario
+
+LONGEST_STOP = 5.0
+"""After so long [s] the graded stop is given up, and the devices are left to their own watchdogs."""
+VIEW_EVERY = 100
+"""Instants between two sets of numbers for the live view."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoopReport:
+    """What a run in real time adds to a result."""
+
+    granted: Sequence[str]
+    times: Mapping[str, Mapping[str, float]]
+    devices: Mapping[str, Mapping[str, float]]
+    stop: str
+    """Why the loop ended, and how the devices were left."""
+
+    def summary(self) -> dict[str, Any]:
+        return {
+            "granted": list(self.granted),
+            "times": {name: dict(times) for name, times in self.times.items()},
+            "devices": {name: dict(counts) for name, counts in self.devices.items()},
+            "stop": self.stop,
+        }
+
+
+def with_devices(scenario: Scenario) -> Scenario:
+    """Devices in the place of the components of the same names, clocks first; what joined two of them is physics, and goes."""
+    if not scenario.devices:
+        raise DeviceError(f"scenario {scenario.name} has no [devices.NAME]: there is nothing to put into the loop")
+    devices: dict[str, ComponentSpec] = {spec.name: spec for spec in scenario.devices}
+    others = tuple(spec for spec in scenario.components if spec.name not in devices)
+    connections = tuple(c for c in scenario.connections if not {split(c.source)[0], split(c.target)[0]} <= devices.keys())
+    return replace(scenario, components=(*devices.values(), *others), connections=connections)
+
+
+class _Pace:
+    """The loop's own times, and its picture."""
+
+    def __init__(
+        self, devices: Sequence[Device], watched: Master, energies: Sequence[str], asked_to_stop: Callable[[], bool]
+    ) -> None:
+        clocks = [device for device in devices if device.is_clock]
+        self.period = watched.schedule.tick
+        self.pacer = None if clocks else Pacer(self.period)
+        self.compute = Histogram()
+        self.devices = devices
+        self.view: LiveValues | None = None
+        self._clock = clocks[0] if clocks else None
+        self._woken = 0
+        self._master, self._energies = watched, energies
+        self._begun = time.monotonic()
+        self._asked_to_stop = asked_to_stop
+
+    def begin(self, k: int) -> str | None:
+        if k == 0:
+            # As late as can be, and the arm last: from then on it waits for its commands.
+            for device in sorted(self.devices, key=lambda device: device.is_clock):
+                device.activate(self._asked_to_stop)
+        if self.pacer is not None:
+            self._woken = self.pacer.wait()
+        return None
+
+    def end(self, k: int) -> None:
+        woken = self._clock.woken if self._clock is not None else self._woken
+        self.compute.add(time.monotonic_ns() - woken)
+        if self.view is not None and k % VIEW_EVERY == 0:
+            self.view.write(self.numbers(k))
+
+    @property
+    def names(self) -> list[str]:
+        reports = [f"{d.name}: {name.replace('_', ' ')}" for d in self.devices for name in d.report()]
+        states = [f"{d.name}: state (2: active, 3: safe stop)" for d in self.devices]
+        times = ["time [s]", "rate [Hz]", "compute, longest [us]"]
+        return [*times, *states, *(f"{name} [J]" for name in self._energies), *reports]
+
+    def numbers(self, k: int) -> list[float]:
+        elapsed = max(time.monotonic() - self._begun, 1e-9)
+        energies = [float(self._master.value(name).min()) for name in self._energies]
+        counts = [value for d in self.devices for value in d.report().values()]
+        return [
+            seconds(k * self.period), k / elapsed, self.compute.longest / 1000.0,
+            *(float(d.state.now) for d in self.devices), *energies, *counts,
+        ]  # fmt: skip
+
+
+def run(
+    scenario: Scenario, *, real_time: bool = True, view: bool = False, fmi: int | None = None, say: Any = print
+) -> tuple[Result, LoopReport]:
+    """Configure, activate, run, stop. Raises CosimError before anything moves; afterwards everything is in the result."""
+    scenario = with_devices(scenario)
+    with interrupts() as asked:
+        pacing.prepare_links(real_time)
+        try:
+            with assembled(scenario, fmi) as (master, values):
+                return _run(scenario, master, values, real_time, view, asked, say)
+        finally:
+            pacing.leave_real_time()
+
+
+def _run(
+    scenario: Scenario, master: Master, values: Values, real_time: bool, view: bool, asked: list[float], say: Any
+) -> tuple[Result, LoopReport]:
+    metrics.check(scenario, master.graph.components)
+    devices = [c.device for c in master.graph.components.values() if isinstance(c, DeviceComponent)]
+    period = master.schedule.tick
+    live = None
+    pace = _Pace(devices, master, list(scenario.observed_energy.values()), lambda: bool(asked))
+    if view:
+        live = pace.view = LiveValues(f"{scenario.title} (Ctrl-C stops it in order)", pace.names)
+        live.show()
+    try:
+        granted = pacing.enter_real_time(real_time)
+        say("Real time: " + ", ".join(granted))
+        reason = "the loop could not be activated"
+        with pacing.no_collection():
+            try:
+                outcome = master.run(pace=pace)
+                reason = outcome.cause or "the scenario is over"
+            finally:
+                left = stop(devices, period, reason)
+    finally:
+        if live is not None:
+            live.close()
+    pacing.leave_real_time()
+    times = {"loop: compute": pace.compute}
+    if pace.pacer is not None:
+        times["loop: wake-up"] = pace.pacer.lateness
+    for device in devices:
+        times |= device.histograms()
+    report = LoopReport(
+        granted=granted,
+        times={name: histogram.summary() for name, histogram in times.items()},
+        devices={device.name: device.report() for device in devices},
+        stop=f"{reason}; {left}",
+    )
+    return _result(scenario, master, values, outcome, report), report
+
+
+def _result(scenario: Scenario, master: Master, values: Values, outcome: Outcome, report: LoopReport) -> Result:
+    series = metrics.errors(scenario, outcome.record, master.graph.components, values)
+    summary = {**metrics.summary(scenario, outcome, series), "real_time": report.summary()}
+    return Result(scenario=scenario, outcome=outcome, errors=series, summary=summary)
+
+
+def stop(devices: Sequence[Device], period: int, reason: str) -> str:
+    """The graded stop of every device that is active; says how they were left."""
+    active = [device for device in devices if device.state.now is LifeCycle.active]
+    if not active:
+        return "nothing was active"
+    begin = time.monotonic()
+    pacer = None if any(device.is_clock for device in active) else Pacer(period)
+    done = False
+    while not done and time.monotonic() - begin < LONGEST_STOP:
+        if pacer is not None:
+            pacer.wait()
+        elapsed = time.monotonic() - begin
+        at_rest = [device.ramp_down(elapsed) for device in active]
+        done = all(at_rest)
+    took = time.monotonic() - begin
+    for device in active:
+        device.on_error(reason)
+        device.deactivate()
+    if done:
+        return f"all devices were brought to rest in {took:.2f} s"
+    return f"after {took:.2f} s not all devices had come to rest; they are left to their own watchdogs"
