@@ -69,6 +69,11 @@ class Receiver:
         self.rejected: Counter[str] = Counter()
         self.accepted = 0
 
+    def forget(self) -> None:
+        """After frames were thrown away unread."""
+        if self._checker is not None:
+            self._checker.forget()
+
     def take(self, message: can.Message) -> dict[str, list[float]] | None:
         """The frame's values by role, or None for one that must not be used."""
         data = message.data

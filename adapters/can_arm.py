@@ -81,7 +81,7 @@ class CanArm:
 
     @property
     def step(self) -> float:
-        return float(self.values["cycle"][0])
+        return float(self.values["period"][0])
 
     # Before anything moves
 
@@ -308,6 +308,7 @@ class CanArm:
     def _drain(self) -> None:
         while self._received(0.0) is not None:
             pass
+        self._states.forget()
 
     def _wait(self, timeout: float) -> bool:
         """Wait for a state frame, and take the newest if there are several."""

@@ -27,6 +27,9 @@ class HilCommand:
         _common(parser)
         parser.add_argument("--out", type=folder, metavar="DIR", help="default: freeflyer_out/hil_SCENARIO")
         parser.add_argument(
+            "--simulated", action="store_true", help="every device is its model in this process, at wall-clock rate"
+        )
+        parser.add_argument(
             "--view",
             action=argparse.BooleanOptionalAction,
             default=None,
@@ -41,6 +44,7 @@ class HilCommand:
         result, report = hil.run(
             chosen,
             real_time=arguments.real_time,
+            simulated=arguments.simulated,
             view=view,
             fmi=arguments.fmi,
             say=lambda text: console.print(text, soft_wrap=True),

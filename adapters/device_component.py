@@ -1,4 +1,4 @@
-"""A device as a component of the master: one communication step is one cycle, the last command out and the next measurement in."""
+"""A device as a component of the master: its step reads what is measured; its command goes out at the end of the instant."""
 
 from __future__ import annotations
 
@@ -6,14 +6,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from adapters import can_arm, zenoh_base
+from adapters import can_arm, simulated, zenoh_base
 from adapters.device import Device
 from cosim.component import PythonComponent
-from cosim.errors import ComponentError
 
 
 class DeviceComponent(PythonComponent):
-    """Initialising configures the device; activating it is the loop's affair (`adapters.hil`)."""
+    """Initialising configures the device; activating it, and writing its command, is the loop's affair (`adapters.hil`)."""
 
     variable_step = False
 
@@ -22,17 +21,11 @@ class DeviceComponent(PythonComponent):
         self.device = device
         # One memory for both: the master copies into and out of the device's own values.
         device.values = self.values
-        self._begun = False
 
     def initialise(self, start: float) -> None:
         self.device.configure()
 
     def advance(self, time: float, size: float) -> None:
-        if self._begun:
-            self.device.write()
-        elif abs(size - self.device.step) > 1e-9:
-            raise ComponentError(f"device {self.name} works in steps of {self.device.step:g} s; its step_s is {size:g} s")
-        self._begun = True
         self.device.read()
 
     def step(self, time: float, size: float) -> None:
@@ -48,3 +41,7 @@ def can_arm_component(name: str, options: Mapping[str, Any], directory: Path) ->
 
 def zenoh_base_component(name: str, options: Mapping[str, Any], directory: Path) -> DeviceComponent:
     return DeviceComponent(zenoh_base.ZenohBase(name, zenoh_base.options_from(name, options, directory)))
+
+
+def simulated_component(name: str, options: Mapping[str, Any], directory: Path) -> DeviceComponent:
+    return DeviceComponent(simulated.simulated_from(name, options, directory))

@@ -51,6 +51,10 @@ class Checker:
     counts: dict[Status, int] = field(default_factory=lambda: dict.fromkeys(Status, 0))
     _counter: int | None = None
 
+    def forget(self) -> None:
+        """Take the next good frame as the first, after frames were thrown away unread."""
+        self._counter = None
+
     def check(self, data: bytes | bytearray) -> Status:
         status = self._status(data)
         self.counts[status] += 1

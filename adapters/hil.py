@@ -21,11 +21,12 @@ from cosim import metrics
 from cosim.assemble import assembled
 from cosim.clock import seconds
 from cosim.experiment import Result
-from cosim.graph import split
+from cosim.graph import Connection, split
 from cosim.master import Master, Outcome, interrupts
 from cosim.parameters import Values
-from cosim.scenario import ComponentSpec, Scenario
+from cosim.scenario import Scenario
 
+SIMULATED = "simulated"
 LONGEST_STOP = 5.0
 """After so long [s] the graded stop is given up, and the devices are left to their own watchdogs."""
 VIEW_EVERY = 100
@@ -51,13 +52,29 @@ class LoopReport:
         }
 
 
-def with_devices(scenario: Scenario) -> Scenario:
-    """Devices in the place of the components of the same names, clocks first; what joined two of them is physics, and goes."""
+def with_devices(scenario: Scenario, *, simulated: bool = False) -> Scenario:
+    """Devices in the place of the components of the same names, clocks first; what joined two of them is physics, and goes.
+
+    `simulated`: every device is its own model in this process; their physics stays, and the wall clock paces the loop.
+    """
     if not scenario.devices:
         raise DeviceError(f"scenario {scenario.name} has no [devices.NAME]: there is nothing to put into the loop")
-    devices: dict[str, ComponentSpec] = {spec.name: spec for spec in scenario.devices}
+    models = {spec.name: spec for spec in scenario.components}
+    if simulated:
+        specs = [replace(models[spec.name], kind=SIMULATED) for spec in scenario.devices]
+    else:
+        specs = [
+            replace(spec, parameters={**models[spec.name].parameters, **spec.parameters}) if spec.kind == SIMULATED else spec
+            for spec in scenario.devices
+        ]
+    devices = {spec.name: spec for spec in specs}
     others = tuple(spec for spec in scenario.components if spec.name not in devices)
-    connections = tuple(c for c in scenario.connections if not {split(c.source)[0], split(c.target)[0]} <= devices.keys())
+
+    def stays(connection: Connection) -> bool:
+        ends = [devices.get(split(signal)[0]) for signal in (connection.source, connection.target)]
+        return None in ends or all(spec is not None and spec.kind == SIMULATED for spec in ends)
+
+    connections = tuple(connection for connection in scenario.connections if stays(connection))
     return replace(scenario, components=(*devices.values(), *others), connections=connections)
 
 
@@ -72,6 +89,7 @@ class _Pace:
         self.pacer = None if clocks else Pacer(self.period)
         self.compute = Histogram()
         self.devices = devices
+        self._in_order = sorted(devices, key=lambda device: not device.is_clock)
         self.view: LiveValues | None = None
         self._clock = clocks[0] if clocks else None
         self._woken = 0
@@ -82,13 +100,17 @@ class _Pace:
     def begin(self, k: int) -> str | None:
         if k == 0:
             # As late as can be, and the arm last: from then on it waits for its commands.
-            for device in sorted(self.devices, key=lambda device: device.is_clock):
+            for device in reversed(self._in_order):
                 device.activate(self._asked_to_stop)
         if self.pacer is not None:
             self._woken = self.pacer.wait()
         return None
 
     def end(self, k: int) -> None:
+        # The arm's answer first: it is waited for.
+        for device in self._in_order:
+            self._master.hand_over(device.name)
+            device.write()
         woken = self._clock.woken if self._clock is not None else self._woken
         self.compute.add(time.monotonic_ns() - woken)
         if self.view is not None and k % VIEW_EVERY == 0:
@@ -112,10 +134,16 @@ class _Pace:
 
 
 def run(
-    scenario: Scenario, *, real_time: bool = True, view: bool = False, fmi: int | None = None, say: Any = print
+    scenario: Scenario,
+    *,
+    real_time: bool = True,
+    simulated: bool = False,
+    view: bool = False,
+    fmi: int | None = None,
+    say: Any = print,
 ) -> tuple[Result, LoopReport]:
     """Configure, activate, run, stop. Raises CosimError before anything moves; afterwards everything is in the result."""
-    scenario = with_devices(scenario)
+    scenario = with_devices(scenario, simulated=simulated)
     with interrupts() as asked:
         pacing.prepare_links(real_time)
         try:
@@ -130,6 +158,10 @@ def _run(
 ) -> tuple[Result, LoopReport]:
     metrics.check(scenario, master.graph.components)
     devices = [c.device for c in master.graph.components.values() if isinstance(c, DeviceComponent)]
+    for device in devices:
+        step = seconds(master.schedule.ratios[device.name] * master.schedule.tick)
+        if abs(step - device.step) > 1e-9:
+            raise DeviceError(f"device {device.name} works in steps of {device.step:g} s; its step_s is {step:g} s")
     period = master.schedule.tick
     live = None
     pace = _Pace(devices, master, list(scenario.observed_energy.values()), lambda: bool(asked))

@@ -41,7 +41,7 @@ def ports(settings: Sequence[Setting], joints: int = 0) -> list[Port]:
 
 
 ARM = (
-    Setting(name="cycle", default=(0.001,), unit="s", description="Cycle of the arm's state frames, and its communication step"),
+    Setting(name="period", default=(0.001,), unit="s", description="Cycle of the arm's state frames, and its communication step"),
     Setting(name="joint_effort_limit", default=(10.0,), per_joint=True, unit="N.m", effect="clips",
             description="Largest commanded joint torque"),
     Setting(name="torque_rate_limit", default=(1000.0,), per_joint=True, unit="N.m/s", effect="clips",
@@ -71,7 +71,7 @@ ARM = (
 )  # fmt: skip
 
 BASE = (
-    Setting(name="read_period", default=(0.001,), unit="s", description="Communication step: how often the freshest sample is read"),
+    Setting(name="period", default=(0.001,), unit="s", description="Communication step: how often the freshest sample is read"),
     Setting(name="cycle", default=(0.004,), unit="s", description="Cycle of set points and measurements"),
     Setting(name="workspace_lower", default=(-0.5, -0.5, -0.5), unit="m", effect="stops", description="Least set-point position"),
     Setting(name="workspace_upper", default=(0.5, 0.5, 0.5), unit="m", effect="stops", description="Largest set-point position"),

@@ -20,7 +20,7 @@ from adapters.limits import BaseLimits
 from adapters.options import checked, known_keys
 from adapters.pose import distance, twist_rotated
 from adapters.quality import QualityMonitor
-from adapters.zenoh_link import LinkOptions, OdometryLink, Received, check, open_session
+from adapters.zenoh_link import Counts, LinkOptions, OdometryLink, Received, check, open_session
 from cosim.component import Array, Port
 
 PATIENCE = 1.75
@@ -66,7 +66,7 @@ class ZenohBase:
 
     @property
     def step(self) -> float:
-        return float(self.values["read_period"][0])
+        return float(self.values["period"][0])
 
     # Before anything moves
 
@@ -109,6 +109,7 @@ class ZenohBase:
     def activate(self, asked_to_stop: Callable[[], bool]) -> None:
         """The first set point is the measured pose; what lies between it and the start is taken off slowly."""
         v = self.values
+        assert self._link is not None
         self._newest()
         start = v["start_position"], _unit(v["start_orientation"])
         gap = distance(v["base_position"], v["base_orientation"], *start)
@@ -126,6 +127,7 @@ class ZenohBase:
             (measured * Rotation.from_quat(start[1]).inv()).as_rotvec(),
         )
         self._sent = None
+        self._link.counts = Counts()
         self._publish(v["base_position"].copy(), v["base_orientation"].copy(), np.zeros(6))
         self.state.to(LifeCycle.active)
 

@@ -82,6 +82,7 @@ class _Slave:
     ratio: int
     take_inputs: Callable[[], None]
     take_first_inputs: Callable[[set[str]], None]
+    take_present_inputs: Callable[[], None]
     write: Callable[[], None]
     read: Callable[[], None]
 
@@ -141,6 +142,11 @@ class Master:
     def value(self, signal: str) -> Array:
         """The present value of an output, COMPONENT.VARIABLE: a view."""
         return self._now[self._place[signal]]
+
+    def hand_over(self, name: str) -> None:
+        """Give a component its inputs at the end of an instant, delayed ones too: for a `Pace` that sends commands there."""
+        self._slaves[name].take_present_inputs()
+        self._slaves[name].write()
 
     def run(self, progress: Progress | None = None, pace: Pace | None = None) -> Outcome:
         schedule = self.schedule
@@ -245,10 +251,16 @@ class Master:
                 if source in ready:
                     buffer[there] = now[place]
 
+        def take_present_inputs() -> None:
+            if p_to.size:
+                buffer[p_to] = now[p_from]
+            if d_to.size:
+                buffer[d_to] = now[d_from]
+
         write = component.bind_inputs(targets, buffer) if targets else _nothing
         own = [self._place[f"{name}.{variable}"] for variable in outputs]
         read = component.bind_outputs(outputs, now[own[0].start : own[-1].stop]) if own else _nothing
-        return _Slave(component, self.schedule.ratios[name], take_inputs, take_first_inputs, write, read)
+        return _Slave(component, self.schedule.ratios[name], take_inputs, take_first_inputs, take_present_inputs, write, read)
 
     def _bind_limit(self, limit: Limit) -> Callable[[], str | None]:
         if limit.signal not in self._place:

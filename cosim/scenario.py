@@ -147,8 +147,8 @@ def _override(raw: Raw, text: str) -> None:
     """COMPONENT.PARAMETER=VALUE; VALUE as in TOML, or a bare word, or a number with a unit ("300 ms")."""
     target, equals, value = text.partition("=")
     component, dot, parameter = target.strip().partition(".")
-    if equals and component == "devices":
-        _override_device(raw, text, parameter, parse_value(value.strip()))
+    if equals and component in ("devices", "facility"):
+        _override_table(raw, text, target.strip().split("."), parse_value(value.strip()))
         return
     if equals and target.strip() == "stop_s":
         raw["stop_s"] = parse_value(value.strip())
@@ -166,15 +166,18 @@ def _override(raw: Raw, text: str) -> None:
         table.setdefault("parameters", {})[parameter] = parsed
 
 
-def _override_device(raw: Raw, text: str, target: str, value: Any) -> None:
-    """devices.NAME.KEY=VALUE; a key may have further parts."""
-    name, *keys = target.split(".")
-    devices = raw.get("devices", {})
-    if name not in devices or not keys or not all(keys):
-        raise ScenarioError(f"--set {text}: devices.NAME.KEY=VALUE is expected, NAME one of: {', '.join(devices) or '(none)'}")
-    table = devices[name]
+def _override_table(raw: Raw, text: str, keys: Sequence[str], value: Any) -> None:
+    """devices.NAME.KEY=VALUE or facility.KEY=VALUE; a key may have further parts."""
+    if keys[0] == "devices" and (len(keys) < 3 or keys[1] not in raw.get("devices", {})):
+        names = ", ".join(raw.get("devices", {})) or "(none)"
+        raise ScenarioError(f"--set {text}: devices.NAME.KEY=VALUE is expected, NAME one of: {names}")
+    if not all(keys) or len(keys) < 2:
+        raise ScenarioError(f"--set {text}: {keys[0]}.KEY=VALUE is expected")
+    table = raw
     for key in keys[:-1]:
         table = table.setdefault(key, {})
+        if not isinstance(table, dict):
+            raise ScenarioError(f"--set {text}: {key!r} is no table, so that nothing can be set in it")
     table[keys[-1]] = value
 
 

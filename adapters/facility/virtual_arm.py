@@ -39,6 +39,7 @@ class VirtualArm:
         self.measurements = tuple(Port(name=s, size=n, causality="input", units=(units[s],) * n) for s in SENSED)
         self.round_trip = Histogram()
         """From sending a state frame until its answer was taken by the system."""
+        self._before: dict[str, float] = {}
         self._velocity = np.zeros(n)
         self._limits: dict[str, list[float]] = {}
         self._sent_at = 0.0
@@ -63,6 +64,7 @@ class VirtualArm:
         """The model's parameters, in which its limits are; the cycle number runs on."""
         self._limits = {role: list(map(float, parameters[role])) for role in LIMIT_ROLES if role in parameters}
         cycle = self.logic.cycle
+        self._before = self._totals()
         self.logic = self._new_logic()
         self.logic.cycle = cycle
         self._velocity[:] = 0.0
@@ -132,8 +134,14 @@ class VirtualArm:
             "state_frames_sent": float(self._sender.sent),
             "commands_accepted": float(self._receiver.accepted),
             "commands_rejected": float(rejected),
-            "commands_late_or_lost": float(self.logic.total_lost),
-            "commands_of_strangers": float(self.logic.strangers),
+            **self._totals(),
+        }
+
+    def _totals(self) -> dict[str, float]:
+        """Over all sessions."""
+        return {
+            "commands_late_or_lost": self._before.get("commands_late_or_lost", 0.0) + self.logic.total_lost,
+            "commands_of_strangers": self._before.get("commands_of_strangers", 0.0) + self.logic.strangers,
         }
 
     def histograms(self) -> Mapping[str, Histogram]:
