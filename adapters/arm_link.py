@@ -13,6 +13,11 @@ from adapters.device import DeviceError
 from adapters.e2e import Checker, Protector, Status
 from cosim.near import did_you_mean
 
+FILTERING = ("local", "socketcan")
+"""Interfaces that filter before `recv` sees a frame. With the others, a frame for somebody else would end a `recv` that does not
+wait, so they get no filter; identifiers are compared in any case.
+"""
+
 
 def open_bus(interface: str, channel: str, is_fd: bool, identifiers: Sequence[Frame], options: Mapping[str, Any]) -> can.BusABC:
     """Any interface of python-can, seeing only the given frames. DeviceError with one sentence if it cannot be opened."""
@@ -23,7 +28,9 @@ def open_bus(interface: str, channel: str, is_fd: bool, identifiers: Sequence[Fr
         {"can_id": f.identifier, "can_mask": 0x1FFFFFFF if f.extended else 0x7FF, "extended": f.extended} for f in identifiers
     ]
     try:
-        return can.Bus(interface=interface, channel=channel, fd=is_fd, can_filters=filters, **options)
+        return can.Bus(
+            interface=interface, channel=channel, fd=is_fd, can_filters=filters if interface in FILTERING else None, **options
+        )
     except Exception as error:  # every interface has errors of its own, and of its driver's
         text = " ".join(str(error).split())[:300] or type(error).__name__
         raise DeviceError(f"CAN interface {interface!r}, channel {channel!r}, cannot be opened: {text}") from error
@@ -77,6 +84,8 @@ class Receiver:
     def take(self, message: can.Message) -> dict[str, list[float]] | None:
         """The frame's values by role, or None for one that must not be used."""
         data = message.data
+        if message.arbitration_id != self.frame.identifier or message.is_extended_id != self.frame.extended:
+            return None
         if message.is_error_frame or message.is_remote_frame:
             self.rejected["no data frame"] += 1
             return None

@@ -203,10 +203,11 @@ class LocalBus(BusABC):
                     self._accept()
                     continue
                 message = self._take(self._peers[descriptor])
-                if message is not None:
-                    return message, False
+                # Filtered here, or a frame for others would end a `recv` that does not wait.
+                if message is not None and self._matches_filters(message):
+                    return message, True
             if not events and deadline is not None and time.monotonic() >= deadline:
-                return None, False
+                return None, True
 
     def _take(self, peer: socket.socket) -> Message | None:
         try:

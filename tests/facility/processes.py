@@ -1,0 +1,150 @@
+"""A virtual facility and controllers as processes of their own, each test's on a channel and a port of its own."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import queue
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pandas
+
+COMMAND = (sys.executable, "-m", "cosim.command")
+numbers = itertools.count()
+# What a shared machine does to two processes at 1 kHz is not what these tests are about: holes of up to a second are counted, but
+# stop nobody. The rules themselves are tested without a clock (tests/links).
+PATIENT_FACILITY = ("facility.arm_watchdog_cycles=1000", "facility.base_watchdog_s=1.0")
+PATIENT_LOOP = (
+    "devices.arm_drive.parameters.lost_consecutive=1000",
+    "devices.arm_drive.parameters.state_age_limit=1.0",
+    "devices.base_robot.parameters.lost_consecutive=250",
+    "devices.base_robot.parameters.lost_in_window=0",
+    "devices.base_robot.parameters.age_limit=1.0",
+)
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+class Process:
+    """A command whose lines are read as they come."""
+
+    def __init__(self, arguments: Sequence[str]) -> None:
+        self.popen = subprocess.Popen(
+            [*COMMAND, *arguments], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
+        )
+        self._lines: queue.Queue[str | None] = queue.Queue()
+        self.said: list[str] = []
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def _read(self) -> None:
+        assert self.popen.stdout is not None
+        for line in self.popen.stdout:
+            self._lines.put(line.rstrip("\n"))
+        self._lines.put(None)
+
+    def wait_for(self, text: str, timeout: float = 30.0) -> str:
+        """The first line, of those not read yet, that has the text."""
+        end = time.monotonic() + timeout
+        while True:
+            try:
+                line = self._lines.get(timeout=max(0.01, end - time.monotonic()))
+            except queue.Empty:
+                raise AssertionError(f"{text!r} was not said within {timeout} s, but:\n" + "\n".join(self.said)) from None
+            if line is None:
+                raise AssertionError(f"{text!r} was not said, but:\n" + "\n".join(self.said))
+            self.said.append(line)
+            if text in line:
+                return line
+
+    def finish(self, timeout: float = 60.0) -> int:
+        """Its exit code; everything it said is in `said`."""
+        code = self.popen.wait(timeout)
+        while (line := self._lines.get(timeout=10.0)) is not None:
+            self.said.append(line)
+        assert not any("Traceback" in line for line in self.said), "\n".join(self.said)
+        return code
+
+    @property
+    def text(self) -> str:
+        return "\n".join(self.said)
+
+    def send(self, number: int) -> None:
+        self.popen.send_signal(number)
+
+    def end(self) -> None:
+        if self.popen.poll() is None:
+            self.popen.kill()
+            self.popen.wait()
+
+
+class Rig:
+    """One facility and whoever is started against it."""
+
+    def __init__(self, folder: Path, scenario: str = "facility") -> None:
+        self.folder, self.scenario = folder, scenario
+        self.channel = f"test-{os.getpid()}-{next(numbers)}"
+        self.endpoint = f"tcp/127.0.0.1:{free_port()}"
+        self.started: list[Process] = []
+
+    @property
+    def links(self) -> list[str]:
+        settings = (f'devices.arm_drive.channel="{self.channel}"', f'devices.base_robot.connect=["{self.endpoint}"]')
+        return [word for setting in settings for word in ("--set", setting)]
+
+    def start(self, *arguments: str) -> Process:
+        process = Process(arguments)
+        self.started.append(process)
+        return process
+
+    def facility(self, *settings: str) -> Process:
+        sets = [word for setting in settings for word in ("--set", setting)]
+        process = self.start("facility", self.scenario, *self.links, *sets, "--out", str(self.folder / "facility"))
+        process.wait_for("is there")
+        return process
+
+    def hil(self, *settings: str, options: Sequence[str] = (), out: str = "hil") -> Process:
+        sets = [word for setting in settings for word in ("--set", setting)]
+        out = str(self.folder / out)
+        return self.start("hil", self.scenario, *self.links, *sets, "--no-view", "--out", out, *options)
+
+    def summary(self, out: str = "hil") -> dict[str, Any]:
+        found: dict[str, Any] = json.loads((self.folder / out / "summary.json").read_text())
+        return found
+
+    def record(self, out: str = "hil") -> pandas.DataFrame:
+        return pandas.read_parquet(self.folder / out / "record.parquet")
+
+    def facility_report(self, process: Process) -> dict[str, Any]:
+        """Ends the facility in order."""
+        process.send(signal.SIGINT)
+        assert process.finish() == 0, process.text
+        found: dict[str, Any] = json.loads((self.folder / "facility" / "facility.json").read_text())
+        return found
+
+
+@contextmanager
+def rig(folder: Path, scenario: str = "facility") -> Iterator[Rig]:
+    made = Rig(folder, scenario)
+    try:
+        yield made
+    finally:
+        for process in made.started:
+            process.end()
+
+
+def events(report: dict[str, Any], device: str) -> list[str]:
+    return [event for session in report["sessions"] for _, event in session["events"][device]]

@@ -1,0 +1,208 @@
+"""Controllers and virtual facility as two processes over real sockets."""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from processes import PATIENT_FACILITY, PATIENT_LOOP, Rig, events, rig
+
+from adapters.arm_frames import ArmFrames, FrameMapping
+from adapters.arm_link import Receiver, open_bus
+from adapters.device import LifeCycle
+from cosim import experiment, scenario
+
+pytestmark = pytest.mark.xdist_group("real time")
+SECONDS = 4.0
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Rig]:
+    with rig(tmp_path) as made:
+        yield made
+
+
+def test_over_real_bytes_the_experiment_is_what_it_is_without_a_wall_clock(bench: Rig) -> None:
+    facility = bench.facility(*PATIENT_FACILITY)
+    loop = bench.hil(*PATIENT_LOOP, f"stop_s={SECONDS}")
+    assert loop.finish() == 0, loop.text
+    time.sleep(1.5)  # so that the facility notices that its controller has gone
+    report = bench.facility_report(facility)
+    summary = bench.summary()
+    without_clock = experiment.run(scenario.load("facility", [f"stop_s={SECONDS}"])).summary
+    for name in ("end_effector_position_error_m", "base_position_error_m"):
+        there, here = without_clock[name]["max"], summary[name]["max"]
+        assert here == pytest.approx(there, rel=0.1, abs=1e-3), name
+    for name in ("end_effector_orientation_error_deg", "base_orientation_error_deg"):
+        assert summary[name]["max"] == pytest.approx(without_clock[name]["max"], rel=0.1, abs=0.1), name
+
+    # No lost cycle that was not counted: what the arm sent came, or was counted as lost, and so with the commands.
+    arm = summary["real_time"]["devices"]["arm_drive"]
+    instants = summary["steps"]["arm_drive"]
+    assert instants == round(SECONDS * 1000)
+    virtual = report["devices"]["arm_drive"]
+    assert virtual["commands_accepted"] <= arm["commands_sent"]
+    assert virtual["commands_late_or_lost"] <= arm["commands_late_or_lost"] + arm["cycles_lost"] + 5
+    times = summary["real_time"]["times"]
+    assert times["arm_drive: answer to it"]["count"] >= instants - arm["cycles_lost"]
+    assert report["times"]["arm_drive: round trip of state frame and command"]["count"] > 0.5 * instants
+    assert [event for event in events(report, "arm_drive") if "->" in event] == [
+        "inactive -> active: commanded",
+        "active -> inactive: brakes commanded",
+    ]
+
+
+def test_the_arm_is_safe_within_five_cycles_of_its_controllers_death_and_the_base_holds(bench: Rig) -> None:
+    facility = bench.facility("facility.forget_after_s=3.0")
+    frames = ArmFrames(FrameMapping(), 6)
+    bus = open_bus("local", bench.channel, True, [frames.state], {})
+    receiver = Receiver(frames.state)
+    states: list[dict[str, list[float]]] = []
+    try:
+        for _ in range(5):  # a shared machine may hold the loop up before it is killed
+            loop = bench.hil(options=())
+            facility.wait_for("inactive -> active: commanded")
+            time.sleep(0.3)
+            while bus.recv(0.0) is not None:
+                receiver.forget()
+            loop.send(signal.SIGKILL)
+            line = facility.wait_for("arm_drive, cycle")
+            end = time.monotonic() + 2.0
+            states.clear()
+            while time.monotonic() < end:
+                message = bus.recv(0.5)
+                numbers = receiver.take(message) if message is not None else None
+                if numbers is not None:
+                    states.append(numbers)
+            if "active -> safe_stop: no command for 4 cycles" in line:
+                break
+            facility.wait_for("return to their start poses")
+        else:
+            raise AssertionError(facility.text)
+    finally:
+        bus.shutdown()
+    # From the last command that the arm accepted to its first state frame in safe stop.
+    cycles = [int(s["cycle"][0]) for s in states]
+    first = next(i for i, s in enumerate(states) if frames.life_cycle(s["life_cycle"][0]) is LifeCycle.safe_stop)
+    assert cycles[first] - int(states[first]["echoed_cycle"][0]) <= 5
+    assert states[-1]["brakes"] == [1.0]
+    assert np.abs(states[-1]["joint_velocity"]).max() < 1e-2
+    moved = np.abs(np.array(states[-1]["joint_position"]) - np.array(states[first]["joint_position"])).max()
+    assert moved < 0.05
+    facility.wait_for("it holds its place")
+    report = bench.facility_report(facility)
+    assert any("no set point" in event for event in events(report, "base_robot"))
+
+
+def test_the_controller_stops_in_order_when_the_facility_dies(bench: Rig) -> None:
+    facility = bench.facility(*PATIENT_FACILITY)
+    loop = bench.hil(*PATIENT_LOOP[2:])  # the arm's own rule: 20 cycles in a row, 20 ms
+    facility.wait_for("inactive -> active: commanded")
+    facility.send(signal.SIGKILL)
+    assert loop.finish() == 3
+    assert re.search(
+        r"the run stopped at [0-9.]+ s: arm_drive: .*(20 cycles in a row were lost|state frame is 0.0\d+ s old)", loop.text
+    )
+    assert bench.summary()["failed"] is True
+    assert bench.record().shape[0] >= 1
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_on_the_controller_is_an_orderly_stop(bench: Rig, number: signal.Signals) -> None:
+    facility = bench.facility(*PATIENT_FACILITY)
+    loop = bench.hil(*PATIENT_LOOP)
+    facility.wait_for("inactive -> active: commanded")
+    time.sleep(0.5)
+    loop.send(number)
+    assert loop.finish() == 3
+    assert "interrupted by the user; all devices were brought to rest" in loop.text
+    assert bench.summary()["interrupted"] is True
+    facility.wait_for("active -> inactive: brakes commanded")
+
+
+def test_ctrl_c_on_the_facility_is_an_orderly_stop_for_both(bench: Rig) -> None:
+    facility = bench.facility(*PATIENT_FACILITY)
+    loop = bench.hil(*PATIENT_LOOP[2:])
+    facility.wait_for("inactive -> active: commanded")
+    facility.send(signal.SIGINT)
+    assert facility.finish() == 0
+    assert loop.finish() == 3
+    assert "the run stopped" in loop.text
+
+
+def test_a_second_controller_is_refused_before_anything_moves_with_both_numbers(bench: Rig) -> None:
+    facility = bench.facility(*PATIENT_FACILITY)
+    first = bench.hil(*PATIENT_LOOP)
+    facility.wait_for("inactive -> active: commanded")
+    second = bench.hil(*PATIENT_LOOP, out="second")
+    assert second.finish() == 2
+    assert re.search(r"obeys controller \d+ already; this is controller \d+|sends no description frame", second.text), (
+        second.text
+    )
+    assert first.popen.poll() is None
+    first.send(signal.SIGINT)
+    assert first.finish() == 3
+    report = bench.facility_report(facility)
+    assert sum("inactive -> active" in event for event in events(report, "arm_drive")) == 1
+
+
+def test_a_busy_process_beside_the_loop_costs_counted_cycles_and_no_wrong_state(bench: Rig) -> None:
+    facility = bench.facility(*PATIENT_FACILITY)
+    loop = bench.hil(*PATIENT_LOOP, "stop_s=3.0", options=("--no-real-time",))
+    facility.wait_for("inactive -> active: commanded")
+    hogs = [
+        subprocess.Popen([sys.executable, "-c", "import time\nt=time.time()+1\nwhile time.time()<t: pass"]) for _ in range(2)
+    ]
+    for hog in hogs:
+        hog.wait()
+    assert loop.finish() == 0, loop.text
+    report = bench.facility_report(facility)
+    arm = bench.summary()["real_time"]["devices"]["arm_drive"]
+    assert bench.summary()["steps"]["arm_drive"] == 3000
+    assert report["devices"]["arm_drive"]["commands_late_or_lost"] <= arm["commands_late_or_lost"] + arm["cycles_lost"] + 5
+    moves = [event for event in events(report, "arm_drive") if "->" in event]
+    assert moves == ["inactive -> active: commanded", "active -> inactive: brakes commanded"]
+
+
+def listening(process_id: int) -> list[tuple[str, str]]:
+    """Protocol and local address of every socket of a process that listens, or could receive datagrams."""
+    found = []
+    inodes = set()
+    for descriptor in Path(f"/proc/{process_id}/fd").iterdir():
+        try:
+            match = re.fullmatch(r"socket:\[(\d+)\]", str(descriptor.readlink()))
+        except OSError:
+            continue
+        if match:
+            inodes.add(match[1])
+    for protocol in ("tcp", "tcp6", "udp", "udp6"):
+        for row in Path(f"/proc/{process_id}/net/{protocol}").read_text().splitlines()[1:]:
+            columns = row.split()
+            listens = columns[3] == "0A" or protocol.startswith("udp")
+            if columns[9] in inodes and listens:
+                found.append((protocol, columns[1].split(":")[0]))
+    return found
+
+
+def test_nothing_listens_beyond_loopback_and_nobody_joins_a_multicast_group(bench: Rig) -> None:
+    groups = Path("/proc/net/igmp").read_text(), Path("/proc/net/igmp6").read_text() if Path("/proc/net/igmp6").exists() else ""
+    facility = bench.facility(*PATIENT_FACILITY)
+    loop = bench.hil(*PATIENT_LOOP)
+    facility.wait_for("inactive -> active: commanded")
+    for process in (facility, loop):
+        sockets = listening(process.popen.pid)
+        assert sockets, "a Zenoh peer listens, or this test looks in the wrong place"
+        # 127.0.0.1, in the kernel's byte order.
+        assert {address for _, address in sockets} == {"0100007F"}, sockets
+        assert not [protocol for protocol, _ in sockets if protocol.startswith("udp")]
+    after = Path("/proc/net/igmp").read_text(), Path("/proc/net/igmp6").read_text() if Path("/proc/net/igmp6").exists() else ""
+    assert groups == after
+    loop.send(signal.SIGINT)
+    loop.finish()

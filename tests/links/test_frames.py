@@ -1,0 +1,141 @@
+"""The arm's frames: the shipped DBC, a user's own, and every mistake in one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from adapters.arm_frames import SHIPPED_DBC, ArmFrames, FrameMapping, frame_time
+from adapters.device import DeviceError
+
+FRAMES = ArmFrames(FrameMapping(), 6)
+ROOM = {"joint_position": 8.0, "joint_velocity": 6.5, "joint_torque": 327.0}
+
+OWN = """VERSION ""
+NS_ :
+BS_:
+BU_: PC Drive
+BO_ 512 TORQUES: 16 PC
+ SG_ Tau_A : 7|16@0- (0.01,0) [0|0] "Nm" Drive
+ SG_ Tau_B : 23|16@0- (0.01,0) [0|0] "Nm" Drive
+BO_ 513 STATUS: 16 Drive
+ SG_ N : 7|8@0+ (1,0) [0|0] "" PC
+ SG_ Q_A : 15|16@0- (0.01,0) [0|0] "deg" PC
+ SG_ Q_B : 31|16@0- (0.01,0) [0|0] "deg" PC
+ SG_ W_A : 47|16@0- (0.1,0) [0|0] "deg/s" PC
+ SG_ W_B : 63|16@0- (0.1,0) [0|0] "deg/s" PC
+ SG_ T_A : 79|16@0- (0.01,0) [0|0] "Nm" PC
+ SG_ T_B : 95|16@0- (0.01,0) [0|0] "Nm" PC
+"""
+SIGNALS = {
+    "cycle": "N",
+    "joint_torque_command": ["Tau_A", "Tau_B"],
+    "joint_position": ["Q_A", "Q_B"],
+    "joint_velocity": ["W_A", "W_B"],
+    "joint_torque": ["T_A", "T_B"],
+}
+MESSAGES = {"command": "TORQUES", "state": "STATUS"}
+
+
+def own(folder: Path, text: str = OWN) -> Path:
+    path = folder / "own.dbc"
+    path.write_text(text)
+    return path
+
+
+@given(st.data())
+def test_what_goes_in_comes_out_to_half_a_step(draw: st.DataObject) -> None:
+    numbers = {
+        name: draw.draw(st.lists(st.floats(-room, room), min_size=6, max_size=6), label=name) for name, room in ROOM.items()
+    }
+    numbers |= {"cycle": [float(draw.draw(st.integers(0, 2**24 - 1)))], "life_cycle": [2.0]}
+    found = FRAMES.state.unpack(FRAMES.state.pack(numbers))
+    for name, values in numbers.items():
+        half = 0.5 * FRAMES.state.fields[name][0].resolution
+        assert found[name] == pytest.approx(values, abs=half * 1.0001)
+
+
+def test_values_beyond_what_a_signal_holds_are_held_at_its_end() -> None:
+    found = FRAMES.state.unpack(FRAMES.state.pack({"joint_torque": [1e9, -1e9, 0.0, 0.0, 0.0, 0.0]}))
+    assert found["joint_torque"][:2] == pytest.approx([327.67, -327.68])
+
+
+def test_the_shipped_frames_hold_seven_joints_and_fit_the_bus_in_a_cycle() -> None:
+    seven = ArmFrames(FrameMapping(), 7)
+    assert (seven.command.size, seven.state.size) == (24, 64)
+    assert seven.bus_load(1e-3) < 0.35
+    # Three classic frames for seven joints' state alone would not fit at 1 Mbit/s beside the commands.
+    assert 14 * frame_time(8, False) / 1e-3 > 1.0
+
+
+def test_a_frame_of_eight_bytes_takes_what_the_literature_says() -> None:
+    """A classic frame with 8 data bytes and an 11-bit identifier: at most 135 bits (Davis et al. 2007)."""
+    assert frame_time(8, False, nominal=1e6) == pytest.approx(135e-6)
+
+
+def test_every_message_has_its_own_data_id_and_cycle_time() -> None:
+    assert FRAMES.description is not None
+    frames = (FRAMES.command, FRAMES.state, FRAMES.description)
+    assert len({frame.data_id for frame in frames}) == 3
+    assert None not in {frame.data_id for frame in frames}
+    assert [frame.cycle_ms for frame in frames] == [1.0, 1.0, 100.0]
+
+
+def test_a_users_own_dbc_in_other_units_and_byte_order(tmp_path: Path) -> None:
+    frames = ArmFrames(FrameMapping(dbc=own(tmp_path), messages=MESSAGES, signals=SIGNALS), 2)
+    assert "mode" not in frames.command
+    assert frames.state.data_id is None
+    found = frames.state.unpack(frames.state.pack({"joint_position": [0.5, -1.0], "joint_velocity": [1.0, 0.0]}))
+    assert found["joint_position"] == pytest.approx([0.5, -1.0], abs=np.radians(0.005))
+    assert found["joint_velocity"] == pytest.approx([1.0, 0.0], abs=np.radians(0.05))
+    data = frames.command.pack({"joint_torque_command": [1.0, -1.0]})
+    assert data[:4].hex() == "0064ff9c"  # 100 and -100 hundredths, most significant byte first
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"signals": {**SIGNALS, "joint_torque": ["T_A", "T_C"]}}, "lacks the signal 'T_C'"),
+        ({"signals": {**SIGNALS, "joint_torque": ["T_A"]}}, "names 1 signals; 2 are expected"),
+        ({"signals": {**SIGNALS, "joint_torques": "T{}"}}, "did you mean 'joint_torque'"),
+        ({"signals": {}}, "lacks the signal 'TorqueCommand1'"),
+        ({"messages": {**MESSAGES, "state": "STATE"}}, "no message 'STATE'"),
+        ({"dbc": Path("none.dbc")}, "cannot be read"),
+    ],
+)
+def test_a_mapping_that_does_not_fit_is_refused(tmp_path: Path, change: dict[str, object], sentence: str) -> None:
+    arguments = {"dbc": own(tmp_path), "messages": MESSAGES, "signals": SIGNALS, **change}
+    with pytest.raises(DeviceError, match=sentence) as caught:
+        ArmFrames(FrameMapping(**arguments), 2)  # type: ignore[arg-type]
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        (OWN.replace("513 STATUS: 16", "513 STATUS: 8"), "cannot be used"),
+        (OWN.replace("513 STATUS: 16", "513 STATUS: 17"), "17 bytes long"),
+        (OWN.replace('"deg" PC', '"N" PC'), "is in 'N'; rad is expected"),
+        ("BO_ nonsense", "cannot be used"),
+        (OWN + "SIG_VALTYPE_ 513 Q_A : 1;\n", "floating-point|cannot be used"),
+    ],
+)
+def test_a_dbc_that_cannot_be_used_is_refused(tmp_path: Path, text: str, sentence: str) -> None:
+    with pytest.raises(DeviceError, match=sentence) as caught:
+        ArmFrames(FrameMapping(dbc=own(tmp_path, text), messages=MESSAGES, signals=SIGNALS), 2)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_scale_that_cannot_hold_the_torque_range_is_refused_with_the_numbers(tmp_path: Path) -> None:
+    frames = ArmFrames(FrameMapping(dbc=own(tmp_path), messages=MESSAGES, signals=SIGNALS), 2)
+    frames.check_ranges({"joint_torque_command": [(-176.0, 176.0)] * 2})
+    with pytest.raises(DeviceError, match=r"Tau_A holds -327.68 to 327.67 N.m, but the robot needs -400 to 400 N.m"):
+        frames.check_ranges({"joint_torque_command": [(-400.0, 400.0)] * 2})
+
+
+def test_the_shipped_dbc_is_where_the_package_says() -> None:
+    assert SHIPPED_DBC.is_file()

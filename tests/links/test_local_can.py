@@ -1,0 +1,222 @@
+"""What python-can promises of a bus, run on the local interface and, where it makes sense, on python-can's own virtual one."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+
+import can
+import pytest
+
+from adapters.local_can import directory
+
+Opener = Callable[..., can.BusABC]
+numbers = itertools.count()
+
+
+@pytest.fixture(params=["local", "virtual"])
+def opened(request: pytest.FixtureRequest) -> Iterator[Opener]:
+    channel, buses = f"test-{os.getpid()}-{next(numbers)}", []
+
+    def opener(**options: object) -> can.BusABC:
+        options = {"fd": True, **options}
+        if request.param == "virtual" and options.pop("fd"):
+            options["protocol"] = can.CanProtocol.CAN_FD
+        bus = can.Bus(interface=request.param, channel=channel, **options)
+        buses.append(bus)
+        return bus
+
+    yield opener
+    for bus in buses:
+        bus.shutdown()
+
+
+@pytest.fixture
+def local() -> Iterator[Opener]:
+    channel, buses = f"test-{os.getpid()}-{next(numbers)}", []
+
+    def opener(**options: object) -> can.BusABC:
+        bus = can.Bus(interface="local", channel=channel, **{"fd": True, **options})  # type: ignore[arg-type]
+        buses.append(bus)
+        return bus
+
+    yield opener
+    for bus in buses:
+        bus.shutdown()
+
+
+FRAMES = [
+    can.Message(arbitration_id=0x123, is_extended_id=False, data=[1, 2, 3]),
+    can.Message(arbitration_id=0x7FF, is_extended_id=False, data=[]),
+    can.Message(arbitration_id=0x1ABCDEFF, is_extended_id=True, data=range(8)),
+    can.Message(arbitration_id=0x100, is_extended_id=False, is_remote_frame=True, dlc=4),
+    can.Message(arbitration_id=0x101, is_extended_id=False, is_fd=True, data=range(64)),
+    can.Message(arbitration_id=0x102, is_extended_id=False, is_fd=True, bitrate_switch=True, data=range(12)),
+    can.Message(arbitration_id=0x103, is_extended_id=False, is_fd=True, error_state_indicator=True, data=range(48)),
+    can.Message(arbitration_id=0, is_extended_id=False, is_error_frame=True, data=range(8)),
+]
+
+
+@pytest.mark.parametrize("frame", FRAMES, ids=str)
+def test_a_frame_arrives_as_it_was_sent(opened: Opener, frame: can.Message) -> None:
+    sender, receiver = opened(), opened()
+    before = time.time()
+    sender.send(frame)
+    found = receiver.recv(2.0)
+    assert found is not None
+    assert found.equals(frame, timestamp_delta=None, check_channel=False, check_direction=False)
+    assert found.is_rx
+    assert before - 1e-3 <= found.timestamp <= time.time() + 1e-3
+
+
+def test_a_sender_does_not_hear_itself_unless_asked(opened: Opener) -> None:
+    deaf, hearing = opened(), opened(receive_own_messages=True)
+    deaf.send(FRAMES[0])
+    assert hearing.recv(2.0) is not None
+    assert deaf.recv(0.0) is None
+    hearing.send(FRAMES[0])
+    own = hearing.recv(2.0)
+    assert own is not None
+    assert not own.is_rx
+
+
+def test_every_peer_hears_every_other_in_the_senders_order(opened: Opener) -> None:
+    buses = [opened() for _ in range(4)]
+    for k in range(20):
+        buses[0].send(can.Message(arbitration_id=k, is_extended_id=False))
+    for bus in buses[1:]:
+        assert [m.arbitration_id for m in iter(lambda bus=bus: bus.recv(0.2), None)] == list(range(20))
+    buses[3].send(FRAMES[0])
+    assert all(bus.recv(1.0) is not None for bus in buses[:3])
+
+
+def test_filters_let_through_what_matches(opened: Opener) -> None:
+    sender = opened()
+    receiver = opened(can_filters=[{"can_id": 0x181, "can_mask": 0x7FF, "extended": False}])
+    for identifier in (0x180, 0x181, 0x182):
+        sender.send(can.Message(arbitration_id=identifier, is_extended_id=False))
+    sender.send(can.Message(arbitration_id=0x181, is_extended_id=True))
+    found = [m.arbitration_id for m in iter(lambda: receiver.recv(0.2), None)]
+    assert found == [0x181]
+    receiver.set_filters(None)
+    sender.send(can.Message(arbitration_id=0x182, is_extended_id=False))
+    assert receiver.recv(1.0) is not None
+
+
+def test_a_timeout_is_kept(opened: Opener) -> None:
+    bus = opened()
+    for timeout in (0.0, 0.2):
+        begin = time.monotonic()
+        assert bus.recv(timeout) is None
+        assert timeout <= time.monotonic() - begin + 1e-3 < timeout + 1.0
+
+
+def test_shutting_down_twice_is_harmless(opened: Opener) -> None:
+    bus = opened()
+    bus.shutdown()
+    bus.shutdown()
+    with pytest.raises(can.CanOperationError):
+        bus.send(FRAMES[0])
+
+
+def test_a_notifier_gets_every_frame(opened: Opener) -> None:
+    sender, receiver = opened(), opened()
+    listener = can.BufferedReader()
+    with can.Notifier(receiver, [listener], timeout=0.1):
+        for k in range(50):
+            sender.send(can.Message(arbitration_id=k, is_extended_id=False))
+        found = [listener.get_message(1.0) for _ in range(50)]
+    assert [m.arbitration_id for m in found if m is not None] == list(range(50))
+
+
+# What is the local interface's own
+
+
+def test_a_classic_node_neither_sends_nor_sees_fd_frames(local: Opener) -> None:
+    fd, classic = local(), local(fd=False)
+    fd.send(FRAMES[4])
+    fd.send(FRAMES[0])
+    found = classic.recv(1.0)
+    assert found is not None
+    assert not found.is_fd
+    with pytest.raises(can.CanOperationError, match="without fd=True"):
+        classic.send(FRAMES[4])
+
+
+def test_its_file_descriptor_stays_readable_while_frames_are_left(local: Opener) -> None:
+    sender, receiver = local(), local()
+    receiver.peers  # noqa: B018  accepts the connection
+    for _ in range(3):
+        sender.send(FRAMES[0])
+    for _ in range(3):
+        assert select.select([receiver], [], [], 1.0)[0]
+        assert receiver.recv(0.0) is not None
+    assert not select.select([receiver], [], [], 0.05)[0]
+
+
+def test_a_peer_that_does_not_read_loses_frames_and_holds_nobody_up(local: Opener) -> None:
+    sender, reader, _sleeper = local(), local(), local()
+    begin = time.monotonic()
+    for _ in range(2000):
+        sender.send(FRAMES[4])
+        assert reader.recv(1.0) is not None
+    assert sender.dropped > 0  # type: ignore[attr-defined]
+    assert time.monotonic() - begin < 30.0
+
+
+def test_a_peer_that_dies_is_forgotten_and_leaves_no_trace(local: Opener) -> None:
+    here = local()
+    code = (
+        "import can, sys, time\n"
+        f"bus = can.Bus(interface='local', channel={here.channel_info.split(chr(39))[1]!r}, fd=True)\n"
+        "bus.recv(10); print('got it', flush=True); time.sleep(60)\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as process:
+        deadline = time.monotonic() + 30.0
+        while here.peers == 0 and time.monotonic() < deadline:  # type: ignore[attr-defined]
+            time.sleep(0.01)
+        here.send(FRAMES[0])
+        assert process.stdout is not None
+        assert process.stdout.readline() == "got it\n"
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    here.send(FRAMES[0])
+    assert here.recv(0.1) is None
+    assert here.peers == 0  # type: ignore[attr-defined]
+    newcomer = local()  # finds the dead one's socket, and clears it away
+    newcomer.send(FRAMES[0])
+    assert here.recv(1.0) is not None
+    folder = directory(here.channel_info.split("'")[1])
+    assert len([path for path in folder.iterdir() if path.name != "lock"]) == 2
+
+
+def test_its_directory_is_private(local: Opener) -> None:
+    bus = local()
+    folder = directory(bus.channel_info.split("'")[1])
+    assert folder.stat().st_mode & 0o077 == 0
+
+
+@pytest.mark.parametrize("channel", ["", "a/b", "..", "x" * 100, "a b"])
+def test_a_name_that_is_no_channel_is_refused(channel: str) -> None:
+    with pytest.raises(can.CanInitializationError):
+        can.Bus(interface="local", channel=channel)
+
+
+def test_it_is_found_by_python_can() -> None:
+    assert "local" in can.VALID_INTERFACES
+
+
+def test_a_frame_for_others_does_not_end_a_recv_that_does_not_wait(local: Opener) -> None:
+    sender = local()
+    receiver = local(can_filters=[{"can_id": 0x181, "can_mask": 0x7FF, "extended": False}])
+    for identifier in (0x200, 0x201, 0x181):
+        sender.send(can.Message(arbitration_id=identifier, is_extended_id=False))
+    found = receiver.recv(0.0)
+    assert found is not None
+    assert found.arbitration_id == 0x181
