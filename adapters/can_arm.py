@@ -175,8 +175,7 @@ class CanArm:
                 return
             self._send(Mode.idle, self._last_torque * 0.0)
 
-    def activate(self, asked_to_stop: Callable[[], bool]) -> None:
-        """The arm stands braked; the first torque beyond gravity is none, which is what it holds now."""
+    def check_start(self) -> None:
         self._claim()
         gap = np.abs(self.values["joint_position"] - self.values["start_joint_position"])
         tolerance = float(self.values["start_tolerance"][0])
@@ -186,6 +185,10 @@ class CanArm:
                 f"{self._where}: joint {j + 1} is at {self.values['joint_position'][j]:.4f} rad, the scenario starts at "
                 f"{self.values['start_joint_position'][j]:.4f} rad, and {tolerance:g} rad is the largest distance allowed: move the arm there"
             )
+
+    def activate(self, asked_to_stop: Callable[[], bool]) -> None:
+        """The arm stands braked; the first torque beyond gravity is none, which is what it holds now."""
+        self._claim()
         self._last_torque = np.zeros(self.options.joints)
         end = time.monotonic() + float(self.values["configure_timeout"][0])
         while self._arm_state not in (LifeCycle.active, None):

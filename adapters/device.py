@@ -1,6 +1,6 @@
 """What simulated, virtual and real devices have in common: their life cycle, their calls, and how they fail.
 
-Calls come in this order: `configure`, `activate`, then `read` and `write` in turn once a cycle, at last `deactivate`; `on_error`
+Calls come in this order: `configure`, `check_start`, `activate`, then `read` and `write` in turn once a cycle, at last `deactivate`; `on_error`
 may come at any time and leaves the device in safe stop or fault. The states and what leads from one to another are those of
 `TRANSITIONS`; both ends of a link (the host's device and the device itself) keep to them.
 """
@@ -84,8 +84,11 @@ class Device(Protocol):
         DeviceError if they do not agree, or nobody answers.
         """
 
+    def check_start(self) -> None:
+        """Whether the device may be activated now; asked of every device before any is. DeviceError, with both numbers."""
+
     def activate(self, asked_to_stop: Callable[[], bool]) -> None:
-        """Take over without a bump: the first command equals the measurement. DeviceError, with both numbers, if refused.
+        """Take over without a bump: the first command equals the measurement. DeviceError if that cannot be done.
 
         `asked_to_stop` is asked while it takes its time.
         """

@@ -100,6 +100,8 @@ class _Pace:
     def begin(self, k: int) -> str | None:
         if k == 0:
             # As late as can be, and the arm last: from then on it waits for its commands.
+            for device in self._in_order:
+                device.check_start()
             for device in reversed(self._in_order):
                 device.activate(self._asked_to_stop)
         if self.pacer is not None:

@@ -23,6 +23,7 @@ class Setting:
     description: str
     effect: str = ""
     per_joint: bool = False
+    boolean: bool = False
 
     def port(self, joints: int) -> Port:
         start = self.default * joints if self.per_joint else self.default
@@ -33,6 +34,7 @@ class Setting:
             units=(self.unit,) * len(start) if self.unit is None or " " not in self.unit else tuple(self.unit.split()),
             start=start,
             settable=True,
+            boolean=self.boolean,
         )
 
 
@@ -89,7 +91,7 @@ BASE = (
     Setting(name="start_orientation", default=(0.0, 0.0, 0.0, 1.0), unit="1", description="Its orientation there, quaternion x, y, z, w"),
     Setting(name="start_tolerance", default=(0.005, 0.01), unit="m rad", effect="refuses",
             description="Largest distance of the base from there"),
-    Setting(name="approach", default=(0.0,), unit=None, description="1: a base further away is brought there by a ramp, arm braked"),
+    Setting(name="approach", boolean=True, default=(0.0,), unit=None, description="A base further away is brought there by a ramp, arm braked"),
     Setting(name="approach_speed", default=(0.02, 0.05), unit="m/s rad/s", description="Speeds of that ramp, and of taking off what is within tolerance"),
     Setting(name="configure_timeout", default=(3.0,), unit="s", description="How long the base may take to answer at first"),
 )  # fmt: skip

@@ -74,6 +74,9 @@ class SimulatedDevice:
             self.ramp = RampDown(time=float(v["ramp_down_time"][0]), damping=float(v["ramp_down_damping"][0]))
         self.state.to(LifeCycle.inactive)
 
+    def check_start(self) -> None:
+        pass
+
     def activate(self, asked_to_stop: Callable[[], bool]) -> None:
         self._brake(False)
         self._last_torque[:] = 0.0

@@ -106,20 +106,35 @@ class ZenohBase:
             )
         self.state.to(LifeCycle.inactive)
 
+    @property
+    def _start(self) -> tuple[Array, Array]:
+        return self.values["start_position"], _unit(self.values["start_orientation"])
+
+    @property
+    def _start_gap(self) -> tuple[float, float]:
+        """How far from the start the base was measured last."""
+        return distance(self.values["base_position"], self.values["base_orientation"], *self._start)
+
+    @property
+    def _is_at_start(self) -> bool:
+        return all(size <= most for size, most in zip(self._start_gap, self.values["start_tolerance"], strict=True))
+
+    def check_start(self) -> None:
+        self._newest()
+        v, gap = self.values, self._start_gap
+        if not self._is_at_start and not v["approach"][0]:
+            raise DeviceError(
+                f"{self.name} stands at {_shown(v['base_position'], v['base_orientation'])}, but the scenario starts at "
+                f"{_shown(*self._start)}: {gap[0]:.4f} m and {np.degrees(gap[1]):.3f} deg apart, {v['start_tolerance'][0]:g} m and "
+                f"{np.degrees(v['start_tolerance'][1]):.3g} deg are allowed; move it there, or set its parameter approach = true"
+            )
+
     def activate(self, asked_to_stop: Callable[[], bool]) -> None:
         """The first set point is the measured pose; what lies between it and the start is taken off slowly."""
-        v = self.values
+        v, start = self.values, self._start
         assert self._link is not None
         self._newest()
-        start = v["start_position"], _unit(v["start_orientation"])
-        gap = distance(v["base_position"], v["base_orientation"], *start)
-        if any(size > most for size, most in zip(gap, v["start_tolerance"], strict=True)):
-            if not v["approach"][0]:
-                raise DeviceError(
-                    f"{self.name} stands at {_shown(v['base_position'], v['base_orientation'])}, but the scenario starts at "
-                    f"{_shown(*start)}: {gap[0]:.4f} m and {np.degrees(gap[1]):.3f} deg apart, {v['start_tolerance'][0]:g} m and "
-                    f"{np.degrees(v['start_tolerance'][1]):.3g} deg are allowed; move it there, or set its parameter approach = 1"
-                )
+        if not self._is_at_start:
             self._approach(start, asked_to_stop)
         measured = Rotation.from_quat(v["base_orientation"])
         self._offset = (
@@ -294,7 +309,7 @@ def _shortened(vector: Array, by: float) -> Array:
 
 def _shown(position: Array, orientation: Array) -> str:
     roll, pitch, yaw = Rotation.from_quat(orientation).as_euler("xyz", degrees=True)
-    return f"[{', '.join(f'{x:.4f}' for x in position)}] m, roll {roll:.3f}, pitch {pitch:.3f}, yaw {yaw:.3f} deg"
+    return f"[{', '.join(f'{x:z.4f}' for x in position)}] m, roll {roll:.3f}, pitch {pitch:.3f}, yaw {yaw:.3f} deg"
 
 
 def options_from(name: str, raw: Mapping[str, Any], directory: Path) -> LinkOptions:

@@ -1,0 +1,232 @@
+"""Everything a user can get wrong about hardware: one sentence, exit code 2, and nothing has moved."""
+
+from __future__ import annotations
+
+import re
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from commands import said
+from processes import PATIENT_FACILITY, Process, Rig, events, rig
+
+pytestmark = pytest.mark.xdist_group("real time")
+
+OWN_DBC = """VERSION ""
+NS_ :
+BS_:
+BU_: PC Drive
+BO_ 257 CMD: 16 PC
+{command}
+BO_ 385 STATE: 48 Drive
+ SG_ N : 0|8@1+ (1,0) [0|0] "" PC
+{state}
+"""
+
+
+def own_dbc(folder: Path, torque_scale: float = 0.01, state_size: int = 48, left_out: str = "") -> str:
+    """A small arm of six joints; a scenario beside it that uses it."""
+    command = [f' SG_ C{i + 1} : {16 * i}|16@1- ({torque_scale},0) [0|0] "Nm" Drive' for i in range(6)]
+    state, first = [], 8
+    for name, unit, scale in (("Q", "rad", 1e-3), ("W", "rad/s", 1e-3), ("T", "Nm", 0.01)):
+        for i in range(6):
+            state.append(f' SG_ {name}{i + 1} : {first}|16@1- ({scale},0) [0|0] "{unit}" PC')
+            first += 16
+    text = OWN_DBC.format(
+        command="\n".join(command[:6]), state="\n".join(line for line in state if f" {left_out} :" not in line)
+    )
+    (folder / "own.dbc").write_text(text.replace("STATE: 48", f"STATE: {state_size}"))
+    (folder / "own.toml").write_text(
+        """
+extends = "facility"
+[devices.arm_drive]
+dbc = "own.dbc"
+messages = { command = "CMD", state = "STATE" }
+signals = { cycle = "N", joint_torque_command = "C{}", joint_position = "Q{}", joint_velocity = "W{}", joint_torque = "T{}" }
+"""
+    )
+    return str(folder / "own.toml")
+
+
+# What is wrong before anybody is asked
+
+
+@pytest.mark.parametrize(
+    ("setting", "sentence"),
+    [
+        ('devices.arm_drive.interface="socketcam"', "did you mean 'socketcan'"),
+        ('devices.arm_drive.interface="socketcan"', r"channel 'freeflyer', cannot be opened"),
+        ("devices.arm_drive.interface=3", "interface is 3; a text is expected"),
+        ('devices.arm_drive.channel="a/b"', "up to 32 letters"),
+        ('devices.arm_drive.chanel="a"', "did you mean 'channel'"),
+        ('devices.arm_drive.dbc="none.dbc"', "cannot be read"),
+        ("devices.arm_drive.joints=7", "elements|joint"),
+        ('devices.arm_drive.kind="can_arn"', "did you mean 'can_arm'"),
+        ("devices.arm_drive.parameters.start_tolerence=1", "did you mean 'start_tolerance'"),
+        ('devices.arm_drive.parameters.torque_rate_limit="fast"', "torque_rate_limit is 'fast'"),
+        ("devices.hand.channel=1", "NAME one of: arm_drive, base_robot"),
+        ('devices.base_robot.setpoint_topic="base robot/**"', "no valid key expression"),
+        ('devices.base_robot.measured_topic=""', "no valid key expression"),
+        ("devices.base_robot.listen=[]", "would listen on every interface"),
+        ('devices.base_robot.listen=["nonsense"]', "list of endpoints"),
+        ('devices.base_robot.connect="tcp/127.0.0.1:7447"', "a list is expected"),
+        ("devices.base_robot.domain=1000", "a ROS domain from 0 to 232"),
+    ],
+)
+def test_a_setting_that_cannot_be_is_refused(
+    setting: str, sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, error = said(capsys, "hil", "facility", "--no-view", "--out", str(tmp_path), "--set", setting)
+    assert code == 2
+    assert re.search(sentence, error), error
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (("hil", "multirate_passive"), "nothing to put into the loop"),
+        (("facility", "multirate_passive"), "nothing for a virtual facility to play"),
+        (("facility", "facility", "--set", "facility.arm_watchdog_cycle=3"), "did you mean 'arm_watchdog_cycles'"),
+        (("facility", "facility", "--set", "facility.arm_watchdog_cycles=0"), "greater than zero"),
+        (("facility", "facility", "--set", "facility.base_jump_m=true"), "a number greater than zero"),
+        (("hil", "nothing"), "there is no scenario 'nothing'"),
+    ],
+)
+def test_a_scenario_that_cannot_be_is_refused(
+    arguments: tuple[str, ...], sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, error = said(capsys, *arguments, "--out", str(tmp_path))
+    assert code == 2
+    assert sentence in error
+
+
+@pytest.mark.parametrize(
+    ("changed", "sentence"),
+    [
+        ({"left_out": "Q3"}, "lacks the signal 'Q3' of signals.joint_position"),
+        ({"state_size": 50}, "50 bytes long, which no CAN FD frame is"),
+        ({"state_size": 24}, "cannot be used"),
+        ({"torque_scale": 0.001}, r"signal C1 holds -32.768 to 32.767 N.m, but the robot needs -176 to 176 N.m"),
+    ],
+)
+def test_a_dbc_that_does_not_fit_the_robot_is_refused(
+    changed: dict[str, object], sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = own_dbc(tmp_path, **changed)  # type: ignore[arg-type]
+    code, error = said(capsys, "hil", path, "--no-view", "--out", str(tmp_path / "out"))
+    assert code == 2
+    assert sentence in error
+
+
+def test_nobody_there_is_said_of_the_arm_and_of_the_base(tmp_path: Path) -> None:
+    with rig(tmp_path) as bench:
+        loop = bench.hil("devices.arm_drive.parameters.configure_timeout=0.5")
+        assert loop.finish() == 2
+        assert re.search(r"arm_drive on CAN local:test-\S+ sends no description frame within 0.5 s: is the arm", loop.text)
+
+
+# What the facility itself shows to be wrong
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Rig, Process]]:
+    """One facility for all of them: none may move it."""
+    with rig(tmp_path_factory.mktemp("mistakes")) as made:
+        facility = made.facility(*PATIENT_FACILITY, "facility.forget_after_s=0.2")
+        yield made, facility
+        report = made.facility_report(facility)
+        assert not [event for device in ("arm_drive", "base_robot") for event in events(report, device) if "-> active" in event]
+
+
+@pytest.mark.parametrize(
+    ("setting", "sentence"),
+    [
+        (
+            "manipulator_controller.joint_effort_limit=[176, 176, 100, 100, 38, 40]",
+            r"its joint effort limit of joint 6 is 38 N.m, but the scenario's robot has 40 N.m",
+        ),
+        (
+            "manipulator_controller.joint_upper_limit=2.5",
+            r"its joint upper limit of joint 1 is 2.967 rad, but the scenario's robot has 2.5 rad",
+        ),
+        (
+            "satellite.base_position=[0.0, 0.0, 0.0]",
+            r"stands at \[0.0400, 0.0000, 0.0800\] m.*starts at \[0.0000, 0.0000, 0.0000\] m.*: 0.0894 m",
+        ),
+        (
+            "satellite.base_orientation=[0.0, 0.0, 0.0, 1.0]",
+            r"stands at .*roll (10.00|9.99)\d, .*starts at .*roll 0.000, .*1?\d.\d+ deg apart",
+        ),
+        (
+            "reference_trajectory.start_joint_position=[0.1, -0.5, 1.4, 0.9, 0.0, 0.0]",
+            r"joint \d is at -?[0-9.]+ rad, the scenario starts at -?[0-9.]+ rad, and 0.02 rad",
+        ),
+        ("devices.base_robot.parameters.cycle=0.0045", r"its cycle of 0.0045 s is no multiple of its step of 0.001 s"),
+    ],
+)
+def test_an_arm_or_base_that_is_not_the_scenarios_is_refused_with_both_numbers(
+    bench: tuple[Rig, Process], setting: str, sentence: str
+) -> None:
+    rigged, _ = bench
+    loop = rigged.hil(setting)
+    assert loop.finish() == 2, loop.text
+    assert re.search(sentence, " ".join(loop.said)), loop.text
+
+
+def test_an_arm_of_seven_joints_is_refused_where_the_robot_has_six(bench: tuple[Rig, Process], tmp_path: Path) -> None:
+    """Another arm on the channel describes itself: six frames a second are enough to be believed first."""
+    from adapters.arm_frames import ArmFrames, FrameMapping
+    from adapters.arm_link import Sender, open_bus
+
+    rigged, _ = bench
+    with rig(tmp_path) as alone:
+        frames = ArmFrames(FrameMapping(), 7)
+        assert frames.description is not None
+        bus = open_bus("local", alone.channel, True, [frames.command], {})
+        sender = Sender(bus, frames.description)
+        loop = alone.hil(f'devices.base_robot.connect=["{rigged.endpoint}"]')
+        try:
+            while loop.popen.poll() is None:
+                sender.send({"joint_count": (7.0,), "cycle_time": (0.001,)})
+                loop.popen.poll()
+                _pause()
+        finally:
+            bus.shutdown()
+        assert loop.finish() == 2
+        assert "has 7 joints, but the scenario's robot has 6" in loop.text
+
+
+def _pause() -> None:
+    import time
+
+    time.sleep(0.01)
+
+
+def test_the_facilitys_port_in_use_is_said(bench: tuple[Rig, Process], tmp_path: Path) -> None:
+    rigged, _ = bench
+    with rig(tmp_path) as other:
+        other.endpoint = rigged.endpoint
+        second = other.start("facility", "facility", *other.links)
+        assert second.finish() == 2
+        assert "Address already in use" in second.text
+
+
+def test_a_base_further_away_is_approached_when_asked(tmp_path: Path) -> None:
+    with rig(tmp_path) as bench:
+        facility = bench.facility(*PATIENT_FACILITY, "base_robot.true_position=[0.05, 0.0, 0.08]")
+        loop = bench.hil(
+            "devices.base_robot.parameters.approach=true",
+            "devices.base_robot.parameters.approach_speed=[0.05, 0.1]",
+            "devices.base_robot.parameters.age_limit=1.0",
+            "devices.base_robot.parameters.lost_consecutive=250",
+            "devices.base_robot.parameters.lost_in_window=0",
+            "devices.arm_drive.parameters.lost_consecutive=1000",
+            "devices.arm_drive.parameters.state_age_limit=1.0",
+            "stop_s=0.5",
+        )
+        assert loop.finish() == 0, loop.text
+        start = bench.record().filter(like="base_robot.base_position").iloc[0].to_numpy()
+        assert abs(start[0] - 0.04) < 0.005
+        facility.send(signal.SIGINT)
+        facility.finish()

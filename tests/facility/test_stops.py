@@ -1,0 +1,92 @@
+"""What ends a loop, through the whole of `freeflyer hil`, with simulated devices: no wire, but wall-clock rate and the same stops."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from adapters import hil
+from cosim import experiment, scenario
+from cosim.scenario import Scenario
+
+pytestmark = pytest.mark.xdist_group("real time")
+
+
+def loaded(folder: Path, text: str = "", overrides: tuple[str, ...] = ("stop_s=0.5",)) -> Scenario:
+    path = folder / "changed.toml"
+    path.write_text(f'extends = "facility"\n{text}')
+    return scenario.load(str(path), overrides)
+
+
+def run(chosen: Scenario) -> tuple[Any, str]:
+    result, report = hil.run(chosen, real_time=False, simulated=True, say=lambda text: None)
+    return result, report.stop
+
+
+def test_simulated_devices_give_the_run_without_a_clock_to_the_last_bit(tmp_path: Path) -> None:
+    # But for the rate limit, which takes the bump out of the first cycles.
+    chosen = loaded(tmp_path, "[components.arm_drive.parameters]\ntorque_rate_limit = 1e9")
+    there, stop = run(chosen)
+    here = experiment.run(scenario.load("facility", ["stop_s=0.5"]))
+    for name in ("hand_kinematics.end_effector_position", "base_robot.base_position", "manipulator_controller.joint_torque"):
+        assert np.array_equal(there.outcome.record[name], here.outcome.record[name]), name
+    assert stop.startswith("the scenario is over; all devices were brought to rest")
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        (
+            '[[limits]]\nsignal = "base_controller.base_wrench"\nmaximum = 0.05\ncause = "the base\'s force is too large [N]"',
+            "the base's force is too large [N]: base_controller.base_wrench is",
+        ),
+        (
+            '[[limits]]\nsignal = "manipulator_controller.manipulator_observed_energy"\nminimum = 0.06\nfor_s = 0.05\n'
+            'cause = "port M is active [J]"',
+            "port M is active [J]: manipulator_controller.manipulator_observed_energy is",
+        ),
+        (
+            "[components.arm_drive.parameters]\njoint_velocity_limit = 0.001",
+            "rad/s, its limit is 0.001 rad/s",
+        ),
+        (
+            "[components.arm_drive.parameters]\njoint_upper_limit = 0.0\njoint_limit_margin = 0.0",
+            "its range is",
+        ),
+    ],
+    ids=["base wrench", "observed energy", "joint velocity", "joint position"],
+)
+def test_a_limit_stops_the_loop_in_order_and_says_its_number_and_unit(tmp_path: Path, text: str, sentence: str) -> None:
+    result, stop = run(loaded(tmp_path, text))
+    assert sentence in stop
+    assert "all devices were brought to rest" in stop
+    assert result.outcome.simulated < 0.5
+    assert not result.as_expected
+
+
+def test_energy_below_its_bound_for_less_than_its_time_does_not_stop(tmp_path: Path) -> None:
+    text = '[[limits]]\nsignal = "manipulator_controller.manipulator_observed_energy"\nminimum = 1.0\nfor_s = {}\ncause = "active [J]"'
+    result, stop = run(loaded(tmp_path, text.format(10.0)))
+    assert result.as_expected
+    result, stop = run(loaded(tmp_path, text.format(0.1)))
+    assert result.outcome.simulated == pytest.approx(0.1, abs=0.0021)
+    assert "for 0.1 s" in stop
+
+
+def test_a_torque_beyond_the_arms_limit_is_clipped_counted_and_survived(tmp_path: Path) -> None:
+    text = "[components.arm_drive.parameters]\ntorque_rate_limit = 0.5"
+    result, report = hil.run(loaded(tmp_path, text), real_time=False, simulated=True, say=lambda text: None)
+    assert result.as_expected
+    assert report.devices["arm_drive"]["torque_rate_limit_acted"] > 0
+    assert result.summary["real_time"]["devices"]["arm_drive"]["torque_rate_limit_acted"] > 0
+
+
+def test_a_controller_that_fails_stops_the_arm_in_order(tmp_path: Path) -> None:
+    """A reference that leaves the arm's reach: the controllers' own requirement ends the run, and the arm is still braked."""
+    text = "[components.reference_trajectory.parameters]\ndisplacement = [0.0, 0.0, -2.0]\nduration = 0.5"
+    result, stop = run(loaded(tmp_path, text, ("stop_s=2.0",)))
+    assert not result.as_expected
+    assert "all devices were brought to rest" in stop
