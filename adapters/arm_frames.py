@@ -57,7 +57,7 @@ ROLES: Mapping[str, tuple[Role, ...]] = {
         ("obeyed_controller", "Controller", None, False, False),
         ("life_cycle", "LifeCycle", None, False, False),
         ("brakes", "BrakesEngaged", None, False, False),
-        ("lost_commands", "LostCommands", None, False, False),
+        ("command_age", "CommandAge", None, False, False),
         ("joint_position", "Position{}", "rad", True, True),
         ("joint_velocity", "Velocity{}", "rad/s", True, True),
         ("joint_torque", "Torque{}", "N.m", True, True),

@@ -71,7 +71,7 @@ class CanArm:
         self._echoed = 0
         self._obeyed = 0
         self._arm_state: LifeCycle | None = None
-        self._lost_commands = 0.0
+        self._command_age = 0.0
         self._answered = True
         self._silent_cycles = 0
 
@@ -234,7 +234,7 @@ class CanArm:
         if came and self._arm_state not in (LifeCycle.active, None):
             raise SafeStop(
                 self.name,
-                f"the arm went to {self._arm_state.name} by itself, after {self._lost_commands:.0f} cycles without a command",
+                f"the arm went to {self._arm_state.name} by itself; the last command that it had was {self._command_age:.0f} cycles old",
             )
         reason = self.limits.measured(self.values["joint_position"], self.values["joint_velocity"])
         if reason:
@@ -348,7 +348,7 @@ class CanArm:
             if int(numbers["echoed_cycle"][0]) != expected:
                 self.late_commands += 1
         self._obeyed = int(numbers.get("obeyed_controller", (0,))[0])
-        self._lost_commands = numbers.get("lost_commands", (0.0,))[0]
+        self._command_age = numbers.get("command_age", (0.0,))[0]
         if "life_cycle" in numbers:
             self._arm_state = self.frames.life_cycle(numbers["life_cycle"][0])
 

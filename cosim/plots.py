@@ -157,7 +157,7 @@ def facility_manipulator(record: Record) -> Any:
 
 def facility_base(record: Record) -> Any:
     """Fig. 12: regulation error of the base (top), force F'_b on the base (bottom). The base starts at its set point."""
-    position, orientation = record["base_robot.true_position"], record["base_robot.true_orientation"]
+    position, orientation = record["base_robot.base_position"], record["base_robot.base_orientation"]
     angles = orientation_error_angles(orientation, np.broadcast_to(orientation[0], orientation.shape))
     return _error_and_force(record, "b", position - position[0], angles, record["base_controller.base_wrench"])
 

@@ -79,6 +79,25 @@ class Record:
         }
         return {"time": "s", **named}
 
+    @classmethod
+    def read(cls, path: Path) -> Record:
+        """What `write` has written; OSError if it cannot be read."""
+        table = parquet.read_table(path)
+        elements: dict[str, list[str]] = {}
+        for column in table.column_names[1:]:
+            elements.setdefault(column.partition("[")[0], []).append(column)
+        signals, first = [], 0
+        for name, columns in elements.items():
+            units = tuple((table.field(column).metadata or {}).get(b"unit", b"").decode() or None for column in columns)
+            signals.append(Signal(name=name, first=first, size=len(columns), units=units))
+            first += len(columns)
+        record = cls(signals, table.num_rows)
+        record._time[:] = table.column(0).to_numpy()
+        for place, column in enumerate(c for columns in elements.values() for c in columns):
+            record._values[:, place] = table.column(column).to_numpy()
+        record.rows = table.num_rows
+        return record
+
     def write(self, path: Path) -> None:
         """Whole or not at all; OutputError if it cannot be written."""
         columns = {"time": self.time}

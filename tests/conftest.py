@@ -21,6 +21,13 @@ settings.load_profile("default")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """A file's tests stay on one process; all that run in real time share one, so that two loops never fight for the cores."""
+    for item in items:
+        group = "real time" if item.path.parent.name == "facility" else str(item.path)
+        item.add_marker(pytest.mark.xdist_group(group))
+
+
 @pytest.fixture(scope="session", params=list(ROBOTS))
 def any_robot(request: pytest.FixtureRequest) -> Robot:
     return ROBOTS[request.param]()

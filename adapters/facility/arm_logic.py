@@ -52,6 +52,11 @@ class ArmLogic:
         self._stopping_torque = np.zeros(joints)
 
     @property
+    def command_age(self) -> int:
+        """Cycles between the last state frame and the one that the last command answered."""
+        return (self.cycle - self._answered - 1) % CYCLES if self.was_active else 0
+
+    @property
     def session_is_over(self) -> bool:
         """An arm that has moved, and whose controller has gone."""
         return self.was_active and self.controller == 0

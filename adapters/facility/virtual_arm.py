@@ -107,7 +107,7 @@ class VirtualArm:
             "obeyed_controller": (float(logic.controller),),
             "life_cycle": (float(self.frames.life_cycle_number(logic.life.now)),),
             "brakes": (float(logic.braked),),
-            "lost_commands": (float(logic.lost % 256),),
+            "command_age": (float(min(logic.command_age, 255)),),
             **{name: values[name].tolist() for name in SENSED},
         })  # fmt: skip
         due = logic.life.now is not LifeCycle.active and logic.cycle % self.settings.describe_every == 0

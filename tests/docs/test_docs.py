@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from adapters.interface_document import document
 from cosim import scenario
 from fmu_src.export.documentation import page
 from fmu_src.robot import Robot
@@ -21,10 +22,15 @@ def test_the_table_of_fmu_variables_is_up_to_date(robot: Robot) -> None:
     assert made == written, "run: python -m fmu_src.export.documentation > docs/fmu_variables.md"
 
 
+def test_the_interface_control_document_is_up_to_date() -> None:
+    written = (ROOT / "docs" / "interface_control_document.md").read_text(encoding="utf-8")
+    assert document() == written, "run: python -m adapters.interface_document > docs/interface_control_document.md"
+
+
 @pytest.mark.parametrize("path", [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))], ids=lambda path: path.name)
 def test_links_and_commands_in_the_documents_exist(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     for target in re.findall(r"\]\(([^)#:]+)\)", text):
         assert (path.parent / target).exists(), target
-    for name in re.findall(r"freeflyer run ([a-z_]+)", text):
+    for name in re.findall(r"freeflyer (?:run|hil|facility) ([a-z_]+)", text):
         assert name in scenario.shipped(), name

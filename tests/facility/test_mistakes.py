@@ -11,8 +11,6 @@ import pytest
 from commands import said
 from processes import PATIENT_FACILITY, Process, Rig, events, rig
 
-pytestmark = pytest.mark.xdist_group("real time")
-
 OWN_DBC = """VERSION ""
 NS_ :
 BS_:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 import signal
 import subprocess
@@ -14,12 +15,13 @@ import numpy as np
 import pytest
 from processes import PATIENT_FACILITY, PATIENT_LOOP, Rig, events, rig
 
+from adapters import hil
 from adapters.arm_frames import ArmFrames, FrameMapping
 from adapters.arm_link import Receiver, open_bus
 from adapters.device import LifeCycle
-from cosim import experiment, scenario
+from cosim import experiment, real_time, scenario
+from cosim.assemble import find_fmu
 
-pytestmark = pytest.mark.xdist_group("real time")
 SECONDS = 4.0
 
 
@@ -57,6 +59,29 @@ def test_over_real_bytes_the_experiment_is_what_it_is_without_a_wall_clock(bench
         "inactive -> active: commanded",
         "active -> inactive: brakes commanded",
     ]
+
+
+def test_the_real_time_part_of_reproduce_reads_what_the_loop_wrote(tmp_path: Path) -> None:
+    result = real_time.run(scenario.load("facility"), tmp_path, [*PATIENT_FACILITY, *PATIENT_LOOP, "stop_s=1.0"])
+    assert result.as_expected
+    assert result.outcome.simulated == 1.0
+    assert result.outcome.record["base_robot.base_position"].shape == (101, 3)
+    assert result.summary["real_time"]["times"]["arm_drive: answer to it"]["p50_us"] > 0.0
+
+
+def test_controllers_in_the_simulation_and_on_the_facility_are_the_same_files() -> None:
+    """The devices replace the plant; what controls is found under the same path, byte for byte."""
+    paths = {}
+    for name, devices in (("multirate_passive", False), ("facility", False), ("facility", True)):
+        chosen = scenario.load(name)
+        chosen = hil.with_devices(chosen) if devices else chosen
+        for spec in chosen.components:
+            if spec.name in ("manipulator_controller", "base_controller"):
+                found = find_fmu(spec.name, spec.options, chosen.directory)
+                paths[name, devices, spec.name] = hashlib.sha256(found.read_bytes()).hexdigest()
+    assert len(paths) == 6
+    for controller in ("manipulator_controller", "base_controller"):
+        assert len({digest for key, digest in paths.items() if key[2] == controller}) == 1
 
 
 def test_the_arm_is_safe_within_five_cycles_of_its_controllers_death_and_the_base_holds(bench: Rig) -> None:

@@ -12,8 +12,6 @@ from adapters import hil
 from cosim import experiment, scenario
 from cosim.scenario import Scenario
 
-pytestmark = pytest.mark.xdist_group("real time")
-
 
 def loaded(folder: Path, text: str = "", overrides: tuple[str, ...] = ("stop_s=0.5",)) -> Scenario:
     path = folder / "changed.toml"
