@@ -15,7 +15,7 @@ from adapters import pacing
 from adapters.device import Device, DeviceError, LifeCycle
 from adapters.device_component import DeviceComponent
 from adapters.histogram import Histogram
-from adapters.live_view import LiveValues
+from adapters.live_view import STATE, LiveValues
 from adapters.pacing import Pacer
 from cosim import metrics
 from cosim.assemble import assembled
@@ -23,9 +23,10 @@ from cosim.clock import seconds
 from cosim.experiment import Result
 from cosim.graph import Connection, split
 from cosim.master import Master, Outcome, interrupts
-from cosim.parameters import Values
-from cosim.scenario import Scenario
+from cosim.parameters import Values, current
+from cosim.scenario import Measure, Scenario
 
+INTERRUPTED = "interrupted by the user"
 SIMULATED = "simulated"
 LONGEST_STOP = 5.0
 """After so long [s] the graded stop is given up, and the devices are left to their own watchdogs."""
@@ -82,7 +83,12 @@ class _Pace:
     """The loop's own times, and its picture."""
 
     def __init__(
-        self, devices: Sequence[Device], watched: Master, energies: Sequence[str], asked_to_stop: Callable[[], bool]
+        self,
+        devices: Sequence[Device],
+        watched: Master,
+        energies: Sequence[str],
+        errors: Mapping[str, Callable[[], float]],
+        asked_to_stop: Callable[[], bool],
     ) -> None:
         clocks = [device for device in devices if device.is_clock]
         self.period = watched.schedule.tick
@@ -93,8 +99,11 @@ class _Pace:
         self.view: LiveValues | None = None
         self._clock = clocks[0] if clocks else None
         self._woken = 0
-        self._master, self._energies = watched, energies
-        self._begun = time.monotonic()
+        self._master, self._energies, self._errors = watched, energies, errors
+        self._times = {name: h for device in devices for name, h in device.histograms().items()}
+        if self.pacer is not None:
+            self._times["loop: wake-up"] = self.pacer.lateness
+        self._pictured = 0.0
         self._asked_to_stop = asked_to_stop
 
     def begin(self, k: int) -> str | None:
@@ -104,6 +113,8 @@ class _Pace:
                 device.check_start()
             for device in reversed(self._in_order):
                 device.activate(self._asked_to_stop)
+            if self._asked_to_stop():
+                return INTERRUPTED
         if self.pacer is not None:
             self._woken = self.pacer.wait()
         return None
@@ -119,20 +130,45 @@ class _Pace:
             self.view.write(self.numbers(k))
 
     @property
+    def times(self) -> Mapping[str, Histogram]:
+        return {"loop: compute": self.compute, **self._times}
+
+    @property
     def names(self) -> list[str]:
-        reports = [f"{d.name}: {name.replace('_', ' ')}" for d in self.devices for name in d.report()]
-        states = [f"{d.name}: state (2: active, 3: safe stop)" for d in self.devices]
-        times = ["time [s]", "rate [Hz]", "compute, longest [us]"]
-        return [*times, *states, *(f"{name} [J]" for name in self._energies), *reports]
+        times = ["time [s]", "rate [Hz]", "longest compute [us]", *(f"longest: {name} [us]" for name in self._times)]
+        states = [f"{device.name}{STATE}" for device in self.devices]
+        errors = [f"{name} error [{'m' if name.endswith('position') else 'deg'}]" for name in self._errors]
+        counts = [f"{device.name}: {name.replace('_', ' ')}" for device in self.devices for name in device.report()]
+        return [*times, *states, *errors, *(f"least {name} [J]" for name in self._energies), *counts]
 
     def numbers(self, k: int) -> list[float]:
-        elapsed = max(time.monotonic() - self._begun, 1e-9)
-        energies = [float(self._master.value(name).min()) for name in self._energies]
-        counts = [value for d in self.devices for value in d.report().values()]
+        """In the order of `names`; times since the last picture, all else as it is."""
+        now = time.monotonic()
+        rate = VIEW_EVERY / max(now - self._pictured, 1e-9)
+        self._pictured = now
         return [
-            seconds(k * self.period), k / elapsed, self.compute.longest / 1000.0,
-            *(float(d.state.now) for d in self.devices), *energies, *counts,
+            seconds(k * self.period), rate, self.compute.take_recent(), *(h.take_recent() for h in self._times.values()),
+            *(float(device.state.now) for device in self.devices),
+            *(error() for error in self._errors.values()),
+            *(float(self._master.value(name).min()) for name in self._energies),
+            *(value for device in self.devices for value in device.report().values()),
         ]  # fmt: skip
+
+
+def _present_errors(scenario: Scenario, master: Master, values: Values) -> dict[str, Callable[[], float]]:
+    """The scenario's errors as functions of the present instant."""
+
+    def made(measure: Measure, is_position: bool) -> Callable[[], float]:
+        ends = []
+        for signal in (measure.actual, measure.desired):
+            component, variable = split(signal)
+            is_output = master.graph.components[component].ports[variable].causality == "output"
+            ends.append(master.value(signal) if is_output else current(master.graph.components, values, component, variable))
+        actual, desired = (end.reshape(1, -1) for end in ends)
+        error = metrics.position_error if is_position else metrics.orientation_error
+        return lambda: float(error(actual, desired)[0])
+
+    return {name: made(measure, name.endswith("position")) for name, measure in scenario.errors.items()}
 
 
 def run(
@@ -146,13 +182,13 @@ def run(
 ) -> tuple[Result, LoopReport]:
     """Configure, activate, run, stop. Raises CosimError before anything moves; afterwards everything is in the result."""
     scenario = with_devices(scenario, simulated=simulated)
-    with interrupts() as asked:
-        pacing.prepare_links(real_time)
-        try:
-            with assembled(scenario, fmi) as (master, values):
-                return _run(scenario, master, values, real_time, view, asked, say)
-        finally:
-            pacing.leave_real_time()
+    pacing.prepare_links(real_time)
+    try:
+        # Until something is active, Ctrl-C is an ordinary exception, which closes what was opened.
+        with assembled(scenario, fmi) as (master, values), interrupts() as asked:
+            return _run(scenario, master, values, real_time, view, asked, say)
+    finally:
+        pacing.leave_real_time()
 
 
 def _run(
@@ -166,7 +202,8 @@ def _run(
             raise DeviceError(f"device {device.name} works in steps of {device.step:g} s; its step_s is {step:g} s")
     period = master.schedule.tick
     live = None
-    pace = _Pace(devices, master, list(scenario.observed_energy.values()), lambda: bool(asked))
+    errors = _present_errors(scenario, master, values)
+    pace = _Pace(devices, master, list(scenario.observed_energy.values()), errors, lambda: bool(asked))
     if view:
         live = pace.view = LiveValues(f"{scenario.title} (Ctrl-C stops it in order)", pace.names)
         live.show()
@@ -177,6 +214,7 @@ def _run(
         with pacing.no_collection():
             try:
                 outcome = master.run(pace=pace)
+                outcome.interrupted = outcome.interrupted or outcome.cause == INTERRUPTED
                 reason = outcome.cause or "the scenario is over"
             finally:
                 left = stop(devices, period, reason)
@@ -184,11 +222,7 @@ def _run(
         if live is not None:
             live.close()
     pacing.leave_real_time()
-    times = {"loop: compute": pace.compute}
-    if pace.pacer is not None:
-        times["loop: wake-up"] = pace.pacer.lateness
-    for device in devices:
-        times |= device.histograms()
+    times = pace.times
     report = LoopReport(
         granted=granted,
         times={name: histogram.summary() for name, histogram in times.items()},

@@ -15,13 +15,21 @@ class Histogram:
         self._counts = [0] * BINS
         self.count = 0
         self.longest = 0
+        self._recent = 0
 
     def add(self, duration: int) -> None:
         self.count += 1
         if duration > self.longest:
             self.longest = duration
+        if duration > self._recent:
+            self._recent = duration
         index = duration // 1000
         self._counts[index if 0 <= index < BINS else (0 if index < 0 else BINS - 1)] += 1
+
+    def take_recent(self) -> float:
+        """The longest since the last call [us]."""
+        recent, self._recent = self._recent, 0
+        return recent / 1000.0
 
     def quantile(self, share: float) -> float:
         """[us], to the microsecond (its upper edge); 0 if nothing was counted."""

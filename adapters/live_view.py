@@ -20,9 +20,14 @@ from pathlib import Path
 from rich.console import Console
 from rich.live import Live
 from rich.table import Table
+from rich.text import Text
+
+from adapters.device import LifeCycle
 
 SEQUENCE = struct.Struct("=Q")
 HEADER = struct.Struct("=I")
+STATE = ": state"
+"""Names that end so have a life-cycle state for a number."""
 PERIOD = 0.2
 """Between two pictures [s]."""
 
@@ -101,7 +106,8 @@ def picture(title: str, values: Mapping[str, float]) -> Table:
     table.add_column("")
     table.add_column("", justify="right", min_width=12)
     for name, value in values.items():
-        table.add_row(name, f"{value:.6g}")
+        shown = LifeCycle(int(value)).name if name.endswith(STATE) else f"{value:.5g}"
+        table.add_row(Text(name), Text(shown))
     return table
 
 

@@ -30,8 +30,11 @@ def enter_real_time(real_time: bool) -> list[str]:
 
 
 def leave_real_time() -> None:
+    """An ordinary process again: with its memory locked, every large allocation would be paid for in full."""
     with suppress(OSError, AttributeError):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL(None).munlockall()
 
 
 def _scheduler(real_time: bool) -> str:
@@ -84,6 +87,8 @@ class Pacer:
         self.period = period
         self.overruns = 0
         self.lateness = Histogram()
+        self.late = 0
+        """At the last waking up [ns]."""
         self._deadline = 0
 
     def wait(self) -> int:
@@ -95,9 +100,9 @@ class Pacer:
         if now < self._deadline:
             time.sleep((self._deadline - now) * 1e-9)
             now = time.monotonic_ns()
-        late = now - self._deadline
-        self.lateness.add(late)
-        if late > self.period:
+        self.late = now - self._deadline
+        self.lateness.add(self.late)
+        if self.late > self.period:
             self.overruns += 1
             self._deadline = now
         return now

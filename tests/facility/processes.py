@@ -48,7 +48,8 @@ class Process:
         )
         self._lines: queue.Queue[str | None] = queue.Queue()
         self.said: list[str] = []
-        threading.Thread(target=self._read, daemon=True).start()
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
 
     def _read(self) -> None:
         assert self.popen.stdout is not None
@@ -88,7 +89,10 @@ class Process:
     def end(self) -> None:
         if self.popen.poll() is None:
             self.popen.kill()
-            self.popen.wait()
+        self.popen.wait()
+        self._reader.join(5.0)
+        assert self.popen.stdout is not None
+        self.popen.stdout.close()
 
 
 class Rig:

@@ -150,7 +150,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Rig, Proce
         ),
         (
             "satellite.base_position=[0.0, 0.0, 0.0]",
-            r"stands at \[0.0400, 0.0000, 0.0800\] m.*starts at \[0.0000, 0.0000, 0.0000\] m.*: 0.0894 m",
+            r"stands at \[0.0400, 0.0000, 0.0800\] m.*starts at \[0.0000, 0.0000, 0.0000\] m.*: 0.089\d m",
         ),
         (
             "satellite.base_orientation=[0.0, 0.0, 0.0, 1.0]",

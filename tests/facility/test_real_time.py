@@ -19,6 +19,7 @@ from adapters import hil
 from adapters.arm_frames import ArmFrames, FrameMapping
 from adapters.arm_link import Receiver, open_bus
 from adapters.device import LifeCycle
+from adapters.local_can import directory
 from cosim import experiment, real_time, scenario
 from cosim.assemble import find_fmu
 
@@ -150,6 +151,19 @@ def test_ctrl_c_on_the_controller_is_an_orderly_stop(bench: Rig, number: signal.
     assert "interrupted by the user; all devices were brought to rest" in loop.text
     assert bench.summary()["interrupted"] is True
     facility.wait_for("active -> inactive: brakes commanded")
+
+
+def test_ctrl_c_while_the_arm_is_waited_for_ends_at_once(bench: Rig) -> None:
+    loop = bench.hil("devices.arm_drive.parameters.configure_timeout=60")
+    deadline = time.monotonic() + 30.0
+    while not any(directory(bench.channel).glob("*-*")) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    time.sleep(0.3)
+    begin = time.monotonic()
+    loop.send(signal.SIGINT)
+    assert loop.finish() == 3
+    assert time.monotonic() - begin < 10.0
+    assert "interrupted" in loop.text
 
 
 def test_ctrl_c_on_the_facility_is_an_orderly_stop_for_both(bench: Rig) -> None:
