@@ -35,6 +35,10 @@ TRANSITIONS: Mapping[LifeCycle, frozenset[LifeCycle]] = {
 }
 
 
+SIMULATED = "simulated"
+"""The kind of a device that is its model in the host's own process."""
+
+
 class DeviceError(CosimError):
     """A device that cannot be configured or activated; nothing has moved."""
 

@@ -9,25 +9,25 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 from adapters import pacing
-from adapters.device import Device, DeviceError, LifeCycle
+from adapters.device import SIMULATED, Device, DeviceError, LifeCycle
 from adapters.device_component import DeviceComponent
 from adapters.histogram import Histogram
 from adapters.live_view import STATE, LiveValues
 from adapters.pacing import Pacer
 from cosim import metrics
-from cosim.assemble import assembled
+from cosim.assemble import assembled, make
 from cosim.clock import seconds
 from cosim.experiment import Result
 from cosim.graph import Connection, split
 from cosim.master import Master, Outcome, interrupts
 from cosim.parameters import Values, current
-from cosim.scenario import Measure, Scenario
+from cosim.scenario import ComponentSpec, Measure, Scenario
 
 INTERRUPTED = "interrupted by the user"
-SIMULATED = "simulated"
 LONGEST_STOP = 5.0
 """After so long [s] the graded stop is given up, and the devices are left to their own watchdogs."""
 VIEW_EVERY = 100
@@ -54,9 +54,9 @@ class LoopReport:
 
 
 def with_devices(scenario: Scenario, *, simulated: bool = False) -> Scenario:
-    """Devices in the place of the components of the same names, clocks first; what joined two of them is physics, and goes.
+    """Devices in the place of the components of the same names; what joined two of them is physics, which is theirs.
 
-    `simulated`: every device is its own model in this process; their physics stays, and the wall clock paces the loop.
+    `simulated`: every device is its own model in this process, and the wall clock paces the loop.
     """
     if not scenario.devices:
         raise DeviceError(f"scenario {scenario.name} has no [devices.NAME]: there is nothing to put into the loop")
@@ -71,12 +71,27 @@ def with_devices(scenario: Scenario, *, simulated: bool = False) -> Scenario:
     devices = {spec.name: spec for spec in specs}
     others = tuple(spec for spec in scenario.components if spec.name not in devices)
 
+    ports = _ports(specs, scenario.directory)
+
     def stays(connection: Connection) -> bool:
-        ends = [devices.get(split(signal)[0]) for signal in (connection.source, connection.target)]
-        return None in ends or all(spec is not None and spec.kind == SIMULATED for spec in ends)
+        """What joins two devices stays in this process only where a model here is the target, and the other end is measured."""
+        (source, variable), (target, _) = split(connection.source), split(connection.target)
+        if source not in devices or target not in devices:
+            return True
+        return devices[target].kind == SIMULATED and variable in ports[source]
 
     connections = tuple(connection for connection in scenario.connections if stays(connection))
     return replace(scenario, components=(*devices.values(), *others), connections=connections)
+
+
+def _ports(specs: Sequence[ComponentSpec], directory: Path) -> dict[str, frozenset[str]]:
+    """Which variables each device has; nothing is opened for that."""
+    found = {}
+    for spec in specs:
+        component = make(spec, directory, None)
+        found[spec.name] = frozenset(component.ports)
+        component.close()
+    return found
 
 
 class _Pace:

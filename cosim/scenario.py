@@ -125,9 +125,18 @@ def _merge(base: Raw, change: Raw) -> Raw:
         if key in ("connections", "delayed") and isinstance(value, list) and isinstance(merged.get(key), list):
             merged[key] = [*merged[key], *value]
             continue
+        if key == "devices" and isinstance(value, dict) and isinstance(merged.get(key), dict):
+            # A device of another kind has nothing in common with the one it replaces.
+            kept = {name: table for name, table in merged[key].items() if not _other_kind(table, value.get(name))}
+            merged[key] = _merge(kept, value)
+            continue
         both_tables = isinstance(value, dict) and isinstance(merged.get(key), dict) and "value" not in value
         merged[key] = _merge(merged[key], value) if both_tables else value
     return merged
+
+
+def _other_kind(table: object, change: object) -> bool:
+    return isinstance(table, dict) and isinstance(change, dict) and change.get("kind", table.get("kind")) != table.get("kind")
 
 
 def _driven(raw: Raw) -> set[str]:

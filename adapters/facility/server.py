@@ -12,7 +12,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Protocol
 
-from adapters.device import DeviceError
+from adapters.device import SIMULATED, DeviceError
 from adapters.facility import settings as facility_settings
 from adapters.facility.settings import FacilitySettings
 from adapters.histogram import Histogram
@@ -106,7 +106,9 @@ class Facility:
     """Opens the links; `run` serves one session after another until it is interrupted."""
 
     def __init__(self, scenario: Scenario, fmi: int | None = None) -> None:
-        if not scenario.devices:
+        # A simulated device is played by the host itself.
+        played = [spec for spec in scenario.devices if spec.kind != SIMULATED]
+        if not played:
             raise DeviceError(
                 f"scenario {scenario.name} has no [devices.NAME]: there is nothing for a virtual facility to play"
             )
@@ -118,7 +120,7 @@ class Facility:
         self.sessions = 0
         self.history: list[dict[str, Any]] = []
         try:
-            for spec in scenario.devices:
+            for spec in played:
                 self.devices.append(
                     _virtual(spec.name, spec.kind, spec.options, scenario.directory, self.settings, self.period)
                 )

@@ -245,3 +245,23 @@ def test_nothing_listens_beyond_loopback_and_nobody_joins_a_multicast_group(benc
     assert groups == after
     loop.send(signal.SIGINT)
     loop.finish()
+
+
+def test_a_simulated_arm_on_a_base_over_zenoh_is_paced_by_the_clock(tmp_path: Path) -> None:
+    """No arm on a bus, so absolute deadlines are the clock; the arm's model is told how the measured base moves."""
+    path = tmp_path / "mixed.toml"
+    path.write_text(
+        'extends = "facility"\n[devices.arm_drive]\nkind = "simulated"\n'
+        "[devices.base_robot.parameters]\nlost_consecutive = 250\nlost_in_window = 0\nage_limit = 1.0\n"
+    )
+    with rig(tmp_path, str(path)) as bench:
+        base = f'devices.base_robot.connect=["{bench.endpoint}"]'
+        facility = bench.start("facility", str(path), "--set", base, "--set", "facility.base_watchdog_s=1.0")
+        facility.wait_for("is there")
+        loop = bench.start("hil", str(path), "--set", base, "--set", "stop_s=2.0", "--no-view", "--out", str(tmp_path / "hil"))
+        assert loop.finish() == 0, loop.text
+    summary = bench.summary()
+    assert summary["real_time"]["times"]["loop: wake-up"]["count"] >= 2000
+    without_clock = experiment.run(scenario.load("facility", ["stop_s=2.0"])).summary
+    name = "end_effector_position_error_m"
+    assert summary[name]["max"] == pytest.approx(without_clock[name]["max"], rel=0.1, abs=1e-3)
