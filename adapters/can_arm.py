@@ -5,20 +5,17 @@ from __future__ import annotations
 import secrets
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
 
 import can
 import numpy as np
 
 from adapters import settings as all_settings
-from adapters.arm_frames import CYCLES, LIMIT_ROLES, ArmFrames, FrameMapping, Mode
+from adapters.arm_frames import CYCLES, LIMIT_ROLES, ArmFrames, Mode
 from adapters.arm_link import Receiver, Sender, open_bus
+from adapters.arm_options import ArmOptions
 from adapters.device import DeviceError, LifeCycle, SafeStop, State
 from adapters.histogram import Histogram
 from adapters.limits import ArmLimits
-from adapters.options import checked, known_keys
 from adapters.quality import QualityMonitor
 from adapters.ramp_down import RampDown
 from cosim.component import Array, Port
@@ -26,18 +23,6 @@ from cosim.component import Array, Port
 MEASURED = ("joint_position", "joint_velocity", "joint_torque")
 PATIENCE = 1.5
 """A state frame is lost when it has not come after so many cycles since the last one."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class ArmOptions:
-    """What a scenario's `[devices.NAME]` with kind = "can_arm" may say besides `parameters`."""
-
-    interface: str = "local"
-    channel: str = "freeflyer"
-    bus: Mapping[str, Any] = field(default_factory=dict)
-    """Further arguments of python-can's interface, for example bit rates."""
-    joints: int = 6
-    frames: FrameMapping = field(default_factory=FrameMapping)
 
 
 class CanArm:
@@ -362,26 +347,3 @@ class CanArm:
         if not self._answered and self.state.now is LifeCycle.active:
             self.answer.add(time.monotonic_ns() - self._arrived)
             self._answered = True
-
-
-def options_from(name: str, raw: Mapping[str, Any], directory: Path) -> ArmOptions:
-    """The device's table as options; DeviceError for a key or value that is none."""
-    known_keys(name, raw, ("interface", "channel", "bus", "joints", "dbc", "messages", "signals", "data_ids", "e2e_offset",
-                           "mode_values", "life_cycle_values"))  # fmt: skip
-    dbc = checked(name, raw, "dbc", str, "")
-    mapping = FrameMapping(
-        **({"dbc": directory / dbc} if dbc else {}),
-        messages=checked(name, raw, "messages", dict, {}),
-        signals=checked(name, raw, "signals", dict, {}),
-        data_ids=checked(name, raw, "data_ids", dict, {}),
-        e2e_offset=checked(name, raw, "e2e_offset", int, 0),
-        mode_values=checked(name, raw, "mode_values", dict, {}),
-        life_cycle_values=checked(name, raw, "life_cycle_values", dict, {}),
-    )
-    return ArmOptions(
-        interface=checked(name, raw, "interface", str, "local"),
-        channel=str(raw.get("channel", "freeflyer")),
-        bus=checked(name, raw, "bus", dict, {}),
-        joints=checked(name, raw, "joints", int, 6),
-        frames=mapping,
-    )

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from adapters import can_arm, simulated, zenoh_base
+from adapters import arm_options, can_arm, link_options, simulated, zenoh_base
 from adapters.device import Device
 from cosim.component import PythonComponent
 
@@ -36,11 +36,11 @@ class DeviceComponent(PythonComponent):
 
 
 def can_arm_component(name: str, options: Mapping[str, Any], directory: Path) -> DeviceComponent:
-    return DeviceComponent(can_arm.CanArm(name, can_arm.options_from(name, options, directory)))
+    return DeviceComponent(can_arm.CanArm(name, arm_options.options_from(name, options, directory)))
 
 
 def zenoh_base_component(name: str, options: Mapping[str, Any], directory: Path) -> DeviceComponent:
-    return DeviceComponent(zenoh_base.ZenohBase(name, zenoh_base.options_from(name, options, directory)))
+    return DeviceComponent(zenoh_base.ZenohBase(name, link_options.options_from(name, options, directory)))
 
 
 def simulated_component(name: str, options: Mapping[str, Any], directory: Path) -> DeviceComponent:

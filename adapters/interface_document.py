@@ -9,9 +9,9 @@ from adapters import rmw_zenoh, ros_messages, settings
 from adapters.arm_frames import MESSAGES, SHIPPED_DBC, ArmFrames, FrameMapping, Mode, frame_time
 from adapters.device import TRANSITIONS, LifeCycle
 from adapters.facility.settings import FacilitySettings
+from adapters.link_options import LinkOptions
 from adapters.settings import Setting
 from adapters.signals import load
-from adapters.zenoh_link import LinkOptions
 
 JOINTS = 7
 CLASSIC_PDOS = 2 * 7

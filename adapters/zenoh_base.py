@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,10 +16,10 @@ from adapters import settings as all_settings
 from adapters.device import DeviceError, LifeCycle, SafeStop, State
 from adapters.histogram import Histogram
 from adapters.limits import BaseLimits
-from adapters.options import checked, known_keys
+from adapters.link_options import LinkOptions
 from adapters.pose import distance, twist_rotated
 from adapters.quality import QualityMonitor
-from adapters.zenoh_link import Counts, LinkOptions, OdometryLink, Received, check, open_session
+from adapters.zenoh_link import Counts, OdometryLink, Received, open_session
 from cosim.component import Array, Port
 
 PATIENCE = 1.75
@@ -34,7 +33,6 @@ class ZenohBase:
     is_clock = False
 
     def __init__(self, name: str, options: LinkOptions) -> None:
-        check(options, name)
         self.name, self.options = name, options
         self.state = State(name)
         ports = [
@@ -310,18 +308,3 @@ def _shortened(vector: Array, by: float) -> Array:
 def _shown(position: Array, orientation: Array) -> str:
     roll, pitch, yaw = Rotation.from_quat(orientation).as_euler("xyz", degrees=True)
     return f"[{', '.join(f'{x:z.4f}' for x in position)}] m, roll {roll:.3f}, pitch {pitch:.3f}, yaw {yaw:.3f} deg"
-
-
-def options_from(name: str, raw: Mapping[str, Any], directory: Path) -> LinkOptions:
-    """The device's table as options; DeviceError for a key or value that is none."""
-    defaults = LinkOptions()
-    known_keys(name, raw, list(LinkOptions.__dataclass_fields__))
-    return LinkOptions(
-        connect=checked(name, raw, "connect", list, list(defaults.connect)),
-        listen=checked(name, raw, "listen", list, list(defaults.listen)),
-        domain=checked(name, raw, "domain", int, defaults.domain),
-        **{
-            key: checked(name, raw, key, str, getattr(defaults, key))
-            for key in ("setpoint_topic", "measured_topic", "frame", "child_frame", "node")
-        },
-    )

@@ -13,42 +13,11 @@ import zenoh
 
 from adapters import rmw_zenoh, ros_messages
 from adapters.device import DeviceError
+from adapters.link_options import LinkOptions
 from adapters.pose import twist_rotated
 from adapters.rmw_zenoh import Attachment, AttachmentError
 from adapters.ros_messages import MessageError, Odometry, OdometryWriter
 from cosim.component import Array
-
-
-@dataclass(frozen=True, kw_only=True)
-class LinkOptions:
-    """Endpoints as Zenoh writes them. Nothing is found by multicast or gossip: who is not named here is not met."""
-
-    connect: Sequence[str] = ("tcp/127.0.0.1:7447",)
-    listen: Sequence[str] = ("tcp/127.0.0.1:0",)
-    domain: int = 0
-    setpoint_topic: str = "base_robot/setpoint"
-    measured_topic: str = "base_robot/measured"
-    frame: str = "inertial"
-    child_frame: str = "base"
-    node: str = "freeflyer"
-
-
-def check(options: LinkOptions, subject: str) -> None:
-    """DeviceError for an endpoint or a topic that cannot be."""
-    for key in ("connect", "listen"):
-        endpoints = getattr(options, key)
-        if isinstance(endpoints, str) or not all(isinstance(e, str) and "/" in e for e in endpoints):
-            raise DeviceError(
-                f"{subject}: {key} is {endpoints!r}; a list of endpoints such as 'tcp/127.0.0.1:7447' is expected"
-            )
-    if not options.listen:
-        raise DeviceError(f"{subject}: listen is empty, and Zenoh would listen on every interface; name an endpoint")
-    for key in ("setpoint_topic", "measured_topic"):
-        topic = getattr(options, key)
-        if not isinstance(topic, str) or not rmw_zenoh.TOPIC.fullmatch(topic):
-            raise DeviceError(f"{subject}: {key} is {topic!r}, no valid key expression of a ROS topic; 'name/name' is expected")
-    if not isinstance(options.domain, int) or not 0 <= options.domain <= 232:
-        raise DeviceError(f"{subject}: domain is {options.domain!r}; a ROS domain from 0 to 232 is expected")
 
 
 def open_session(connect: Sequence[str], listen: Sequence[str], subject: str) -> zenoh.Session:

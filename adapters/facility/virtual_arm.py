@@ -10,7 +10,7 @@ from typing import Any
 import can
 import numpy as np
 
-from adapters import can_arm
+from adapters import arm_options
 from adapters.arm_frames import CYCLES, LIMIT_ROLES, ArmFrames
 from adapters.arm_link import Receiver, Sender, open_bus
 from adapters.device import LifeCycle
@@ -28,7 +28,7 @@ class VirtualArm:
 
     def __init__(self, name: str, raw: Mapping[str, Any], directory: Path, settings: FacilitySettings, period: float) -> None:
         self.name, self.settings, self.period = name, settings, period
-        self.options = can_arm.options_from(name, raw, directory)
+        self.options = arm_options.options_from(name, raw, directory)
         n = self.options.joints
         self.frames = ArmFrames(self.options.frames, n)
         self.commands = (

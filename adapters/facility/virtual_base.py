@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from adapters import zenoh_base
+from adapters import link_options
 from adapters.device import LifeCycle
 from adapters.facility.base_logic import BaseLogic
 from adapters.facility.settings import FacilitySettings
 from adapters.histogram import Histogram
 from adapters.pose import twist_rotated
 from adapters.zenoh_base import TWIST
-from adapters.zenoh_link import OdometryLink, check, open_session
+from adapters.zenoh_link import OdometryLink, open_session
 from cosim.component import Array, Port
 
 
@@ -24,8 +24,7 @@ class VirtualBase:
 
     def __init__(self, name: str, raw: Mapping[str, Any], directory: Path, settings: FacilitySettings, period: float) -> None:
         self.name, self.settings, self.period = name, settings, period
-        self.options = o = zenoh_base.options_from(name, raw, directory)
-        check(o, name)
+        self.options = o = link_options.options_from(name, raw, directory)
         self.commands = (
             Port(name="position_setpoint", size=3, causality="output", units=("m",) * 3, sampled=True),
             Port(name="orientation_setpoint", size=4, causality="output", units=("1",) * 4, sampled=True, start=(0, 0, 0, 1)),
