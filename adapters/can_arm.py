@@ -21,6 +21,8 @@ from adapters.ramp_down import RampDown
 from cosim.component import Array, Port
 
 MEASURED = ("joint_position", "joint_velocity", "joint_torque")
+GIVE_UP = 4.0
+"""An arm that has not confirmed its brakes after so many ramp-down times is left to its own watchdog."""
 PATIENCE = 1.5
 """A state frame is lost when it has not come after so many cycles since the last one."""
 
@@ -59,6 +61,7 @@ class CanArm:
         self._command_age = 0.0
         self._answered = True
         self._silent_cycles = 0
+        self._braked = False
 
     @property
     def woken(self) -> int:
@@ -221,6 +224,8 @@ class CanArm:
                 self.name,
                 f"the arm went to {self._arm_state.name} by itself; the last command that it had was {self._command_age:.0f} cycles old",
             )
+        if self._obeyed not in (0, self.controller):
+            raise SafeStop(self.name, f"the arm obeys controller {self._obeyed}; this is controller {self.controller}")
         reason = self.limits.measured(self.values["joint_position"], self.values["joint_velocity"])
         if reason:
             raise SafeStop(self.name, reason)
@@ -243,14 +248,20 @@ class CanArm:
         if self.ramp.over(velocity, elapsed):
             self._send(Mode.brake, np.zeros_like(velocity))
             self._wait(2 * self.cycle)
-            braked = self._arm_state in (LifeCycle.inactive, LifeCycle.safe_stop, LifeCycle.fault, None)
-            return braked or elapsed > 4.0 * self.ramp.time
+            return self.at_rest or elapsed > GIVE_UP * self.ramp.time
         wanted = self.ramp.torque(self._stopping_torque, velocity, elapsed)
         torque, _ = self.limits.command(wanted, self._last_torque)
         self._send(Mode.torque, torque)
         self._last_torque = torque
         self._wait(PATIENCE * self.cycle)
-        return self._arm_state in (LifeCycle.safe_stop, LifeCycle.fault)
+        return self.at_rest
+
+    @property
+    def at_rest(self) -> bool:
+        """As far as its DBC lets the arm say it, in a frame that has come since the last command."""
+        if self._answered or self._arm_state is LifeCycle.active:
+            return False
+        return self._braked or "brakes" not in self.frames.state
 
     def on_error(self, reason: str) -> None:
         if self.state.now is LifeCycle.active:
@@ -334,16 +345,17 @@ class CanArm:
                 self.late_commands += 1
         self._obeyed = int(numbers.get("obeyed_controller", (0,))[0])
         self._command_age = numbers.get("command_age", (0.0,))[0]
+        self._braked = numbers.get("brakes", (0.0,))[0] > 0.5
         if "life_cycle" in numbers:
             self._arm_state = self.frames.life_cycle(numbers["life_cycle"][0])
 
     def _send(self, mode: Mode, torque: Array) -> None:
-        self._sender.send({
+        sent = self._sender.send({
             "answered_cycle": (float(self._cycle_number or 0),),
             "controller": (float(self.controller),),
             "mode": (float(self.frames.mode_number(mode)),),
             "joint_torque_command": torque.tolist(),
         })  # fmt: skip
-        if not self._answered and self.state.now is LifeCycle.active:
+        if not self._answered and sent and self.state.now is LifeCycle.active:
             self.answer.add(time.monotonic_ns() - self._arrived)
-            self._answered = True
+        self._answered = True

@@ -104,7 +104,11 @@ class Device(Protocol):
         """Send the commands, within their limits; SafeStop if they must not be sent."""
 
     def ramp_down(self, elapsed: float) -> bool:
-        """One cycle of the graded stop, `elapsed` [s] after its begin; True once the device stands and holds itself."""
+        """One cycle of the graded stop, `elapsed` [s] after its begin; True once there is nothing left to do for it."""
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the device has confirmed that it stands and holds itself."""
 
     def on_error(self, reason: str) -> None:
         """The loop has failed: from active to safe stop."""

@@ -225,14 +225,15 @@ def _run(
     try:
         granted = pacing.enter_real_time(real_time)
         say("Real time: " + ", ".join(granted))
-        reason = "the loop could not be activated"
+        reason, orderly = "the loop could not be activated", False
         with pacing.no_collection():
             try:
                 outcome = master.run(pace=pace)
                 outcome.interrupted = outcome.interrupted or outcome.cause == INTERRUPTED
                 reason = outcome.cause or "the scenario is over"
+                orderly = outcome.interrupted or outcome.cause is None
             finally:
-                left = stop(devices, period, reason)
+                left = stop(devices, period, reason, orderly=orderly)
     finally:
         if live is not None:
             live.close()
@@ -253,8 +254,8 @@ def _result(scenario: Scenario, master: Master, values: Values, outcome: Outcome
     return Result(scenario=scenario, outcome=outcome, errors=series, summary=summary)
 
 
-def stop(devices: Sequence[Device], period: int, reason: str) -> str:
-    """The graded stop of every device that is active; says how they were left."""
+def stop(devices: Sequence[Device], period: int, reason: str, *, orderly: bool) -> str:
+    """The graded stop of every device that is active; says how they were left. `orderly`: nothing has failed."""
     active = [device for device in devices if device.state.now is LifeCycle.active]
     if not active:
         return "nothing was active"
@@ -268,9 +269,11 @@ def stop(devices: Sequence[Device], period: int, reason: str) -> str:
         at_rest = [device.ramp_down(elapsed) for device in active]
         done = all(at_rest)
     took = time.monotonic() - begin
+    unsure = [device.name for device in active if not device.at_rest]
     for device in active:
-        device.on_error(reason)
+        if not orderly or device.name in unsure:
+            device.on_error(reason)
         device.deactivate()
-    if done:
-        return f"all devices were brought to rest in {took:.2f} s"
-    return f"after {took:.2f} s not all devices had come to rest; they are left to their own watchdogs"
+    if unsure:
+        return f"after {took:.2f} s {', '.join(unsure)} had not confirmed to be at rest, and is left to its own watchdog"
+    return f"all devices were brought to rest in {took:.2f} s"

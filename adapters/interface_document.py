@@ -119,7 +119,7 @@ def _settings() -> Iterator[str]:
     yield "\n## Settings and limits of the controllers' side\n"
     yield (
         "`[devices.NAME.parameters]` of a scenario. A limit that *clips* is counted and reported; one that *stops* ends the loop "
-        "by the graded stop: the last torque is held through lost cycles, then ramped down against the joint speeds, then the brakes "
+        "by the graded stop: through lost cycles the last measurement (and at the arm the last torque) is held, then the torque is ramped down against the joint speeds, then the brakes "
         "engage. What *refuses* keeps the loop from being activated. Further limits are the scenario's own `[[limits]]`: on the base "
         "wrench, and on the observed energies for a stated time."
     )

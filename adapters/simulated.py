@@ -114,6 +114,10 @@ class SimulatedDevice:
         self._cycle()
         return False
 
+    @property
+    def at_rest(self) -> bool:
+        return not self.is_arm or "brake" not in self.values or bool(self.values["brake"][0])
+
     def on_error(self, reason: str) -> None:
         self._brake(True)
         if self.state.now is LifeCycle.active:

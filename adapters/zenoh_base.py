@@ -230,6 +230,11 @@ class ZenohBase:
             self._publish(*self._sent, np.zeros(6))
         return True
 
+    @property
+    def at_rest(self) -> bool:
+        """A base robot holds the last set point by itself."""
+        return True
+
     def on_error(self, reason: str) -> None:
         if self.state.now is LifeCycle.active:
             self.state.to(LifeCycle.safe_stop)

@@ -136,6 +136,7 @@ def test_the_controller_stops_in_order_when_the_facility_dies(bench: Rig) -> Non
     assert re.search(
         r"the run stopped at [0-9.]+ s: arm_drive: .*(20 cycles in a row were lost|state frame is 0.0\d+ s old)", loop.text
     )
+    assert "arm_drive had not confirmed to be at rest, and is left to its own watchdog" in " ".join(loop.said)
     assert bench.summary()["failed"] is True
     assert bench.record().shape[0] >= 1
 
