@@ -12,11 +12,13 @@ from pathlib import Path
 from typing import Any
 
 from adapters.device import DeviceError, LifeCycle
-from adapters.signals import Field, field_of, load, message_of
+from adapters.e2e import HEADER_BYTES
+from adapters.signals import Field, field_of, load, message_of, occupied_bits
 from cosim.near import did_you_mean
 
 SHIPPED_DBC = Path(__file__).parent / "arm.dbc"
-CYCLES = 1 << 24
+CYCLE_ROLES = ("cycle", "answered_cycle", "echoed_cycle")
+FEWEST_CYCLES = 64
 CAN_FD_SIZES = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 
 
@@ -106,6 +108,12 @@ class Frame:
             names = _names(role, mapping, joints, {signal.name for signal in message.signals})
             if names:
                 self.fields[role.name] = tuple(field_of(message, name, role.unit, mapping.dbc) for name in names)
+        bound = [f.name for fields in self.fields.values() for f in fields]
+        twice = [name for name in bound if bound.count(name) > 1]
+        if twice:
+            raise DeviceError(
+                f"{self.subject}: signal {twice[0]} is mapped more than once; a signal for each joint and role is expected"
+            )
         self.is_fd = bool(message.is_fd) or self.size > 8
         if self.size not in CAN_FD_SIZES:
             sizes = ", ".join(map(str, CAN_FD_SIZES))
@@ -114,6 +122,8 @@ class Frame:
         known = attributes.get("E2eDataId")
         self.data_id: int | None = mapping.data_ids.get(kind, int(known.value) if known and known.value else None)
         self.e2e_offset = mapping.e2e_offset
+        if self.data_id is not None:
+            _check_header(message, self.subject, set(bound), mapping.e2e_offset)
         self.cycle_ms = float(message.cycle_time or 0)
         self._values: dict[str, float] = {signal.name: signal.offset for signal in message.signals}
 
@@ -134,6 +144,21 @@ class Frame:
         return {role: [f.factor * values[f.name] for f in fields] for role, fields in self.fields.items()}
 
 
+def _check_header(message: Any, subject: str, bound: set[str], offset: int) -> None:
+    """The three bytes of E2E profile 5 are within the frame, and nothing else is in them."""
+    if not 0 <= offset <= message.length - HEADER_BYTES:
+        raise DeviceError(
+            f"{subject} has {message.length} bytes; the E2E header of {HEADER_BYTES} bytes at e2e_offset = {offset} is not within them"
+        )
+    header = set(range(8 * offset, 8 * (offset + HEADER_BYTES)))
+    for signal in message.signals:
+        if signal.name in bound and header & occupied_bits(signal):
+            raise DeviceError(
+                f"{subject}: signal {signal.name} lies in the E2E header (bytes {offset} to {offset + HEADER_BYTES - 1}); choose another "
+                f"e2e_offset, or leave data_ids out for a frame without protection"
+            )
+
+
 def _names(role: Role, mapping: FrameMapping, joints: int, present: set[str]) -> list[str]:
     given = mapping.signals.get(role.name)
     shipped = mapping.dbc == SHIPPED_DBC
@@ -147,7 +172,11 @@ def _names(role: Role, mapping: FrameMapping, joints: int, present: set[str]) ->
     elif isinstance(pattern, str):
         names = [pattern.replace("{}", str(i + 1)) for i in range(joints)]
     else:
-        names = [str(name) for name in pattern]
+        if not isinstance(pattern, list) or not all(isinstance(name, str) for name in pattern):
+            raise DeviceError(
+                f"signals.{role.name} is {pattern!r}; a pattern with {{}} for the joint's number, or a list of names, is expected"
+            )
+        names = list(pattern)
         if len(names) != joints:
             raise DeviceError(f"signals.{role.name} names {len(names)} signals; {joints} are expected, one for each joint")
     missing = [name for name in names if name not in present]
@@ -156,6 +185,19 @@ def _names(role: Role, mapping: FrameMapping, joints: int, present: set[str]) ->
             f"DBC {mapping.dbc} lacks the signal {missing[0]!r} of signals.{role.name}{did_you_mean(missing[0], sorted(present))}"
         )
     return names
+
+
+def _check_values(title: str, numbers: Mapping[Any, int], fields: Sequence[Field] | None) -> None:
+    """Each its own number, which its signal can hold."""
+    for name, number in numbers.items():
+        if list(numbers.values()).count(number) > 1:
+            raise DeviceError(
+                f"{title}: {name.name} has the number {number}, and so has another; each its own is expected, also those not named"
+            )
+        if fields and not fields[0].least <= number <= fields[0].most:
+            raise DeviceError(
+                f"{title}: {name.name} has the number {number}, but its signal {fields[0].name} holds {fields[0].most:g} at most"
+            )
 
 
 def check_mapping(mapping: FrameMapping) -> None:
@@ -171,6 +213,17 @@ def check_mapping(mapping: FrameMapping) -> None:
         for key in table:
             if key not in known:
                 raise DeviceError(f"{key!r} in the DBC's mapping is not known{did_you_mean(key, known)}")
+    for name, message in mapping.messages.items():
+        if not isinstance(message, str):
+            raise DeviceError(f"messages.{name} is {message!r}; the name of a message is expected")
+    for title, numbers, most in (
+        ("data_ids", mapping.data_ids, 0xFFFF),
+        ("mode_values", mapping.mode_values, 1 << 32),
+        ("life_cycle_values", mapping.life_cycle_values, 1 << 32),
+    ):
+        for name, number in numbers.items():
+            if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number <= most:
+                raise DeviceError(f"{title}.{name} is {number!r}; a whole number from 0 to {most} is expected")
 
 
 class ArmFrames:
@@ -184,8 +237,25 @@ class ArmFrames:
         self.description: Frame | None = None
         if mapping.dbc == SHIPPED_DBC or "description" in mapping.messages:
             self.description = Frame("description", mapping, joints)
+        numbers = [f.fields[r][0].most for f in (self.command, self.state) for r in CYCLE_ROLES if r in f]
+        self.cycles = int(min(numbers)) + 1
+        """Cycle numbers count modulo this: the narrowest field that holds one."""
+        if self.cycles < FEWEST_CYCLES:
+            raise DeviceError(
+                f"DBC {mapping.dbc}: a cycle number of {int(min(numbers)).bit_length()} bits is too narrow; {FEWEST_CYCLES} cycles must "
+                f"be told apart"
+            )
+        named = [f.fields[r][0].most for f, r in ((self.command, "controller"), (self.state, "obeyed_controller")) if r in f]
+        self.controllers = int(min(named, default=0xFFFF))
+        """How many controllers can be told apart."""
         self._modes = {mode: int(mapping.mode_values.get(mode.name, mode)) for mode in Mode}
         self._states = {int(mapping.life_cycle_values.get(state.name, state)): state for state in LifeCycle}
+        _check_values("mode_values", self._modes, self.command.fields.get("mode"))
+        _check_values("life_cycle_values", {s: r for r, s in self._states.items()}, self.state.fields.get("life_cycle"))
+        if len(self._states) < len(LifeCycle):
+            raise DeviceError(
+                "life_cycle_values: two states have the same number; each its own is expected, also those not named"
+            )
         self._mode_of = {raw: mode for mode, raw in self._modes.items()}
         self._state_of = {state: raw for raw, state in self._states.items()}
 

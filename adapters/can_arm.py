@@ -10,7 +10,7 @@ import can
 import numpy as np
 
 from adapters import settings as all_settings
-from adapters.arm_frames import CYCLES, LIMIT_ROLES, ArmFrames, Mode
+from adapters.arm_frames import LIMIT_ROLES, ArmFrames, Mode
 from adapters.arm_link import Receiver, Sender, open_bus
 from adapters.arm_options import ArmOptions
 from adapters.device import DeviceError, LifeCycle, SafeStop, State
@@ -46,12 +46,11 @@ class CanArm:
         ]
         self.ports: Mapping[str, Port] = {port.name: port for port in ports}
         self.values: Mapping[str, Array] = {port.name: np.array(port.start or (0.0,) * port.size) for port in ports}
-        self.controller = 1 + secrets.randbelow(0xFFFF)
+        self.controller = 1 + secrets.randbelow(self.frames.controllers)
         self.wake_up, self.answer = Histogram(), Histogram()
         self.late_commands = 0
-        self.skipped = 0
         self._bus: can.BusABC | None = None
-        self._cycle_number: int | None = None
+        self._cycle_number = 0
         self._arrived = 0
         self._last_torque = np.zeros(n)
         self._stopping_torque: Array | None = None
@@ -62,6 +61,8 @@ class CanArm:
         self._answered = True
         self._silent_cycles = 0
         self._braked = False
+        self._released = False
+        """Whether a command may have released the brakes."""
 
     @property
     def woken(self) -> int:
@@ -75,6 +76,7 @@ class CanArm:
 
     def configure(self) -> None:
         v = self.values
+        all_settings.check(self.name, all_settings.ARM, v)
         self.cycle = self.step
         self.limits = ArmLimits(v, self.cycle)
         self.monitor = QualityMonitor(
@@ -109,15 +111,19 @@ class CanArm:
         return f"{self.name} on CAN {self.options.interface}:{self.options.channel}"
 
     def _described(self, receiver: Receiver) -> dict[str, list[float]]:
+        """Waits for a description; an arm that is active for somebody else sends none, but its state frames say for whom."""
         end = time.monotonic() + float(self.values["configure_timeout"][0])
         while True:
             message = self._received(end - time.monotonic())
             if message is None:
                 raise DeviceError(self._silence("description", receiver))
-            if message.arbitration_id == receiver.frame.identifier:
-                found = receiver.take(message)
-                if found is not None:
-                    return found
+            found = receiver.take(message)
+            if found is not None:
+                return found
+            state = self._states.take(message)
+            if state is not None:
+                self._take(state, time.monotonic_ns())
+                self._refuse_another_controller()
 
     def _silence(self, what: str, receiver: Receiver) -> str:
         waited = self.values["configure_timeout"][0]
@@ -155,13 +161,16 @@ class CanArm:
         while True:
             if not self._wait(end - time.monotonic()):
                 raise DeviceError(self._silence("state", self._states))
-            if self._obeyed not in (0, self.controller):
-                raise DeviceError(
-                    f"{self._where} obeys controller {self._obeyed} already; this is controller {self.controller}: stop that one first"
-                )
+            self._refuse_another_controller()
             if self._obeyed == self.controller or "obeyed_controller" not in self.frames.state:
                 return
             self._send(Mode.idle, self._last_torque * 0.0)
+
+    def _refuse_another_controller(self) -> None:
+        if self._obeyed not in (0, self.controller):
+            raise DeviceError(
+                f"{self._where} obeys controller {self._obeyed} already; this is controller {self.controller}: stop that one first"
+            )
 
     def check_start(self) -> None:
         self._claim()
@@ -181,11 +190,13 @@ class CanArm:
         end = time.monotonic() + float(self.values["configure_timeout"][0])
         while self._arm_state not in (LifeCycle.active, None):
             stopped = self._arm_state in (LifeCycle.safe_stop, LifeCycle.fault)
+            self._released = True
             self._send(Mode.reset if stopped else Mode.torque, self._last_torque)
             if not self._wait(end - time.monotonic()):
                 raise DeviceError(
                     f"{self._where} does not become active; its state is {self._arm_state and self._arm_state.name}"
                 )
+        self._released = True
         self._send(Mode.torque, self._last_torque)
         self.state.to(LifeCycle.active)
 
@@ -194,25 +205,19 @@ class CanArm:
     def read(self) -> None:
         left = self._arrived * 1e-9 + PATIENCE * self.cycle - time.monotonic()
         before = self._cycle_number
-        came = self._wait(max(left, 0.0))
-        lost = 0 if came else 1
-        if came and before is not None and self._cycle_number is not None:
-            gap = (self._cycle_number - before) % CYCLES
-            if 1 < gap < CYCLES // 2:
-                lost = gap - 1
-                self.skipped += gap - 1
-        if not came:
-            # The next frame is expected one cycle later; its number, too.
-            self._arrived += round(self.cycle * 1e9)
-            self._cycle_number = None if before is None else (before + 1) % CYCLES
-            self._silent_cycles += 1
-        else:
-            self._silent_cycles = 0
-        reason = None
-        for _ in range(lost):
-            reason = self.monitor.observe(lost=True) or reason
-        if came:
+        if self._wait(max(left, 0.0)):
+            # What is missing in the numbers is lost, but for what was counted as silence already. An arm whose own time has
+            # stood still is not ahead of us: its numbers come later than they were waited for.
+            gap = (self._cycle_number - before) % self.frames.cycles
+            missing = gap - 1 - self._silent_cycles if gap < self.frames.cycles // 2 else 0
+            reason = self.monitor.lose(max(missing, 0))
             self.monitor.observe(lost=False)
+            self._silent_cycles = 0
+            came = True
+        else:
+            self._deadline_moves()
+            reason = self.monitor.lose(1)
+            came = False
         if self._silent_cycles * self.cycle > self._age_limit:
             reason = reason or (
                 f"the last state frame is {self._silent_cycles * self.cycle:.4g} s old, its limit is {self._age_limit:g} s"
@@ -229,6 +234,11 @@ class CanArm:
         reason = self.limits.measured(self.values["joint_position"], self.values["joint_velocity"])
         if reason:
             raise SafeStop(self.name, reason)
+
+    def _deadline_moves(self) -> None:
+        """No frame: the next one is expected a cycle later. Its number is not made up: who answers says what he has seen."""
+        self._arrived += round(self.cycle * 1e9)
+        self._silent_cycles += 1
 
     def write(self) -> None:
         torque, reason = self.limits.command(self.values["joint_torque_command"], self._last_torque)
@@ -272,8 +282,9 @@ class CanArm:
     def deactivate(self) -> None:
         if self._bus is None:
             return
-        if self.state.now in (LifeCycle.active, LifeCycle.safe_stop):
+        if self._released:  # also where activation was given up half-way
             self._send(Mode.brake, np.zeros(self.options.joints))
+        if self.state.now in (LifeCycle.active, LifeCycle.safe_stop):
             self.state.to(LifeCycle.inactive)
         self._bus.shutdown()
         self._bus = None
@@ -319,7 +330,7 @@ class CanArm:
             if message is None:
                 if came:
                     return True
-            elif message.arbitration_id == self.frames.state.identifier:
+            else:
                 now = time.monotonic_ns()
                 numbers = self._states.take(message)
                 if numbers is not None:
@@ -340,7 +351,7 @@ class CanArm:
         self._arrived = now
         self._answered = False
         if "echoed_cycle" in numbers and self.state.now is LifeCycle.active:
-            expected = (self._cycle_number - 1) % CYCLES
+            expected = (self._cycle_number - 1) % self.frames.cycles
             if int(numbers["echoed_cycle"][0]) != expected:
                 self.late_commands += 1
         self._obeyed = int(numbers.get("obeyed_controller", (0,))[0])
@@ -351,7 +362,7 @@ class CanArm:
 
     def _send(self, mode: Mode, torque: Array) -> None:
         sent = self._sender.send({
-            "answered_cycle": (float(self._cycle_number or 0),),
+            "answered_cycle": (float(self._cycle_number),),
             "controller": (float(self.controller),),
             "mode": (float(self.frames.mode_number(mode)),),
             "joint_torque_command": torque.tolist(),

@@ -12,10 +12,11 @@ from rich.console import Console
 from rich.table import Table
 
 from adapters import hil, pacing
+from adapters.facility import settings as facility_settings
 from adapters.facility.server import Facility
 from cosim import experiment, scenario
-from cosim.cli import folder, result_table, verdict
-from cosim.errors import DONE
+from cosim.cli import complain, folder, result_table, verdict
+from cosim.errors import DONE, STOPPED
 from cosim.master import interrupts
 from cosim.record import check_writable, write_text
 
@@ -38,6 +39,7 @@ class HilCommand:
 
     def execute(self, arguments: argparse.Namespace, console: Console) -> int:
         chosen = scenario.load(arguments.scenario, arguments.overrides)
+        facility_settings.read(chosen.facility)  # its mistakes are told on both sides
         directory = arguments.out or Path("freeflyer_out") / f"hil_{chosen.name}"
         check_writable(directory)
         view = console.is_terminal if arguments.view is None else arguments.view
@@ -82,7 +84,7 @@ class FacilityCommand:
                     f"the facility of scenario {chosen.name} is there: {', '.join(d.name for d in facility.devices)}; Ctrl-C ends it"
                 )
                 with pacing.no_collection():
-                    facility.run(say)
+                    outcome = facility.run(say)
             finally:
                 pacing.leave_real_time()
                 facility.close()
@@ -91,6 +93,8 @@ class FacilityCommand:
                     write_text(arguments.out / "facility.json", json.dumps(report, indent=2) + "\n")
         console.print(times_table(report["times"]))
         console.print(counts_table(report["devices"]))
+        if outcome.failed or outcome.diverged:
+            return complain(f"the facility's model failed: {outcome.cause}", STOPPED)
         return DONE
 
 

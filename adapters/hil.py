@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from adapters import pacing
-from adapters.device import SIMULATED, Device, DeviceError, LifeCycle
+from adapters.device import SIMULATED, Device, DeviceError, LifeCycle, SafeStop
 from adapters.device_component import DeviceComponent
 from adapters.histogram import Histogram
 from adapters.live_view import STATE, LiveValues
@@ -21,9 +21,10 @@ from adapters.pacing import Pacer
 from cosim import metrics
 from cosim.assemble import assembled, make
 from cosim.clock import seconds
+from cosim.errors import StepFailed
 from cosim.experiment import Result
 from cosim.graph import Connection, split
-from cosim.master import Master, Outcome, interrupts
+from cosim.master import Master, Outcome, interrupts, told
 from cosim.parameters import Values, current
 from cosim.scenario import ComponentSpec, Measure, Scenario
 
@@ -127,9 +128,9 @@ class _Pace:
             for device in self._in_order:
                 device.check_start()
             for device in reversed(self._in_order):
+                if self._asked_to_stop():
+                    return INTERRUPTED
                 device.activate(self._asked_to_stop)
-            if self._asked_to_stop():
-                return INTERRUPTED
         if self.pacer is not None:
             self._woken = self.pacer.wait()
         return None
@@ -138,7 +139,12 @@ class _Pace:
         # The arm's answer first: it is waited for.
         for device in self._in_order:
             self._master.hand_over(device.name)
-            device.write()
+            try:
+                device.write()
+            except StepFailed:
+                raise
+            except Exception as error:  # a driver fails in its own ways; the record is kept all the same
+                raise SafeStop(device.name, told(error)) from error
         woken = self._clock.woken if self._clock is not None else self._woken
         self.compute.add(time.monotonic_ns() - woken)
         if self.view is not None and k % VIEW_EVERY == 0:

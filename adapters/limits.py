@@ -33,10 +33,11 @@ class ArmLimits:
         held = np.minimum(np.maximum(wanted, -self.effort), self.effort)
         if (held != wanted).any():
             self.acted["joint_effort_limit"] += 1
-        sent = np.minimum(np.maximum(held, before - self.change), before + self.change)
-        if (sent != held).any():
+        slewed = np.minimum(np.maximum(held, before - self.change), before + self.change)
+        if (slewed != held).any():
             self.acted["torque_rate_limit"] += 1
-        return sent, None
+        # Whatever was before: never beyond the effort limit.
+        return np.minimum(np.maximum(slewed, -self.effort), self.effort), None
 
     def measured(self, position: Array, velocity: Array) -> str | None:
         """A reason to stop from measured joint positions (n) [rad] and velocities (n) [rad/s]."""

@@ -11,6 +11,9 @@ from adapters import rmw_zenoh
 from adapters.device import DeviceError
 from adapters.options import checked, known_keys
 
+LONGEST_FRAME = 200
+"""Bytes of a frame's name."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class LinkOptions:
@@ -40,6 +43,18 @@ def check(options: LinkOptions, subject: str) -> None:
         topic = getattr(options, key)
         if not isinstance(topic, str) or not rmw_zenoh.TOPIC.fullmatch(topic):
             raise DeviceError(f"{subject}: {key} is {topic!r}, no valid key expression of a ROS topic; 'name/name' is expected")
+    if not options.connect:
+        raise DeviceError(
+            f"{subject}: connect is empty, and nobody would be met; name the endpoint of the base robot or a router"
+        )
+    if not rmw_zenoh.NAME.fullmatch(options.node):
+        raise DeviceError(
+            f"{subject}: node is {options.node!r}; a ROS node name of letters, digits and underscores is expected"
+        )
+    for key in ("frame", "child_frame"):
+        frame = getattr(options, key)
+        if not frame or len(frame.encode()) > LONGEST_FRAME or "\0" in frame:
+            raise DeviceError(f"{subject}: {key} is {frame[:40]!r}; a frame name of 1 to {LONGEST_FRAME} bytes is expected")
     if not isinstance(options.domain, int) or not 0 <= options.domain <= 232:
         raise DeviceError(f"{subject}: domain is {options.domain!r}; a ROS domain from 0 to 232 is expected")
 

@@ -19,6 +19,15 @@ class QualityMonitor:
         self.lost = 0
         self.longest_row = 0
 
+    def lose(self, count: int) -> str | None:
+        """Several lost cycles at once; the first reason to stop, if there is one."""
+        for done in range(count):
+            reason = self.observe(lost=True)
+            if reason:
+                self.lost += count - done - 1
+                return reason
+        return None
+
     def observe(self, lost: bool) -> str | None:
         """One cycle; the reason to stop, in one sentence, if there is one."""
         self._count += 1

@@ -15,6 +15,8 @@ GID_BYTES = 16
 ATTACHMENT = struct.Struct(f"<qqB{GID_BYTES}s")
 """Sequence number, source time stamp [ns since the epoch], length of the GID, GID."""
 TOPIC = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
+NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+NOBODY = "nobody"
 QOS_SENSOR_DATA = "2::,1:,:,:,,"
 """Best effort, volatile, keep last 1; all else as ROS 2's default."""
 
@@ -58,6 +60,11 @@ def liveliness_token(
     """The key of the token that announces a publisher (kind MP) or a subscription (MS)."""
     parts = ["@ros2_lv", str(domain), session, "0", str(entity), kind, "%", "%", node]
     return "/".join([*parts, mangled("/" + topic.strip("/")), mangled(type_name), type_hash, QOS_SENSOR_DATA])
+
+
+def obedience_token(domain: int, topic: str, whom: str) -> str:
+    """Our own addition: the key of the token by which a base robot tells whose set points it takes (a GID, or NOBODY)."""
+    return f"freeflyer/obeys/{domain}/{mangled(topic.strip('/'))}/{whom}"
 
 
 def session_of(token: str) -> str:

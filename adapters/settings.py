@@ -5,12 +5,13 @@ They are ports like an FMU's parameters, so that units, references ("=COMPONENT.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from cosim.component import Port
+from adapters.device import DeviceError
+from cosim.component import Array, Port
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,6 +25,22 @@ class Setting:
     effect: str = ""
     per_joint: bool = False
     boolean: bool = False
+    above: float | None = 0.0
+    """Every value is greater than this; None: any."""
+    whole: bool = False
+    most: float = 1e6
+
+    def check(self, device: str, values: Array) -> None:
+        """DeviceError for a value out of range: names, number, unit."""
+        for value in values:
+            unit = f" {self.unit}" if self.unit and " " not in self.unit else ""
+            if self.whole and value != int(value):
+                raise DeviceError(f"{device}.{self.name} is {value:g}; a whole number is expected")
+            if self.above is not None and not self.above < value:
+                least = "0 or more" if self.whole and self.above == -1 else f"more than {self.above:g}{unit}"
+                raise DeviceError(f"{device}.{self.name} is {value:g}{unit}; {least} is expected")
+            if not abs(value) <= self.most:
+                raise DeviceError(f"{device}.{self.name} is {value:g}{unit}; at most {self.most:g} is expected")
 
     def port(self, joints: int) -> Port:
         start = self.default * joints if self.per_joint else self.default
@@ -38,60 +55,66 @@ class Setting:
         )
 
 
+def check(device: str, settings: Sequence[Setting], values: Mapping[str, Array]) -> None:
+    """Every setting within its range; DeviceError if not."""
+    for setting in settings:
+        setting.check(device, values[setting.name])
+
+
 def ports(settings: Sequence[Setting], joints: int = 0) -> list[Port]:
     return [setting.port(joints) for setting in settings]
 
 
 ARM = (
-    Setting(name="period", default=(0.001,), unit="s", description="Cycle of the arm's state frames, and its communication step"),
+    Setting(name="period", most=1.0, default=(0.001,), unit="s", description="Cycle of the arm's state frames, and its communication step"),
     Setting(name="joint_effort_limit", default=(10.0,), per_joint=True, unit="N.m", effect="clips",
             description="Largest commanded joint torque"),
     Setting(name="torque_rate_limit", default=(1000.0,), per_joint=True, unit="N.m/s", effect="clips",
             description="Largest rate of commanded joint torque (1 kN m/s: libfranka's)"),
     Setting(name="joint_velocity_limit", default=(1.0,), per_joint=True, unit="rad/s", effect="stops",
             description="Largest measured joint speed"),
-    Setting(name="joint_lower_limit", default=(-np.pi,), per_joint=True, unit="rad", effect="stops",
+    Setting(name="joint_lower_limit", above=None, default=(-np.pi,), per_joint=True, unit="rad", effect="stops",
             description="Least measured joint position"),
-    Setting(name="joint_upper_limit", default=(np.pi,), per_joint=True, unit="rad", effect="stops",
+    Setting(name="joint_upper_limit", above=None, default=(np.pi,), per_joint=True, unit="rad", effect="stops",
             description="Largest measured joint position"),
-    Setting(name="joint_limit_margin", default=(0.02,), unit="rad", effect="stops",
+    Setting(name="joint_limit_margin", above=-1e-12, most=1.0, default=(0.02,), unit="rad", effect="stops",
             description="How far from the ends of the joint range it stops"),
-    Setting(name="state_age_limit", default=(0.02,), unit="s", effect="stops",
+    Setting(name="state_age_limit", most=60.0, default=(0.02,), unit="s", effect="stops",
             description="Largest age of the last accepted state frame"),
-    Setting(name="lost_consecutive", default=(20.0,), unit=None, effect="stops",
+    Setting(name="lost_consecutive", whole=True, default=(20.0,), unit=None, effect="stops",
             description="Lost cycles in a row (libfranka: 20)"),
-    Setting(name="lost_in_window", default=(0.0,), unit=None, effect="stops",
+    Setting(name="lost_in_window", whole=True, above=-1, default=(0.0,), unit=None, effect="stops",
             description="Lost cycles within the window; 0: off"),
-    Setting(name="window", default=(0.2,), unit="s", description="Window of lost_in_window"),
-    Setting(name="start_joint_position", default=(0.0,), per_joint=True, unit="rad",
+    Setting(name="window", most=60.0, default=(0.2,), unit="s", description="Window of lost_in_window"),
+    Setting(name="start_joint_position", above=None, default=(0.0,), per_joint=True, unit="rad",
             description="Where the scenario expects the joints at activation"),
     Setting(name="start_tolerance", default=(0.02,), unit="rad", effect="refuses",
             description="Largest distance of a joint from there"),
-    Setting(name="ramp_down_time", default=(0.25,), unit="s", description="Damped ramp-down: time until the torque is gone"),
-    Setting(name="ramp_down_damping", default=(5.0,), unit="N.m.s/rad", description="Damped ramp-down: torque against joint speed"),
-    Setting(name="configure_timeout", default=(3.0,), unit="s", description="How long the arm may take to answer at first"),
+    Setting(name="ramp_down_time", most=60.0, default=(0.25,), unit="s", description="Damped ramp-down: time until the torque is gone"),
+    Setting(name="ramp_down_damping", above=-1e-12, most=1e4, default=(5.0,), unit="N.m.s/rad", description="Damped ramp-down: torque against joint speed"),
+    Setting(name="configure_timeout", most=3600.0, default=(3.0,), unit="s", description="How long the arm may take to answer at first"),
 )  # fmt: skip
 
 BASE = (
-    Setting(name="period", default=(0.001,), unit="s", description="Communication step: how often the freshest sample is read"),
-    Setting(name="cycle", default=(0.004,), unit="s", description="Cycle of set points and measurements"),
-    Setting(name="workspace_lower", default=(-0.5, -0.5, -0.5), unit="m", effect="stops", description="Least set-point position"),
-    Setting(name="workspace_upper", default=(0.5, 0.5, 0.5), unit="m", effect="stops", description="Largest set-point position"),
+    Setting(name="period", most=1.0, default=(0.001,), unit="s", description="Communication step: how often the freshest sample is read"),
+    Setting(name="cycle", most=1.0, default=(0.004,), unit="s", description="Cycle of set points and measurements"),
+    Setting(name="workspace_lower", above=None, default=(-0.5, -0.5, -0.5), unit="m", effect="stops", description="Least set-point position"),
+    Setting(name="workspace_upper", above=None, default=(0.5, 0.5, 0.5), unit="m", effect="stops", description="Largest set-point position"),
     Setting(name="velocity_limit", default=(0.2, 0.5), unit="m/s rad/s", effect="stops", description="Largest set-point speeds"),
     Setting(name="step_limit", default=(0.002, 0.005), unit="m rad", effect="stops",
             description="Largest change of the set point from one cycle to the next"),
-    Setting(name="following_error_limit", default=(0.05, 0.1), unit="m rad", effect="stops",
+    Setting(name="following_error_limit", default=(0.01, 0.02), unit="m rad", effect="stops",
             description="Largest distance of the measured pose from the set point"),
-    Setting(name="age_limit", default=(0.02,), unit="s", effect="stops", description="Largest age of the last accepted sample"),
-    Setting(name="lost_consecutive", default=(2.0,), unit=None, effect="stops",
+    Setting(name="age_limit", most=60.0, default=(0.02,), unit="s", effect="stops", description="Largest age of the last accepted sample"),
+    Setting(name="lost_consecutive", whole=True, default=(2.0,), unit=None, effect="stops",
             description="Lost cycles in a row (KUKA's external control: 2)"),
-    Setting(name="lost_in_window", default=(3.0,), unit=None, effect="stops", description="Lost cycles within the window; 0: off"),
-    Setting(name="window", default=(0.2,), unit="s", description="Window of lost_in_window"),
-    Setting(name="start_position", default=(0.0, 0.0, 0.0), unit="m", description="Where the scenario expects the base at activation"),
-    Setting(name="start_orientation", default=(0.0, 0.0, 0.0, 1.0), unit="1", description="Its orientation there, quaternion x, y, z, w"),
+    Setting(name="lost_in_window", whole=True, above=-1, default=(3.0,), unit=None, effect="stops", description="Lost cycles within the window; 0: off"),
+    Setting(name="window", most=60.0, default=(0.2,), unit="s", description="Window of lost_in_window"),
+    Setting(name="start_position", above=None, default=(0.0, 0.0, 0.0), unit="m", description="Where the scenario expects the base at activation"),
+    Setting(name="start_orientation", above=None, default=(0.0, 0.0, 0.0, 1.0), unit="1", description="Its orientation there, quaternion x, y, z, w"),
     Setting(name="start_tolerance", default=(0.005, 0.01), unit="m rad", effect="refuses",
             description="Largest distance of the base from there"),
-    Setting(name="approach", boolean=True, default=(0.0,), unit=None, description="A base further away is brought there by a ramp, arm braked"),
+    Setting(name="approach", above=None, boolean=True, default=(0.0,), unit=None, description="A base further away is brought there by a ramp, arm braked"),
     Setting(name="approach_speed", default=(0.02, 0.05), unit="m/s rad/s", description="Speeds of that ramp, and of taking off what is within tolerance"),
-    Setting(name="configure_timeout", default=(3.0,), unit="s", description="How long the base may take to answer at first"),
+    Setting(name="configure_timeout", most=3600.0, default=(3.0,), unit="s", description="How long the base may take to answer at first"),
 )  # fmt: skip

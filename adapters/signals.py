@@ -54,6 +54,15 @@ def _conversion(signal: Any, unit: str | None, path: Path) -> float:
         raise DeviceError(f"DBC {path}: signal {signal.name} is in {signal.unit!r}; {unit} is expected ({error})") from error
 
 
+def occupied_bits(signal: Any) -> set[int]:
+    """Bits of the frame, counted through its bytes from each byte's least significant one."""
+    if signal.byte_order == "little_endian":
+        return set(range(signal.start, signal.start + signal.length))
+    byte, bit = divmod(int(signal.start), 8)
+    from_top = 8 * byte + 7 - bit
+    return {8 * (k // 8) + 7 - k % 8 for k in range(from_top, from_top + signal.length)}
+
+
 def load(path: Path) -> Any:
     """A cantools database; DeviceError with one sentence for a file that is none."""
     try:

@@ -19,7 +19,8 @@ from adapters.limits import BaseLimits
 from adapters.link_options import LinkOptions
 from adapters.pose import distance, twist_rotated
 from adapters.quality import QualityMonitor
-from adapters.zenoh_link import Counts, OdometryLink, Received, open_session
+from adapters.rmw_zenoh import NOBODY
+from adapters.zenoh_link import Counts, OdometryLink, Received, is_usable, open_session
 from cosim.component import Array, Port
 
 PATIENCE = 1.75
@@ -70,6 +71,9 @@ class ZenohBase:
 
     def configure(self) -> None:
         v, o = self.values, self.options
+        all_settings.check(self.name, all_settings.BASE, v)
+        if not v["start_orientation"].any():
+            raise DeviceError(f"{self.name}.start_orientation is all zero; a quaternion x, y, z, w of norm one is expected")
         cycle = float(v["cycle"][0])
         self._ratio = round(cycle / self.step)
         if self._ratio < 1 or abs(self._ratio * self.step - cycle) > 1e-9:
@@ -102,7 +106,18 @@ class ZenohBase:
                 f"{self.name}: session {others[0]} commands topic {o.setpoint_topic} already; this is session {self._link.identity}: "
                 f"stop that one first"
             )
+        self._refuse_another_controller()
         self.state.to(LifeCycle.inactive)
+
+    def _refuse_another_controller(self) -> str | None:
+        """Whom the base obeys, where it tells; DeviceError if that is somebody else."""
+        assert self._link is not None
+        obeyed = self._link.obeyed()
+        if obeyed not in (None, NOBODY, self._link.gid):
+            raise DeviceError(
+                f"{self.name} obeys publisher {obeyed} already; this is publisher {self._link.gid}: stop that one first"
+            )
+        return obeyed
 
     @property
     def _start(self) -> tuple[Array, Array]:
@@ -132,6 +147,7 @@ class ZenohBase:
         v, start = self.values, self._start
         assert self._link is not None
         self._newest()
+        self._be_obeyed()
         if not self._is_at_start:
             self._approach(start, asked_to_stop)
         measured = Rotation.from_quat(v["base_orientation"])
@@ -139,10 +155,28 @@ class ZenohBase:
             v["base_position"] - start[0],
             (measured * Rotation.from_quat(start[1]).inv()).as_rotvec(),
         )
-        self._sent = None
         self._link.counts = Counts()
         self._publish(v["base_position"].copy(), v["base_orientation"].copy(), np.zeros(6))
+        self._sequence = 0
         self.state.to(LifeCycle.active)
+
+    def _be_obeyed(self) -> None:
+        """Set points that are where the base is, until a base that tells whom it obeys says that it takes them."""
+        assert self._link is not None
+        v, cycle = self.values, float(self.values["cycle"][0])
+        self._publish(v["base_position"].copy(), v["base_orientation"].copy(), np.zeros(6))
+        if self._refuse_another_controller() is None:
+            return
+        end = time.monotonic() + float(v["configure_timeout"][0])
+        while self._refuse_another_controller() != self._link.gid:
+            if time.monotonic() > end:
+                raise DeviceError(
+                    f"{self.name} does not take set points of {self.options.setpoint_topic}, although they are where it stands: "
+                    f"it hears no or other messages, or refuses them"
+                )
+            self._take()
+            self._publish(v["base_position"].copy(), v["base_orientation"].copy(), np.zeros(6))
+            time.sleep(cycle)
 
     def _approach(self, start: tuple[Array, Array], asked_to_stop: Callable[[], bool]) -> None:
         """Set points from the measured pose to the start, no faster than `approach_speed`."""
@@ -162,6 +196,9 @@ class ZenohBase:
             position = first + share * path
             orientation = (Rotation.from_rotvec(share * turn.as_rotvec()) * begin).as_quat()
             moving = np.concatenate([path, turn.as_rotvec()]) / duration if i < count else np.zeros(6)
+            reason = self.limits.setpoint(position, orientation, moving, self._sent)
+            if reason:
+                raise DeviceError(f"{self.name}: the approach to the start pose was given up: {reason}")
             self._publish(position, orientation, moving)
             deadline += cycle
             time.sleep(max(0.0, deadline - time.monotonic()))
@@ -169,8 +206,10 @@ class ZenohBase:
             reason = self.limits.measured(v["base_position"], v["base_orientation"], (position, orientation))
             if time.monotonic_ns() - self._arrived > self._age_limit:
                 reason = f"no measurement for {(time.monotonic_ns() - self._arrived) * 1e-9:.3g} s"
-            if reason or asked_to_stop():
-                raise DeviceError(f"{self.name}: the approach to the start pose was given up: {reason or 'interrupted'}")
+            if reason:
+                raise DeviceError(f"{self.name}: the approach to the start pose was given up: {reason}")
+            if asked_to_stop():
+                return  # the loop ends before its first instant; the base holds where it is
             gap = distance(v["base_position"], v["base_orientation"], *start)
             if i > count and all(size < 0.5 * most for size, most in zip(gap, v["start_tolerance"], strict=True)):
                 return
@@ -185,8 +224,8 @@ class ZenohBase:
         reason = None
         if came:
             # What was missed shows in the sequence numbers, unless it was counted as silence already.
-            for _ in range(self._sequence - before - 1 - self._silent):
-                reason = self.monitor.observe(lost=True) or reason
+            missing = self._sequence - before - 1 - self._silent if before else 0
+            reason = self.monitor.lose(max(missing, 0))
             self._silent = 0
             self.monitor.observe(lost=False)
         if self._steps % self._ratio and not reason:
@@ -276,16 +315,11 @@ class ZenohBase:
 
     def _take(self) -> bool:
         assert self._link is not None
-        received: Received | None = self._link.receive()
+        received: Received | None = self._link.receive(is_usable)
         if received is None:
             return False
         odometry, v = received.odometry, self.values
         orientation = odometry.orientation
-        finite = np.isfinite(odometry.position).all() and np.isfinite(odometry.velocity).all()
-        if not finite or not 0.98 < float(orientation @ orientation) < 1.02:
-            self._link.counts.malformed += 1
-            self._link.counts.last_fault = f"position {odometry.position}, orientation {orientation}"
-            return False
         v["base_position"][:] = odometry.position
         v["base_orientation"][:] = orientation
         v["base_velocity"][:] = twist_rotated(orientation, odometry.velocity)

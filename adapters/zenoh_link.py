@@ -5,10 +5,11 @@ from __future__ import annotations
 import contextlib
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
 import zenoh
 
 from adapters import rmw_zenoh, ros_messages
@@ -52,6 +53,12 @@ def _said(error: Exception) -> str:
     return " ".join(str(error).split(" at ")[0].split())[:200]
 
 
+def is_usable(odometry: Odometry) -> bool:
+    """Finite numbers, and an orientation that is one."""
+    finite = np.isfinite(odometry.position).all() and np.isfinite(odometry.velocity).all()
+    return bool(finite) and 0.98 < float(odometry.orientation @ odometry.orientation) < 1.02
+
+
 @dataclass
 class Received:
     """The freshest sample, and when it came [ns of CLOCK_MONOTONIC]."""
@@ -71,6 +78,8 @@ class Counts:
     """Repeated, reordered or older than the one before."""
     strangers: int = 0
     """From another publisher than the one in use."""
+    failed: int = 0
+    """Samples that Zenoh did not take for sending."""
     last_fault: str = ""
 
 
@@ -88,6 +97,18 @@ class OdometryLink:
         o = self.options
         self._session_id = str(self.session.zid())
         keys = {t: rmw_zenoh.topic_key(o.domain, t, ros_messages.TYPE_NAME, ros_messages.TYPE_HASH) for t in self._topics}
+        try:
+            self._declare(keys)
+        except zenoh.ZError as error:
+            raise DeviceError(f"Zenoh refuses a topic: {_said(error)}") from error
+        self._writer = OdometryWriter(o.frame, o.child_frame)
+        self._sequence = 0
+        self._source: bytes | None = None
+        self._last: Attachment | None = None
+        self._told = ""
+        self._obedience: Any = None
+
+    def _declare(self, keys: Mapping[str, str]) -> None:
         self._subscriber = self.session.declare_subscriber(keys[self.in_topic], zenoh.handlers.RingChannel(1))
         self._publisher = self.session.declare_publisher(
             keys[self.out_topic],
@@ -98,10 +119,6 @@ class OdometryLink:
         tokens = [self._token(self.out_topic, "MP", 1), self._token(self.in_topic, "MS", 2)]
         self._tokens = [self.session.liveliness().declare_token(token) for token in tokens]
         self._gid = rmw_zenoh.gid_of(tokens[0])
-        self._writer = OdometryWriter(o.frame, o.child_frame)
-        self._sequence = 0
-        self._source: bytes | None = None
-        self._last: Attachment | None = None
 
     @property
     def _topics(self) -> tuple[str, str]:
@@ -118,6 +135,11 @@ class OdometryLink:
             type_name=ros_messages.TYPE_NAME,
             type_hash=ros_messages.TYPE_HASH,
         )
+
+    @property
+    def gid(self) -> str:
+        """By which samples of this publisher are known."""
+        return self._gid.hex()
 
     @property
     def identity(self) -> str:
@@ -138,10 +160,38 @@ class OdometryLink:
         stamp = time.time_ns()
         self._sequence += 1
         payload = self._writer.write(stamp, position, orientation, twist_rotated(orientation, velocity, back=True))
-        self._publisher.put(payload, attachment=Attachment(self._sequence, stamp, self._gid).pack())
+        try:
+            self._publisher.put(payload, attachment=Attachment(self._sequence, stamp, self._gid).pack())
+        except zenoh.ZError as error:
+            self.counts.failed += 1
+            self.counts.last_fault = _said(error)
 
-    def receive(self) -> Received | None:
-        """The freshest sample since the last call, if there is one that can be used; never waits."""
+    def obeyed(self) -> str | None:
+        """Whose set points the base robot takes: a GID, NOBODY, or None from one that does not tell."""
+        key = rmw_zenoh.obedience_token(self.options.domain, self.options.setpoint_topic, "*")
+        found = [
+            str(reply.ok.key_expr).rsplit("/", 1)[1]
+            for reply in self.session.liveliness().get(key, timeout=1.0)
+            if reply.ok is not None
+        ]
+        # While the token changes there may be two; somebody's name says more than nobody's.
+        return next((whom for whom in found if whom != rmw_zenoh.NOBODY), found[0] if found else None)
+
+    def tell_obeyed(self) -> None:
+        """Declare whose set points are taken, if that has changed: the source in use."""
+        whom = rmw_zenoh.NOBODY if self._source is None else self._source.hex()
+        if whom != self._told:
+            before, self._told = self._obedience, whom
+            key = rmw_zenoh.obedience_token(self.options.domain, self.options.setpoint_topic, whom)
+            self._obedience = self.session.liveliness().declare_token(key)
+            if before is not None:
+                before.undeclare()
+
+    def receive(self, judge: Callable[[Odometry], bool]) -> Received | None:
+        """The freshest sample since the last call, if there is one that can be used and `judge` agrees; never waits.
+
+        The first such sample's publisher is the only one that is listened to from then on.
+        """
         sample = self._subscriber.try_recv()
         if sample is None:
             return None
@@ -161,6 +211,10 @@ class OdometryLink:
             self.counts.stale += 1
             self.counts.last_fault = f"sequence number {attachment.sequence} after {last.sequence}"
             return None
+        if not judge(odometry):
+            self.counts.malformed += 1
+            self.counts.last_fault = f"a pose or twist that cannot be used: {odometry.position}, {odometry.orientation}"
+            return None
         if last is not None:
             self.counts.skipped += attachment.sequence - last.sequence - 1
         self._source, self._last = attachment.gid, attachment
@@ -172,7 +226,7 @@ class OdometryLink:
         self._source = self._last = None
 
     def close(self) -> None:
-        for token in self._tokens:
+        for token in (*self._tokens, *([self._obedience] if self._obedience is not None else [])):
             with contextlib.suppress(zenoh.ZError):
                 token.undeclare()
         for declared in (self._publisher, self._subscriber):

@@ -317,12 +317,20 @@ def _nothing() -> None:
     pass
 
 
+_noted: list[list[float]] = []
+"""The list of the outermost `interrupts`, while there is one."""
+
+
 @contextmanager
 def interrupts() -> Iterator[list[float]]:
-    """Ctrl-C and SIGTERM as a list that fills, so that a run ends between two instants.
+    """Ctrl-C and SIGTERM as a list that fills, so that a run ends between two instants. Nested ones share one list: what came
+    before a run began ends it at its first instant.
 
     Another one, more than two seconds after the first, interrupts for good: somebody waits for a component that hangs.
     """
+    if _noted:
+        yield _noted[0]
+        return
     seen: list[float] = []
     if threading.current_thread() is not threading.main_thread():
         yield seen
@@ -334,8 +342,10 @@ def interrupts() -> Iterator[list[float]]:
             raise KeyboardInterrupt
 
     before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
+    _noted.append(seen)
     try:
         yield seen
     finally:
+        _noted.clear()
         for number, handler in before.items():
             signal.signal(number, handler)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adapters.arm_frames import CYCLES, Mode
+from adapters.arm_frames import Mode
 from adapters.device import LifeCycle, State
 from adapters.ramp_down import RampDown
 from cosim.component import Array
@@ -28,10 +28,13 @@ class Command:
 
 class ArmLogic:
     """`watchdog` [cycles]: age of the last command at which the arm goes to safe stop; `silence` [cycles] after which it forgets
-    its controller.
+    its controller; cycle numbers count modulo `cycles`.
     """
 
-    def __init__(self, joints: int, *, cycle: float, watchdog: int, silence: int, ramp: RampDown) -> None:
+    def __init__(
+        self, joints: int, *, cycle: float, watchdog: int, silence: int, ramp: RampDown, cycles: int = 1 << 24
+    ) -> None:
+        self.cycles = cycles
         self.period, self.watchdog, self.silence, self.ramp = cycle, watchdog, silence, ramp
         self.life = State("the virtual arm")
         self.life.to(LifeCycle.inactive)
@@ -46,15 +49,15 @@ class ArmLogic:
         self.total_lost = 0
         self.was_active = False
         self.events: list[tuple[int, str]] = []
-        self._heard = 0
+        self._quiet = 0
         self._answered = 0
-        self._stopping_since = 0
+        self._stopping = 0
         self._stopping_torque = np.zeros(joints)
 
     @property
     def command_age(self) -> int:
         """Cycles between the last state frame and the one that the last command answered."""
-        return (self.cycle - self._answered - 1) % CYCLES if self.was_active else 0
+        return (self.cycle - self._answered - 1) % self.cycles if self.was_active else 0
 
     @property
     def session_is_over(self) -> bool:
@@ -69,21 +72,23 @@ class ArmLogic:
         for command in commands:
             self._obey(command)
         if self.life.now is LifeCycle.active:
-            age = (self.cycle - self._answered) % CYCLES
+            age = (self.cycle - self._answered) % self.cycles
             if age >= 1:
                 self.lost += 1
                 self.total_lost += 1
             if age >= self.watchdog:
                 self._stop(f"no command for {age} cycles")
         if self.life.now is LifeCycle.safe_stop and not self.braked:
-            elapsed = (self.cycle - self._stopping_since) % CYCLES * self.period
+            elapsed = self._stopping * self.period
+            self._stopping += 1
             self.torque = self.ramp.torque(self._stopping_torque, velocity, elapsed)
             if self.ramp.over(velocity, elapsed):
                 self._brake()
-        if self.controller and (self.cycle - self._heard) % CYCLES > self.silence:
+        self._quiet += 1
+        if self.controller and self._quiet > self.silence:
             self._note(f"controller {self.controller} is silent")
             self.controller = 0
-        self.cycle = (self.cycle + 1) % CYCLES
+        self.cycle = (self.cycle + 1) % self.cycles
 
     def _obey(self, command: Command) -> None:
         if command.controller == 0 or (self.controller and command.controller != self.controller):
@@ -92,8 +97,8 @@ class ArmLogic:
         if not self.controller:
             self.controller = command.controller
             self._note(f"obeys controller {self.controller}")
-        self._heard = self.cycle
-        age = (self.cycle - command.answered) % CYCLES
+        self._quiet = 0
+        age = (self.cycle - command.answered) % self.cycles
         if command.mode is Mode.reset and self.life.now in (LifeCycle.safe_stop, LifeCycle.fault) and self.braked:
             self._to(LifeCycle.inactive, "reset")
         elif command.mode is Mode.brake and self.life.now in (LifeCycle.active, LifeCycle.safe_stop):
@@ -105,10 +110,11 @@ class ArmLogic:
                 self._to(LifeCycle.active, "commanded")
                 self.braked, self.was_active, self.lost = False, True, 0
                 self._answered = command.answered
-            if self.life.now is LifeCycle.active:
+            # One that answers an older cycle than the last one is not used: it came late, or out of order.
+            older = (command.answered - self._answered) % self.cycles >= self.cycles // 2
+            if self.life.now is LifeCycle.active and not older:
                 self.torque = command.torque
-                if (command.answered - self._answered) % CYCLES < CYCLES // 2:
-                    self._answered = self.echoed = command.answered
+                self._answered = self.echoed = command.answered
 
     def fail(self, reason: str) -> None:
         """The arm itself has failed: brakes, and fault."""
@@ -117,7 +123,7 @@ class ArmLogic:
 
     def _stop(self, reason: str) -> None:
         self._to(LifeCycle.safe_stop, reason)
-        self._stopping_since = self.cycle
+        self._stopping = 0
         self._stopping_torque = self.torque.copy()
 
     def _brake(self) -> None:

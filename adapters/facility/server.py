@@ -124,19 +124,21 @@ class Facility:
                 self.devices.append(
                     _virtual(spec.name, spec.kind, spec.options, scenario.directory, self.settings, self.period)
                 )
+            with self._models():
+                pass  # what cannot be put together is refused now, and not when somebody connects
         except BaseException:
             self.close()
             raise
 
-    def run(self, say: Callable[[str], None]) -> None:
-        """Until Ctrl-C or SIGTERM."""
+    def run(self, say: Callable[[str], None]) -> Outcome:
+        """Until Ctrl-C or SIGTERM, or until a model fails; the last session's outcome."""
         while True:
             outcome = self._session(say)
             self.sessions += 1
             if outcome.failed or outcome.diverged:
                 say(f"the model failed: {outcome.cause}")
             if outcome.interrupted or outcome.failed or outcome.diverged:
-                return
+                return outcome
             say("the controller has gone; the robots return to their start poses")
 
     def _session(self, say: Callable[[str], None]) -> Outcome:

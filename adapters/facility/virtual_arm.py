@@ -11,7 +11,7 @@ import can
 import numpy as np
 
 from adapters import arm_options
-from adapters.arm_frames import CYCLES, LIMIT_ROLES, ArmFrames
+from adapters.arm_frames import LIMIT_ROLES, ArmFrames
 from adapters.arm_link import Receiver, Sender, open_bus
 from adapters.device import LifeCycle
 from adapters.facility.arm_logic import ArmLogic, Command
@@ -57,6 +57,7 @@ class VirtualArm:
             cycle=self.period,
             watchdog=s.arm_watchdog_cycles,
             silence=round(s.forget_after_s / self.period),
+            cycles=self.frames.cycles,
             ramp=RampDown(time=s.ramp_down_time_s, damping=s.ramp_down_damping),
         )
 
@@ -130,7 +131,7 @@ class VirtualArm:
     def report(self) -> Mapping[str, float]:
         rejected = sum(n for why, n in self._receiver.rejected.items() if not why.startswith("("))
         return {
-            "cycle": float(self.logic.cycle % CYCLES),
+            "cycle": float(self.logic.cycle),
             "state_frames_sent": float(self._sender.sent),
             "commands_accepted": float(self._receiver.accepted),
             "commands_rejected": float(rejected),

@@ -14,8 +14,9 @@ from adapters.facility.base_logic import BaseLogic
 from adapters.facility.settings import FacilitySettings
 from adapters.histogram import Histogram
 from adapters.pose import twist_rotated
+from adapters.ros_messages import Odometry
 from adapters.zenoh_base import TWIST
-from adapters.zenoh_link import OdometryLink, open_session
+from adapters.zenoh_link import OdometryLink, is_usable, open_session
 from cosim.component import Array, Port
 
 
@@ -53,21 +54,24 @@ class VirtualBase:
         """The model's start pose, which is held until set points come."""
         self.logic = self._new_logic()
         self._link.forget_source()
+        self._link.tell_obeyed()
         self._pose = (parameters["true_position"].copy(), parameters["true_orientation"].copy())
         self.logic.hold(*self._pose)
 
     def receive(self, values: Mapping[str, Array]) -> None:
-        received = self._link.receive()
-        if received is not None:
-            odometry = received.odometry
-            velocity = odometry.velocity
-            if np.isfinite(velocity).all() and 0.98 < float(odometry.orientation @ odometry.orientation) < 1.02:
-                velocity = twist_rotated(odometry.orientation, velocity)
-            self.logic.take(odometry.position, odometry.orientation, velocity, self._pose)
+        if self._link.receive(self._take) is not None:
+            self._link.tell_obeyed()
         self.logic.tick()
         values["position_setpoint"][:] = self.logic.position
         values["orientation_setpoint"][:] = self.logic.orientation
         values["velocity_setpoint"][:] = self.logic.velocity
+
+    def _take(self, odometry: Odometry) -> bool:
+        """Only a publisher whose set point is followed is listened to."""
+        if not is_usable(odometry):
+            return False
+        velocity = twist_rotated(odometry.orientation, odometry.velocity)
+        return self.logic.take(odometry.position, odometry.orientation, velocity, self._pose)
 
     def send(self, values: Mapping[str, Array]) -> None:
         position, orientation = values["base_position"], values["base_orientation"]
@@ -93,7 +97,7 @@ class VirtualBase:
         return {
             "setpoints_accepted": float(counts.accepted),
             "setpoints_skipped": float(counts.skipped),
-            "setpoints_refused": float(counts.malformed + counts.stale + counts.strangers + self.logic.refused),
+            "setpoints_refused": float(counts.malformed + counts.stale + counts.strangers),
             "active": float(self.logic.life.now is LifeCycle.active),
         }
 
