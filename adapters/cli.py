@@ -6,6 +6,7 @@ import argparse
 import json
 import time
 from collections.abc import Mapping
+from contextlib import closing
 from pathlib import Path
 
 from rich.console import Console
@@ -75,22 +76,21 @@ class FacilityCommand:
         def say(text: str) -> None:
             console.print(f"{time.strftime('%H:%M:%S')}  {text}", soft_wrap=True)
 
-        with interrupts():
+        try:
             pacing.prepare_links(arguments.real_time)
             facility = Facility(chosen, arguments.fmi)
-            try:
+            with interrupts(), closing(facility):
                 say("real time: " + ", ".join(pacing.enter_real_time(arguments.real_time)))
                 say(
                     f"the facility of scenario {chosen.name} is there: {', '.join(d.name for d in facility.devices)}; Ctrl-C ends it"
                 )
                 with pacing.no_collection():
                     outcome = facility.run(say)
-            finally:
-                pacing.leave_real_time()
-                facility.close()
-                report = facility.report()
-                if arguments.out:
-                    write_text(arguments.out / "facility.json", json.dumps(report, indent=2) + "\n")
+        finally:
+            pacing.leave_real_time()
+        report = facility.report()
+        if arguments.out:
+            write_text(arguments.out / "facility.json", json.dumps(report, indent=2) + "\n")
         console.print(times_table(report["times"]))
         console.print(counts_table(report["devices"]))
         if outcome.failed or outcome.diverged:

@@ -30,6 +30,8 @@ FRAME = struct.Struct("=IBBBB64s")
 EXTENDED, REMOTE, ERROR = 0x80000000, 0x40000000, 0x20000000
 BIT_RATE_SWITCH, ERROR_STATE, FD_FORMAT = 0x01, 0x02, 0x04
 CHANNEL = re.compile(r"[A-Za-z0-9._-]{1,32}")
+IGNORED = ("bitrate", "data_bitrate", "timing", "state", "single_handle", "ignore_config")
+"""Settings of real interfaces that mean nothing here, and do no harm."""
 SO_TIMESTAMPNS = 35
 TIMESPEC = struct.Struct("=qq")
 
@@ -60,6 +62,9 @@ class LocalBus(BusABC):
         **kwargs: object,
     ) -> None:
         """`fd`: take part in CAN FD; a classic node neither sends nor sees FD frames. Raises CanInitializationError."""
+        unknown = sorted(set(kwargs) - set(IGNORED))
+        if unknown:
+            raise CanInitializationError(f"the local CAN interface has no setting {unknown[0]!r}")
         if not hasattr(socket, "SOCK_SEQPACKET") or not hasattr(select, "epoll"):
             raise CanInitializationError("the local CAN interface needs Linux")
         self.channel_info = f"local channel {channel!r}"

@@ -1,7 +1,8 @@
 """A model in the host's own process as a device: kind = "simulated". The loop is then paced by the wall clock, not by an arm.
 
 An arm model (one with `joint_torque_command` and `joint_velocity`) is braked until it is activated, keeps to the arm's limits, and is
-brought to rest as a real arm is.
+brought to rest as a real arm is; a base model (one with `position_setpoint`) keeps to the base's limits. Both start where the
+scenario says, so that there is nothing to compare at activation.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 from adapters import settings as all_settings
 from adapters.device import DeviceError, LifeCycle, SafeStop, State
 from adapters.histogram import Histogram
-from adapters.limits import ArmLimits
+from adapters.limits import ArmLimits, BaseLimits
 from adapters.options import known_keys
 from adapters.ramp_down import RampDown
 from cosim.assemble import find_fmu
@@ -33,12 +34,17 @@ class SimulatedDevice:
         self.name, self.model = name, model
         self.state = State(name)
         self.is_arm = {"joint_torque_command", "joint_velocity"} <= model.ports.keys()
+        self.is_base = {"position_setpoint", "orientation_setpoint", "velocity_setpoint", "base_position"} <= model.ports.keys()
         ports = {port.name: replace(port, sampled=port.causality == "output") for port in model.ports.values() if port.real}
         self._parameters = [port.name for port in ports.values() if port.settable]
         if self.is_arm:
             joints = model.ports["joint_torque_command"].size
             for port in all_settings.ports(all_settings.ARM, joints):
                 ports.setdefault(port.name, port)
+        if self.is_base:
+            for port in all_settings.ports(all_settings.BASE):
+                ports.setdefault(port.name, port)
+        self._sent: tuple[Array, Array] | None = None
         self._inputs = [port.name for port in ports.values() if port.causality == "input"]
         self._outputs = [port.name for port in ports.values() if port.causality == "output"]
         self.ports: Mapping[str, Port] = ports
@@ -68,8 +74,10 @@ class SimulatedDevice:
         self._hand_in()
         self.model.exit_initialization()
         self._hand_out()
+        v = self.values
+        if self.is_base:
+            self.base_limits = BaseLimits(v)
         if self.is_arm:
-            v = self.values
             self.limits = ArmLimits(v, self.step)
             self.ramp = RampDown(time=float(v["ramp_down_time"][0]), damping=float(v["ramp_down_damping"][0]))
         self.state.to(LifeCycle.inactive)
@@ -90,12 +98,23 @@ class SimulatedDevice:
                 raise SafeStop(self.name, reason)
 
     def write(self) -> None:
+        if self.is_base:
+            self._write_base()
         if not self.is_arm:
             return
         torque, reason = self.limits.command(self.values["joint_torque_command"], self._last_torque)
         if reason:
             raise SafeStop(self.name, reason)
         self._last_torque = torque
+
+    def _write_base(self) -> None:
+        v = self.values
+        position, orientation = v["position_setpoint"], v["orientation_setpoint"]
+        reason = self.base_limits.setpoint(position, orientation, v["velocity_setpoint"], self._sent)
+        self._sent = (position.copy(), orientation.copy())
+        reason = reason or self.base_limits.measured(v["base_position"], v["base_orientation"], self._sent)
+        if reason:
+            raise SafeStop(self.name, reason)
 
     def ramp_down(self, elapsed: float) -> bool:
         if not self.is_arm:

@@ -15,13 +15,14 @@ import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from cosim.errors import OutputError
+from cosim.errors import DONE, STOPPED, OutputError
 from cosim.experiment import Result
 from cosim.master import Outcome
 from cosim.record import Record
 from cosim.scenario import Scenario
 
 COMMAND = (sys.executable, "-m", "cosim.command")
+WRITTEN = ("record.parquet", "summary.json", "facility.json")
 CASES = ("facility", "facility_without_pc")
 
 
@@ -36,10 +37,15 @@ def run(scenario: Scenario, directory: Path, settings: Sequence[str] = ()) -> Re
         f'devices.base_robot.connect=["tcp/127.0.0.1:{_free_port()}"]',
     ]
     arguments = [scenario.name, *(word for setting in settings for word in ("--set", setting))]
+    for name in WRITTEN:  # what an earlier run has left must not be taken for this one's
+        with contextlib.suppress(FileNotFoundError):
+            (directory / name).unlink()
     with _facility([*COMMAND, "facility", *arguments, "--out", str(directory)]):
         loop = subprocess.run(
             [*COMMAND, "hil", *arguments, "--no-view", "--out", str(directory)], capture_output=True, text=True
         )
+    if loop.returncode not in (DONE, STOPPED):
+        raise OutputError(f"the loop of {scenario.name} did not run: {loop.stderr.strip()}")
     try:
         summary = json.loads((directory / "summary.json").read_text())
         record = Record.read(directory / "record.parquet")
