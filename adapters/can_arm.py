@@ -115,7 +115,7 @@ class CanArm:
         end = time.monotonic() + float(self.values["configure_timeout"][0])
         while True:
             message = self._received(end - time.monotonic())
-            if message is None:
+            if message is None or time.monotonic() > end:
                 raise DeviceError(self._silence("description", receiver))
             found = receiver.take(message)
             if found is not None:
@@ -161,6 +161,10 @@ class CanArm:
         while True:
             if not self._wait(end - time.monotonic()):
                 raise DeviceError(self._silence("state", self._states))
+            if time.monotonic() > end:
+                raise DeviceError(
+                    f"{self._where} sends its state, but does not take this controller's commands: it obeys {self._obeyed or 'nobody'}"
+                )
             self._refuse_another_controller()
             if self._obeyed == self.controller or "obeyed_controller" not in self.frames.state:
                 return
@@ -192,7 +196,7 @@ class CanArm:
             stopped = self._arm_state in (LifeCycle.safe_stop, LifeCycle.fault)
             self._released = True
             self._send(Mode.reset if stopped else Mode.torque, self._last_torque)
-            if not self._wait(end - time.monotonic()):
+            if not self._wait(end - time.monotonic()) or time.monotonic() > end:
                 raise DeviceError(
                     f"{self._where} does not become active; its state is {self._arm_state and self._arm_state.name}"
                 )

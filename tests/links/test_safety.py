@@ -240,3 +240,19 @@ def test_every_limit_has_a_default_a_unit_and_an_effect(setting: Setting) -> Non
         assert setting.effect in ("clips", "stops", "refuses")
     if setting.name.endswith(("limit", "tolerance", "speed", "time", "margin")):
         assert setting.unit
+
+
+@given(st.integers(1, 10**9), st.integers(1, 50))
+def test_a_gap_of_any_size_is_counted_in_no_time(gap: int, consecutive: int) -> None:
+    watched = monitor(consecutive, 0, 50)
+    reason = watched.lose(gap)
+    assert (reason is not None) == (gap >= consecutive)
+    assert watched.lost == gap
+
+
+@given(torques, torques, st.floats(1.0, 1e5))
+def test_whatever_was_sent_before_nothing_leaves_beyond_the_effort_limit(
+    wanted: np.ndarray, before: np.ndarray, rate: float
+) -> None:
+    sent, _ = arm(joint_effort_limit=10.0, torque_rate_limit=rate).command(wanted, before)
+    assert (np.abs(sent) <= 10.0).all()

@@ -210,3 +210,29 @@ def test_a_set_point_that_is_no_number_is_refused_and_the_last_one_held(bad: flo
     assert not robot.take(np.zeros(3), np.zeros(4), np.zeros(6), POSE)
     assert robot.position == pytest.approx(np.full(3, 0.001))
     assert robot.refused == 2
+
+
+def test_a_command_that_answers_an_older_cycle_than_the_last_one_is_not_used() -> None:
+    arm = active()
+    newer, older = command(arm, torque=1.0), command(arm, behind=1, torque=9.0)
+    arm.begin([newer, older], STILL)
+    assert (arm.torque == 1.0).all()
+
+
+@pytest.mark.parametrize("cycles", [64, 256])
+def test_a_narrow_cycle_number_runs_over_again_and_again(cycles: int) -> None:
+    arm = ArmLogic(N, cycle=1e-3, watchdog=4, silence=500, ramp=RampDown(time=0.25, damping=5.0), cycles=cycles)
+    for _ in range(1000):
+        arm.begin([command(arm)], STILL)
+        assert 0 <= arm.cycle < cycles
+    assert arm.life.now is LifeCycle.active
+    assert arm.lost == 0
+    for _ in range(4):
+        arm.begin([], STILL)
+    assert arm.life.now is LifeCycle.active
+    arm.begin([], STILL)
+    assert arm.life.now is LifeCycle.safe_stop
+    for _ in range(600):
+        arm.begin([], STILL)
+    assert arm.braked
+    assert arm.controller == 0
