@@ -227,7 +227,7 @@ def test_a_narrow_cycle_number_runs_over_again_and_again(cycles: int) -> None:
         assert 0 <= arm.cycle < cycles
     assert arm.life.now is LifeCycle.active
     assert arm.lost == 0
-    for _ in range(4):
+    for _ in range(3):
         arm.begin([], STILL)
     assert arm.life.now is LifeCycle.active
     arm.begin([], STILL)

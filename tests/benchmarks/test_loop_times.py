@@ -1,6 +1,6 @@
 """How late the loop wakes up beside a C loop in the same run, and the loop on the virtual facility for a minute.
 
-Run alone: `pytest -m benchmark -n 0 -s tests/benchmarks/test_real_time.py`.
+Run alone: `pytest -m benchmark -n 0 -s tests/benchmarks/test_loop_times.py`.
 """
 
 from __future__ import annotations
