@@ -354,7 +354,7 @@ class CanArm:
         self._cycle_number = int(numbers["cycle"][0])
         self._arrived = now
         self._answered = False
-        if "echoed_cycle" in numbers and self.state.now is LifeCycle.active:
+        if "echoed_cycle" in numbers and self.state.now is LifeCycle.active and self._arm_state in (LifeCycle.active, None):
             expected = (self._cycle_number - 1) % self.frames.cycles
             if int(numbers["echoed_cycle"][0]) != expected:
                 self.late_commands += 1

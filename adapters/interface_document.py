@@ -102,6 +102,12 @@ def _zenoh() -> Iterator[str]:
         "subscriptions announce themselves by rmw_zenoh's liveliness tokens (best effort, keep last 1)."
     )
     yield (
+        "\nOdometry does not say whether a set point is taken. So a base robot may tell it by a liveliness token of this project, "
+        f"`{rmw_zenoh.obedience_token(o.domain, o.setpoint_topic, 'GID')}` with the GID (hexadecimal) of the publisher that it obeys, or "
+        f"`{rmw_zenoh.NOBODY}`: the controller then is refused where another is obeyed, and activates the arm only once the base has taken its "
+        "set points. The virtual base robot does; without such a token (a plain ROS node) the limits on following error and age watch."
+    )
+    yield (
         f"\nSessions are peers that listen on {', '.join(f'`{e}`' for e in o.listen)} (the controller) and {', '.join(f'`{e}`' for e in o.connect)} "
         "(the virtual base robot, where the controller connects to) unless the scenario says otherwise. Multicast scouting and gossip "
         "are off: nobody is found who is not named."
