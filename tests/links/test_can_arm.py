@@ -300,3 +300,21 @@ def test_an_arm_far_from_the_start_is_refused_with_both_numbers(link: tuple[CanA
     arm.configure()
     with pytest.raises(DeviceError, match=r"joint 4 is at 0.3000 rad, the scenario starts at 0.0000 rad, and 0.02 rad"):
         arm.check_start()
+
+
+def test_a_state_frame_too_old_stops_with_its_age_and_limit(active: tuple[CanArm, ScriptedArm]) -> None:
+    arm, _ = active
+    arm.monitor = QualityMonitor("state frames of arm", consecutive=1000, cycle=1e-3)
+    with pytest.raises(SafeStop, match=r"the last state frame is 0\.021 s old, its limit is 0\.02 s"):  # noqa: PT012
+        for _ in range(30):
+            arm.read()
+
+
+def test_a_joint_too_fast_or_beyond_its_range_stops(active: tuple[CanArm, ScriptedArm]) -> None:
+    arm, there = active
+    there.send(joint_velocity=[0.0, 1.2, 0.0, 0.0, 0.0, 0.0])
+    with pytest.raises(SafeStop, match=r"joint 2 moves at 1\.2 rad/s, its limit is 1 rad/s"):
+        arm.read()
+    there.send(joint_position=[0.0, 0.0, 0.0, 0.0, 0.99, 0.0])
+    with pytest.raises(SafeStop, match=r"joint 5 is at 0\.99 rad, its range is -0\.98 to 0\.98 rad"):
+        arm.read()
