@@ -18,10 +18,10 @@ from cosim.errors import ScenarioError
 from cosim.graph import Connection
 from cosim.master import Limit
 from cosim.near import did_you_mean
+from cosim.raw_scenario import Raw, merged, override
 from cosim.units import factor
 
 SHIPPED = Path(__file__).parent / "scenarios"
-Raw = dict[str, Any]
 Step = int | str
 """Nanoseconds, or "=PARAMETER" (of the same component, in seconds)."""
 
@@ -78,8 +78,8 @@ def load(name: str, overrides: Sequence[str] = ()) -> Scenario:
     """A shipped scenario by name, or a TOML file by path, with `COMPONENT.PARAMETER=VALUE` overrides applied."""
     path = find(name)
     raw = _read(path, ())
-    for override in overrides:
-        _override(raw, override)
+    for text in overrides:
+        override(raw, text)
     return _Reader(path).scenario(raw)
 
 
@@ -112,94 +112,7 @@ def _read(path: Path, seen: tuple[Path, ...]) -> Raw:
         return raw
     if not isinstance(parent, str):
         raise ScenarioError(f"scenario {path}: 'extends' must be the name of a scenario, got {parent!r}")
-    return _merge(_read(find(parent, path.parent), (*seen, path)), raw)
-
-
-def _merge(base: Raw, change: Raw) -> Raw:
-    merged = dict(base)
-    for key in ("connections", "delayed"):
-        # A connection replaces the one that drove the same input; the others stay.
-        if isinstance(base.get(key), list):
-            merged[key] = [kept for text in base[key] for kept in _without(text, _driven(change))]
-    for key, value in change.items():
-        if key in ("connections", "delayed") and isinstance(value, list) and isinstance(merged.get(key), list):
-            merged[key] = [*merged[key], *value]
-            continue
-        if key == "devices" and isinstance(value, dict) and isinstance(merged.get(key), dict):
-            # A device of another kind has nothing in common with the one it replaces.
-            kept = {name: table for name, table in merged[key].items() if not _other_kind(table, value.get(name))}
-            merged[key] = _merge(kept, value)
-            continue
-        both_tables = isinstance(value, dict) and isinstance(merged.get(key), dict) and "value" not in value
-        merged[key] = _merge(merged[key], value) if both_tables else value
-    return merged
-
-
-def _other_kind(table: object, change: object) -> bool:
-    return isinstance(table, dict) and isinstance(change, dict) and change.get("kind", table.get("kind")) != table.get("kind")
-
-
-def _driven(raw: Raw) -> set[str]:
-    """The inputs that a file's own connections drive."""
-    texts = [text for key in ("connections", "delayed") if isinstance(raw.get(key), list) for text in raw[key]]
-    return {target.strip() for text in texts for target in str(text).partition("->")[2].split(",")}
-
-
-def _without(text: object, driven: set[str]) -> list[str]:
-    """A connection's text without the targets in `driven`; none if nothing is left."""
-    source, arrow, targets = str(text).partition("->")
-    left = [target.strip() for target in targets.split(",") if target.strip() not in driven]
-    return [f"{source.strip()} {arrow} {', '.join(left)}"] if left else []
-
-
-def _override(raw: Raw, text: str) -> None:
-    """COMPONENT.PARAMETER=VALUE; VALUE as in TOML, or a bare word, or a number with a unit ("300 ms")."""
-    target, equals, value = text.partition("=")
-    component, dot, parameter = target.strip().partition(".")
-    if equals and component in ("devices", "facility"):
-        _override_table(raw, text, target.strip().split("."), parse_value(value.strip()))
-        return
-    if equals and target.strip() == "stop_s":
-        raw["stop_s"] = parse_value(value.strip())
-        return
-    if not equals or not dot or not component or not parameter:
-        raise ScenarioError(f"--set {text}: COMPONENT.PARAMETER=VALUE is expected, for example base_controller.period=0.1")
-    components = raw.get("components", {})
-    if component not in components:
-        raise ScenarioError(f"--set {text}: there is no component {component!r}{did_you_mean(component, components)}")
-    parsed = parse_value(value.strip())
-    table = components[component]
-    if parameter == "step_s":
-        table["step_s"] = parsed
-    else:
-        table.setdefault("parameters", {})[parameter] = parsed
-
-
-def _override_table(raw: Raw, text: str, keys: Sequence[str], value: Any) -> None:
-    """devices.NAME.KEY=VALUE or facility.KEY=VALUE; a key may have further parts."""
-    if keys[0] == "devices" and (len(keys) < 3 or keys[1] not in raw.get("devices", {})):
-        names = ", ".join(raw.get("devices", {})) or "(none)"
-        raise ScenarioError(f"--set {text}: devices.NAME.KEY=VALUE is expected, NAME one of: {names}")
-    if not all(keys) or len(keys) < 2:
-        raise ScenarioError(f"--set {text}: {keys[0]}.KEY=VALUE is expected")
-    table = raw
-    for key in keys[:-1]:
-        table = table.setdefault(key, {})
-        if not isinstance(table, dict):
-            raise ScenarioError(f"--set {text}: {key!r} is no table, so that nothing can be set in it")
-    table[keys[-1]] = value
-
-
-def parse_value(text: str) -> Any:
-    try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
-        pass
-    number, _, unit = text.partition(" ")
-    try:
-        return {"value": float(number), "unit": unit.strip()} if unit else text
-    except ValueError:
-        return text
+    return merged(_read(find(parent, path.parent), (*seen, path)), raw)
 
 
 class _Reader:

@@ -1,0 +1,99 @@
+"""A scenario's tables before they are checked: what `extends` merges, and what `--set` changes."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Sequence
+from typing import Any
+
+from cosim.errors import ScenarioError
+from cosim.near import did_you_mean
+
+Raw = dict[str, Any]
+
+
+def merged(base: Raw, change: Raw) -> Raw:
+    result = dict(base)
+    for key in ("connections", "delayed"):
+        # A connection replaces the one that drove the same input; the others stay.
+        if isinstance(base.get(key), list):
+            result[key] = [kept for text in base[key] for kept in _without(text, _driven(change))]
+    for key, value in change.items():
+        if key in ("connections", "delayed") and isinstance(value, list) and isinstance(result.get(key), list):
+            result[key] = [*result[key], *value]
+            continue
+        if key == "devices" and isinstance(value, dict) and isinstance(result.get(key), dict):
+            # A device of another kind has nothing in common with the one it replaces.
+            kept = {name: table for name, table in result[key].items() if not _other_kind(table, value.get(name))}
+            result[key] = merged(kept, value)
+            continue
+        both_tables = isinstance(value, dict) and isinstance(result.get(key), dict) and "value" not in value
+        result[key] = merged(result[key], value) if both_tables else value
+    return result
+
+
+def _other_kind(table: object, change: object) -> bool:
+    return isinstance(table, dict) and isinstance(change, dict) and change.get("kind", table.get("kind")) != table.get("kind")
+
+
+def _driven(raw: Raw) -> set[str]:
+    """The inputs that a file's own connections drive."""
+    texts = [text for key in ("connections", "delayed") if isinstance(raw.get(key), list) for text in raw[key]]
+    return {target.strip() for text in texts for target in str(text).partition("->")[2].split(",")}
+
+
+def _without(text: object, driven: set[str]) -> list[str]:
+    """A connection's text without the targets in `driven`; none if nothing is left."""
+    source, arrow, targets = str(text).partition("->")
+    left = [target.strip() for target in targets.split(",") if target.strip() not in driven]
+    return [f"{source.strip()} {arrow} {', '.join(left)}"] if left else []
+
+
+def override(raw: Raw, text: str) -> None:
+    """COMPONENT.PARAMETER=VALUE; VALUE as in TOML, or a bare word, or a number with a unit ("300 ms")."""
+    target, equals, value = text.partition("=")
+    component, dot, parameter = target.strip().partition(".")
+    if equals and component in ("devices", "facility"):
+        _override_table(raw, text, target.strip().split("."), parse_value(value.strip()))
+        return
+    if equals and target.strip() == "stop_s":
+        raw["stop_s"] = parse_value(value.strip())
+        return
+    if not equals or not dot or not component or not parameter:
+        raise ScenarioError(f"--set {text}: COMPONENT.PARAMETER=VALUE is expected, for example base_controller.period=0.1")
+    components = raw.get("components", {})
+    if component not in components:
+        raise ScenarioError(f"--set {text}: there is no component {component!r}{did_you_mean(component, components)}")
+    parsed = parse_value(value.strip())
+    table = components[component]
+    if parameter == "step_s":
+        table["step_s"] = parsed
+    else:
+        table.setdefault("parameters", {})[parameter] = parsed
+
+
+def _override_table(raw: Raw, text: str, keys: Sequence[str], value: Any) -> None:
+    """devices.NAME.KEY=VALUE or facility.KEY=VALUE; a key may have further parts."""
+    if keys[0] == "devices" and (len(keys) < 3 or keys[1] not in raw.get("devices", {})):
+        names = ", ".join(raw.get("devices", {})) or "(none)"
+        raise ScenarioError(f"--set {text}: devices.NAME.KEY=VALUE is expected, NAME one of: {names}")
+    if not all(keys) or len(keys) < 2:
+        raise ScenarioError(f"--set {text}: {keys[0]}.KEY=VALUE is expected")
+    table = raw
+    for key in keys[:-1]:
+        table = table.setdefault(key, {})
+        if not isinstance(table, dict):
+            raise ScenarioError(f"--set {text}: {key!r} is no table, so that nothing can be set in it")
+    table[keys[-1]] = value
+
+
+def parse_value(text: str) -> Any:
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        pass
+    number, _, unit = text.partition(" ")
+    try:
+        return {"value": float(number), "unit": unit.strip()} if unit else text
+    except ValueError:
+        return text
