@@ -234,7 +234,8 @@ def test_ctrl_c_while_the_facility_starts_ends_it(bench: Rig) -> None:
         process.send(signal.SIGINT)
         if process.popen.poll() is not None:
             break
-    assert process.finish(20.0) in (0, 3)
+    # -2: Python itself was still starting.
+    assert process.finish(20.0) in (0, 3, -signal.SIGINT)
 
 
 def test_a_stray_first_set_point_locks_nobody_out(bench: Rig) -> None:
