@@ -54,13 +54,16 @@ class CanArm:
         self._arrived = 0
         self._last_torque = np.zeros(n)
         self._stopping_torque: Array | None = None
-        self._echoed = 0
         self._obeyed = 0
-        self._arm_state: LifeCycle | None = None
+        self._tells_state = "life_cycle" in self.frames.state
+        # An arm that cannot say it is taken to be active while its frames come.
+        self._arm_state = LifeCycle.unconfigured if self._tells_state else LifeCycle.active
+        self._state_said = self._arm_state.name
         self._command_age = 0.0
         self._answered = True
         self._silent_cycles = 0
         self._braked = False
+        self._brake_sent = False
         self._released = False
         """Whether a command may have released the brakes."""
 
@@ -176,6 +179,16 @@ class CanArm:
                 f"{self._where} obeys controller {self._obeyed} already; this is controller {self.controller}: stop that one first"
             )
 
+    @property
+    def _is_active(self) -> bool:
+        return self._arm_state is LifeCycle.active
+
+    def stay(self) -> None:
+        """While other devices take their time: the arm is not to forget who has claimed it."""
+        if self.state.now is LifeCycle.inactive:
+            self._wait(0.0)
+            self._send(Mode.idle, np.zeros(self.options.joints))
+
     def check_start(self) -> None:
         self._claim()
         gap = np.abs(self.values["joint_position"] - self.values["start_joint_position"])
@@ -187,19 +200,17 @@ class CanArm:
                 f"{self.values['start_joint_position'][j]:.4f} rad, and {tolerance:g} rad is the largest distance allowed: move the arm there"
             )
 
-    def activate(self, asked_to_stop: Callable[[], bool]) -> None:
+    def activate(self, meanwhile: Callable[[], bool]) -> None:
         """The arm stands braked; the first torque beyond gravity is none, which is what it holds now."""
         self._claim()
         self._last_torque = np.zeros(self.options.joints)
         end = time.monotonic() + float(self.values["configure_timeout"][0])
-        while self._arm_state not in (LifeCycle.active, None):
+        while not self._is_active:
             stopped = self._arm_state in (LifeCycle.safe_stop, LifeCycle.fault)
             self._released = True
             self._send(Mode.reset if stopped else Mode.torque, self._last_torque)
             if not self._wait(end - time.monotonic()) or time.monotonic() > end:
-                raise DeviceError(
-                    f"{self._where} does not become active; its state is {self._arm_state and self._arm_state.name}"
-                )
+                raise DeviceError(f"{self._where} does not become active; its state is {self._state_said}")
         self._released = True
         self._send(Mode.torque, self._last_torque)
         self.state.to(LifeCycle.active)
@@ -228,10 +239,10 @@ class CanArm:
             )
         if reason:
             raise SafeStop(self.name, reason)
-        if came and self._arm_state not in (LifeCycle.active, None):
+        if came and not self._is_active:
             raise SafeStop(
                 self.name,
-                f"the arm went to {self._arm_state.name} by itself; the last command that it had was {self._command_age:.0f} cycles old",
+                f"the arm went to {self._state_said} by itself; the last command that it had was {self._command_age:.0f} cycles old",
             )
         if self._obeyed not in (0, self.controller):
             raise SafeStop(self.name, f"the arm obeys controller {self._obeyed}; this is controller {self.controller}")
@@ -268,14 +279,20 @@ class CanArm:
         self._send(Mode.torque, torque)
         self._last_torque = torque
         self._wait(PATIENCE * self.cycle)
-        return self.at_rest
+        return self._has_stopped_itself
+
+    @property
+    def _has_stopped_itself(self) -> bool:
+        """The arm's own word that it needs no commands any more."""
+        return self._braked or (self._tells_state and self._arm_state is not LifeCycle.active)
 
     @property
     def at_rest(self) -> bool:
-        """As far as its DBC lets the arm say it, in a frame that has come since the last command."""
-        if self._answered or self._arm_state is LifeCycle.active:
+        """A frame has come since the brakes were commanded, and it does not say anything else, as far as its DBC can say it."""
+        if not self._brake_sent or self._answered:
             return False
-        return self._braked or "brakes" not in self.frames.state
+        tells = self._tells_state or "brakes" in self.frames.state
+        return self._has_stopped_itself if tells else True
 
     def on_error(self, reason: str) -> None:
         if self.state.now is LifeCycle.active:
@@ -351,20 +368,25 @@ class CanArm:
     def _take(self, numbers: Mapping[str, list[float]], now: int) -> None:
         for name in MEASURED:
             self.values[name][:] = numbers[name]
-        self._cycle_number = int(numbers["cycle"][0])
+        self._cycle_number = int(numbers["cycle"][0]) % self.frames.cycles
         self._arrived = now
         self._answered = False
-        if "echoed_cycle" in numbers and self.state.now is LifeCycle.active and self._arm_state in (LifeCycle.active, None):
+        if "echoed_cycle" in numbers and self.state.now is LifeCycle.active and self._is_active:
             expected = (self._cycle_number - 1) % self.frames.cycles
-            if int(numbers["echoed_cycle"][0]) != expected:
+            if int(numbers["echoed_cycle"][0]) % self.frames.cycles != expected:
                 self.late_commands += 1
         self._obeyed = int(numbers.get("obeyed_controller", (0,))[0])
         self._command_age = numbers.get("command_age", (0.0,))[0]
         self._braked = numbers.get("brakes", (0.0,))[0] > 0.5
-        if "life_cycle" in numbers:
-            self._arm_state = self.frames.life_cycle(numbers["life_cycle"][0])
+        if self._tells_state:
+            number = numbers["life_cycle"][0]
+            state = self.frames.life_cycle(number)
+            # A number that nobody knows is no reason to go on.
+            self._arm_state = LifeCycle.fault if state is None else state
+            self._state_said = f"a state of the unknown number {number:g}" if state is None else state.name
 
     def _send(self, mode: Mode, torque: Array) -> None:
+        self._brake_sent = mode is Mode.brake
         sent = self._sender.send({
             "answered_cycle": (float(self._cycle_number),),
             "controller": (float(self.controller),),

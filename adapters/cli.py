@@ -18,7 +18,7 @@ from adapters.facility.server import Facility
 from cosim import experiment, scenario
 from cosim.cli import complain, folder, result_table, verdict
 from cosim.errors import DONE, STOPPED
-from cosim.master import interrupts
+from cosim.interrupts import interrupts
 from cosim.record import check_writable, write_text
 
 

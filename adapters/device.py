@@ -91,10 +91,13 @@ class Device(Protocol):
     def check_start(self) -> None:
         """Whether the device may be activated now; asked of every device before any is. DeviceError, with both numbers."""
 
-    def activate(self, asked_to_stop: Callable[[], bool]) -> None:
+    def stay(self) -> None:
+        """Called in every cycle while another device takes its time to become active."""
+
+    def activate(self, meanwhile: Callable[[], bool]) -> None:
         """Take over without a bump: the first command equals the measurement. DeviceError if that cannot be done.
 
-        `asked_to_stop` is asked while it takes its time.
+        `meanwhile` is called in every cycle while that takes time; True means that the user wants to stop.
         """
 
     def read(self) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,10 +22,11 @@ from adapters.pacing import Pacer
 from cosim import metrics
 from cosim.assemble import assembled, make
 from cosim.clock import seconds
-from cosim.errors import StepFailed
+from cosim.errors import CosimError, StepFailed
 from cosim.experiment import Result
 from cosim.graph import Connection, split
-from cosim.master import Master, Outcome, interrupts, told
+from cosim.interrupts import interrupts
+from cosim.master import Master, Outcome, told
 from cosim.parameters import Values, current
 from cosim.scenario import ComponentSpec, Measure, Scenario
 
@@ -63,12 +65,14 @@ def with_devices(scenario: Scenario, *, simulated: bool = False) -> Scenario:
         raise DeviceError(f"scenario {scenario.name} has no [devices.NAME]: there is nothing to put into the loop")
     models = {spec.name: spec for spec in scenario.components}
     if simulated:
-        specs = [replace(models[spec.name], kind=SIMULATED) for spec in scenario.devices]
+        specs = [replace(models[spec.name], kind=SIMULATED, parameters=spec.parameters) for spec in scenario.devices]
     else:
-        specs = [
-            replace(spec, parameters={**models[spec.name].parameters, **spec.parameters}) if spec.kind == SIMULATED else spec
-            for spec in scenario.devices
-        ]
+        specs = list(scenario.devices)
+    # A simulated device has its model's parameters and, beside them, a device's settings.
+    specs = [
+        replace(spec, parameters={**models[spec.name].parameters, **spec.parameters}) if spec.kind == SIMULATED else spec
+        for spec in specs
+    ]
     devices = {spec.name: spec for spec in specs}
     others = tuple(spec for spec in scenario.components if spec.name not in devices)
 
@@ -91,8 +95,19 @@ def _ports(specs: Sequence[ComponentSpec], directory: Path) -> dict[str, frozens
     for spec in specs:
         component = make(spec, directory, None)
         found[spec.name] = frozenset(component.ports)
-        component.close()
+        with suppress(Exception):
+            component.close()
     return found
+
+
+def _guarded(device: Device, call: Callable[[], object]) -> None:
+    """A driver fails in its own ways; what was recorded is kept all the same."""
+    try:
+        call()
+    except (StepFailed, CosimError):
+        raise
+    except Exception as error:
+        raise SafeStop(device.name, told(error)) from error
 
 
 class _Pace:
@@ -126,11 +141,11 @@ class _Pace:
         if k == 0:
             # As late as can be, and the arm last: from then on it waits for its commands.
             for device in self._in_order:
-                device.check_start()
+                _guarded(device, device.check_start)
             for device in reversed(self._in_order):
                 if self._asked_to_stop():
                     return INTERRUPTED
-                device.activate(self._asked_to_stop)
+                _guarded(device, lambda device=device: device.activate(self._meanwhile))  # type: ignore[misc]
         if self.pacer is not None:
             self._woken = self.pacer.wait()
         return None
@@ -139,16 +154,16 @@ class _Pace:
         # The arm's answer first: it is waited for.
         for device in self._in_order:
             self._master.hand_over(device.name)
-            try:
-                device.write()
-            except StepFailed:
-                raise
-            except Exception as error:  # a driver fails in its own ways; the record is kept all the same
-                raise SafeStop(device.name, told(error)) from error
+            _guarded(device, device.write)
         woken = self._clock.woken if self._clock is not None else self._woken
         self.compute.add(time.monotonic_ns() - woken)
         if self.view is not None and k % VIEW_EVERY == 0:
             self.view.write(self.numbers(k))
+
+    def _meanwhile(self) -> bool:
+        for device in self.devices:
+            device.stay()
+        return self._asked_to_stop()
 
     @property
     def times(self) -> Mapping[str, Histogram]:
@@ -267,19 +282,33 @@ def stop(devices: Sequence[Device], period: int, reason: str, *, orderly: bool) 
         return "nothing was active"
     begin = time.monotonic()
     pacer = None if any(device.is_clock for device in active) else Pacer(period)
-    done = False
-    while not done and time.monotonic() - begin < LONGEST_STOP:
+    going = list(active)
+    broken: list[Device] = []
+    while going and time.monotonic() - begin < LONGEST_STOP:
         if pacer is not None:
             pacer.wait()
         elapsed = time.monotonic() - begin
-        at_rest = [device.ramp_down(elapsed) for device in active]
-        done = all(at_rest)
+        # Who is done goes on holding until all are.
+        done = [_ramped(device, elapsed, broken) for device in active]
+        going = [device for device, is_done in zip(active, done, strict=True) if not is_done]
     took = time.monotonic() - begin
-    unsure = [device.name for device in active if not device.at_rest]
+    unsure = [device.name for device in active if device in broken or not device.at_rest]
     for device in active:
-        if not orderly or device.name in unsure:
-            device.on_error(reason)
-        device.deactivate()
+        with suppress(Exception):  # one that fails even now must not keep the others from their end
+            if not orderly or device.name in unsure:
+                device.on_error(reason)
+            device.deactivate()
     if unsure:
         return f"after {took:.2f} s {', '.join(unsure)} had not confirmed to be at rest, and is left to its own watchdog"
     return f"all devices were brought to rest in {took:.2f} s"
+
+
+def _ramped(device: Device, elapsed: float, broken: list[Device]) -> bool:
+    """Whether the device is done; one whose driver fails is left alone from then on."""
+    if device in broken:
+        return True
+    try:
+        return device.ramp_down(elapsed)
+    except Exception:
+        broken.append(device)
+        return True

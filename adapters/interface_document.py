@@ -6,7 +6,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import fields
 
 from adapters import rmw_zenoh, ros_messages, settings
-from adapters.arm_frames import MESSAGES, SHIPPED_DBC, ArmFrames, FrameMapping, Mode, frame_time
+from adapters.arm_frames import MESSAGES, SHIPPED_DBC, ArmFrames, FrameMapping, Mode
+from adapters.bus_load import bus_load, frame_time
 from adapters.device import TRANSITIONS, LifeCycle
 from adapters.facility.settings import FacilitySettings
 from adapters.link_options import LinkOptions
@@ -51,7 +52,7 @@ def _can() -> Iterator[str]:
             f"{', '.join(message.senders)} | {taken:.0f} us |"
         )
     yield (
-        f"\nCommand and state together take at most {100 * frames.bus_load(1e-3):.0f} % of the bus in a cycle of 1 ms (every stuff bit "
+        f"\nCommand and state together take at most {100 * bus_load([(f.size, f.is_fd) for f in (frames.command, frames.state)], 1e-3):.0f} % of the bus in a cycle of 1 ms (every stuff bit "
         f"that can occur). Classic CAN at 1 Mbit/s cannot carry it: {CLASSIC_PDOS} process-data frames of {JOINTS} CiA 402 drives would "
         f"take {100 * CLASSIC_PDOS * frame_time(8, False) / 1e-3:.0f} %."
     )

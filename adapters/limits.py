@@ -23,7 +23,7 @@ class ArmLimits:
         self.velocity = np.array(settings["joint_velocity_limit"])
         margin = float(settings["joint_limit_margin"][0])
         self.lower, self.upper = settings["joint_lower_limit"] + margin, settings["joint_upper_limit"] - margin
-        self.acted: Counter[str] = Counter()
+        self.acted: Counter[str] = Counter(joint_effort_limit=0, torque_rate_limit=0)
 
     def command(self, wanted: Array, before: Array) -> tuple[Array, str | None]:
         """The torque (n) [N m] to send in place of `wanted`, after `before` in the last cycle; a reason to stop."""

@@ -27,6 +27,8 @@ class Setting:
     boolean: bool = False
     above: float | None = 0.0
     """Every value is greater than this; None: any."""
+    least: float | None = None
+    """In place of `above`: every value is this or more."""
     whole: bool = False
     most: float = 1e6
 
@@ -36,9 +38,10 @@ class Setting:
             unit = f" {self.unit}" if self.unit and " " not in self.unit else ""
             if self.whole and value != int(value):
                 raise DeviceError(f"{device}.{self.name} is {value:g}; a whole number is expected")
-            if self.above is not None and not self.above < value:
-                least = "0 or more" if self.whole and self.above == -1 else f"more than {self.above:g}{unit}"
-                raise DeviceError(f"{device}.{self.name} is {value:g}{unit}; {least} is expected")
+            if self.least is not None and not self.least <= value:
+                raise DeviceError(f"{device}.{self.name} is {value:g}{unit}; {self.least:g}{unit} or more is expected")
+            if self.least is None and self.above is not None and not self.above < value:
+                raise DeviceError(f"{device}.{self.name} is {value:g}{unit}; more than {self.above:g}{unit} is expected")
             if not abs(value) <= self.most:
                 raise DeviceError(f"{device}.{self.name} is {value:g}{unit}; at most {self.most:g} is expected")
 
@@ -77,13 +80,13 @@ ARM = (
             description="Least measured joint position"),
     Setting(name="joint_upper_limit", above=None, default=(np.pi,), per_joint=True, unit="rad", effect="stops",
             description="Largest measured joint position"),
-    Setting(name="joint_limit_margin", above=-1e-12, most=1.0, default=(0.02,), unit="rad", effect="stops",
+    Setting(name="joint_limit_margin", least=0.0, most=1.0, default=(0.02,), unit="rad", effect="stops",
             description="How far from the ends of the joint range it stops"),
     Setting(name="state_age_limit", most=60.0, default=(0.02,), unit="s", effect="stops",
             description="Largest age of the last accepted state frame"),
     Setting(name="lost_consecutive", whole=True, default=(20.0,), unit=None, effect="stops",
             description="Lost cycles in a row (libfranka: 20)"),
-    Setting(name="lost_in_window", whole=True, above=-1, default=(0.0,), unit=None, effect="stops",
+    Setting(name="lost_in_window", whole=True, least=0.0, default=(0.0,), unit=None, effect="stops",
             description="Lost cycles within the window; 0: off"),
     Setting(name="window", most=60.0, default=(0.2,), unit="s", description="Window of lost_in_window"),
     Setting(name="start_joint_position", above=None, default=(0.0,), per_joint=True, unit="rad",
@@ -91,7 +94,7 @@ ARM = (
     Setting(name="start_tolerance", default=(0.02,), unit="rad", effect="refuses",
             description="Largest distance of a joint from there"),
     Setting(name="ramp_down_time", most=60.0, default=(0.25,), unit="s", description="Damped ramp-down: time until the torque is gone"),
-    Setting(name="ramp_down_damping", above=-1e-12, most=1e4, default=(5.0,), unit="N.m.s/rad", description="Damped ramp-down: torque against joint speed"),
+    Setting(name="ramp_down_damping", least=0.0, most=1e4, default=(5.0,), unit="N.m.s/rad", description="Damped ramp-down: torque against joint speed"),
     Setting(name="configure_timeout", most=3600.0, default=(3.0,), unit="s", description="How long the arm may take to answer at first"),
 )  # fmt: skip
 
@@ -108,7 +111,7 @@ BASE = (
     Setting(name="age_limit", most=60.0, default=(0.02,), unit="s", effect="stops", description="Largest age of the last accepted sample"),
     Setting(name="lost_consecutive", whole=True, default=(2.0,), unit=None, effect="stops",
             description="Lost cycles in a row (KUKA's external control: 2)"),
-    Setting(name="lost_in_window", whole=True, above=-1, default=(3.0,), unit=None, effect="stops", description="Lost cycles within the window; 0: off"),
+    Setting(name="lost_in_window", whole=True, least=0.0, default=(3.0,), unit=None, effect="stops", description="Lost cycles within the window; 0: off"),
     Setting(name="window", most=60.0, default=(0.2,), unit="s", description="Window of lost_in_window"),
     Setting(name="start_position", above=None, default=(0.0, 0.0, 0.0), unit="m", description="Where the scenario expects the base at activation"),
     Setting(name="start_orientation", above=None, default=(0.0, 0.0, 0.0, 1.0), unit="1", description="Its orientation there, quaternion x, y, z, w"),

@@ -63,6 +63,10 @@ class SimulatedDevice:
         return 0
 
     def configure(self) -> None:
+        if self.is_arm:
+            all_settings.check(self.name, all_settings.ARM, self.values)
+        if self.is_base:
+            all_settings.check(self.name, all_settings.BASE, self.values)
         given = {name: self.values[name].copy() for name in self._parameters}
         self.model.enter_initialization(0.0, given)
         inputs = np.concatenate([np.zeros(0), *(self.values[name] for name in self._inputs)])
@@ -85,7 +89,10 @@ class SimulatedDevice:
     def check_start(self) -> None:
         pass
 
-    def activate(self, asked_to_stop: Callable[[], bool]) -> None:
+    def stay(self) -> None:
+        pass
+
+    def activate(self, meanwhile: Callable[[], bool]) -> None:
         self._brake(False)
         self._last_torque[:] = 0.0
         self.state.to(LifeCycle.active)
@@ -108,7 +115,10 @@ class SimulatedDevice:
         self._last_torque = torque
 
     def _write_base(self) -> None:
+        """Once in a cycle of set points, which the limits are for."""
         v = self.values
+        if self._count % max(1, round(float(v["cycle"][0]) / self.step)):
+            return
         position, orientation = v["position_setpoint"], v["orientation_setpoint"]
         reason = self.base_limits.setpoint(position, orientation, v["velocity_setpoint"], self._sent)
         self._sent = (position.copy(), orientation.copy())

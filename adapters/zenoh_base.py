@@ -17,6 +17,7 @@ from adapters.device import DeviceError, LifeCycle, SafeStop, State
 from adapters.histogram import Histogram
 from adapters.limits import BaseLimits
 from adapters.link_options import LinkOptions
+from adapters.pacing import Pacer
 from adapters.pose import distance, twist_rotated
 from adapters.quality import QualityMonitor
 from adapters.rmw_zenoh import NOBODY
@@ -142,14 +143,17 @@ class ZenohBase:
                 f"{np.degrees(v['start_tolerance'][1]):.3g} deg are allowed; move it there, or set its parameter approach = true"
             )
 
-    def activate(self, asked_to_stop: Callable[[], bool]) -> None:
+    def stay(self) -> None:
+        pass
+
+    def activate(self, meanwhile: Callable[[], bool]) -> None:
         """The first set point is the measured pose; what lies between it and the start is taken off slowly."""
         v, start = self.values, self._start
         assert self._link is not None
         self._newest()
-        self._be_obeyed()
+        self._be_obeyed(meanwhile)
         if not self._is_at_start:
-            self._approach(start, asked_to_stop)
+            self._approach(start, meanwhile)
         measured = Rotation.from_quat(v["base_orientation"])
         self._offset = (
             v["base_position"] - start[0],
@@ -160,7 +164,7 @@ class ZenohBase:
         self._sequence = 0
         self.state.to(LifeCycle.active)
 
-    def _be_obeyed(self) -> None:
+    def _be_obeyed(self, meanwhile: Callable[[], bool]) -> None:
         """Set points that are where the base is, until a base that tells whom it obeys says that it takes them."""
         assert self._link is not None
         v, cycle = self.values, float(self.values["cycle"][0])
@@ -174,11 +178,13 @@ class ZenohBase:
                     f"{self.name} does not take set points of {self.options.setpoint_topic}, although they are where it stands: "
                     f"it hears no or other messages, or refuses them"
                 )
+            if meanwhile():
+                return
             self._take()
             self._publish(v["base_position"].copy(), v["base_orientation"].copy(), np.zeros(6))
             time.sleep(cycle)
 
-    def _approach(self, start: tuple[Array, Array], asked_to_stop: Callable[[], bool]) -> None:
+    def _approach(self, start: tuple[Array, Array], meanwhile: Callable[[], bool]) -> None:
         """Set points from the measured pose to the start, no faster than `approach_speed`."""
         v, cycle = self.values, float(self.values["cycle"][0])
         first = v["base_position"].copy()
@@ -189,7 +195,7 @@ class ZenohBase:
             float(np.linalg.norm(path)) / float(v["approach_speed"][0]), turn.magnitude() / float(v["approach_speed"][1]), cycle
         )
         count = int(np.ceil(duration / cycle))
-        deadline = time.monotonic()
+        pacer = Pacer(round(cycle * 1e9))  # after a hold-up it goes on where it was, and does not hurry
         settle = round(1.0 / cycle)
         for i in range(1, count + settle + 1):
             share = min(1.0, i / count)
@@ -200,15 +206,14 @@ class ZenohBase:
             if reason:
                 raise DeviceError(f"{self.name}: the approach to the start pose was given up: {reason}")
             self._publish(position, orientation, moving)
-            deadline += cycle
-            time.sleep(max(0.0, deadline - time.monotonic()))
+            pacer.wait()
             self._take()
             reason = self.limits.measured(v["base_position"], v["base_orientation"], (position, orientation))
             if time.monotonic_ns() - self._arrived > self._age_limit:
                 reason = f"no measurement for {(time.monotonic_ns() - self._arrived) * 1e-9:.3g} s"
             if reason:
                 raise DeviceError(f"{self.name}: the approach to the start pose was given up: {reason}")
-            if asked_to_stop():
+            if meanwhile():
                 return  # the loop ends before its first instant; the base holds where it is
             gap = distance(v["base_position"], v["base_orientation"], *start)
             if i > count and all(size < 0.5 * most for size, most in zip(gap, v["start_tolerance"], strict=True)):

@@ -61,7 +61,7 @@ def is_usable(odometry: Odometry) -> bool:
 
 @dataclass
 class Received:
-    """The freshest sample, and when it came [ns of CLOCK_MONOTONIC]."""
+    """The freshest sample, and when it was read [ns of CLOCK_MONOTONIC]."""
 
     odometry: Odometry
     attachment: Attachment

@@ -16,7 +16,8 @@ from cosim import metrics
 from cosim.assemble import assembled
 from cosim.clock import seconds
 from cosim.component import Array
-from cosim.master import Outcome, interrupts
+from cosim.interrupts import interrupts
+from cosim.master import Outcome
 from cosim.master import Progress as Report
 from cosim.record import write_text
 from cosim.scenario import Scenario

@@ -10,12 +10,9 @@ At an instant t:
 
 from __future__ import annotations
 
-import signal
-import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -25,6 +22,7 @@ from cosim.clock import seconds
 from cosim.component import Array, Component
 from cosim.errors import ComponentError, CosimError, GraphError, StepFailed
 from cosim.graph import Graph, port, split
+from cosim.interrupts import interrupts
 from cosim.record import Record, Signal
 from cosim.schedule import Schedule
 
@@ -315,37 +313,3 @@ def told(error: Exception) -> str:
 
 def _nothing() -> None:
     pass
-
-
-_noted: list[list[float]] = []
-"""The list of the outermost `interrupts`, while there is one."""
-
-
-@contextmanager
-def interrupts() -> Iterator[list[float]]:
-    """Ctrl-C and SIGTERM as a list that fills, so that a run ends between two instants. Nested ones share one list: what came
-    before a run began ends it at its first instant.
-
-    Another one, more than two seconds after the first, interrupts for good: somebody waits for a component that hangs.
-    """
-    if _noted:
-        yield _noted[0]
-        return
-    seen: list[float] = []
-    if threading.current_thread() is not threading.main_thread():
-        yield seen
-        return
-
-    def note(number: int, frame: object) -> None:
-        seen.append(time.monotonic())
-        if seen[-1] - seen[0] > 2.0:
-            raise KeyboardInterrupt
-
-    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
-    _noted.append(seen)
-    try:
-        yield seen
-    finally:
-        _noted.clear()
-        for number, handler in before.items():
-            signal.signal(number, handler)

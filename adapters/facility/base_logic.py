@@ -10,10 +10,10 @@ from cosim.component import Array
 
 
 class BaseLogic:
-    """`watchdog` [calls]: how long set points may stay away before the base holds; `jump` [m, rad]: how far the first may be."""
+    """Called every `period` [s]; `watchdog` [calls]: how long set points may stay away before the base holds; `jump` [m, rad]: how far the first may be."""
 
-    def __init__(self, *, watchdog: int, silence: int, jump: tuple[float, float]) -> None:
-        self.watchdog, self.silence, self.jump = watchdog, silence, jump
+    def __init__(self, *, period: float, watchdog: int, silence: int, jump: tuple[float, float]) -> None:
+        self.period, self.watchdog, self.silence, self.jump = period, watchdog, silence, jump
         self.life = State("the virtual base robot")
         self.life.to(LifeCycle.inactive)
         self.position, self.orientation, self.velocity = np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(6)
@@ -57,7 +57,7 @@ class BaseLogic:
         """Once every servo cycle, after what came was taken."""
         self._calls += 1
         if self.life.now is LifeCycle.active and self._calls - self._heard > self.watchdog:
-            self._to(LifeCycle.safe_stop, f"no set point for {self.watchdog} ms or more; it holds its place")
+            self._to(LifeCycle.safe_stop, f"no set point for {self.watchdog * self.period:g} s; it holds its place")
             self.velocity = np.zeros(6)
 
     def _to(self, following: LifeCycle, reason: str) -> None:

@@ -11,9 +11,9 @@ import can
 import numpy as np
 
 from adapters import arm_options
-from adapters.arm_frames import LIMIT_ROLES, ArmFrames
+from adapters.arm_frames import LIMIT_ROLES, ArmFrames, Mode
 from adapters.arm_link import Receiver, Sender, open_bus
-from adapters.device import LifeCycle
+from adapters.device import DeviceError, LifeCycle
 from adapters.facility.arm_logic import ArmLogic, Command
 from adapters.facility.settings import FacilitySettings
 from adapters.histogram import Histogram
@@ -31,6 +31,11 @@ class VirtualArm:
         self.options = arm_options.options_from(name, raw, directory)
         n = self.options.joints
         self.frames = ArmFrames(self.options.frames, n)
+        if settings.arm_watchdog_cycles >= self.frames.cycles // 2:
+            raise DeviceError(
+                f"[facility] arm_watchdog_cycles is {settings.arm_watchdog_cycles}, but cycle numbers of {name} count to {self.frames.cycles} "
+                f"only; less than half of that is expected"
+            )
         self.commands = (
             Port(name="joint_torque_command", size=n, causality="output", units=("N.m",) * n, sampled=True),
             Port(name="brake", size=1, causality="output", units=("1",), sampled=True, start=(1.0,)),
@@ -80,7 +85,7 @@ class VirtualArm:
             commands.append(
                 Command(
                     controller=int(numbers.get("controller", (1,))[0]),
-                    mode=self.frames.mode(numbers["mode"][0]) if "mode" in numbers else self.frames.mode(1),
+                    mode=self.frames.mode(numbers["mode"][0]) if "mode" in numbers else Mode.torque,
                     answered=answered,
                     torque=np.array(numbers["joint_torque_command"]),
                 )

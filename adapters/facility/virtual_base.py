@@ -45,6 +45,7 @@ class VirtualBase:
     def _new_logic(self) -> BaseLogic:
         s = self.settings
         return BaseLogic(
+            period=self.period,
             watchdog=round(s.base_watchdog_s / self.period),
             silence=round(s.forget_after_s / self.period),
             jump=(s.base_jump_m, s.base_jump_rad),

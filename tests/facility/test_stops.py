@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from adapters import hil
+from adapters.device import DeviceError
+from adapters.simulated import SimulatedDevice
 from cosim import experiment, scenario
 from cosim.scenario import Scenario
 
@@ -26,7 +28,7 @@ def run(chosen: Scenario) -> tuple[Any, str]:
 
 def test_simulated_devices_give_the_run_without_a_clock(tmp_path: Path) -> None:
     # But for the rate limit, which takes the bump out of the first cycles.
-    chosen = loaded(tmp_path, "[components.arm_drive.parameters]\ntorque_rate_limit = 1e9")
+    chosen = loaded(tmp_path, "[components.arm_drive.parameters]\ntorque_rate_limit = 1e6")
     there, stop = run(chosen)
     here = experiment.run(scenario.load("facility", ["stop_s=0.5"]))
     for name in ("hand_kinematics.end_effector_position", "base_robot.base_position", "satellite.base_position"):
@@ -48,11 +50,11 @@ def test_simulated_devices_give_the_run_without_a_clock(tmp_path: Path) -> None:
             "port M is active [J]: manipulator_controller.manipulator_observed_energy is",
         ),
         (
-            "[components.arm_drive.parameters]\njoint_velocity_limit = 0.001",
+            "[devices.arm_drive.parameters]\njoint_velocity_limit = 0.001",
             "rad/s, its limit is 0.001 rad/s",
         ),
         (
-            "[components.arm_drive.parameters]\njoint_upper_limit = 0.0\njoint_limit_margin = 0.0",
+            "[devices.arm_drive.parameters]\njoint_upper_limit = 0.0\njoint_limit_margin = 0.0",
             "its range is",
         ),
     ],
@@ -89,3 +91,37 @@ def test_a_controller_that_fails_stops_the_arm_in_order(tmp_path: Path) -> None:
     result, stop = run(loaded(tmp_path, text, ("stop_s=2.0",)))
     assert not result.as_expected
     assert "all devices were brought to rest" in stop
+
+
+def test_the_live_view_survives_a_limit_that_begins_to_act(tmp_path: Path) -> None:
+    text = "[components.arm_drive.parameters]\ntorque_rate_limit = 0.5"
+    result, report = hil.run(loaded(tmp_path, text), real_time=False, simulated=True, view=True, say=lambda text: None)
+    assert result.as_expected
+    assert report.devices["arm_drive"]["torque_rate_limit_acted"] > 0
+
+
+def test_settings_of_a_device_hold_for_its_simulation_too(tmp_path: Path) -> None:
+    text = "[devices.base_robot.parameters]\nworkspace_upper = [0.001, 0.001, 0.001]"
+    _, stop = run(loaded(tmp_path, text))
+    assert "outside the workspace" in stop
+    with pytest.raises(DeviceError, match="ramp_down_time is -1 s"):
+        run(loaded(tmp_path, "[devices.arm_drive.parameters]\nramp_down_time = -1.0"))
+
+
+@pytest.mark.parametrize("call", ["activate", "write", "ramp_down", "deactivate"])
+def test_a_driver_that_fails_in_its_own_way_loses_no_record_and_stops_the_others(
+    call: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(self: SimulatedDevice, *arguments: Any) -> bool:
+        if self.name == "base_robot":
+            raise OSError("the driver broke")
+        return bool(original(self, *arguments))
+
+    original = getattr(SimulatedDevice, call)
+    monkeypatch.setattr(SimulatedDevice, call, broken)
+    result, stop = run(loaded(tmp_path, "", ("stop_s=0.1",)))
+    assert result.outcome.record.rows >= 1
+    if call in ("activate", "write"):
+        assert "the driver broke" in stop
+    if call == "ramp_down":
+        assert "base_robot had not confirmed to be at rest" in stop

@@ -318,3 +318,95 @@ def test_a_joint_too_fast_or_beyond_its_range_stops(active: tuple[CanArm, Script
     there.send(joint_position=[0.0, 0.0, 0.0, 0.0, 0.99, 0.0])
     with pytest.raises(SafeStop, match=r"joint 5 is at 0\.99 rad, its range is -0\.98 to 0\.98 rad"):
         arm.read()
+
+
+def brought_to_rest(arm: CanArm, there: ScriptedArm, seconds: float = 2.0) -> list[dict[str, list[float]]]:
+    """The commands of a ramp-down, each answered by a state frame a cycle."""
+    there.take()
+    there.received.clear()
+    for k in range(round(seconds * 1000)):
+        there.send()
+        if arm.ramp_down(k * 1e-3):
+            break
+        there.take()
+    there.take()
+    return list(there.received)
+
+
+def test_an_arm_that_tells_nothing_is_ramped_down_all_the_same(link: tuple[CanArm, ScriptedArm]) -> None:
+    """Without life cycle and brakes in its DBC, an arm is not taken to stand before the ramp is over."""
+    _, there = link
+    channel = link[0].options.channel
+    arm = CanArm("arm", ArmOptions(channel=channel))
+    arm.values["joint_effort_limit"][:] = 5.0
+    for role in ("life_cycle", "brakes"):
+        arm.frames.state.fields.pop(role)
+    arm._tells_state, arm._arm_state = False, LifeCycle.active
+    for name in ("joint_velocity_limit", "joint_upper_limit"):
+        arm.values[name][:] = 1.0
+    arm.values["joint_lower_limit"][:] = -1.0
+    arm.values["joint_effort_limit"][:] = 1.0
+    there.serve()
+    try:
+        arm.configure()
+        arm.check_start()
+        arm.activate(lambda: False)
+        there.pause()
+        arm._drain()
+        arm._last_torque = np.full(N, 0.5)
+        commands = brought_to_rest(arm, there)
+        torques = [c["joint_torque_command"][0] for c in commands if c["mode"][0] == Mode.torque]
+        assert len(torques) > 200
+        assert torques[0] == pytest.approx(0.5, abs=0.01)
+        assert torques[-1] == pytest.approx(0.0, abs=0.02)
+        assert commands[-1]["mode"][0] == Mode.brake
+        assert arm.at_rest
+    finally:
+        arm.deactivate()
+
+
+def test_an_arm_that_tells_is_at_rest_once_it_says_so(active: tuple[CanArm, ScriptedArm]) -> None:
+    arm, there = active
+    arm._last_torque = np.full(N, 0.5)
+    there.received.clear()
+    for k in range(400):
+        there.send()
+        arm.ramp_down(k * 1e-3)
+    assert not arm.at_rest  # it has not said so
+    there.life = LifeCycle.inactive
+    there.send()
+    assert arm.ramp_down(0.4)
+    assert arm.at_rest
+
+
+def test_a_state_that_nobody_knows_is_a_fault(active: tuple[CanArm, ScriptedArm]) -> None:
+    arm, there = active
+    there.send(life_cycle=(7.0,))
+    with pytest.raises(SafeStop, match="went to a state of the unknown number 7 by itself"):
+        arm.read()
+
+
+def test_frames_that_hold_unequal_cycle_numbers_are_answered_by_the_narrower(active: tuple[CanArm, ScriptedArm]) -> None:
+    arm, there = active
+    arm.frames.cycles = 256
+    arm._cycle_number = 1617 % 256
+    there.send(cycle=1618, echoed_cycle=(float(1617 % 256),))
+    arm.read()
+    arm.write()
+    command = there.take()
+    assert command is not None
+    assert command["answered_cycle"][0] == 1618 % 256
+
+
+def test_a_claim_is_kept_while_others_take_their_time(link: tuple[CanArm, ScriptedArm]) -> None:
+    arm, there = link
+    there.serve()
+    arm.configure()
+    there.pause()
+    there.take()
+    there.received.clear()
+    there.send()
+    arm.stay()
+    command = there.take()
+    assert command is not None
+    assert (command["mode"][0], command["controller"][0]) == (Mode.idle, arm.controller)

@@ -42,16 +42,16 @@ def test_no_torque_leaves_beyond_its_limit_or_faster_than_its_rate(wanted: np.nd
     assert reason is None
     assert (np.abs(sent) <= 50.0 + 1e-12).all()
     assert (np.abs(sent - before) <= 2.0 + 1e-12).all()
-    assert (np.array_equal(sent, wanted)) == (not limits.acted)
+    assert (np.array_equal(sent, wanted)) == (not +limits.acted)
 
 
 def test_a_limit_that_clips_is_counted_by_name() -> None:
     limits = arm(joint_effort_limit=5.0, torque_rate_limit=1e6)
     limits.command(np.full(N, 6.0), np.zeros(N))
-    assert dict(limits.acted) == {"joint_effort_limit": 1}
+    assert dict(+limits.acted) == {"joint_effort_limit": 1}
     limits = arm(joint_effort_limit=50.0, torque_rate_limit=1000.0)
     limits.command(np.full(N, 6.0), np.zeros(N))
-    assert dict(limits.acted) == {"torque_rate_limit": 1}
+    assert dict(+limits.acted) == {"torque_rate_limit": 1}
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])

@@ -173,7 +173,7 @@ def test_the_cycle_number_runs_over() -> None:
 
 
 def base() -> BaseLogic:
-    made = BaseLogic(watchdog=20, silence=100, jump=(0.01, 0.02))
+    made = BaseLogic(period=1e-3, watchdog=20, silence=100, jump=(0.01, 0.02))
     made.hold(np.zeros(3), IDENTITY)
     return made
 

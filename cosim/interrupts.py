@@ -1,0 +1,42 @@
+"""Ctrl-C and SIGTERM as something to look at between two steps, in place of an exception in the middle of one."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+_noted: list[list[float]] = []
+"""The list of the outermost `interrupts`, while there is one."""
+
+
+@contextmanager
+def interrupts() -> Iterator[list[float]]:
+    """Ctrl-C and SIGTERM as a list that fills, so that a run ends between two instants. Nested ones share one list: what came
+    before a run began ends it at its first instant.
+
+    Another one, more than two seconds after the first, interrupts for good: somebody waits for a component that hangs.
+    """
+    if _noted:
+        yield _noted[0]
+        return
+    seen: list[float] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield seen
+        return
+
+    def note(number: int, frame: object) -> None:
+        seen.append(time.monotonic())
+        if seen[-1] - seen[0] > 2.0:
+            raise KeyboardInterrupt
+
+    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
+    _noted.append(seen)
+    try:
+        yield seen
+    finally:
+        _noted.clear()
+        for number, handler in before.items():
+            signal.signal(number, handler)
