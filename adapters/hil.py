@@ -242,6 +242,7 @@ def _run(
     pace = _Pace(devices, master, list(scenario.observed_energy.values()), errors, lambda: bool(asked))
     if view:
         live = pace.view = LiveValues(f"{scenario.title} (Ctrl-C stops it in order)", pace.names)
+        pacing.leave_real_time()  # or the viewer would inherit the priority of the links
         live.show()
     try:
         granted = pacing.enter_real_time(real_time)

@@ -48,11 +48,11 @@ class LiveValues:
         os.close(handle)
         self._memory[: self._first] = HEADER.pack(len(head)) + head
         self._sequence = 0
-        self._viewer: subprocess.Popen[bytes] | None = None
+        self.viewer: subprocess.Popen[bytes] | None = None
 
     def show(self) -> None:
         """Start the viewer on this terminal."""
-        self._viewer = subprocess.Popen([sys.executable, "-m", "adapters.live_view", str(self.path)], stdin=subprocess.DEVNULL)
+        self.viewer = subprocess.Popen([sys.executable, "-m", "adapters.live_view", str(self.path)], stdin=subprocess.DEVNULL)
 
     def write(self, values: Sequence[float]) -> None:
         """An odd sequence number says that numbers are being written. Never an error: nobody stops a loop for its picture."""
@@ -65,13 +65,13 @@ class LiveValues:
         SEQUENCE.pack_into(self._memory, place, self._sequence)
 
     def close(self) -> None:
-        if self._viewer is not None:
-            self._viewer.terminate()
+        if self.viewer is not None:
+            self.viewer.terminate()
             try:
-                self._viewer.wait(2.0)
+                self.viewer.wait(2.0)
             except subprocess.TimeoutExpired:
-                self._viewer.kill()
-                self._viewer.wait()
+                self.viewer.kill()
+                self.viewer.wait()
         self._memory.close()
         self.path.unlink(missing_ok=True)
 

@@ -49,7 +49,6 @@ class SimulatedDevice:
         self._outputs = [port.name for port in ports.values() if port.causality == "output"]
         self.ports: Mapping[str, Port] = ports
         self.values: Mapping[str, Array] = {p.name: np.array(p.start or (0.0,) * p.size, dtype=float) for p in ports.values()}
-        self._given: dict[str, Array] = {}
         self._count = 0
         self._last_torque = np.zeros(ports["joint_torque_command"].size) if self.is_arm else np.zeros(0)
         self._stopping: Array | None = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import pytest
 
 from adapters import hil
 from adapters.device import DeviceError
+from adapters.live_view import LiveValues
 from adapters.simulated import SimulatedDevice
 from cosim import experiment, scenario
 from cosim.scenario import Scenario
@@ -98,6 +100,22 @@ def test_the_live_view_survives_a_limit_that_begins_to_act(tmp_path: Path) -> No
     result, report = hil.run(loaded(tmp_path, text), real_time=False, simulated=True, view=True, say=lambda text: None)
     assert result.as_expected
     assert report.devices["arm_drive"]["torque_rate_limit_acted"] > 0
+
+
+def test_the_viewer_is_an_ordinary_process_beside_a_loop_in_real_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    policies = []
+    show = LiveValues.show
+
+    def watched(self: LiveValues) -> None:
+        show(self)
+        assert self.viewer is not None
+        policies.append(os.sched_getscheduler(self.viewer.pid))
+
+    monkeypatch.setattr(LiveValues, "show", watched)
+    result, _ = hil.run(loaded(tmp_path), real_time=True, simulated=True, view=True, say=lambda text: None)
+    assert result.as_expected
+    assert policies == [os.SCHED_OTHER]
+    assert os.sched_getscheduler(0) == os.SCHED_OTHER
 
 
 def test_settings_of_a_device_hold_for_its_simulation_too(tmp_path: Path) -> None:
