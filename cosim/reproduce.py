@@ -18,6 +18,9 @@ from cosim.record import check_writable, write_text
 from cosim.report import ASSUMPTIONS, Figure, Statement
 from cosim.statements import CASES, real_time_statements, statements
 
+ATTEMPTS = 3
+"""At a loop in real time."""
+
 
 def reproduce(directory: Path, fmi: int, console: Console, *, in_real_time: bool = False) -> int:
     """Run every case, then write. Ctrl-C keeps the cases that are done, and what was simulated of the present one.
@@ -52,11 +55,22 @@ def reproduce(directory: Path, fmi: int, console: Console, *, in_real_time: bool
 
 
 def run_in_real_time(directory: Path, console: Console) -> dict[str, Result]:
-    """With and without passivity controllers; where it stopped is told by its cause."""
+    """With and without passivity controllers. A machine that is not for real time may hold a process up for longer than the
+    watchdogs allow: a loop that was stopped is run again, and said to have been.
+    """
     loops = {}
     for case in map(scenario.load, real_time.CASES):
-        with console.status(f"{case.name} in real time ({seconds(case.stop):g} s)"):
-            loops[f"{case.name}_real_time"] = real_time.run(case, directory / f"{case.name}_real_time")
+        for attempt in range(1, ATTEMPTS + 1):
+            with console.status(f"{case.name} in real time ({seconds(case.stop):g} s)"):
+                result = real_time.run(case, directory / f"{case.name}_real_time")
+            loops[f"{case.name}_real_time"] = result
+            if result.as_expected or result.outcome.interrupted:
+                break
+            console.print(
+                f"{case.name} in real time, attempt {attempt} of {ATTEMPTS}, stopped at {result.outcome.simulated:.1f} s: "
+                f"{result.outcome.cause}",
+                soft_wrap=True,
+            )
     return loops
 
 
