@@ -10,7 +10,7 @@ import can
 
 from adapters.arm_frames import Frame
 from adapters.device import DeviceError
-from adapters.e2e import Checker, Protector, Status
+from adapters.e2e import Checker, Protector
 from cosim.near import did_you_mean
 
 FILTERING = ("local", "socketcan")
@@ -76,6 +76,11 @@ class Receiver:
         self.rejected: Counter[str] = Counter()
         self.accepted = 0
 
+    @property
+    def refused(self) -> int:
+        """Frames of this kind that came and were not used."""
+        return sum(self.rejected.values())
+
     def forget(self) -> None:
         """After frames were thrown away unread."""
         if self._checker is not None:
@@ -97,7 +102,5 @@ class Receiver:
             if not status.accepted:
                 self.rejected[status.value] += 1
                 return None
-            if status is Status.some_lost:
-                self.rejected["(gap before an accepted frame)"] += 1
         self.accepted += 1
         return self.frame.unpack(data)

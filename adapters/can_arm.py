@@ -269,6 +269,9 @@ class CanArm:
             return True
         if self._stopping_torque is None:
             self._stopping_torque = self._last_torque.copy()
+        if self._stops_itself:  # only watched: a command now would cut its own ramp short
+            self._wait(PATIENCE * self.cycle)
+            return self.at_rest or elapsed > GIVE_UP * self.ramp.time
         velocity = self.values["joint_velocity"]
         if self.ramp.over(velocity, elapsed):
             self._send(Mode.brake, np.zeros_like(velocity))
@@ -279,43 +282,45 @@ class CanArm:
         self._send(Mode.torque, torque)
         self._last_torque = torque
         self._wait(PATIENCE * self.cycle)
-        return self._has_stopped_itself
+        return False
 
     @property
-    def _has_stopped_itself(self) -> bool:
-        """The arm's own word that it needs no commands any more."""
-        return self._braked or (self._tells_state and self._arm_state is not LifeCycle.active)
+    def _stops_itself(self) -> bool:
+        """The arm's own word that it is in a stop of its own."""
+        return self._tells_state and self._arm_state in (LifeCycle.safe_stop, LifeCycle.fault)
 
     @property
     def at_rest(self) -> bool:
-        """A frame has come since the brakes were commanded, and it does not say anything else, as far as its DBC can say it."""
-        if not self._brake_sent or self._answered:
-            return False
-        tells = self._tells_state or "brakes" in self.frames.state
-        return self._has_stopped_itself if tells else True
+        """The arm's own word; of one that cannot say it, a state frame since the brakes were commanded."""
+        if "brakes" in self.frames.state:
+            return self._braked
+        if self._tells_state:
+            return not self._is_active
+        return self._brake_sent and not self._answered
 
     def on_error(self, reason: str) -> None:
         if self.state.now is LifeCycle.active:
-            if self._bus is not None:
-                self._send(Mode.brake, np.zeros(self.options.joints))
+            self._brake()
             self.state.to(LifeCycle.safe_stop)
 
     def deactivate(self) -> None:
         if self._bus is None:
             return
         if self._released:  # also where activation was given up half-way
-            self._send(Mode.brake, np.zeros(self.options.joints))
+            self._brake()
         if self.state.now in (LifeCycle.active, LifeCycle.safe_stop):
             self.state.to(LifeCycle.inactive)
         self._bus.shutdown()
         self._bus = None
 
+    def _brake(self) -> None:
+        if self._bus is not None and not self._stops_itself:
+            self._send(Mode.brake, np.zeros(self.options.joints))
+
     def report(self) -> Mapping[str, float]:
         counts = {
-            "state_frames_accepted": self._states.accepted if self._bus or self._arrived else 0,
-            "state_frames_rejected": sum(n for why, n in self._states.rejected.items() if not why.startswith("("))
-            if self._arrived
-            else 0,
+            "state_frames_accepted": self._states.accepted,
+            "state_frames_rejected": self._states.refused,
             "cycles_lost": self.monitor.lost,
             "longest_loss_cycles": self.monitor.longest_row,
             "commands_sent": self._sender.sent,

@@ -10,16 +10,16 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from adapters.device import SIMULATED, DeviceError
 from adapters.facility import settings as facility_settings
 from adapters.facility.settings import FacilitySettings
-from adapters.histogram import Histogram
+from adapters.facility.virtual_device import VirtualDevice
 from adapters.pacing import Pacer
 from cosim import assemble, graph, parameters, schedule
 from cosim.clock import SECOND, seconds
-from cosim.component import Array, Component, Port, PythonComponent
+from cosim.component import Array, Component, PythonComponent
 from cosim.graph import Connection, split
 from cosim.master import Master, Outcome
 from cosim.near import did_you_mean
@@ -29,35 +29,11 @@ LONGEST = 7 * 24 * 3600 * SECOND
 """A session's end at the latest [ns]."""
 
 
-class VirtualDevice(Protocol):
-    """The device's end of a link."""
-
-    name: str
-    commands: tuple[Port, ...]
-    """What comes over the wire for the model's inputs."""
-    measurements: tuple[Port, ...]
-    """What goes over the wire of the model's outputs."""
-
-    def begin_session(self, parameters: Mapping[str, Array]) -> None: ...
-    def receive(self, values: Mapping[str, Array]) -> None: ...
-    def send(self, values: Mapping[str, Array]) -> None: ...
-    def report(self) -> Mapping[str, float]: ...
-    def histograms(self) -> Mapping[str, Histogram]: ...
-    def close(self) -> None: ...
-
-    @property
-    def events(self) -> list[tuple[int, str]]: ...
-    @property
-    def session_is_over(self) -> bool: ...
-    @property
-    def is_idle(self) -> bool: ...
-
-
-Factory = Callable[[str, Mapping[str, Any], Path, FacilitySettings, float], VirtualDevice]
+Factory = Callable[[str, Mapping[str, Any], Path, FacilitySettings, float], VirtualDevice[Any]]
 
 
 class _Incoming(PythonComponent):
-    def __init__(self, device: VirtualDevice) -> None:
+    def __init__(self, device: VirtualDevice[Any]) -> None:
         super().__init__(f"{device.name}_incoming", device.commands)
         self._device = device
 
@@ -66,7 +42,7 @@ class _Incoming(PythonComponent):
 
 
 class _Outgoing(PythonComponent):
-    def __init__(self, device: VirtualDevice) -> None:
+    def __init__(self, device: VirtualDevice[Any]) -> None:
         super().__init__(f"{device.name}_outgoing", device.measurements)
         self._device = device
 
@@ -77,7 +53,7 @@ class _Outgoing(PythonComponent):
 class _Pace:
     """Real time, and the end of a session."""
 
-    def __init__(self, pacer: Pacer, devices: list[VirtualDevice], say: Callable[[str], None]) -> None:
+    def __init__(self, pacer: Pacer, devices: list[VirtualDevice[Any]], say: Callable[[str], None]) -> None:
         self.pacer, self.devices, self.say = pacer, devices, say
         self._told = [0] * len(devices)
 
@@ -116,7 +92,7 @@ class Facility:
         self.settings = facility_settings.read(scenario.facility)
         self.period = _cycle(scenario)
         self.pacer = Pacer(self.period)
-        self.devices: list[VirtualDevice] = []
+        self.devices: list[VirtualDevice[Any]] = []
         self.sessions = 0
         self.history: list[dict[str, Any]] = []
         try:
@@ -237,7 +213,7 @@ def _cycle(scenario: Scenario) -> int:
 
 def _virtual(
     name: str, kind: str, options: Mapping[str, Any], directory: Path, settings: FacilitySettings, period: int
-) -> VirtualDevice:
+) -> VirtualDevice[Any]:
     points = {point.name: point for point in entry_points(group="freeflyer.virtual_devices")}
     if kind not in points:
         raise DeviceError(f"device {name}: no virtual device plays the kind {kind!r}{did_you_mean(kind, points)}")

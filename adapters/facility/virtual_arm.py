@@ -16,6 +16,7 @@ from adapters.arm_link import Receiver, Sender, open_bus
 from adapters.device import DeviceError, LifeCycle
 from adapters.facility.arm_logic import ArmLogic, Command
 from adapters.facility.settings import FacilitySettings
+from adapters.facility.virtual_device import VirtualDevice
 from adapters.histogram import Histogram
 from adapters.ramp_down import RampDown
 from cosim.component import Array, Port
@@ -23,7 +24,7 @@ from cosim.component import Array, Port
 SENSED = ("joint_position", "joint_velocity", "joint_torque")
 
 
-class VirtualArm:
+class VirtualArm(VirtualDevice[ArmLogic]):
     """`receive` at the begin of a cycle, then the model's step, then `send`."""
 
     def __init__(self, name: str, raw: Mapping[str, Any], directory: Path, settings: FacilitySettings, period: float) -> None:
@@ -121,25 +122,12 @@ class VirtualArm:
             joints = (float(self.options.joints),)
             self._describer.send({"joint_count": joints, "cycle_time": (self.period,), **self._limits})
 
-    @property
-    def events(self) -> list[tuple[int, str]]:
-        return self.logic.events
-
-    @property
-    def session_is_over(self) -> bool:
-        return self.logic.session_is_over
-
-    @property
-    def is_idle(self) -> bool:
-        return not self.logic.was_active
-
     def report(self) -> Mapping[str, float]:
-        rejected = sum(n for why, n in self._receiver.rejected.items() if not why.startswith("("))
         return {
             "cycle": float(self.logic.cycle),
             "state_frames_sent": float(self._sender.sent),
             "commands_accepted": float(self._receiver.accepted),
-            "commands_rejected": float(rejected),
+            "commands_rejected": float(self._receiver.refused),
             **self._totals(),
         }
 

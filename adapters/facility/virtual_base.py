@@ -12,7 +12,7 @@ from adapters import link_options
 from adapters.device import LifeCycle
 from adapters.facility.base_logic import BaseLogic
 from adapters.facility.settings import FacilitySettings
-from adapters.histogram import Histogram
+from adapters.facility.virtual_device import VirtualDevice
 from adapters.pose import twist_rotated
 from adapters.ros_messages import Odometry
 from adapters.zenoh_base import TWIST
@@ -20,7 +20,7 @@ from adapters.zenoh_link import OdometryLink, is_usable, open_session
 from cosim.component import Array, Port
 
 
-class VirtualBase:
+class VirtualBase(VirtualDevice[BaseLogic]):
     """`receive` at the begin of a cycle, then the model's step, then `send`. It listens where the host connects to."""
 
     def __init__(self, name: str, raw: Mapping[str, Any], directory: Path, settings: FacilitySettings, period: float) -> None:
@@ -81,18 +81,6 @@ class VirtualBase:
         if self._calls % self.settings.measure_every == 0:
             self._link.publish(position, orientation, values["base_velocity"])
 
-    @property
-    def events(self) -> list[tuple[int, str]]:
-        return self.logic.events
-
-    @property
-    def session_is_over(self) -> bool:
-        return self.logic.session_is_over
-
-    @property
-    def is_idle(self) -> bool:
-        return not self.logic.was_active
-
     def report(self) -> Mapping[str, float]:
         counts = self._link.counts
         return {
@@ -101,9 +89,6 @@ class VirtualBase:
             "setpoints_refused": float(counts.malformed + counts.stale + counts.strangers),
             "active": float(self.logic.life.now is LifeCycle.active),
         }
-
-    def histograms(self) -> Mapping[str, Histogram]:
-        return {}
 
     def close(self) -> None:
         self._link.close()

@@ -379,6 +379,24 @@ def test_an_arm_that_tells_is_at_rest_once_it_says_so(active: tuple[CanArm, Scri
     assert arm.at_rest
 
 
+def test_an_arm_in_a_stop_of_its_own_is_left_to_it(active: tuple[CanArm, ScriptedArm]) -> None:
+    """Its own damped ramp must not be cut short by our brakes."""
+    arm, there = active
+    there.life = LifeCycle.safe_stop
+    there.received.clear()
+    for k in range(100):
+        there.send(brakes=(0.0,))
+        assert not arm.ramp_down(k * 1e-3)
+    there.send(brakes=(1.0,))
+    assert arm.ramp_down(0.1)
+    assert arm.at_rest
+    arm.on_error("the arm has stopped")
+    arm.deactivate()
+    there.take()
+    assert [c for c in there.received if c["mode"][0] != Mode.torque] == []
+    assert len(there.received) <= 1  # the answer to the frame that told it
+
+
 def test_a_state_that_nobody_knows_is_a_fault(active: tuple[CanArm, ScriptedArm]) -> None:
     arm, there = active
     there.send(life_cycle=(7.0,))
