@@ -10,7 +10,8 @@ import can
 import numpy as np
 
 from adapters import settings as all_settings
-from adapters.arm_frames import LIMIT_ROLES, ArmFrames, Mode
+from adapters.arm_description import compare
+from adapters.arm_frames import ArmFrames, Mode
 from adapters.arm_link import Receiver, Sender, open_bus
 from adapters.arm_options import ArmOptions
 from adapters.device import DeviceError, LifeCycle, SafeStop, State
@@ -105,7 +106,8 @@ class CanArm:
         self._sender = Sender(self._bus, self.frames.command)
         self._states = Receiver(self.frames.state)
         if description is not None:
-            self._compare(self._described(Receiver(description)))
+            described = self._described(Receiver(description))
+            compare(self._where, description, described, v, o.joints)
         self._claim()
         self.state.to(LifeCycle.inactive)
 
@@ -135,27 +137,6 @@ class CanArm:
             f"{self._where} sends no {what} frame within {waited:g} s{why}: is the arm (or `freeflyer facility`) running on this "
             f"channel, and not active for somebody else?"
         )
-
-    def _compare(self, described: Mapping[str, list[float]]) -> None:
-        """The arm's own description against the robot that the controllers are for."""
-        joints = int(described["joint_count"][0])
-        if joints != self.options.joints:
-            raise DeviceError(f"{self._where} has {joints} joints, but the scenario's robot has {self.options.joints}")
-        if "cycle_time" in described and abs(described["cycle_time"][0] - self.cycle) > 1e-9:
-            raise DeviceError(
-                f"{self._where} has a cycle of {described['cycle_time'][0]:g} s, but the scenario's is {self.cycle:g} s"
-            )
-        assert self.frames.description is not None
-        for role in LIMIT_ROLES:
-            for j, (theirs, ours) in enumerate(zip(described.get(role, ()), self.values[role], strict=False)):
-                f = self.frames.description.fields[role][j]
-                expected = min(max(float(ours), f.least), f.most)
-                if abs(theirs - expected) > f.resolution:
-                    unit = self.ports[role].units[j]
-                    raise DeviceError(
-                        f"{self._where}: its {role.replace('_', ' ')} of joint {j + 1} is {theirs:g} {unit}, but the scenario's robot has "
-                        f"{float(ours):g} {unit}; it is another arm, or one of the two is set wrongly"
-                    )
 
     def _claim(self) -> None:
         """The first measurement, and the arm's word that it listens to us."""

@@ -56,7 +56,7 @@ class LoopReport:
         }
 
 
-def with_devices(scenario: Scenario, *, simulated: bool = False) -> Scenario:
+def with_devices(scenario: Scenario, *, simulated: bool = False, fmi: int | None = None) -> Scenario:
     """Devices in the place of the components of the same names; what joined two of them is physics, which is theirs.
 
     `simulated`: every device is its own model in this process, and the wall clock paces the loop.
@@ -69,10 +69,7 @@ def with_devices(scenario: Scenario, *, simulated: bool = False) -> Scenario:
     else:
         specs = list(scenario.devices)
     # A simulated device has its model's parameters and, beside them, a device's settings.
-    specs = [
-        replace(spec, parameters={**models[spec.name].parameters, **spec.parameters}) if spec.kind == SIMULATED else spec
-        for spec in specs
-    ]
+    specs = [_with_model(spec, models[spec.name], fmi) if spec.kind == SIMULATED else spec for spec in specs]
     devices = {spec.name: spec for spec in specs}
     others = tuple(spec for spec in scenario.components if spec.name not in devices)
 
@@ -87,6 +84,13 @@ def with_devices(scenario: Scenario, *, simulated: bool = False) -> Scenario:
 
     connections = tuple(connection for connection in scenario.connections if stays(connection))
     return replace(scenario, components=(*devices.values(), *others), connections=connections)
+
+
+def _with_model(spec: ComponentSpec, model: ComponentSpec, fmi: int | None) -> ComponentSpec:
+    version = {} if fmi is None else {"fmi": fmi}
+    return replace(
+        spec, parameters={**model.parameters, **spec.parameters}, options={**model.options, **spec.options, **version}
+    )
 
 
 def _ports(specs: Sequence[ComponentSpec], directory: Path) -> dict[str, frozenset[str]]:
@@ -217,7 +221,7 @@ def run(
     say: Any = print,
 ) -> tuple[Result, LoopReport]:
     """Configure, activate, run, stop. Raises CosimError before anything moves; afterwards everything is in the result."""
-    scenario = with_devices(scenario, simulated=simulated)
+    scenario = with_devices(scenario, simulated=simulated, fmi=fmi)
     pacing.prepare_links(real_time)
     try:
         # Until something is active, Ctrl-C is an ordinary exception, which closes what was opened.
@@ -260,10 +264,9 @@ def _run(
         if live is not None:
             live.close()
     pacing.leave_real_time()
-    times = pace.times
     report = LoopReport(
         granted=granted,
-        times={name: histogram.summary() for name, histogram in times.items()},
+        times={name: histogram.summary() for name, histogram in pace.times.items()},
         devices={device.name: device.report() for device in devices},
         stop=f"{reason}; {left}",
     )

@@ -93,7 +93,6 @@ class Facility:
         self.period = _cycle(scenario)
         self.pacer = Pacer(self.period)
         self.devices: list[VirtualDevice[Any]] = []
-        self.sessions = 0
         self.history: list[dict[str, Any]] = []
         try:
             for spec in played:
@@ -110,7 +109,6 @@ class Facility:
         """Until Ctrl-C or SIGTERM, or until a model fails; the last session's outcome."""
         while True:
             outcome = self._session(say)
-            self.sessions += 1
             if outcome.failed or outcome.diverged:
                 say(f"the model failed: {outcome.cause}")
             if outcome.interrupted or outcome.failed or outcome.diverged:

@@ -95,6 +95,17 @@ class Process:
         self.popen.stdout.close()
 
 
+BASE_ALONE = """extends = "facility"
+[devices.arm_drive]
+kind = "simulated"
+[devices.base_robot.parameters]
+lost_consecutive = 250
+lost_in_window = 0
+age_limit = 1.0
+"""
+"""A scenario whose arm is a model beside the controllers, so that only the base is on a link."""
+
+
 class Rig:
     """One facility and whoever is started against it."""
 

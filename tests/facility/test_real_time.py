@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from processes import PATIENT_FACILITY, PATIENT_LOOP, Rig, events, rig
+from processes import BASE_ALONE, PATIENT_FACILITY, PATIENT_LOOP, Rig, events, rig
 
 from adapters import hil
 from adapters.arm_frames import ArmFrames, FrameMapping
@@ -195,10 +195,7 @@ def test_a_second_controller_is_refused_before_anything_moves_with_both_numbers(
 
 def test_a_second_controller_of_a_base_alone_is_refused_with_both_names(tmp_path: Path) -> None:
     path = tmp_path / "base.toml"
-    path.write_text(
-        'extends = "facility"\n[devices.arm_drive]\nkind = "simulated"\n'
-        "[devices.base_robot.parameters]\nlost_consecutive = 250\nlost_in_window = 0\nage_limit = 1.0\n"
-    )
+    path.write_text(BASE_ALONE)
     with rig(tmp_path, str(path)) as bench:
         base = f'devices.base_robot.connect=["{bench.endpoint}"]'
         facility = bench.start("facility", str(path), "--set", base, "--set", "facility.base_watchdog_s=1.0")
@@ -315,10 +312,7 @@ def test_nothing_listens_beyond_loopback_and_nobody_joins_a_multicast_group(benc
 def test_a_simulated_arm_on_a_base_over_zenoh_is_paced_by_the_clock(tmp_path: Path) -> None:
     """No arm on a bus, so absolute deadlines are the clock; the arm's model is told how the measured base moves."""
     path = tmp_path / "mixed.toml"
-    path.write_text(
-        'extends = "facility"\n[devices.arm_drive]\nkind = "simulated"\n'
-        "[devices.base_robot.parameters]\nlost_consecutive = 250\nlost_in_window = 0\nage_limit = 1.0\n"
-    )
+    path.write_text(BASE_ALONE)
     with rig(tmp_path, str(path)) as bench:
         base = f'devices.base_robot.connect=["{bench.endpoint}"]'
         facility = bench.start("facility", str(path), "--set", base, "--set", "facility.base_watchdog_s=1.0")

@@ -1,0 +1,32 @@
+"""What an arm says of itself against the robot that the controllers are for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from adapters import settings as all_settings
+from adapters.arm_frames import LIMIT_ROLES, Frame
+from adapters.device import DeviceError
+from cosim.component import Array
+
+UNITS = {setting.name: setting.unit for setting in all_settings.ARM}
+
+
+def compare(where: str, frame: Frame, described: Mapping[str, list[float]], expected: Mapping[str, Array], joints: int) -> None:
+    """DeviceError, with both numbers, where they differ by more than the frame's resolution.
+
+    `described`: the frame's values by role [SI]; `expected`: settings of `adapters.settings.ARM`, joint by joint.
+    """
+    count, period = int(described["joint_count"][0]), float(expected["period"][0])
+    if count != joints:
+        raise DeviceError(f"{where} has {count} joints, but the scenario's robot has {joints}")
+    if "cycle_time" in described and abs(described["cycle_time"][0] - period) > 1e-9:
+        raise DeviceError(f"{where} has a cycle of {described['cycle_time'][0]:g} s, but the scenario's is {period:g} s")
+    for role in LIMIT_ROLES:
+        for j, (theirs, ours) in enumerate(zip(described.get(role, ()), expected[role], strict=False)):
+            f = frame.fields[role][j]
+            if abs(theirs - min(max(float(ours), f.least), f.most)) > f.resolution:
+                raise DeviceError(
+                    f"{where}: its {role.replace('_', ' ')} of joint {j + 1} is {theirs:g} {UNITS[role]}, but the scenario's robot has "
+                    f"{float(ours):g} {UNITS[role]}; it is another arm, or one of the two is set wrongly"
+                )
