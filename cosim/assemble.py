@@ -102,9 +102,9 @@ def make(spec: ComponentSpec, directory: Path, fmi: int | None) -> Component:
         raise ComponentError(text if text.startswith("component ") else f"component {spec.name}: {text}") from error
 
 
-def _refuse_driven(scenario: Scenario, values: Values) -> None:
+def _refuse_driven(wiring: graph.Graph, values: Values) -> None:
     """A value for an input that a connection drives would be lost without a word."""
-    for connection in scenario.connections:
+    for connection in wiring.connections:
         component, variable = graph.split(connection.target)
         if variable in values.get(component, {}):
             raise ScenarioError(f"{connection.target} cannot be set: it is driven by the connection from {connection.source}")
@@ -118,7 +118,6 @@ def assembled(scenario: Scenario, fmi: int | None = None) -> Iterator[tuple[Mast
         for spec in scenario.components:
             components[spec.name] = make(spec, scenario.directory, fmi)
         values = parameters.resolve(scenario, components)
-        _refuse_driven(scenario, values)
         plan = schedule.build(
             parameters.steps(scenario, components, values),
             scenario.stop,
@@ -126,7 +125,9 @@ def assembled(scenario: Scenario, fmi: int | None = None) -> Iterator[tuple[Mast
             {name: component.variable_step for name, component in components.items()},
         )
         samples = {spec.name: spec.samples for spec in scenario.components if spec.samples is not None}
-        master = Master(graph.build(components, scenario.connections, samples), plan, scenario.limits)
+        wiring = graph.build(components, scenario.connections, samples, scenario.exchange)
+        _refuse_driven(wiring, values)
+        master = Master(wiring, plan, scenario.limits)
         master.initialise(values)
         yield master, values
     finally:

@@ -99,6 +99,24 @@ def _annotated_units(path: Path) -> dict[str, tuple[str, ...]]:
     return found
 
 
+def terminals_of(path: Path) -> dict[str, dict[str, str]]:
+    """Terminal -> member -> variable, from FMI 3.0's terminalsAndIcons.xml; our FMI 2.0 FMUs have the same in an annotation."""
+    with zipfile.ZipFile(path) as archive:
+        inside = "terminalsAndIcons/terminalsAndIcons.xml"
+        name = inside if inside in archive.namelist() else "modelDescription.xml"
+        try:
+            root = ElementTree.fromstring(archive.read(name))
+        except ElementTree.ParseError as error:
+            raise ComponentError(f"FMU {path} has an invalid {name}: {error}") from error
+    return {
+        terminal.get("name", ""): {
+            member.get("memberName", ""): member.get("variableName", "")
+            for member in terminal.iterfind("TerminalMemberVariable")
+        }
+        for terminal in root.iterfind(".//Terminals/Terminal")
+    }
+
+
 def _sentence(error: Exception) -> str:
     return " ".join(str(error).split())[:300]
 
@@ -173,6 +191,7 @@ class FmuComponent:
         self.description = describe(path)
         self.version = 2 if self.description.fmiVersion.startswith("2") else 3
         self._ports, self._variables = ports_of(self.description, _annotated_units(path))
+        self.terminals = terminals_of(path)
         interface = self._interface()
         self.variable_step = bool(getattr(interface, "canHandleVariableCommunicationStepSize", True))
         self._messages: list[str] = []

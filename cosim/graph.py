@@ -8,25 +8,34 @@ value from before the instant and orders nothing.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from graphlib import CycleError, TopologicalSorter
+from typing import Literal
 
 from cosim.component import Component, Port
 from cosim.errors import GraphError
 from cosim.near import did_you_mean
 from cosim.units import same
 
+Exchange = Literal["sequential", "parallel"]
+"""Sequential (Gauss-Seidel): a controller's output is used at the instant of its sample. Parallel (Jacobi): everybody steps with
+what all had at the end of their last steps, so that a controller's output reaches the others one step of its own late.
+"""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Connection:
-    """`source` and `target` are COMPONENT.VARIABLE."""
+    """`source` and `target` are COMPONENT.VARIABLE; of terminals, which stand for all connections between their members, they
+    are COMPONENT.TERMINAL.
+    """
 
     source: str
     target: str
     delayed: bool = False
+    of_terminals: bool = False
 
     def __str__(self) -> str:
-        return f"{self.source} -> {self.target}"
+        return f"{self.source} {'<->' if self.of_terminals else '->'} {self.target}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,14 +69,53 @@ def port(components: Mapping[str, Component], signal: str, subject: str) -> Port
     return ports[variable]
 
 
+def expand(components: Mapping[str, Component], connections: Sequence[Connection]) -> list[Connection]:
+    """Connections of terminals -> those of their members: output to input, where both terminals have the member. GraphError if
+    there is no such terminal, or nothing that fits.
+    """
+    expanded: list[Connection] = []
+    for connection in connections:
+        expanded += _members(components, connection) if connection.of_terminals else [connection]
+    return expanded
+
+
+def _members(components: Mapping[str, Component], connection: Connection) -> list[Connection]:
+    subject, found = f"connection {connection}", []
+    ends = [(split(end)[0], _terminal(components, end, subject)) for end in (connection.source, connection.target)]
+    for (source, ours), (target, theirs) in (ends, ends[::-1]):
+        for member in ours.keys() & theirs.keys():
+            output, entry = f"{source}.{ours[member]}", f"{target}.{theirs[member]}"
+            kinds = [port(components, end, subject).causality for end in (output, entry)]
+            if kinds == ["output", "input"]:
+                found.append(Connection(source=output, target=entry, delayed=connection.delayed))
+    if not found:
+        raise GraphError(f"{subject}: no output of one terminal is an input of the other")
+    return sorted(found, key=str)
+
+
+def _terminal(components: Mapping[str, Component], end: str, subject: str) -> Mapping[str, str]:
+    component, name = split(end)
+    if component not in components:
+        raise GraphError(f"{subject}: there is no component {component!r}{did_you_mean(component, components)}")
+    terminals: Mapping[str, Mapping[str, str]] = getattr(components[component], "terminals", {})
+    if name not in terminals:
+        raise GraphError(f"{subject}: component {component!r} has no terminal {name!r}{did_you_mean(name, terminals)}")
+    return terminals[name]
+
+
 def build(
-    components: Mapping[str, Component], connections: Sequence[Connection], samples: Mapping[str, bool] | None = None
+    components: Mapping[str, Component],
+    connections: Sequence[Connection],
+    samples: Mapping[str, bool] | None = None,
+    exchange: Exchange = "sequential",
 ) -> Graph:
     """Check every connection and find the order. Raises GraphError with one sentence.
 
     `samples` overrides, component by component, what their descriptions say of their outputs: True, they belong to the begin
-    of a step; False, to its end.
+    of a step; False, to its end. In `parallel` exchange all outputs belong to the end of a step, so that there is no order and
+    nothing left to delay.
     """
+    connections = expand(components, connections)
     driven: dict[str, Connection] = {}
     for connection in connections:
         _check(components, connection)
@@ -76,6 +124,9 @@ def build(
                 f"input {connection.target} has two sources: {driven[connection.target].source} and {connection.source}"
             )
         driven[connection.target] = connection
+    if exchange == "parallel":
+        connections = [replace(connection, delayed=False) for connection in connections]
+        samples = dict.fromkeys(components, False)
     first = _order(components, connections, samples or {})
     then = tuple(name for name in components if name not in first)
     return Graph(components=components, connections=tuple(connections), first=first, then=then)

@@ -11,11 +11,11 @@ import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from cosim.clock import nanoseconds
 from cosim.errors import ScenarioError
-from cosim.graph import Connection
+from cosim.graph import Connection, Exchange
 from cosim.master import Limit
 from cosim.near import did_you_mean
 from cosim.raw_scenario import Raw, merged, override
@@ -56,6 +56,7 @@ class Scenario:
     stop: int
     record_every: int
     expect: Literal["completes", "diverges"]
+    exchange: Exchange
     robot: Mapping[str, Any]
     components: tuple[ComponentSpec, ...]
     devices: tuple[ComponentSpec, ...]
@@ -125,6 +126,7 @@ class _Reader:
         "expect",
         "robot",
         "record",
+        "exchange",
         "components",
         "devices",
         "facility",
@@ -146,6 +148,9 @@ class _Reader:
         expect = raw.get("expect", "completes")
         if expect not in ("completes", "diverges"):
             raise self.fail(f"expect is {expect!r}; 'completes' or 'diverges' is expected")
+        exchange = raw.get("exchange", "sequential")
+        if exchange not in get_args(Exchange):
+            raise self.fail(f"exchange is {exchange!r}; 'sequential' or 'parallel' is expected")
         record = self.table(raw, "record")
         self.known(record, ("every_s",), "[record]")
         components = tuple(self.component(name, raw["components"][name]) for name in self.table(raw, "components"))
@@ -161,6 +166,7 @@ class _Reader:
             stop=self.time(raw, "stop_s", "stop_s"),
             record_every=self.time(record, "every_s", "[record] every_s", 0.01),
             expect=expect,
+            exchange=exchange,
             robot=self.table(raw, "robot"),
             components=components,
             devices=devices,
@@ -212,6 +218,12 @@ class _Reader:
 
     def connections(self, raw: Raw, key: str, delayed: bool) -> Iterable[Connection]:
         for text in self.array(raw, key):
+            if "<->" in str(text):
+                left, _, right = (part.strip() for part in str(text).partition("<->"))
+                if "." not in left or "." not in right:
+                    raise self.fail(f"{key}: {text!r}; 'COMPONENT.TERMINAL <-> COMPONENT.TERMINAL' is expected")
+                yield Connection(source=left, target=right, delayed=delayed, of_terminals=True)
+                continue
             source, arrow, targets = str(text).partition("->")
             for target in targets.split(","):
                 if not arrow or "." not in source or "." not in target:

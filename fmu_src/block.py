@@ -42,6 +42,7 @@ class Variable:
     kind: Literal["real", "boolean", "enumeration"] = "real"
     choices: tuple[str, ...] = ()
     local: bool = False
+    nominal: float = 1.0
 
     @property
     def element_names(self) -> tuple[str, ...]:
@@ -75,6 +76,7 @@ class Block:
         self.symbols: dict[str, SX] = {}
         self.time = SX.sym("t")
         self.requirements: list[Requirement] = []
+        self.terminals: dict[str, dict[str, str]] = {}
         self._next: dict[str, SX] = {}
         self._initial: dict[str, SX] = {}
         self._outputs: dict[str, SX] = {}
@@ -122,9 +124,16 @@ class Block:
     def input(self, name: str, start: object, unit: str | Units, description: str) -> SX:
         return self._declare(name, "input", start, unit, description)
 
-    def state(self, name: str, start: object, unit: str | Units, description: str, *, local: bool = False) -> SX:
-        """A state, visible as an output (or local variable) of the same name. Its start value can be set."""
-        return self._declare(name, "state", start, unit, description, local=local)
+    def state(
+        self, name: str, start: object, unit: str | Units, description: str, *, local: bool = False, nominal: float = 1.0
+    ) -> SX:
+        """A state, visible as an output (or local variable) of the same name. Its start value can be set.
+
+        `nominal` is the size that its values typically have; solvers scale their tolerances by it.
+        """
+        if not 0.0 < nominal < float("inf"):
+            raise BlockError(f"block {self.name}: the nominal value of {name!r} is {nominal}; a number above 0 is expected")
+        return self._declare(name, "state", start, unit, description, local=local, nominal=nominal)
 
     def sampled_every(self, name: str, start: float, description: str) -> SX:
         """Make the block a sampled one; its period [s] is the fixed parameter `name`."""
@@ -133,6 +142,18 @@ class Block:
         self.period = name
         self.default_step = start
         return self.parameter(name, start, "s", description, above=0.0)
+
+    def terminal(self, name: str, *variables: str, **members: str) -> None:
+        """Inputs and outputs that are connected in one gesture: members of the same name of two blocks' terminals belong
+        together, output to input. A member has its variable's name, or is given as MEMBER = variable.
+        """
+        group = {variable: variable for variable in variables} | members
+        for variable in group.values():
+            if variable not in self.variables or self.variables[variable].causality == "parameter":
+                raise BlockError(
+                    f"block {self.name}: terminal {name!r} has the member {variable!r}, which is no input or output"
+                )
+        self.terminals[name] = group
 
     # Equations
 
@@ -222,19 +243,75 @@ class Block:
         }
 
     @cached_property
+    def sensitivities(self) -> dict[str, ca.Function]:
+        """Of every function but `check`: `forward_NAME` (t, p, u, x, seed of (t, p, u, x)) -> that of the results, margins
+        left out; `reverse_NAME` (t, p, u, x, seed of the results) -> that of (t, p, u, x).
+        """
+        made = {}
+        knowns = ca.vertcat(*self.arguments)
+        for name, function in self.functions.items():
+            if name == "check":
+                continue
+            results = function.call(self.arguments)
+            value = ca.vertcat(*(results[:2] if name == "update" else results[:1]))
+            for kind, count in (("forward", knowns.numel()), ("reverse", value.numel())):
+                seed = SX.sym("seed", count)
+                product = ca.jtimes(value, knowns, seed, kind == "reverse")
+                made[f"{kind}_{name}"] = self._function(f"{kind}_{name}", [product], [*self.arguments, seed])
+        return made
+
+    @cached_property
     def dependencies(self) -> dict[str, list[str]]:
-        """For every output element, the input elements, and `time`, that it depends on directly, at the same instant."""
-        u = ca.vertcat(self.time, self._symbols("input"))
-        knowns = ["time", *(name for variable in self.having("input") for name in variable.element_names)]
-        result: dict[str, list[str]] = {}
+        """For every output and derivative element, the elements of inputs and continuous states, and `time`, that it depends on
+        directly, at the same instant.
+        """
+        knowns = ["time", *self._elements("input")]
+        given = ca.vertcat(self.time, self._symbols("input"))
+        if not self.is_sampled:
+            knowns += self._elements("state")
+            given = ca.vertcat(given, self._symbols("state"))
+        return self._sparsity(self._unknowns(), given, knowns)
+
+    @cached_property
+    def initial_dependencies(self) -> dict[str, list[str]]:
+        """The same at the end of the initialisation, when the states follow from parameters, inputs and start values."""
+        knowns = ["time", *(name for causality in ("parameter", "input", "state") for name in self._elements(causality))]
+        start = {v.name: self._initial.get(v.name, self.symbols[v.name]) for v in self.having("state")}
+        expressions = self._unknowns()
+        together = ca.vertcat(SX(0, 1), *expressions.values())
+        if start:
+            together = ca.substitute(together, self._symbols("state"), ca.vertcat(*start.values()))
+        substituted = dict(zip(expressions, ca.vertsplit(together), strict=True))
+        for variable in self.having("state"):  # before the first sample a state shows what it begins with
+            substituted |= zip(variable.element_names, ca.vertsplit(start[variable.name]), strict=True)
+        return self._sparsity(substituted, ca.vertcat(*self.arguments), knowns)
+
+    def _elements(self, *causalities: str) -> list[str]:
+        return [name for variable in self.having(*causalities) for name in variable.element_names]
+
+    def _unknowns(self) -> dict[str, SX]:
+        """Expressions of all output and state elements, and of `der(...)` of a continuous block's states."""
+        found: dict[str, SX] = {}
         for variable in self.having("output", "state"):
             # A sampled state's visible value is the new one: it depends on the inputs of its sample.
             expression = self._outputs.get(variable.name)
             if expression is None:
                 expression = self._next[variable.name] if self.is_sampled else self.symbols[variable.name]
-            for element, row in zip(variable.element_names, ca.vertsplit(expression), strict=True):
-                result[element] = [knowns[column] for column in ca.jacobian_sparsity(row, u).get_col()]
-        return result
+            found |= zip(variable.element_names, ca.vertsplit(expression), strict=True)
+        for variable in [] if self.is_sampled else self.having("state"):
+            names = [f"der({element})" for element in variable.element_names]
+            found |= zip(names, ca.vertsplit(self._next[variable.name]), strict=True)
+        return found
+
+    @staticmethod
+    def _sparsity(unknowns: dict[str, SX], given: SX, knowns: Sequence[str]) -> dict[str, list[str]]:
+        rows = ca.vertcat(SX(0, 1), *unknowns.values())
+        pattern = ca.jacobian_sparsity(rows, given)
+        result: dict[str, list[str]] = {name: [] for name in unknowns}
+        names = list(unknowns)
+        for row, column in zip(*pattern.get_triplet(), strict=True):
+            result[names[row]].append(knowns[column])
+        return {name: sorted(found, key=knowns.index) for name, found in result.items()}
 
     def has_start(self, variable: Variable) -> bool:
         """Whether a start value can be given: not for an output, nor for a state whose initial value follows from others."""
@@ -314,9 +391,9 @@ class Block:
     def _margins(self, requirements: Sequence[Requirement]) -> SX:
         return ca.densify(ca.vertcat(SX(0, 1), *(ca.vertcat(r.value, r.minimum) for r in requirements)))
 
-    def _function(self, name: str, results: Sequence[SX]) -> ca.Function:
+    def _function(self, name: str, results: Sequence[SX], arguments: Sequence[SX] | None = None) -> ca.Function:
         shared = ca.cse([ca.densify(SX(result)) for result in results])
-        return ca.Function(f"{self.name}_{name}", self.arguments, shared)
+        return ca.Function(f"{self.name}_{name}", arguments or self.arguments, shared)
 
     def _check_symbols(self) -> None:
         used = ca.symvar(ca.vertcat(SX(0), *self._next.values(), *self._outputs.values(), *self._initial.values()))

@@ -16,15 +16,15 @@ class BuildHook(BuildHookInterface):  # type: ignore[misc]
             return
         sys.path.insert(0, self.root)
         try:
-            from fmu_src.export.archive import build
+            from fmu_src.export.archive import build_all
             from fmu_src.shipped import BLOCKS
             from fmu_src.urdf import load_robot_file
 
             robot = load_robot_file()
             directory = Path(self.root) / "fmu_src" / "prebuilt"
             shutil.rmtree(directory, ignore_errors=True)  # no FMU of an earlier build stays in the wheel
-            for block in BLOCKS.values():
-                build(block(robot), directory)
+            for _ in build_all([make(robot) for make in BLOCKS.values()], directory):
+                pass
         finally:
             sys.path.remove(self.root)
         build_data["pure_python"] = False

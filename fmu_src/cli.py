@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from fmu_src.errors import FmuSourceError, RobotError
-from fmu_src.export.archive import build
+from fmu_src.export.archive import build_all
 from fmu_src.export.compiler import PLATFORMS, Platform, host_platform
 from fmu_src.oracle import disagreement
 from fmu_src.robot import Robot
@@ -17,6 +17,8 @@ from fmu_src.shipped import BLOCKS
 from fmu_src.urdf import load_robot_file, load_urdf
 from fmu_src.user_block import load_block
 
+SOURCES = "sources"
+"""Stands among the platforms for a target that compiles the FMU itself."""
 AGREEMENT = 1e-8
 """Largest relative difference from Pinocchio's forward dynamics that a user's robot may have."""
 
@@ -36,7 +38,9 @@ class FmusCommand:
         )
         parser.add_argument("--posture", nargs="+", metavar="JOINT=VALUE", help="start posture: JOINT=VALUE each, or n numbers")
         parser.add_argument("--block", type=Path, metavar="FILE.py", help="a file that defines block(robot) -> Block")
-        parser.add_argument("--platforms", default="host", help=f"host (default), all, or a list of {', '.join(PLATFORMS)}")
+        parser.add_argument(
+            "--platforms", default="host", help=f"host (default), all, or a list of {', '.join((*PLATFORMS, SOURCES))}"
+        )
         parser.add_argument("--out", type=Path, default=Path("fmus"), metavar="DIR")
 
     def execute(self, arguments: argparse.Namespace, console: Any) -> int:
@@ -47,7 +51,7 @@ class FmusCommand:
             return 2
 
     def _build(self, arguments: argparse.Namespace, console: Any) -> int:
-        platforms = chosen_platforms(arguments.platforms)
+        platforms, sources = chosen_platforms(arguments.platforms)
         robot = chosen_robot(arguments)
         makers = BLOCKS if arguments.block is None else {arguments.block.stem: load_block(arguments.block)}
         # Everything is declared and checked before the first file is written.
@@ -62,23 +66,21 @@ class FmusCommand:
                     f"{AGREEMENT:g} is expected: the inertias are too far apart in size to compute with"
                 )
             console.print(f"{robot.name}: {robot.joint_count} free joints; dynamics agree with Pinocchio's to {difference:.1e}")
-        for block in blocks:
-            with console.status(f"compiling {block.name}"):
-                paths = build(block, arguments.out, platforms)
-            console.print(f"{block.name}: {', '.join(str(path) for path in paths.values())}", soft_wrap=True)
+        with console.status(f"compiling {len(blocks)} blocks for {', '.join(p.fmi3 for p in platforms) or 'no platform'}"):
+            for block, paths in build_all(blocks, arguments.out, platforms, sources=sources):
+                console.print(f"{block.name}: {', '.join(str(path) for path in paths.values())}", soft_wrap=True)
         return 0
 
 
-def chosen_platforms(text: str) -> list[Platform]:
+def chosen_platforms(text: str) -> tuple[list[Platform], bool]:
+    """The platforms to compile for, and whether the sources go with the FMUs."""
     if text == "host":
-        return [host_platform()]
-    if text == "all":
-        return list(PLATFORMS.values())
-    names = text.split(",")
+        return [host_platform()], False
+    names = [*PLATFORMS, SOURCES] if text == "all" else text.split(",")
     for name in names:
-        if name not in PLATFORMS:
-            raise FmuSourceError(f"--platforms {text}: {name!r} is none of {', '.join(PLATFORMS)}, host, all")
-    return [PLATFORMS[name] for name in names]
+        if name not in PLATFORMS and name != SOURCES:
+            raise FmuSourceError(f"--platforms {text}: {name!r} is none of {', '.join((*PLATFORMS, SOURCES))}, host, all")
+    return [PLATFORMS[name] for name in names if name != SOURCES], SOURCES in names
 
 
 def chosen_robot(arguments: argparse.Namespace) -> Robot:

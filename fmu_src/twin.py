@@ -101,6 +101,10 @@ class Twin:
     def ports(self) -> Mapping[str, TwinPort]:
         return self._ports
 
+    @property
+    def terminals(self) -> Mapping[str, Mapping[str, str]]:
+        return self.block.terminals
+
     def value(self, name: str) -> Array:
         """A view of one variable (size)."""
         variable = self.block.variables[name]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 UNITS: dict[str, dict[str, int]] = {
     "1": {},
+    "1/s": {"s": -1},
     "m": {"m": 1},
     "m/s": {"m": 1, "s": -1},
     "m/s2": {"m": 1, "s": -2},
@@ -26,3 +27,11 @@ UNITS: dict[str, dict[str, int]] = {
     "N.m.s/rad": {"kg": 1, "m": 2, "s": -1, "rad": -1},
 }
 DISPLAY = {"rad": ("deg", 57.29577951308232), "rad/s": ("deg/s", 57.29577951308232)}
+
+
+def rate(unit: str) -> str | None:
+    """The unit of a time derivative, if it is one of these."""
+    wanted = dict(UNITS[unit])
+    wanted["s"] = wanted.get("s", 0) - 1
+    wanted = {base: power for base, power in wanted.items() if power}
+    return next((name for name, powers in UNITS.items() if powers == wanted), None)

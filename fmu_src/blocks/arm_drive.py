@@ -91,4 +91,5 @@ def arm_drive(robot: Robot) -> Block:
     torque = link_torque(q, qd) + torque_noise * normal[n:]
     block.output("joint_torque", torque, torque_unit, "Measured joint torques behind the gear, gravity included")
     require_quaternions(block, {"base_orientation": R_b})
+    block.terminal("arm", "joint_position", "joint_velocity", measured_joint_torque="joint_torque")
     return block

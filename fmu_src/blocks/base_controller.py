@@ -92,4 +92,9 @@ def base_controller(robot: Robot) -> Block:
     block.output("passivity_wrench", F_pcb, WRENCH, "F_pcb: share of the passivity controller, (25), in I")
     require_quaternions(block, {"base_orientation": state.orientation, "orientation_setpoint": R_bd})
     require_regular_jacobian(block, smallest_singular_value(star.Jm_inverse), least_sigma)
+    block.terminal("base", "base_position", "base_orientation", "base_velocity", "base_wrench")
+    block.terminal("arm", "joint_position", "joint_velocity")
+    block.terminal("reference", velocity="desired_velocity", acceleration="desired_acceleration")
+    block.terminal("ports", "end_effector_wrench", "base_damping")
+    block.terminal("applied", "base_wrench", "port_wrench", base_passivity_wrench="passivity_wrench")
     return block

@@ -106,6 +106,7 @@ def base_robot(robot: Robot) -> Block:
     block.output("base_orientation", measured, "1", "Measured orientation, quaternion x, y, z, w")
     block.output("base_velocity", v_now, TWIST, "Measured velocity, in I")
     require_quaternions(block, {"orientation_setpoint": R_set, "true_orientation": R})
+    block.terminal("base", "base_position", "base_orientation", "base_velocity")
     return block
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from fmu_src.block import TWIST, WRENCH, Block
 from fmu_src.blocks.robot_parameters import IDENTITY, joint_units, mass_parameters, require_quaternions
+from fmu_src.blocks.terminals import HAND
 from fmu_src.equations import dynamics, rotation
 from fmu_src.equations.kinematics import end_effector_pose, end_effector_velocity
 from fmu_src.equations.mechanism import State
@@ -43,4 +44,7 @@ def free_flyer(robot: Robot) -> Block:
     linear, angular = dynamics.momentum(mechanism, position, state)
     block.output("linear_momentum", linear, "kg.m/s", "Linear momentum, in I")
     block.output("angular_momentum", angular, "kg.m2/s", "Angular momentum about the origin of I, in I")
+    block.terminal("base", "base_position", "base_orientation", "base_velocity", "base_wrench")
+    block.terminal("arm", "joint_position", "joint_velocity", "joint_torque")
+    block.terminal("hand", **HAND)
     return block

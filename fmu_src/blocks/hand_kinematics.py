@@ -6,6 +6,7 @@ import numpy as np
 
 from fmu_src.block import TWIST, Block
 from fmu_src.blocks.robot_parameters import measured_state, require_quaternions
+from fmu_src.blocks.terminals import HAND
 from fmu_src.equations.kinematics import end_effector_pose, end_effector_velocity
 from fmu_src.equations.mechanism import constant_mechanism
 from fmu_src.robot import Robot
@@ -22,4 +23,7 @@ def hand_kinematics(robot: Robot) -> Block:
     block.output("end_effector_orientation", R_e, "1", "Orientation of E in I, quaternion x, y, z, w")
     block.output("end_effector_velocity", end_effector_velocity(mechanism, state), TWIST, "x_m': velocity of E, in I")
     require_quaternions(block, {"base_orientation": state.orientation})
+    block.terminal("base", "base_position", "base_orientation", "base_velocity")
+    block.terminal("arm", "joint_position", "joint_velocity")
+    block.terminal("hand", **HAND)
     return block

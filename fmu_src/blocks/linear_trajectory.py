@@ -6,6 +6,7 @@ import numpy as np
 
 from fmu_src.block import ACCELERATION, TWIST, Block
 from fmu_src.blocks.robot_parameters import IDENTITY, joint_units, require_quaternions
+from fmu_src.blocks.terminals import REFERENCE
 from fmu_src.equations.kinematics import end_effector_pose
 from fmu_src.equations.mechanism import constant_mechanism
 from fmu_src.equations.trajectory import straight_line
@@ -27,4 +28,5 @@ def linear_trajectory(robot: Robot) -> Block:
     block.output("orientation", motion.orientation, "1", "Desired orientation of E in I, quaternion x, y, z, w")
     block.output("velocity", motion.velocity, TWIST, "x_md': desired velocity of E, in I")
     block.output("acceleration", motion.acceleration, ACCELERATION, "x_md'': desired acceleration of E, in I")
+    block.terminal("reference", *REFERENCE)
     return block

@@ -19,6 +19,7 @@ from fmu_src.blocks.robot_parameters import (
     require_square_jacobian,
     start_pose,
 )
+from fmu_src.blocks.terminals import HAND, REFERENCE
 from fmu_src.equations import passivity
 from fmu_src.equations.dynamics import articulated_hand_inertia
 from fmu_src.equations.kinematics import base_jacobian_transposed_times
@@ -154,4 +155,10 @@ def manipulator_controller(robot: Robot) -> Block:
     quaternions = {"base_orientation": state.orientation, "end_effector_orientation": R_e, "desired_orientation": R_d}
     require_quaternions(block, quaternions)
     require_regular_jacobian(block, sigma, least_sigma)
+    block.terminal("base", "base_orientation", "base_velocity")
+    block.terminal("arm", "joint_position", "joint_velocity", "joint_torque")
+    block.terminal("hand", **HAND)
+    block.terminal("reference", **{name: f"desired_{name}" for name in REFERENCE})
+    block.terminal("ports", "end_effector_wrench", "base_damping")
+    block.terminal("applied", "base_passivity_wrench", base_wrench="applied_base_wrench", port_wrench="held_port_wrench")
     return block

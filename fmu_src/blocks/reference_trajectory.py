@@ -6,6 +6,7 @@ import casadi as ca
 
 from fmu_src.block import ACCELERATION, TWIST, Block
 from fmu_src.blocks.robot_parameters import require_quaternions, start_pose
+from fmu_src.blocks.terminals import REFERENCE
 from fmu_src.equations.trajectory import Motion, ramped_sine
 from fmu_src.robot import Robot
 
@@ -39,4 +40,5 @@ def reference_trajectory(robot: Robot) -> Block:
     block.output("orientation", motion.orientation, "1", "Desired orientation of E in I, quaternion x, y, z, w")
     block.output("velocity", motion.velocity, TWIST, "x_md': desired velocity of E, in I")
     block.output("acceleration", motion.acceleration, ACCELERATION, "x_md'': desired acceleration of E, in I")
+    block.terminal("reference", *REFERENCE)
     return block

@@ -38,4 +38,6 @@ def satellite(robot: Robot) -> Block:
     block.derivative("base_velocity", acceleration)
     block.output("base_acceleration", acceleration, ACCELERATION, "Acceleration of B, in I")
     require_quaternions(block, {"base_orientation": R, "measured_base_orientation": R_robot}, initially=True)
+    block.terminal("base", "base_wrench")
+    block.terminal("arm", "joint_position", "joint_velocity", measured_joint_torque="joint_torque")
     return block

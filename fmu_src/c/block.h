@@ -7,6 +7,10 @@
 /* t [s], parameters, inputs, states -> up to three result vectors. */
 typedef void Equations(const double *t, const double *p, const double *u, const double *x, double *r0, double *r1, double *r2);
 
+/* The derivative of such a function along `seed`. Forward: the seed is of (t, p, u, x), the result of r0 (and r1 after it);
+   reverse: the other way round. */
+typedef void Sensitivity(const double *t, const double *p, const double *u, const double *x, const double *seed, double *result);
+
 typedef enum { REAL, BOOLEAN, ENUMERATION } Kind;
 
 /* When a value may be set: never, before initialisation ends, also between steps, as an input, as a state's start value. */
@@ -27,7 +31,7 @@ typedef struct {
     int strict;
 } Requirement;
 
-/* A range of the value vector. */
+/* A range of the value vector: time, parameters, inputs, states, outputs, derivatives follow one another in it. */
 typedef struct {
     int first, count;
 } Range;
@@ -38,6 +42,7 @@ typedef struct {
     Range parameters, inputs, states, outputs, derivatives;
     const Value *value;
     const double *start;
+    const double *nominal; /* of the states */
     int period;          /* index of the sampling period, or -1 for a continuous block */
     double step;         /* integration step of a continuous block [s] */
     Equations *initial;  /* r0: states after initialisation */
@@ -45,6 +50,9 @@ typedef struct {
     Equations *update;   /* sampled: r0 new states, r1 outputs, r2 margins */
     Equations *rates;    /* continuous: r0 derivatives */
     Equations *outputs_; /* continuous: r0 outputs, r1 margins */
+    /* Of initial, update, rates and outputs_. */
+    Sensitivity *forward_initial, *forward_update, *forward_rates, *forward_outputs;
+    Sensitivity *reverse_initial, *reverse_update, *reverse_rates, *reverse_outputs;
     int static_requirements, running_requirements;
     const Requirement *static_requirement, *running_requirement;
 } Block;

@@ -1,19 +1,18 @@
 /* FMI 3.0: the binary interface, and nothing else. */
 #include "fmi3Functions.h"
 
-#include <stdlib.h>
 #include <string.h>
 
 #include "instance.h"
 
-#define ANY_MODE (INITIALIZATION | STEP | EVENT | CONTINUOUS | TERMINATED | FAILED)
-#define ALLOW(instance, states)                                                \
-    do {                                                                       \
-        if (!(instance))                                                       \
-            return fmi3Error;                                                  \
-        if (instance_allow((instance), __func__, (states)) != OK)              \
-            return fmi3Error;                                                  \
+/* Every call first: is there an instance, may it be called now, are its arrays given? */
+#define ALLOW(states, given)                                                              \
+    do {                                                                                  \
+        if (!c || instance_allow((Instance *)c, __func__, (states), (given)) != OK)       \
+            return fmi3Error;                                                             \
     } while (0)
+#define ALIVE (INSTANTIATED | INITIALIZED)
+#define BETWEEN (ALIVE & ~INTERMEDIATE) /* not from within an intermediate update */
 
 static fmi3Status status(Status s) { return (fmi3Status)s; }
 
@@ -25,21 +24,12 @@ static void say(Instance *c, Status s, const char *category, const char *text)
         logger(c->environment, (fmi3Status)s, category, text);
 }
 
-static fmi3Status absent(fmi3Instance c, const char *what)
-{
-    if (!c)
-        return fmi3Error;
-    message_begin(&((Instance *)c)->message, "this FMU has no ");
-    message_add(&((Instance *)c)->message, what);
-    return status(instance_say(c, ERROR, "logStatusError"));
-}
-
 const char *fmi3GetVersion(void) { return fmi3Version; }
 
 fmi3Status fmi3SetDebugLogging(fmi3Instance c, fmi3Boolean on, size_t n, const fmi3String categories[])
 {
-    (void)n, (void)categories;
-    if (!c)
+    ALLOW(BETWEEN, 1);
+    if (instance_check_categories(c, categories, n) != OK)
         return fmi3Error;
     ((Instance *)c)->logging = on;
     return fmi3OK;
@@ -48,11 +38,10 @@ fmi3Status fmi3SetDebugLogging(fmi3Instance c, fmi3Boolean on, size_t n, const f
 static Instance *instantiate(fmi3String name, fmi3String token, int model_exchange, fmi3Boolean logging,
                              fmi3InstanceEnvironment environment, fmi3LogMessageCallback logger)
 {
-    if (model_exchange && block.period >= 0)
-        return NULL;
-    Instance *c = instance_new(name, token, model_exchange);
+    const char *refusal = instance_refusal(name, token, model_exchange);
+    Instance *c = refusal ? NULL : instance_new(name, model_exchange);
     if (!c && logger)
-        logger(environment, fmi3Error, "logStatusError", INSTANCE_NOT_MADE);
+        logger(environment, fmi3Error, "logStatusError", refusal ? refusal : NO_MEMORY);
     if (!c)
         return NULL;
     c->logging = logging;
@@ -69,13 +58,29 @@ fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi
     return instantiate(name, token, 1, logging, environment, logger);
 }
 
+static int update_importer(Instance *c, double time)
+{
+    fmi3IntermediateUpdateCallback callback;
+    memcpy(&callback, &c->update_target[0], sizeof callback);
+    fmi3Boolean early = false;
+    fmi3Float64 early_time = time;
+    callback(c->environment, time, true, true, true, c->may_return_early != 0, &early, &early_time);
+    return early && c->may_return_early;
+}
+
 fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
                                          fmi3Boolean logging, fmi3Boolean event_mode, fmi3Boolean early_return,
                                          const fmi3ValueReference intermediate[], size_t n, fmi3InstanceEnvironment environment,
-                                         fmi3LogMessageCallback logger, fmi3IntermediateUpdateCallback update)
+                                         fmi3LogMessageCallback logger, fmi3IntermediateUpdateCallback callback)
 {
-    (void)resources, (void)visible, (void)event_mode, (void)early_return, (void)intermediate, (void)n, (void)update;
-    return instantiate(name, token, 0, logging, environment, logger);
+    (void)resources, (void)visible, (void)event_mode, (void)intermediate, (void)n;
+    Instance *c = instantiate(name, token, 0, logging, environment, logger);
+    if (c && callback) {
+        memcpy(&c->update_target[0], &callback, sizeof callback);
+        c->intermediate_update = update_importer;
+        c->may_return_early = early_return;
+    }
+    return c;
 }
 
 fmi3Instance fmi3InstantiateScheduledExecution(fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
@@ -83,8 +88,9 @@ fmi3Instance fmi3InstantiateScheduledExecution(fmi3String name, fmi3String token
                                                fmi3LogMessageCallback logger, fmi3ClockUpdateCallback clock_update,
                                                fmi3LockPreemptionCallback lock, fmi3UnlockPreemptionCallback unlock)
 {
-    (void)name, (void)token, (void)resources, (void)visible, (void)logging;
-    (void)environment, (void)logger, (void)clock_update, (void)lock, (void)unlock;
+    (void)name, (void)token, (void)resources, (void)visible, (void)logging, (void)clock_update, (void)lock, (void)unlock;
+    if (logger)
+        logger(environment, fmi3Error, "logStatusError", "this FMU has no scheduled execution");
     return NULL;
 }
 
@@ -94,56 +100,60 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean tolerance_def
                                        fmi3Boolean stop_defined, fmi3Float64 stop)
 {
     (void)tolerance_defined, (void)tolerance, (void)stop_defined, (void)stop;
-    ALLOW((Instance *)c, INSTANTIATED);
-    return status(instance_enter_initialization(c, start));
+    ALLOW(INSTANTIATED, 1);
+    if (instance_set_start(c, start) != OK)
+        return fmi3Error;
+    instance_enter_initialization(c);
+    return fmi3OK;
 }
 
 fmi3Status fmi3ExitInitializationMode(fmi3Instance c)
 {
-    ALLOW((Instance *)c, INITIALIZATION);
+    ALLOW(INITIALIZATION, 1);
     return status(instance_exit_initialization(c));
 }
 
 fmi3Status fmi3EnterEventMode(fmi3Instance c)
 {
-    ALLOW((Instance *)c, CONTINUOUS | EVENT);
+    ALLOW(CONTINUOUS | MODEL_EXCHANGE, 1);
     ((Instance *)c)->memory->state = EVENT;
     return fmi3OK;
 }
 
 fmi3Status fmi3Terminate(fmi3Instance c)
 {
-    ALLOW((Instance *)c, STEP | EVENT | CONTINUOUS | FAILED);
+    ALLOW(STEP | EVENT | CONTINUOUS, 1);
     ((Instance *)c)->memory->state = TERMINATED;
     return fmi3OK;
 }
 
 fmi3Status fmi3Reset(fmi3Instance c)
 {
-    if (!c)
-        return fmi3Error;
+    ALLOW(BETWEEN, 1);
     instance_reset(c);
     return fmi3OK;
 }
 
-/* The elements of the variable that begins at `reference`, if they still fit into the caller's array. */
-static Status elements(Instance *c, fmi3ValueReference reference, size_t room, int *n)
-{
-    *n = instance_extent(reference);
-    if (*n > 0 && (size_t)*n <= room)
-        return OK;
-    message_begin(&c->message, "value reference ");
-    message_add_number(&c->message, reference);
-    message_add(&c->message, *n > 0 ? " has more elements than there are values" : " is not a variable of this FMU");
-    return instance_say(c, ERROR, "logStatusError");
-}
+/* Values. A reference stands for a whole array. */
 
-static Status all_used(Instance *c, size_t used, size_t n)
+/* OK if the variables that begin at the references have n elements in all. */
+static Status check_elements(Instance *c, const fmi3ValueReference reference[], size_t nr, size_t n)
 {
-    if (used == n)
+    size_t elements = 0;
+    for (size_t i = 0; i < nr; i++) {
+        int extent = instance_extent(reference[i]);
+        elements += (size_t)extent;
+        if (extent > 0)
+            continue;
+        message_begin(&c->message, "value reference ");
+        message_add_number(&c->message, reference[i]);
+        message_add(&c->message, " is not a variable of this FMU");
+        return instance_say(c, ERROR, "logStatusError");
+    }
+    if (elements == n)
         return OK;
     message_begin(&c->message, "the variables have ");
-    message_add_number(&c->message, (double)used);
+    message_add_number(&c->message, (double)elements);
     message_add(&c->message, " elements in all, not ");
     message_add_number(&c->message, (double)n);
     return instance_say(c, ERROR, "logStatusError");
@@ -151,32 +161,37 @@ static Status all_used(Instance *c, size_t used, size_t n)
 
 fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference reference[], size_t nr, fmi3Float64 value[], size_t n)
 {
-    ALLOW((Instance *)c, ANY_MODE);
-    size_t used = 0;
+    ALLOW(INITIALIZED, (nr == 0 || reference) && (n == 0 || value));
+    if (check_elements(c, reference, nr, n) != OK)
+        return fmi3Error;
     for (size_t i = 0; i < nr; i++) {
-        int count;
-        if (elements(c, reference[i], n - used, &count) != OK || instance_get(c, reference[i], REAL, count, value + used) != OK)
+        int count = instance_extent(reference[i]);
+        if (instance_get(c, reference[i], REAL, count, value) != OK)
             return fmi3Error;
-        used += (size_t)count;
+        value += count;
     }
-    return status(all_used(c, used, n));
+    return fmi3OK;
 }
 
 fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference reference[], size_t nr, const fmi3Float64 value[], size_t n)
 {
-    if (!c)
+    ALLOW(ALIVE, (nr == 0 || reference) && (n == 0 || value));
+    if (check_elements(c, reference, nr, n) != OK)
         return fmi3Error;
-    size_t used = 0;
+    const double *next = value;
     for (size_t i = 0; i < nr; i++) {
-        int count;
-        if (elements(c, reference[i], n - used, &count) != OK)
-            return fmi3Error;
-        Status s = instance_set(c, reference[i], REAL, count, value + used);
+        int count = instance_extent(reference[i]);
+        Status s = instance_check(c, reference[i], REAL, count, next);
         if (s != OK)
             return status(s);
-        used += (size_t)count;
+        next += count;
     }
-    return status(all_used(c, used, n));
+    for (size_t i = 0; i < nr; i++) {
+        int count = instance_extent(reference[i]);
+        instance_put(c, reference[i], count, value);
+        value += count;
+    }
+    return fmi3OK;
 }
 
 /* Enumerations and Booleans of this runtime are scalars. */
@@ -184,26 +199,33 @@ fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference reference[], 
 #define SCALARS(Type, kind, FROM)                                                                                              \
     fmi3Status fmi3Get##Type(fmi3Instance c, const fmi3ValueReference r[], size_t nr, fmi3##Type value[], size_t n)            \
     {                                                                                                                          \
-        ALLOW((Instance *)c, ANY_MODE);                                                                                        \
-        for (size_t i = 0; i < nr && i < n; i++) {                                                                             \
+        ALLOW(INITIALIZED, (nr == 0 || r) && (n == 0 || value));                                                               \
+        if (check_elements(c, r, nr, n) != OK)                                                                                 \
+            return fmi3Error;                                                                                                  \
+        for (size_t i = 0; i < nr; i++) {                                                                                      \
             double number;                                                                                                     \
             if (instance_get(c, r[i], kind, 1, &number) != OK)                                                                 \
                 return fmi3Error;                                                                                              \
             value[i] = (fmi3##Type)number;                                                                                     \
         }                                                                                                                      \
-        return status(all_used(c, nr, n));                                                                                     \
+        return fmi3OK;                                                                                                         \
     }                                                                                                                          \
     fmi3Status fmi3Set##Type(fmi3Instance c, const fmi3ValueReference r[], size_t nr, const fmi3##Type value[], size_t n)      \
     {                                                                                                                          \
-        if (!c)                                                                                                                \
+        ALLOW(ALIVE, (nr == 0 || r) && (n == 0 || value));                                                                     \
+        if (check_elements(c, r, nr, n) != OK)                                                                                 \
             return fmi3Error;                                                                                                  \
-        for (size_t i = 0; i < nr && i < n; i++) {                                                                             \
+        for (size_t i = 0; i < nr; i++) {                                                                                      \
             double number = FROM(value[i]);                                                                                    \
-            Status s = instance_set(c, r[i], kind, 1, &number);                                                                \
+            Status s = instance_check(c, r[i], kind, 1, &number);                                                              \
             if (s != OK)                                                                                                       \
                 return status(s);                                                                                              \
         }                                                                                                                      \
-        return status(all_used(c, nr, n));                                                                                     \
+        for (size_t i = 0; i < nr; i++) {                                                                                      \
+            double number = FROM(value[i]);                                                                                    \
+            instance_put(c, r[i], 1, &number);                                                                                 \
+        }                                                                                                                      \
+        return fmi3OK;                                                                                                         \
     }
 
 #define FROM_INTEGER(value) (double)(value)
@@ -213,16 +235,20 @@ SCALARS(Boolean, BOOLEAN, FROM_BOOLEAN)
 
 /* Types and functions that no block has. */
 
+static fmi3Status none(fmi3Instance c, size_t n, const char *what) { return n == 0 ? fmi3OK : status(instance_lacks(c, what)); }
+
 #define NO_TYPE(Type)                                                                                                          \
     fmi3Status fmi3Get##Type(fmi3Instance c, const fmi3ValueReference r[], size_t nr, fmi3##Type value[], size_t n)            \
     {                                                                                                                          \
         (void)r, (void)value, (void)n;                                                                                         \
-        return nr == 0 ? fmi3OK : absent(c, #Type " variables");                                                               \
+        ALLOW(INITIALIZED, 1);                                                                                                 \
+        return none(c, nr, #Type " variables");                                                                                \
     }                                                                                                                          \
     fmi3Status fmi3Set##Type(fmi3Instance c, const fmi3ValueReference r[], size_t nr, const fmi3##Type value[], size_t n)      \
     {                                                                                                                          \
         (void)r, (void)value, (void)n;                                                                                         \
-        return nr == 0 ? fmi3OK : absent(c, #Type " variables");                                                               \
+        ALLOW(ALIVE, 1);                                                                                                       \
+        return none(c, nr, #Type " variables");                                                                                \
     }
 
 NO_TYPE(Float32)
@@ -238,55 +264,40 @@ NO_TYPE(String)
 fmi3Status fmi3GetBinary(fmi3Instance c, const fmi3ValueReference r[], size_t nr, size_t sizes[], fmi3Binary value[], size_t n)
 {
     (void)r, (void)sizes, (void)value, (void)n;
-    return nr == 0 ? fmi3OK : absent(c, "Binary variables");
+    ALLOW(INITIALIZED, 1);
+    return none(c, nr, "Binary variables");
 }
 
 fmi3Status fmi3SetBinary(fmi3Instance c, const fmi3ValueReference r[], size_t nr, const size_t sizes[], const fmi3Binary value[],
                          size_t n)
 {
     (void)r, (void)sizes, (void)value, (void)n;
-    return nr == 0 ? fmi3OK : absent(c, "Binary variables");
+    ALLOW(ALIVE, 1);
+    return none(c, nr, "Binary variables");
 }
 
-fmi3Status fmi3GetClock(fmi3Instance c, const fmi3ValueReference r[], size_t nr, fmi3Clock value[])
-{
-    (void)r, (void)value;
-    return nr == 0 ? fmi3OK : absent(c, "clocks");
-}
-
-fmi3Status fmi3SetClock(fmi3Instance c, const fmi3ValueReference r[], size_t nr, const fmi3Clock value[])
-{
-    (void)r, (void)value;
-    return nr == 0 ? fmi3OK : absent(c, "clocks");
-}
-
-#define NO_CLOCK_2(Name, A, B)                                                                                                 \
-    fmi3Status Name(fmi3Instance c, const fmi3ValueReference r[], size_t n, A a[], B b[])                                      \
+#define NO_CLOCK(Name, ...)                                                                                                    \
+    fmi3Status Name(fmi3Instance c, const fmi3ValueReference r[], size_t n, __VA_ARGS__)
+#define NO_CLOCK_BODY(...)                                                                                                     \
     {                                                                                                                          \
-        (void)r, (void)n, (void)a, (void)b;                                                                                    \
-        return absent(c, "clocks");                                                                                            \
-    }
-#define NO_CLOCK_1(Name, A)                                                                                                    \
-    fmi3Status Name(fmi3Instance c, const fmi3ValueReference r[], size_t n, A a[])                                             \
-    {                                                                                                                          \
-        (void)r, (void)n, (void)a;                                                                                             \
-        return absent(c, "clocks");                                                                                            \
+        (void)r, __VA_ARGS__;                                                                                                  \
+        ALLOW(ALIVE, 1);                                                                                                       \
+        return none(c, n, "clocks");                                                                                           \
     }
 
-NO_CLOCK_2(fmi3GetIntervalDecimal, fmi3Float64, fmi3IntervalQualifier)
-NO_CLOCK_1(fmi3GetShiftDecimal, fmi3Float64)
-NO_CLOCK_2(fmi3GetShiftFraction, fmi3UInt64, fmi3UInt64)
-NO_CLOCK_1(fmi3SetIntervalDecimal, const fmi3Float64)
-NO_CLOCK_2(fmi3SetIntervalFraction, const fmi3UInt64, const fmi3UInt64)
-NO_CLOCK_1(fmi3SetShiftDecimal, const fmi3Float64)
-NO_CLOCK_2(fmi3SetShiftFraction, const fmi3UInt64, const fmi3UInt64)
+NO_CLOCK(fmi3GetClock, fmi3Clock a[]) NO_CLOCK_BODY((void)a)
+NO_CLOCK(fmi3SetClock, const fmi3Clock a[]) NO_CLOCK_BODY((void)a)
+NO_CLOCK(fmi3GetIntervalDecimal, fmi3Float64 a[], fmi3IntervalQualifier b[]) NO_CLOCK_BODY((void)a, (void)b)
+NO_CLOCK(fmi3GetIntervalFraction, fmi3UInt64 a[], fmi3UInt64 b[], fmi3IntervalQualifier d[]) NO_CLOCK_BODY((void)a, (void)b, (void)d)
+NO_CLOCK(fmi3GetShiftDecimal, fmi3Float64 a[]) NO_CLOCK_BODY((void)a)
+NO_CLOCK(fmi3GetShiftFraction, fmi3UInt64 a[], fmi3UInt64 b[]) NO_CLOCK_BODY((void)a, (void)b)
+NO_CLOCK(fmi3SetIntervalDecimal, const fmi3Float64 a[]) NO_CLOCK_BODY((void)a)
+NO_CLOCK(fmi3SetIntervalFraction, const fmi3UInt64 a[], const fmi3UInt64 b[]) NO_CLOCK_BODY((void)a, (void)b)
+NO_CLOCK(fmi3SetShiftDecimal, const fmi3Float64 a[]) NO_CLOCK_BODY((void)a)
+NO_CLOCK(fmi3SetShiftFraction, const fmi3UInt64 a[], const fmi3UInt64 b[]) NO_CLOCK_BODY((void)a, (void)b)
 
-fmi3Status fmi3GetIntervalFraction(fmi3Instance c, const fmi3ValueReference r[], size_t n, fmi3UInt64 counter[],
-                                   fmi3UInt64 resolution[], fmi3IntervalQualifier qualifier[])
-{
-    (void)r, (void)n, (void)counter, (void)resolution, (void)qualifier;
-    return absent(c, "clocks");
-}
+/* Whatever the state: this FMU does not have it. */
+static fmi3Status absent(fmi3Instance c, const char *what) { return c ? status(instance_lacks(c, what)) : fmi3Error; }
 
 fmi3Status fmi3GetNumberOfVariableDependencies(fmi3Instance c, fmi3ValueReference r, size_t *n)
 {
@@ -301,31 +312,11 @@ fmi3Status fmi3GetVariableDependencies(fmi3Instance c, fmi3ValueReference depend
     return absent(c, "variable dependencies at run time");
 }
 
-#define NO_DERIVATIVE(Name, what)                                                                                              \
-    fmi3Status Name(fmi3Instance c, const fmi3ValueReference unknowns[], size_t nu, const fmi3ValueReference knowns[],         \
-                    size_t nk, const fmi3Float64 seed[], size_t ns, fmi3Float64 sensitivity[], size_t nv)                      \
-    {                                                                                                                          \
-        (void)unknowns, (void)nu, (void)knowns, (void)nk, (void)seed, (void)ns, (void)sensitivity, (void)nv;                   \
-        return absent(c, what);                                                                                                \
-    }
+fmi3Status fmi3EnterConfigurationMode(fmi3Instance c) { return absent(c, "structural parameters to configure"); }
 
-NO_DERIVATIVE(fmi3GetDirectionalDerivative, "directional derivatives (it does not advertise them)")
-NO_DERIVATIVE(fmi3GetAdjointDerivative, "adjoint derivatives (it does not advertise them)")
-
-fmi3Status fmi3EnterConfigurationMode(fmi3Instance c) { return absent(c, "configuration mode"); }
-
-fmi3Status fmi3ExitConfigurationMode(fmi3Instance c) { return absent(c, "configuration mode"); }
-
-fmi3Status fmi3EvaluateDiscreteStates(fmi3Instance c) { return absent(c, "discrete states to evaluate"); }
+fmi3Status fmi3ExitConfigurationMode(fmi3Instance c) { return absent(c, "structural parameters to configure"); }
 
 fmi3Status fmi3EnterStepMode(fmi3Instance c) { return absent(c, "event mode in co-simulation"); }
-
-fmi3Status fmi3GetOutputDerivatives(fmi3Instance c, const fmi3ValueReference r[], size_t nr, const fmi3Int32 orders[],
-                                    fmi3Float64 value[], size_t n)
-{
-    (void)r, (void)nr, (void)orders, (void)value, (void)n;
-    return absent(c, "output derivatives");
-}
 
 fmi3Status fmi3ActivateModelPartition(fmi3Instance c, fmi3ValueReference clock, fmi3Float64 time)
 {
@@ -333,80 +324,95 @@ fmi3Status fmi3ActivateModelPartition(fmi3Instance c, fmi3ValueReference clock, 
     return absent(c, "scheduled execution");
 }
 
+fmi3Status fmi3GetOutputDerivatives(fmi3Instance c, const fmi3ValueReference r[], size_t nr, const fmi3Int32 orders[],
+                                    fmi3Float64 value[], size_t n)
+{
+    (void)r, (void)orders, (void)value, (void)n;
+    ALLOW(STEP | INTERMEDIATE | TERMINATED, 1);
+    return none(c, nr, "output derivatives");
+}
+
+/* Derivatives */
+
+fmi3Status fmi3GetDirectionalDerivative(fmi3Instance c, const fmi3ValueReference unknown[], size_t nu,
+                                        const fmi3ValueReference known[], size_t nk, const fmi3Float64 seed[], size_t ns,
+                                        fmi3Float64 sensitivity[], size_t nv)
+{
+    ALLOW(INITIALIZED & ~INTERMEDIATE, (nu == 0 || unknown) && (nk == 0 || known) && (ns == 0 || seed) && (nv == 0 || sensitivity));
+    References unknowns = {unknown, nu}, knowns = {known, nk};
+    return status(instance_sensitivity(c, unknowns, knowns, 1, 0, seed, ns, sensitivity, nv));
+}
+
+fmi3Status fmi3GetAdjointDerivative(fmi3Instance c, const fmi3ValueReference unknown[], size_t nu,
+                                    const fmi3ValueReference known[], size_t nk, const fmi3Float64 seed[], size_t ns,
+                                    fmi3Float64 sensitivity[], size_t nv)
+{
+    ALLOW(INITIALIZED & ~INTERMEDIATE, (nu == 0 || unknown) && (nk == 0 || known) && (ns == 0 || seed) && (nv == 0 || sensitivity));
+    References unknowns = {unknown, nu}, knowns = {known, nk};
+    return status(instance_sensitivity(c, unknowns, knowns, 1, 1, seed, ns, sensitivity, nv));
+}
+
 /* Saved states */
 
 fmi3Status fmi3GetFMUState(fmi3Instance c, fmi3FMUState *saved)
 {
-    if (!c || !saved)
-        return fmi3Error;
-    if (!*saved)
-        *saved = malloc(instance_memory_size());
-    if (!*saved)
-        return fmi3Error;
-    memcpy(*saved, ((Instance *)c)->memory, instance_memory_size());
-    return fmi3OK;
+    ALLOW(BETWEEN, saved != NULL);
+    return status(instance_save(c, saved));
 }
 
 fmi3Status fmi3SetFMUState(fmi3Instance c, fmi3FMUState saved)
 {
-    if (!c || !saved)
-        return fmi3Error;
-    memcpy(((Instance *)c)->memory, saved, instance_memory_size());
-    return fmi3OK;
+    ALLOW(BETWEEN, saved != NULL);
+    return status(instance_restore(c, saved));
 }
 
 fmi3Status fmi3FreeFMUState(fmi3Instance c, fmi3FMUState *saved)
 {
-    (void)c;
-    if (saved) {
-        free(*saved);
-        *saved = NULL;
-    }
+    ALLOW(ALIVE, 1);
+    if (saved)
+        instance_free_saved(saved);
     return fmi3OK;
 }
 
 fmi3Status fmi3SerializedFMUStateSize(fmi3Instance c, fmi3FMUState saved, size_t *size)
 {
-    if (!c || !saved || !size)
-        return fmi3Error;
+    ALLOW(BETWEEN, saved && size);
     *size = instance_memory_size();
     return fmi3OK;
 }
 
 fmi3Status fmi3SerializeFMUState(fmi3Instance c, fmi3FMUState saved, fmi3Byte bytes[], size_t size)
 {
-    if (!c || !saved || size != instance_memory_size())
-        return fmi3Error;
-    memcpy(bytes, saved, size);
-    return fmi3OK;
+    ALLOW(BETWEEN, saved && bytes);
+    return status(instance_serialize(c, saved, bytes, size));
 }
 
 fmi3Status fmi3DeserializeFMUState(fmi3Instance c, const fmi3Byte bytes[], size_t size, fmi3FMUState *saved)
 {
-    if (!c || !saved || size != instance_memory_size())
-        return fmi3Error;
-    if (!*saved)
-        *saved = malloc(size);
-    if (!*saved)
-        return fmi3Error;
-    memcpy(*saved, bytes, size);
-    return fmi3OK;
+    ALLOW(BETWEEN, bytes && saved);
+    return status(instance_deserialize(c, bytes, size, saved));
+}
+
+/* Model exchange */
+
+fmi3Status fmi3EvaluateDiscreteStates(fmi3Instance c)
+{
+    ALLOW(INITIALIZATION | EVENT, 1);
+    return fmi3OK; /* there are none between events */
 }
 
 fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *again, fmi3Boolean *terminate, fmi3Boolean *nominals_changed,
                                     fmi3Boolean *states_changed, fmi3Boolean *next_event_defined, fmi3Float64 *next_event)
 {
-    ALLOW((Instance *)c, EVENT);
+    ALLOW(EVENT | MODEL_EXCHANGE, again && terminate && nominals_changed && states_changed && next_event_defined && next_event);
     *again = *terminate = *nominals_changed = *states_changed = *next_event_defined = false;
     *next_event = 0;
     return fmi3OK;
 }
 
-/* Model exchange */
-
 fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance c)
 {
-    ALLOW((Instance *)c, EVENT);
+    ALLOW(EVENT | MODEL_EXCHANGE, 1);
     ((Instance *)c)->memory->state = CONTINUOUS;
     return fmi3OK;
 }
@@ -414,63 +420,61 @@ fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance c)
 fmi3Status fmi3CompletedIntegratorStep(fmi3Instance c, fmi3Boolean no_set_state, fmi3Boolean *enter_event, fmi3Boolean *terminate)
 {
     (void)no_set_state;
-    ALLOW((Instance *)c, CONTINUOUS);
+    ALLOW(CONTINUOUS | MODEL_EXCHANGE, enter_event && terminate);
     *enter_event = *terminate = false;
     return fmi3OK;
 }
 
 fmi3Status fmi3SetTime(fmi3Instance c, fmi3Float64 time)
 {
-    ALLOW((Instance *)c, EVENT | CONTINUOUS);
-    instance_set_time(c, time);
-    return fmi3OK;
+    ALLOW(CONTINUOUS | MODEL_EXCHANGE, 1);
+    return status(instance_set_time(c, time));
 }
 
 fmi3Status fmi3SetContinuousStates(fmi3Instance c, const fmi3Float64 x[], size_t n)
 {
-    ALLOW((Instance *)c, CONTINUOUS | EVENT);
+    ALLOW(CONTINUOUS | MODEL_EXCHANGE, n == 0 || x);
     return status(instance_set_states(c, x, n));
 }
 
+#define SOLVED (INITIALIZATION | EVENT | CONTINUOUS | TERMINATED | MODEL_EXCHANGE)
+
 fmi3Status fmi3GetContinuousStateDerivatives(fmi3Instance c, fmi3Float64 dx[], size_t n)
 {
-    ALLOW((Instance *)c, ANY_MODE);
+    ALLOW(SOLVED, n == 0 || dx);
     return status(instance_get_rates(c, dx, n));
 }
 
 fmi3Status fmi3GetEventIndicators(fmi3Instance c, fmi3Float64 indicators[], size_t n)
 {
     (void)indicators;
-    return n == 0 ? fmi3OK : absent(c, "event indicators");
+    ALLOW(SOLVED, 1);
+    return none(c, n, "event indicators");
 }
 
 fmi3Status fmi3GetContinuousStates(fmi3Instance c, fmi3Float64 x[], size_t n)
 {
-    ALLOW((Instance *)c, ANY_MODE);
+    ALLOW(SOLVED, n == 0 || x);
     return status(instance_get_states(c, x, n));
 }
 
 fmi3Status fmi3GetNominalsOfContinuousStates(fmi3Instance c, fmi3Float64 nominals[], size_t n)
 {
-    ALLOW((Instance *)c, ANY_MODE);
-    for (size_t i = 0; i < n; i++)
-        nominals[i] = 1.0;
-    return fmi3OK;
+    ALLOW(SOLVED, n == 0 || nominals);
+    return status(instance_get_nominals(c, nominals, n));
 }
 
 fmi3Status fmi3GetNumberOfEventIndicators(fmi3Instance c, size_t *n)
 {
-    if (!c)
-        return fmi3Error;
+    ALLOW(INSTANTIATED | SOLVED, n != NULL);
     *n = 0;
     return fmi3OK;
 }
 
 fmi3Status fmi3GetNumberOfContinuousStates(fmi3Instance c, size_t *n)
 {
-    if (!c)
-        return fmi3Error;
-    *n = block.period >= 0 ? 0 : (size_t)block.states.count;
+    ALLOW(INSTANTIATED | SOLVED, n != NULL);
+    *n = (size_t)block.states.count;
     return fmi3OK;
 }
 
@@ -480,10 +484,10 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 time, fmi3Float64 size, fmi3Bo
                       fmi3Boolean *terminate, fmi3Boolean *early, fmi3Float64 *last_time)
 {
     (void)no_set_state;
-    ALLOW((Instance *)c, STEP);
+    ALLOW(STEP, event && terminate && early && last_time);
     Status s = instance_step(c, time, size);
-    *event = *terminate = *early = false;
+    *event = *terminate = false;
     *last_time = ((Instance *)c)->memory->clock;
+    *early = s == OK && *last_time < time + size;
     return status(s);
 }
-

@@ -7,12 +7,14 @@ import hashlib
 import os
 import tempfile
 import zipfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
 
 from fmu_src.block import Block
 from fmu_src.errors import BuildError
 from fmu_src.export import description
+from fmu_src.export.amalgamation import amalgamated
 from fmu_src.export.c_code import print_block
 from fmu_src.export.compiler import FLAGS, SOURCES, Platform, compile_library, host_platform
 
@@ -24,6 +26,7 @@ def content_token(block: Block) -> str:
     digest = hashlib.sha256()
     digest.update(description.fmi2(block, ""))
     digest.update(description.fmi3(block, ""))
+    digest.update(description.terminals(block) or b"")
     digest.update(print_block(block, "").encode())
     for path in sorted(SOURCES.glob("*.[ch]")):
         digest.update(path.read_bytes())
@@ -31,32 +34,67 @@ def content_token(block: Block) -> str:
     return f"{{{digest.hexdigest()[:32]}}}"
 
 
-def build(block: Block, directory: Path, platforms: Sequence[Platform] | None = None) -> dict[int, Path]:
-    """Write `directory/fmi2/NAME.fmu` and `directory/fmi3/NAME.fmu`; give their paths by FMI version.
+def build_all(
+    blocks: Iterable[Block], directory: Path, platforms: Sequence[Platform] | None = None, *, sources: bool = False
+) -> Iterator[tuple[Block, dict[int, Path]]]:
+    """Write `directory/fmi2/NAME.fmu` and `directory/fmi3/NAME.fmu` of every block for the platforms (default: this one), with
+    `sources` if wanted; give their paths by FMI version, one block after the other. All cores compile.
 
     Raises `BuildError` when the compiler fails or the directory cannot be written. Each file appears whole or not at all.
     """
-    token = content_token(block)
-    targets = platforms or [host_platform()]
-    with _scratch() as scratch:
-        source = Path(scratch) / "block.c"
-        source.write_text(print_block(block, token), encoding="ascii")
-        libraries: dict[Platform, bytes] = {}
-        for target in targets:
-            library = Path(scratch) / f"{block.name}{target.suffix}"
-            compile_library(source, library, target)
-            libraries[target] = library.read_bytes()
+    targets = [host_platform()] if platforms is None else platforms
+    with _scratch() as scratch, ThreadPoolExecutor(os.cpu_count()) as pool:
+        try:
+            jobs = [(block, *_submit(pool, block, Path(scratch), targets)) for block in blocks]
+            for block, block_c, libraries in jobs:
+                made = {target: library.result() for target, library in libraries.items()}
+                yield block, _write(block, directory, made, block_c if sources else None)
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+
+
+def build(
+    block: Block, directory: Path, platforms: Sequence[Platform] | None = None, *, sources: bool = False
+) -> dict[int, Path]:
+    """`build_all` of one block."""
+    ((_, paths),) = build_all([block], directory, platforms, sources=sources)
+    return paths
+
+
+def _submit(
+    pool: Executor, block: Block, scratch: Path, targets: Sequence[Platform]
+) -> tuple[str, dict[Platform, Future[bytes]]]:
+    """The block's C, and its libraries to come."""
+    block_c = print_block(block, content_token(block))
+    source = scratch / block.name / "block.c"
+    source.parent.mkdir()
+    source.write_text(block_c, encoding="ascii")
+
+    def library(target: Platform) -> bytes:
+        path = source.with_name(f"{target.fmi3}{target.suffix}")
+        compile_library(source, path, target)
+        return path.read_bytes()
+
+    return block_c, {target: pool.submit(library, target) for target in targets}
+
+
+def _write(block: Block, directory: Path, libraries: Mapping[Platform, bytes], block_c: str | None) -> dict[int, Path]:
+    token, name = content_token(block), block.name
+    fmi2 = {f"binaries/{target.fmi2}/{name}{target.suffix}": data for target, data in libraries.items()}
+    fmi3 = {f"binaries/{target.fmi3}/{name}{target.suffix}": data for target, data in libraries.items()}
+    if block_c is not None:
+        fmi2[f"sources/{name}.c"] = amalgamated(name, block_c, 2)
+        fmi3[f"sources/{name}.c"] = amalgamated(name, block_c, 3)
+        fmi3["sources/buildDescription.xml"] = description.build_description(block)
+    fmi2["modelDescription.xml"] = description.fmi2(block, token, [] if block_c is None else [f"{name}.c"])
+    fmi3["modelDescription.xml"] = description.fmi3(block, token)
+    grouped = description.terminals(block)
+    if grouped:
+        fmi3["terminalsAndIcons/terminalsAndIcons.xml"] = grouped
     return {
-        2: write_archive(
-            directory / "fmi2" / f"{block.name}.fmu",
-            {"modelDescription.xml": description.fmi2(block, token)}
-            | {f"binaries/{target.fmi2}/{block.name}{target.suffix}": data for target, data in libraries.items()},
-        ),
-        3: write_archive(
-            directory / "fmi3" / f"{block.name}.fmu",
-            {"modelDescription.xml": description.fmi3(block, token)}
-            | {f"binaries/{target.fmi3}/{block.name}{target.suffix}": data for target, data in libraries.items()},
-        ),
+        2: write_archive(directory / "fmi2" / f"{name}.fmu", fmi2),
+        3: write_archive(directory / "fmi3" / f"{name}.fmu", fmi3),
     }
 
 

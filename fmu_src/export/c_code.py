@@ -6,6 +6,7 @@ compiler may not reorder or contract them (-ffp-contract=off), so every platform
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from functools import lru_cache
 
@@ -16,6 +17,7 @@ from fmu_src.errors import BlockError
 from fmu_src.export.layout import Layout, layout
 
 ARGUMENTS = ("t", "p", "u", "x")
+SENSITIVITY = (*ARGUMENTS, "seed")
 
 
 @lru_cache(maxsize=1)
@@ -57,8 +59,8 @@ def number(value: float) -> str:
     return text if len(text) <= 6 else float(value).hex()
 
 
-def print_function(function: ca.Function, name: str) -> str:
-    """One static C function with the signature of `Equations` in block.h."""
+def print_function(function: ca.Function, name: str, arguments: Sequence[str], results: Sequence[str]) -> str:
+    """One static C function with the signature of `Equations` or `Sensitivity` in block.h."""
     table = operations()
     held: dict[int, str] = {}
     pairs: dict[str, tuple[str, str]] = {}
@@ -75,9 +77,9 @@ def print_function(function: ca.Function, name: str) -> str:
         if operation == ca.OP_CONST:
             held[outputs[0]] = number(function.instruction_constant(k))
         elif operation == ca.OP_INPUT:
-            held[outputs[0]] = f"{ARGUMENTS[inputs[0]]}[{inputs[1]}]"
+            held[outputs[0]] = f"{arguments[inputs[0]]}[{inputs[1]}]"
         elif operation == ca.OP_OUTPUT:
-            lines.append(f"r{outputs[0]}[{outputs[1]}] = {held[inputs[0]]};")
+            lines.append(f"{results[outputs[0]]}[{outputs[1]}] = {held[inputs[0]]};")
         elif operation in (ca.OP_SIN, ca.OP_COS):
             angle = held[inputs[0]]
             if angle not in pairs:
@@ -93,8 +95,9 @@ def print_function(function: ca.Function, name: str) -> str:
         else:
             raise BlockError(f"{name}: the equations use CasADi operation {operation}, which has no C expression here")
     used = "\n".join(lines)
-    unused = [argument for argument in (*ARGUMENTS, "r0", "r1", "r2") if f"{argument}[" not in used]
-    head = f"static void {name}(const double *t, const double *p, const double *u, const double *x, double *r0, double *r1, double *r2)"
+    unused = [name for name in (*arguments, *results) if not re.search(rf"\b{name}\[", used)]
+    given = [f"const double *{argument}" for argument in arguments] + [f"double *{result}" for result in results]
+    head = f"static void {name}({', '.join(given)})"
     body = [f"(void){argument};" for argument in unused] + lines
     return head + "\n{\n" + "".join(f"    {line}\n" for line in body) + "}\n"
 
@@ -128,15 +131,23 @@ def print_block(block: Block, token: str) -> str:
     parts = [
         f"/* Generated from the block {block.name}; do not edit. */\n",
         '#include "block.h"\n#include "sincos.h"\n',
-        *(print_function(function, key) for key, function in functions.items()),
+        *(print_function(function, key, ARGUMENTS, ("r0", "r1", "r2")) for key, function in functions.items()),
+        *(print_function(function, key, SENSITIVITY, ("result",)) for key, function in block.sensitivities.items()),
         print_values(plan),
         print_numbers("start", plan.start),
+        print_numbers("nominal", plan.nominal or (1.0,)),
         print_requirements("static_requirement", block.static_requirements),
         print_requirements("running_requirement", block.running_requirements),
     ]
     period = plan.reference[block.period] if block.period else -1
     ranges = "\n".join(f"    .{name} = {{{first}, {count}}}," for name, (first, count) in plan.ranges.items())
-    updates = ".update = update," if block.is_sampled else ".rates = derivatives,\n    .outputs_ = outputs,"
+    field = {
+        "derivatives": "rates",
+        "outputs": "outputs_",
+        "forward_derivatives": "forward_rates",
+        "reverse_derivatives": "reverse_rates",
+    }
+    made = "\n".join(f"    .{field.get(name, name)} = {name}," for name in (*functions, *block.sensitivities))
     parts.append(
         f"""const Block block = {{
     .name = {c_text(block.name)},
@@ -147,9 +158,8 @@ def print_block(block: Block, token: str) -> str:
     .start = start,
     .period = {period},
     .step = {number(block.default_step)},
-    .initial = initial,
-    .check = check,
-    {updates}
+    .nominal = nominal,
+{made}
     .static_requirements = {len(block.static_requirements)},
     .running_requirements = {len(block.running_requirements)},
     .static_requirement = static_requirement,

@@ -29,8 +29,8 @@ PLATFORMS = {
     "x86_64-linux": LINUX,
     "aarch64-linux": Platform("aarch64-linux", "aarch64-linux", "aarch64-linux-gnu.2.17", ".so"),
     "x86_64-windows": Platform("win64", "x86_64-windows", "x86_64-windows-gnu", ".dll"),
-    "x86_64-darwin": Platform("darwin64", "x86_64-darwin", "x86_64-macos", ".dylib"),
-    "aarch64-darwin": Platform("aarch64-darwin", "aarch64-darwin", "aarch64-macos", ".dylib"),
+    "x86_64-darwin": Platform("darwin64", "x86_64-darwin", "x86_64-macos.11.0", ".dylib"),
+    "aarch64-darwin": Platform("aarch64-darwin", "aarch64-darwin", "aarch64-macos.11.0", ".dylib"),
 }
 
 
@@ -59,6 +59,8 @@ def compile_library(block_c: Path, output: Path, target: Platform) -> None:
     """Compile block.c with the runtime into one shared library that serves both FMI versions."""
     sources = sorted(str(path) for path in SOURCES.glob("*.c"))
     command = compiler(target, "-shared", "-fPIC", *FLAGS)
+    if target.suffix == ".dylib":  # a macOS library holds its own path, by default the one where it was built
+        command.append(f"-Wl,-install_name,@rpath/{output.name}")
     command += ["-Wl,-s", "-isystem", str(fmi_headers()), "-I", str(SOURCES), str(block_c), *sources, "-lm", "-o", str(output)]
     run(command, f"compiling {block_c.name} for {target.fmi3}")
 

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from xml.etree import ElementTree
 
 from fmu_src.block import Block, Variable
 from fmu_src.export.layout import Layout, derivative_elements, derivative_name, layout
-from fmu_src.units import DISPLAY, UNITS
+from fmu_src.units import DISPLAY, UNITS, rate
 
 TOOL = "freeflyer-cosim"
 UNITS_ANNOTATION = "org.freeflyer-cosim.units"
 """Type of the FMI 3.0 annotation that gives an array's units element by element."""
+TERMINAL_KINDS = "org.freeflyer-cosim"
 
 
 def text(root: ElementTree.Element) -> bytes:
@@ -24,9 +25,10 @@ def number(value: float) -> str:
 
 
 def _units(root: ElementTree.Element, block: Block) -> None:
-    used = sorted({unit for variable in block.variables.values() for unit in variable.units} | {"s"})
+    used = {unit for variable in block.variables.values() for unit in variable.units} | {"s"}
+    used |= {unit for variable in _differentiated(block) for unit in map(rate, variable.units) if unit}
     definitions = ElementTree.SubElement(root, "UnitDefinitions")
-    for name in used:
+    for name in sorted(used):
         unit = ElementTree.SubElement(definitions, "Unit", name=name)
         ElementTree.SubElement(unit, "BaseUnit", {base: str(power) for base, power in UNITS[name].items()})
         if name in DISPLAY:
@@ -51,6 +53,10 @@ def _type_name(block: Block, variable: Variable) -> str:
     return f"{block.name}.{variable.name}"
 
 
+def _differentiated(block: Block) -> list[Variable]:
+    return [] if block.is_sampled else block.having("state")
+
+
 def _enumerations(block: Block) -> list[Variable]:
     return [variable for variable in block.variables.values() if variable.kind == "enumeration"]
 
@@ -69,8 +75,8 @@ def _variability(block: Block, variable: Variable) -> str:
     return "continuous"
 
 
-def fmi2(block: Block, token: str) -> bytes:
-    """modelDescription.xml of FMI 2.0: every element of an array is a variable of its own."""
+def fmi2(block: Block, token: str, sources: Sequence[str] = ()) -> bytes:
+    """modelDescription.xml of FMI 2.0: every element of an array is a variable of its own; `sources`, if the FMU has any."""
     plan = layout(block)
     root = ElementTree.Element(
         "fmiModelDescription",
@@ -82,18 +88,21 @@ def fmi2(block: Block, token: str) -> bytes:
         variableNamingConvention="structured",
         numberOfEventIndicators="0",
     )
+    common = {
+        "modelIdentifier": block.name,
+        "canGetAndSetFMUstate": "true",
+        "canSerializeFMUstate": "true",
+        "canNotUseMemoryManagementFunctions": "true",
+        "providesDirectionalDerivative": "true",
+    }
+    interfaces = []
     if not block.is_sampled:
-        ElementTree.SubElement(
-            root, "ModelExchange", modelIdentifier=block.name, canGetAndSetFMUstate="true", canSerializeFMUstate="true"
-        )
-    ElementTree.SubElement(
-        root,
-        "CoSimulation",
-        modelIdentifier=block.name,
-        canHandleVariableCommunicationStepSize="true",
-        canGetAndSetFMUstate="true",
-        canSerializeFMUstate="true",
-    )
+        interfaces.append(ElementTree.SubElement(root, "ModelExchange", common, completedIntegratorStepNotNeeded="true"))
+    interfaces.append(ElementTree.SubElement(root, "CoSimulation", common, canHandleVariableCommunicationStepSize="true"))
+    for interface in interfaces if sources else []:
+        listed = ElementTree.SubElement(interface, "SourceFiles")
+        for name in sources:
+            ElementTree.SubElement(listed, "File", name=name)
     _units(root, block)
     if _enumerations(block):
         types = ElementTree.SubElement(root, "TypeDefinitions")
@@ -105,9 +114,22 @@ def fmi2(block: Block, token: str) -> bytes:
                 ElementTree.SubElement(items, "Item", name=choice, value=str(index + 1))
     _log_categories(root)
     _experiment(root, block)
+    if block.terminals:  # FMI 2.0 has no place of its own for them
+        annotations = ElementTree.SubElement(root, "VendorAnnotations")
+        _terminals(ElementTree.SubElement(annotations, "Tool", name=TERMINAL_KINDS), block)
     variables = ElementTree.SubElement(root, "ModelVariables")
     positions = _fmi2_variables(variables, block, plan)
     _fmi2_structure(ElementTree.SubElement(root, "ModelStructure"), block, positions)
+    return text(root)
+
+
+def build_description(block: Block) -> bytes:
+    """sources/buildDescription.xml of FMI 3.0: one C99 file, and the mathematical library."""
+    root = ElementTree.Element("fmiBuildDescription", fmiVersion="3.0")
+    configuration = ElementTree.SubElement(root, "BuildConfiguration", modelIdentifier=block.name)
+    files = ElementTree.SubElement(configuration, "SourceFileSet", language="C99", compilerOptions="-ffp-contract=off")
+    ElementTree.SubElement(files, "SourceFile", name=f"{block.name}.c")
+    ElementTree.SubElement(configuration, "Library", name="m")
     return text(root)
 
 
@@ -141,11 +163,13 @@ def _fmi2_variables(parent: ElementTree.Element, block: Block, plan: Layout) -> 
                 typed["declaredType"] = _type_name(block, variable)
             if variable.kind == "real":
                 typed["unit"] = variable.units[i]
+            if variable.nominal != 1.0:
+                typed["nominal"] = number(variable.nominal)
             element = scalar(name, plan.reference[variable.name] + i, **attributes)
             ElementTree.SubElement(
                 element, {"real": "Real", "boolean": "Boolean", "enumeration": "Enumeration"}[variable.kind], typed
             )
-    for variable in [] if block.is_sampled else block.having("state"):
+    for variable in _differentiated(block):
         for i, (name, state) in enumerate(zip(derivative_elements(variable), variable.element_names, strict=True)):
             element = scalar(
                 name,
@@ -155,34 +179,26 @@ def _fmi2_variables(parent: ElementTree.Element, block: Block, plan: Layout) -> 
                 initial="calculated",
                 description=f"Derivative of {state}",
             )
-            ElementTree.SubElement(element, "Real", derivative=str(index[state]))
+            unit = rate(variable.units[i])
+            ElementTree.SubElement(element, "Real", {"unit": unit} if unit else {}, derivative=str(index[state]))
     return index
 
 
 def _fmi2_structure(parent: ElementTree.Element, block: Block, index: dict[str, int]) -> None:
-    outputs = [
-        (variable, name)
-        for variable in block.having("output", "state")
-        if not variable.local
-        for name in variable.element_names
-    ]
-    states = [] if block.is_sampled else [name for variable in block.having("state") for name in variable.element_names]
-    # State-dependent unknowns may depend on every state; on inputs they depend as the equations say.
-    listed = ElementTree.SubElement(parent, "Outputs") if outputs else None
-    for _, name in sorted(outputs, key=lambda pair: index[pair[1]]):
-        depends = sorted(index[other] for other in [*block.dependencies[name], *states])
-        assert listed is not None
-        ElementTree.SubElement(listed, "Unknown", index=str(index[name]), dependencies=" ".join(map(str, depends)))
-    if states:
-        derivatives = ElementTree.SubElement(parent, "Derivatives")
-        for name in states:
-            ElementTree.SubElement(derivatives, "Unknown", index=str(index[f"der({name})"]))
-    computed = [variable for variable in block.having("output", "state") if not (variable.local or block.has_start(variable))]
-    unknowns = [name for variable in computed for name in variable.element_names] + [f"der({name})" for name in states]
-    if unknowns:
-        initial = ElementTree.SubElement(parent, "InitialUnknowns")
-        for name in sorted(unknowns, key=index.__getitem__):
-            ElementTree.SubElement(initial, "Unknown", index=str(index[name]))
+    def unknowns(tag: str, names: Iterable[str], dependencies: dict[str, list[str]]) -> None:
+        ordered = sorted(names, key=index.__getitem__)
+        listed = ElementTree.SubElement(parent, tag) if ordered else None
+        for name in ordered:
+            depends = " ".join(str(index[known]) for known in dependencies[name])
+            assert listed is not None
+            ElementTree.SubElement(listed, "Unknown", index=str(index[name]), dependencies=depends)
+
+    outputs = [v for v in block.having("output", "state") if not v.local]
+    derivatives = [name for variable in _differentiated(block) for name in derivative_elements(variable)]
+    computed = [name for variable in outputs if not block.has_start(variable) for name in variable.element_names]
+    unknowns("Outputs", [name for variable in outputs for name in variable.element_names], block.dependencies)
+    unknowns("Derivatives", derivatives, block.dependencies)
+    unknowns("InitialUnknowns", computed + derivatives, block.initial_dependencies)
 
 
 def fmi3(block: Block, token: str) -> bytes:
@@ -197,18 +213,18 @@ def fmi3(block: Block, token: str) -> bytes:
         generationTool=TOOL,
         variableNamingConvention="structured",
     )
+    common = {
+        "modelIdentifier": block.name,
+        "canGetAndSetFMUState": "true",
+        "canSerializeFMUState": "true",
+        "providesDirectionalDerivatives": "true",
+        "providesAdjointDerivatives": "true",
+    }
+    # Between the inner steps of a continuous block an importer may look, set inputs and end the communication step.
+    inner = {} if block.is_sampled else {"providesIntermediateUpdate": "true", "canReturnEarlyAfterIntermediateUpdate": "true"}
     if not block.is_sampled:
-        ElementTree.SubElement(
-            root, "ModelExchange", modelIdentifier=block.name, canGetAndSetFMUState="true", canSerializeFMUState="true"
-        )
-    ElementTree.SubElement(
-        root,
-        "CoSimulation",
-        modelIdentifier=block.name,
-        canHandleVariableCommunicationStepSize="true",
-        canGetAndSetFMUState="true",
-        canSerializeFMUState="true",
-    )
+        ElementTree.SubElement(root, "ModelExchange", common, needsCompletedIntegratorStep="false")
+    ElementTree.SubElement(root, "CoSimulation", common | inner, canHandleVariableCommunicationStepSize="true")
     _units(root, block)
     if _enumerations(block):
         types = ElementTree.SubElement(root, "TypeDefinitions")
@@ -249,6 +265,10 @@ def _fmi3_variables(parent: ElementTree.Element, block: Block, plan: Layout) -> 
                 attributes["start"] = " ".join(number(value) for value in values)
         if variable.kind == "enumeration":
             attributes["declaredType"] = _type_name(block, variable)
+        if variable.nominal != 1.0:
+            attributes["nominal"] = number(variable.nominal)
+        if variable.causality != "parameter" and not block.is_sampled:
+            attributes["intermediateUpdate"] = "true"
         # FMI 3.0 has one unit for a whole array; a wrench or twist mixes two and tells them in an annotation.
         if variable.kind == "real" and len(set(variable.units)) == 1:
             attributes["unit"] = variable.units[0]
@@ -259,10 +279,12 @@ def _fmi3_variables(parent: ElementTree.Element, block: Block, plan: Layout) -> 
             ElementTree.SubElement(annotations, "Annotation", type=UNITS_ANNOTATION).text = " ".join(variable.units)
         if variable.is_array:
             ElementTree.SubElement(element, "Dimension", start=str(variable.size))
-    for variable in [] if block.is_sampled else block.having("state"):
+    for variable in _differentiated(block):
+        unit = rate(variable.units[0]) if len(set(variable.units)) == 1 else None
         element = ElementTree.SubElement(
             parent,
             "Float64",
+            {"unit": unit} if unit else {},
             name=derivative_name(variable),
             valueReference=str(plan.reference[derivative_name(variable)]),
             causality="local",
@@ -276,28 +298,44 @@ def _fmi3_variables(parent: ElementTree.Element, block: Block, plan: Layout) -> 
 
 
 def _fmi3_structure(parent: ElementTree.Element, block: Block, plan: Layout) -> None:
-    states = [] if block.is_sampled else block.having("state")
+    owner = {name: variable.name for variable in block.variables.values() for name in variable.element_names}
+    owner |= {name: derivative_name(variable) for variable in _differentiated(block) for name in derivative_elements(variable)}
+    elements: dict[str, list[str]] = {}
+    for element, name in owner.items():
+        elements.setdefault(name, []).append(element)
+    owner["time"] = "time"
+
+    def unknowns(tag: str, names: Iterable[str], dependencies: dict[str, list[str]]) -> None:
+        for name in sorted(names, key=plan.reference.__getitem__):
+            depends = {plan.reference[owner[known]] for element in elements[name] for known in dependencies[element]}
+            ElementTree.SubElement(
+                parent, tag, valueReference=str(plan.reference[name]), dependencies=" ".join(map(str, sorted(depends)))
+            )
+
     outputs = [variable for variable in block.having("output", "state") if not variable.local]
-    owner = {name: variable.name for variable in block.having("input") for name in variable.element_names} | {"time": "time"}
+    derivatives = [derivative_name(variable) for variable in _differentiated(block)]
+    computed = [variable.name for variable in outputs if not block.has_start(variable)]
+    unknowns("Output", [variable.name for variable in outputs], block.dependencies)
+    unknowns("ContinuousStateDerivative", derivatives, block.dependencies)
+    unknowns("InitialUnknown", computed + derivatives, block.initial_dependencies)
 
-    def references(names: Iterable[str]) -> str:
-        return " ".join(str(reference) for reference in sorted({plan.reference[name] for name in names}))
 
-    for variable in sorted(outputs, key=lambda variable: plan.reference[variable.name]):
-        depends = {owner[name] for element in variable.element_names for name in block.dependencies[element]}
-        ElementTree.SubElement(
-            parent,
-            "Output",
-            valueReference=str(plan.reference[variable.name]),
-            dependencies=references([*depends, *(state.name for state in states)]),
+def terminals(block: Block) -> bytes | None:
+    """terminalsAndIcons.xml of FMI 3.0: what belongs together, so that two FMUs are connected in one gesture. None: no terminals."""
+    if not block.terminals:
+        return None
+    root = ElementTree.Element("fmiTerminalsAndIcons", fmiVersion="3.0")
+    _terminals(root, block)
+    return text(root)
+
+
+def _terminals(parent: ElementTree.Element, block: Block) -> None:
+    listed = ElementTree.SubElement(parent, "Terminals")
+    for name, members in block.terminals.items():
+        terminal = ElementTree.SubElement(
+            listed, "Terminal", name=name, matchingRule="bus", terminalKind=f"{TERMINAL_KINDS}.{name}"
         )
-    for variable in states:
-        ElementTree.SubElement(
-            parent, "ContinuousStateDerivative", valueReference=str(plan.reference[derivative_name(variable)])
-        )
-    unknowns = [
-        variable.name for variable in block.having("output", "state") if not (variable.local or block.has_start(variable))
-    ]
-    unknowns += [derivative_name(variable) for variable in states]
-    for name in sorted(unknowns, key=plan.reference.__getitem__):
-        ElementTree.SubElement(parent, "InitialUnknown", valueReference=str(plan.reference[name]))
+        for member, variable in members.items():
+            ElementTree.SubElement(
+                terminal, "TerminalMemberVariable", variableName=variable, memberName=member, variableKind="signal"
+            )

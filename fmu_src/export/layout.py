@@ -29,6 +29,7 @@ class Value:
 class Layout:
     values: tuple[Value, ...]
     start: tuple[float, ...]
+    nominal: tuple[float, ...]
     ranges: dict[str, tuple[int, int]]
     reference: dict[str, int]
 
@@ -65,4 +66,5 @@ def layout(block: Block) -> Layout:
             values.append(Value(element, "real", "read_only", 0, variable.size if index == 0 else 0))
             start.append(0.0)
     ranges["derivatives"] = (first, len(values) - first)
-    return Layout(tuple(values), tuple(start), ranges, reference)
+    nominal = tuple(variable.nominal for variable in block.having("state") for _ in range(variable.size))
+    return Layout(tuple(values), tuple(start), nominal, ranges, reference)

@@ -298,7 +298,7 @@ def test_an_output_directory_that_cannot_be_made(capsys: pytest.CaptureFixture[s
 
 
 @pytest.mark.parametrize(
-    ("limit", "code", "message"), [(300_000, 3, "record.parquet cannot be written"), (20_000, 2, "cannot be unpacked into")]
+    ("limit", "code", "message"), [(700_000, 3, "record.parquet cannot be written"), (20_000, 2, "cannot be unpacked into")]
 )
 def test_a_full_disk_leaves_nothing_half_written(tmp_path: Path, limit: int, code: int, message: str) -> None:
     """A limit on file size stands for the full disk: the write fails in the middle, of the record or of an FMU's library."""

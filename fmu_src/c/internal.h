@@ -1,0 +1,45 @@
+/* What the files of the runtime share among themselves. */
+#ifndef INTERNAL_H
+#define INTERNAL_H
+
+#include <math.h>
+
+#include "instance.h"
+
+#define TIME 0
+/* Log categories: a wrong call, and a run that has left what the equations hold for. The description declares both. */
+#define MISUSE "logStatusError"
+#define REQUIREMENT "logRequirement"
+#define NANOSECOND 1       /* tolerance when times that were doubles are compared */
+#define LARGEST_TIME 9e9   /* s; nanoseconds must fit into 64 bits */
+
+static inline double *at(Instance *c, Range range) { return c->memory->value + range.first; }
+
+/* The digits that compensated summation carries, one for each state. */
+static inline double *lost(Instance *c) { return c->memory->value + block.values; }
+
+static inline int inside(unsigned index, Range range)
+{
+    return (int)index >= range.first && (int)index < range.first + range.count;
+}
+
+static inline int is_finite(double x) { return fabs(x) <= 1.7976931348623157e308; }
+
+static inline int64_t nanoseconds(double seconds) { return (int64_t)llround(seconds * 1e9); }
+
+/* Each says nothing itself: on ERROR the message is ready. */
+Status instance_check_parameters(Instance *);
+Status instance_update_outputs(Instance *);
+Status instance_update_rates(Instance *);
+/* New states into c->scratch; outputs into place once everything is checked. */
+Status instance_sample(Instance *, const double *x);
+/* The states from which outputs and derivatives follow: in initialization mode those that it will end with. */
+const double *instance_present_states(Instance *);
+/* Whether a range's values are finite; if not, "NAME is not finite" and `remedy`. */
+Status instance_check_finite(Instance *, int first, int count, const double *value, const char *remedy);
+/* Inputs, parameters, states or the time are no longer what the outputs were computed from. */
+void instance_changed(Instance *);
+/* "NAME cannot be set to VALUE" and a reason. */
+Status instance_refuse(Instance *, unsigned index, double value, const char *reason);
+
+#endif

@@ -1,0 +1,84 @@
+/* Saved states: flat copies of an instance's memory. */
+#include "internal.h"
+
+#include <stdlib.h>
+#include <string.h>
+
+static Status refuse(Instance *c, const char *why)
+{
+    message_begin(&c->message, "the saved state is refused: ");
+    message_add(&c->message, why);
+    return instance_say(c, ERROR, MISUSE);
+}
+
+static Status copy(Instance *c, const void *bytes, void **slot)
+{
+    if (!*slot)
+        *slot = malloc(instance_memory_size());
+    if (!*slot)
+        return refuse(c, "there is no memory for it");
+    memcpy(*slot, bytes, instance_memory_size());
+    return OK;
+}
+
+Status instance_save(Instance *c, void **slot) { return copy(c, c->memory, slot); }
+
+Status instance_restore(Instance *c, const void *saved)
+{
+    if (((const Memory *)saved)->identity != c->memory->identity)
+        return refuse(c, "it was saved by another FMU, or by an instance of the other interface type");
+    memcpy(c->memory, saved, instance_memory_size());
+    return OK;
+}
+
+Status instance_serialize(Instance *c, const void *saved, void *bytes, size_t size)
+{
+    if (size != instance_memory_size())
+        return refuse(c, "its bytes have another size than that of this FMU");
+    memcpy(bytes, saved, size);
+    return OK;
+}
+
+/* Bytes may come from anywhere: what could not have been written here is not let in. */
+static const char *fault(const Instance *c, const Memory *m)
+{
+    int state = (int)m->state, both = INSTANTIATED | INITIALIZATION | TERMINATED;
+    if (m->identity != c->memory->identity)
+        return "it was saved by another FMU, or by an instance of the other interface type";
+    if ((state & (state - 1)) != 0 || !(state & (both | (c->model_exchange ? EVENT | CONTINUOUS : STEP))))
+        return "its bytes are damaged";
+    double limit = LARGEST_TIME * 1e9;
+    if (!(fabs((double)m->start) <= limit && fabs((double)m->time) <= limit && fabs((double)m->next_sample) <= limit && fabs(m->clock) <= LARGEST_TIME))
+        return "its bytes are damaged";
+    for (int i = 0; i < block.values + block.states.count; i++) {
+        const Value *value = &block.value[i < block.values ? i : 0];
+        if (!is_finite(m->value[i]) || (value->kind == BOOLEAN && m->value[i] != 0 && m->value[i] != 1)
+            || (value->kind == ENUMERATION && !(m->value[i] >= 1 && m->value[i] <= value->maximum)))
+            return "its bytes are damaged";
+    }
+    return NULL;
+}
+
+Status instance_deserialize(Instance *c, const void *bytes, size_t size, void **slot)
+{
+    if (size != instance_memory_size())
+        return refuse(c, "its bytes have another size than that of this FMU");
+    /* The caller's bytes need not be aligned. */
+    void *copied = NULL;
+    if (copy(c, bytes, &copied) != OK)
+        return ERROR;
+    const char *why = fault(c, copied);
+    if (why) {
+        free(copied);
+        return refuse(c, why);
+    }
+    free(*slot);
+    *slot = copied;
+    return OK;
+}
+
+void instance_free_saved(void **slot)
+{
+    free(*slot);
+    *slot = NULL;
+}

@@ -1,0 +1,113 @@
+/* Communication steps. */
+#include "internal.h"
+
+#include <string.h>
+
+#include "integrate.h"
+
+/* start + count x period, so that rounding never adds up. */
+static int64_t sample_after(const Memory *m, double period)
+{
+    int64_t count = (int64_t)llround((double)(m->next_sample - m->start) * 1e-9 / period);
+    return m->start + (int64_t)llround((double)(count + 1) * period * 1e9);
+}
+
+static Status step_sampled(Instance *c, int64_t begin, int64_t end, double size)
+{
+    Memory *m = c->memory;
+    double period = m->value[block.period];
+    int due = begin + NANOSECOND >= m->next_sample;
+    int64_t next = due ? sample_after(m, period) : m->next_sample;
+    if (end > next + NANOSECOND) {
+        message_begin(&c->message, "a communication step of ");
+        message_add_number(&c->message, size);
+        message_add(&c->message, " s passes over a sample of this block, whose period is ");
+        message_add_number(&c->message, period);
+        message_add(&c->message, " s; choose a step that divides the period");
+        return instance_say(c, DISCARD, MISUSE);
+    }
+    if (due && instance_sample(c, at(c, block.states)) != OK)
+        return instance_say(c, DISCARD, REQUIREMENT);
+    if (due)
+        memcpy(at(c, block.states), c->scratch, (size_t)block.states.count * sizeof(double));
+    m->next_sample = next;
+    return OK;
+}
+
+/* The importer may look at an inner instant, set inputs, and end the communication step there. */
+static int interrupted(Instance *c, double time)
+{
+    Memory *m = c->memory;
+    m->clock = time;
+    instance_changed(c);
+    m->state = INTERMEDIATE;
+    int stop = c->intermediate_update(c, time);
+    m->state = STEP;
+    return stop;
+}
+
+static Status step_continuous(Instance *c, double time, double size)
+{
+    Memory *m = c->memory;
+    int n = block.states.count;
+    double *x = at(c, block.states), *saved = c->saved;
+    int64_t count = size > 0 ? (int64_t)ceil(size / block.step - 1e-9) : 0;
+    double h = count > 0 ? size / (double)count : 0, end = time + size;
+    memcpy(saved, x, (size_t)n * sizeof(double));
+    memcpy(saved + n, lost(c), (size_t)n * sizeof(double));
+    for (int64_t i = 0; i < count; i++) {
+        double inner = time + (double)(i + 1) * h;
+        if (n > 0)
+            integrate_runge_kutta(block.rates, time + (double)i * h, h, at(c, block.parameters), at(c, block.inputs), x, lost(c), n, c->scratch);
+        if (i + 1 < count && c->intermediate_update && interrupted(c, inner)) {
+            end = inner;
+            break;
+        }
+    }
+    m->clock = end;
+    m->time = nanoseconds(end);
+    m->outputs_valid = 0;
+    m->rates_valid = 0;
+    Status status = instance_check_finite(c, block.states.first, n, x, " after this step; the step was not made: check the inputs");
+    /* Outputs wait until somebody asks, unless a requirement watches the motion. */
+    if (status == OK && block.running_requirements > 0)
+        status = instance_update_outputs(c);
+    if (status == OK)
+        return OK;
+    memcpy(x, saved, (size_t)n * sizeof(double));
+    memcpy(lost(c), saved + n, (size_t)n * sizeof(double));
+    m->clock = time;
+    m->time = nanoseconds(time);
+    m->outputs_valid = 0;
+    return instance_say(c, DISCARD, REQUIREMENT);
+}
+
+Status instance_step(Instance *c, double time, double size)
+{
+    Memory *m = c->memory;
+    if (!(size >= 0) || !(fabs(time) < LARGEST_TIME) || !(fabs(time + size) < LARGEST_TIME)
+        || nanoseconds(time) - m->time > NANOSECOND || m->time - nanoseconds(time) > NANOSECOND) {
+        message_begin(&c->message, "a step from ");
+        message_add_number(&c->message, time);
+        message_add(&c->message, " s of size ");
+        message_add_number(&c->message, size);
+        message_add(&c->message, " s does not begin where the last one ended, at ");
+        message_add_number(&c->message, (double)m->time * 1e-9);
+        message_add(&c->message, " s, or has no valid size");
+        return instance_say(c, ERROR, MISUSE);
+    }
+    double before = m->clock;
+    m->clock = time;
+    Status status = instance_check_parameters(c) == OK ? OK : instance_say(c, DISCARD, REQUIREMENT);
+    if (status == OK)
+        status = block.period >= 0 ? step_sampled(c, nanoseconds(time), nanoseconds(time + size), size) : step_continuous(c, time, size);
+    if (status != OK) {
+        m->clock = before;
+        return status;
+    }
+    if (block.period >= 0) {
+        m->clock = time + size;
+        m->time = nanoseconds(time + size);
+    }
+    return OK;
+}
