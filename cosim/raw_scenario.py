@@ -39,11 +39,14 @@ def _other_kind(table: object, change: object) -> bool:
 def _driven(raw: Raw) -> set[str]:
     """The inputs that a file's own connections drive."""
     texts = [text for key in ("connections", "delayed") if isinstance(raw.get(key), list) for text in raw[key]]
+    texts = [text for text in texts if "<->" not in str(text)]
     return {target.strip() for text in texts for target in str(text).partition("->")[2].split(",")}
 
 
 def _without(text: object, driven: set[str]) -> list[str]:
     """A connection's text without the targets in `driven`; none if nothing is left."""
+    if "<->" in str(text):
+        return [str(text)]  # terminals: what they drive is known once the FMUs are read
     source, arrow, targets = str(text).partition("->")
     left = [target.strip() for target in targets.split(",") if target.strip() not in driven]
     return [f"{source.strip()} {arrow} {', '.join(left)}"] if left else []
@@ -53,11 +56,11 @@ def override(raw: Raw, text: str) -> None:
     """COMPONENT.PARAMETER=VALUE; VALUE as in TOML, or a bare word, or a number with a unit ("300 ms")."""
     target, equals, value = text.partition("=")
     component, dot, parameter = target.strip().partition(".")
-    if equals and component in ("devices", "facility"):
+    if equals and component in ("devices", "facility", "record"):
         _override_table(raw, text, target.strip().split("."), parse_value(value.strip()))
         return
-    if equals and target.strip() == "stop_s":
-        raw["stop_s"] = parse_value(value.strip())
+    if equals and target.strip() in ("stop_s", "exchange"):
+        raw[target.strip()] = parse_value(value.strip())
         return
     if not equals or not dot or not component or not parameter:
         raise ScenarioError(f"--set {text}: COMPONENT.PARAMETER=VALUE is expected, for example base_controller.period=0.1")

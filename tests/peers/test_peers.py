@@ -1,0 +1,47 @@
+"""The closed loop in other FMI masters: the same numbers as in ours under the same exchange rule."""
+
+from __future__ import annotations
+
+import closed_loop
+import pytest
+import reference_loops
+from masters import PEERS, arguments, before_the_instant, difference, own_master
+from reference_loops import Rule
+
+RUNS = [(name, version) for name, peer in PEERS.items() for version in peer.versions]
+
+
+@pytest.mark.parametrize("moving", [False, True])
+@pytest.mark.parametrize(("name", "version"), RUNS)
+def test_all_at_one_step_a_peer_gives_our_numbers(name: str, version: int, moving: bool) -> None:
+    """Every slave stepped at T_m; `moving`: from beside the equilibrium, so that the initial exchange leaves a trace."""
+    peer = PEERS[name]
+    theirs = peer.run(peer.fmus(version, 0.001), *arguments(0.001, 2.0, moving=moving))
+    ours = own_master(version, peer.exchange, 0.001, 2.0, moving=moving)
+    assert difference(before_the_instant(ours) if peer.rule.sequential else ours, theirs) < 1e-9
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_a_plain_loop_over_fmpys_slaves_gives_our_numbers(version: int) -> None:
+    sequential = reference_loops.run(closed_loop.fmus(version), *arguments(0.001, 2.0), Rule(sequential=True))
+    assert difference(before_the_instant(own_master(version, "sequential", 0.001, 2.0)), sequential) < 1e-9
+    parallel = reference_loops.run(closed_loop.fmus(version), *arguments(0.001, 2.0), Rule(rounds=4))
+    assert difference(own_master(version, "parallel", 0.001, 2.0), parallel) < 1e-9
+
+
+@pytest.mark.parametrize(("name", "version"), RUNS)
+def test_with_a_slow_slave_a_peer_follows_the_rule_that_the_docs_give(name: str, version: int) -> None:
+    """docs/peers.md: at T_b steps masters differ by their own rules."""
+    peer, options = PEERS[name], arguments(0.3, 2.0)
+    fmus = peer.fmus(version, 0.3)
+    assert difference(peer.run(fmus, *options), reference_loops.run(fmus, *options, peer.rule_for(fmus))) < 1e-9
+
+
+def test_the_rules_are_not_the_same() -> None:
+    """Otherwise the agreements above would say nothing."""
+    fmus = closed_loop.fmus(2)
+    records = [
+        reference_loops.run(fmus, *arguments(0.3, 2.0), rule) for rule in (Rule(sequential=True), Rule(), Rule(late=True))
+    ]
+    assert difference(records[0], records[1]) > 1e-5
+    assert difference(records[1], records[2]) > 1e-3
