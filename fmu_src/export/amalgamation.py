@@ -7,6 +7,14 @@ import re
 from fmu_src.export.compiler import SOURCES
 
 HEADERS = ("block", "message", "sincos", "integrate", "instance", "internal")  # each needs those before it
+NO_CONTRACTION = """#if defined(__clang__)
+#pragma STDC FP_CONTRACT OFF
+#elif defined(__GNUC__)
+#pragma GCC optimize("-ffp-contract=off")
+#elif defined(_MSC_VER)
+#pragma fp_contract(off)
+#endif
+"""
 SHARED = re.compile(r"\b((?:instance|integrate|message)_\w+)\(")
 
 
@@ -21,5 +29,5 @@ def amalgamated(name: str, block_c: str, version: int) -> bytes:
     renamed = "".join(f"#define {symbol} {name}_{symbol}\n" for symbol in shared)
     body = re.sub(r'^#include "(?!fmi)[^"]*"\n', "", "\n".join([*headers, *sources]), flags=re.MULTILINE)
     head = f"/* The FMU {name}, FMI {version}.0: the equations and the runtime in one C99 file. Generated; do not edit.\n"
-    head += "   Compile with -ffp-contract=off: then every platform computes the same bits. */\n"
-    return f"{head}{renamed}\n{body}".encode("ascii")
+    head += "   No product is contracted with a sum: then every platform computes the same bits. */\n"
+    return f"{head}{NO_CONTRACTION}{renamed}\n{body}".encode("ascii")

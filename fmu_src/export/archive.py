@@ -72,7 +72,8 @@ def _submit(
     source.write_text(block_c, encoding="ascii")
 
     def library(target: Platform) -> bytes:
-        path = source.with_name(f"{target.fmi3}{target.suffix}")
+        path = source.parent / target.fmi3 / f"{block.name}{target.suffix}"  # libraries know their own names
+        path.parent.mkdir()
         compile_library(source, path, target)
         return path.read_bytes()
 

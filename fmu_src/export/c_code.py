@@ -24,7 +24,7 @@ SENSITIVITY = (*ARGUMENTS, "seed")
 def operations() -> dict[int, str]:
     """CasADi operation -> C expression in operands {0}, {1}. sin and cos are apart: they come in pairs."""
     infix = {"ADD": "+", "SUB": "-", "MUL": "*", "DIV": "/"}
-    compared = {"LT": "<", "LE": "<=", "EQ": "==", "NE": "!=", "AND": "&&", "OR": "||"}
+    compared = {"LT": "<", "LE": "<=", "EQ": "==", "NE": "!="}
     called = {"FABS": "fabs", "SQRT": "sqrt", "FLOOR": "floor", "CEIL": "ceil"}
     # These come from the platform's C library: to 1e-12 or so, not to the last bit.
     library = {"EXP": "exp", "LOG": "log", "TAN": "tan", "ASIN": "asin", "ACOS": "acos", "ATAN": "atan", "SINH": "sinh"}
@@ -42,7 +42,9 @@ def operations() -> dict[int, str]:
         "OP_SQ": "{0} * {0}",
         "OP_TWICE": "2.0 * {0}",
         "OP_INV": "1.0 / {0}",
-        "OP_NOT": "(double)(!{0})",
+        "OP_NOT": "(double)({0} == 0.0)",
+        "OP_AND": "(double)({0} != 0.0 && {1} != 0.0)",
+        "OP_OR": "(double)({0} != 0.0 || {1} != 0.0)",
         "OP_SIGN": "(double)(({0} > 0.0) - ({0} < 0.0))",
         "OP_FMIN": "({0} < {1} ? {0} : {1})",
         "OP_FMAX": "({0} > {1} ? {0} : {1})",

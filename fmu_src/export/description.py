@@ -127,7 +127,7 @@ def build_description(block: Block) -> bytes:
     """sources/buildDescription.xml of FMI 3.0: one C99 file, and the mathematical library."""
     root = ElementTree.Element("fmiBuildDescription", fmiVersion="3.0")
     configuration = ElementTree.SubElement(root, "BuildConfiguration", modelIdentifier=block.name)
-    files = ElementTree.SubElement(configuration, "SourceFileSet", language="C99", compilerOptions="-ffp-contract=off")
+    files = ElementTree.SubElement(configuration, "SourceFileSet", language="C99")
     ElementTree.SubElement(files, "SourceFile", name=f"{block.name}.c")
     ElementTree.SubElement(configuration, "Library", name="m")
     return text(root)
