@@ -6,6 +6,7 @@ import importlib
 import importlib.util
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
@@ -110,27 +111,41 @@ def _refuse_driven(wiring: graph.Graph, values: Values) -> None:
             raise ScenarioError(f"{connection.target} cannot be set: it is driven by the connection from {connection.source}")
 
 
+@dataclass(frozen=True, kw_only=True)
+class System:
+    """A scenario with its components loaded and everything checked, before anything is initialised. `steps` in ns."""
+
+    components: Mapping[str, Component]
+    values: Values
+    steps: Mapping[str, int]
+    wiring: graph.Graph
+
+
 @contextmanager
-def assembled(scenario: Scenario, fmi: int | None = None) -> Iterator[tuple[Master, Values]]:
-    """A master with everything loaded, checked and initialised; components are closed at the end. Raises CosimError."""
+def loaded(scenario: Scenario, fmi: int | None = None) -> Iterator[System]:
+    """Components are closed at the end. Raises CosimError."""
     components: dict[str, Component] = {}
     try:
         for spec in scenario.components:
             components[spec.name] = make(spec, scenario.directory, fmi)
         values = parameters.resolve(scenario, components)
-        plan = schedule.build(
-            parameters.steps(scenario, components, values),
-            scenario.stop,
-            scenario.record_every,
-            {name: component.variable_step for name, component in components.items()},
-        )
         samples = {spec.name: spec.samples for spec in scenario.components if spec.samples is not None}
         wiring = graph.build(components, scenario.connections, samples, scenario.exchange)
         _refuse_driven(wiring, values)
-        master = Master(wiring, plan, scenario.limits)
-        master.initialise(values)
-        yield master, values
+        steps = parameters.steps(scenario, components, values)
+        yield System(components=components, values=values, steps=steps, wiring=wiring)
     finally:
         for component in components.values():
             with suppress(Exception):  # one that cannot be closed must not keep the others, or the results, from theirs
                 component.close()
+
+
+@contextmanager
+def assembled(scenario: Scenario, fmi: int | None = None) -> Iterator[tuple[Master, Values]]:
+    """A master with everything loaded, checked and initialised; components are closed at the end. Raises CosimError."""
+    with loaded(scenario, fmi) as system:
+        variable_step = {name: component.variable_step for name, component in system.components.items()}
+        plan = schedule.build(system.steps, scenario.stop, scenario.record_every, variable_step)
+        master = Master(system.wiring, plan, scenario.limits)
+        master.initialise(system.values)
+        yield master, system.values

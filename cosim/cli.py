@@ -6,18 +6,23 @@ import argparse
 import io
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from importlib.metadata import entry_points, version
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import NoReturn, Protocol
 
 from rich.console import Console
 from rich.table import Table
 
-from cosim import experiment, reproduce, scenario
-from cosim.errors import BAD_INPUT, DONE, STOPPED, CosimError
+from cosim import assemble, experiment, reproduce, scenario, ssp_read, ssp_write
+from cosim.errors import BAD_INPUT, DONE, STOPPED, CosimError, ScenarioError
 from cosim.experiment import Result
 from cosim.record import check_writable
+from cosim.scenario import Scenario
+
+SCENARIO_HELP = f"{', '.join(scenario.shipped())}, or a .toml file"
 
 
 class Command(Protocol):
@@ -52,6 +57,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return complain(f"the output cannot be written: {error.strerror or error}", STOPPED)
 
 
+@contextmanager
+def opened(name: str, overrides: Sequence[str], step: float | None) -> Iterator[Scenario]:
+    """A scenario by name, TOML file or SSP file; the FMUs of an SSP file are unpacked for as long."""
+    if not name.endswith(".ssp"):
+        if step is not None:
+            raise ScenarioError("--step belongs to an .ssp file; in a scenario every component has its step_s")
+        yield scenario.load(name, overrides)
+        return
+    if step is not None and not 0.0 < step < float("inf"):
+        raise ScenarioError(f"--step {step:g}: a time above zero is expected")
+    with TemporaryDirectory(prefix="freeflyer-") as directory:
+        yield ssp_read.read(Path(name), Path(directory), step=step, overrides=overrides)
+
+
 def folder(text: str) -> Path:
     if not text:
         raise argparse.ArgumentTypeError("a directory is expected, got an empty name")
@@ -82,7 +101,13 @@ class RunCommand:
     help = "run one scenario; write its record and summary.json"
 
     def configure(self, parser: argparse.ArgumentParser) -> None:
-        parser.add_argument("scenario", metavar="SCENARIO", help=f"{', '.join(scenario.shipped())}, or a .toml file")
+        parser.add_argument("scenario", metavar="SCENARIO", help=f"{SCENARIO_HELP}, or an .ssp file")
+        parser.add_argument(
+            "--step",
+            type=float,
+            metavar="SECONDS",
+            help="of an .ssp file: communication step of components that have none there",
+        )
         parser.add_argument("--set", action="append", default=[], metavar="COMPONENT.PARAMETER=VALUE", dest="overrides")
         parser.add_argument(
             "--fmi", type=int, choices=(2, 3), help="FMI version of the shipped FMUs (default: the scenario's, else 2)"
@@ -91,15 +116,34 @@ class RunCommand:
         parser.add_argument("--out", type=folder, metavar="DIR", help="default: freeflyer_out/SCENARIO")
 
     def execute(self, arguments: argparse.Namespace, console: Console) -> int:
-        chosen = scenario.load(arguments.scenario, arguments.overrides)
-        directory = arguments.out or Path("freeflyer_out") / chosen.name
-        check_writable(directory)
-        with experiment.progress_bar(console, [chosen]) as reports:
-            result = experiment.run(chosen, fmi=arguments.fmi, progress=reports[chosen.name])
+        with opened(arguments.scenario, arguments.overrides, arguments.step) as chosen:
+            directory = arguments.out or Path("freeflyer_out") / chosen.name
+            check_writable(directory)
+            with experiment.progress_bar(console, [chosen]) as reports:
+                result = experiment.run(chosen, fmi=arguments.fmi, progress=reports[chosen.name])
         experiment.write(result, directory)
         console.print(result_table(result))
         console.print(f"Results in {directory}: record.parquet, summary.json", soft_wrap=True)
         return verdict(result)
+
+
+class ExportCommand:
+    help = "write a scenario's system, with its FMUs, as one SSP file for other tools"
+
+    def configure(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("scenario", metavar="SCENARIO", help=SCENARIO_HELP)
+        parser.add_argument("--set", action="append", default=[], metavar="COMPONENT.PARAMETER=VALUE", dest="overrides")
+        parser.add_argument("--fmi", type=int, choices=(2, 3), help="2: SSP 1.0 (default); 3: SSP 2.0")
+        parser.add_argument("--out", type=Path, required=True, metavar="FILE.ssp")
+
+    def execute(self, arguments: argparse.Namespace, console: Console) -> int:
+        if arguments.out.suffix != ".ssp":
+            raise ScenarioError(f"--out {arguments.out}: a file name that ends in .ssp is expected")
+        chosen = scenario.load(arguments.scenario, arguments.overrides)
+        with assemble.loaded(chosen, arguments.fmi) as system:
+            ssp_write.write(chosen, system, arguments.out)
+        console.print(f"{arguments.out}: {len(system.components)} components", soft_wrap=True)
+        return DONE
 
 
 class ReproduceCommand:

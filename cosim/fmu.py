@@ -212,6 +212,10 @@ class FmuComponent:
     def ports(self) -> Mapping[str, Port]:
         return self._ports
 
+    def variables_of(self, port: str) -> Sequence[ModelVariable]:
+        """The model variables that make up a port, in order."""
+        return self._variables[port]
+
     # Loading
 
     def _interface(self) -> Any:

@@ -84,6 +84,11 @@ def load(name: str, overrides: Sequence[str] = ()) -> Scenario:
     return _Reader(path).scenario(raw)
 
 
+def from_tables(raw: Raw, path: Path) -> Scenario:
+    """Tables as a TOML file has them, which came from `path`."""
+    return _Reader(path).scenario(raw)
+
+
 def find(name: str, beside: Path | None = None) -> Path:
     candidates = [Path(name)] if beside is None else [beside / name, Path(name)]
     if beside is not None or not name.startswith("_"):
