@@ -75,20 +75,20 @@ def base_controller(robot: Robot) -> Block:
     is_matched = discretisation == int(Discretisation.matched)
     K_Pd, K_Dd = (ca.if_else(is_matched, sampled, emulated) for sampled, emulated in zip(matched, (K_P, K_D), strict=True))
 
-    # Eq. (17).
+    # Eq. (17), its last term apart.
     star = feed_forward(mechanism, state, v_d, a_d)
     v_b = ca.vertcat(state.v, state.w)
     Jb_F = base_jacobian_transposed_times(star.p_be, F_m)
-    F_b = star.F_b + spring_damper(K_Pd, K_Dd, pose_error(p_b, state.orientation, p_bd, R_bd), v_b) + Jb_F
+    F_b = star.F_b + spring_damper(K_Pd, K_Dd, pose_error(p_b, state.orientation, p_bd, R_bd), v_b)
     # Eq. (25), beta_b for the printed beta_m, and (26); bounded so that the held damper makes no energy itself.
     # As printed, the damper is credited in full, so it must not be bounded.
     is_bounded = ca.logic_and(bookkeeping == int(Bookkeeping.applied), share > 0)
     beta = ca.if_else(is_bounded, passivity.bounded(beta_b, share, M, K_Dd, T_b), beta_b)
     F_pcb = -beta * v_b
-    F_b_total = F_b + F_pcb
+    F_B = F_b + F_pcb
 
-    block.output("base_wrench", F_b_total, WRENCH, "F'_b: total wrench on the base, passivity controller included, in I")
-    block.output("port_wrench", F_b_total - Jb_F, WRENCH, "F'_B(k_b) = F'_b - J_b^T F'_m at this sample, in I")
+    block.output("base_wrench", F_B + Jb_F, WRENCH, "F'_b: total wrench on the base, passivity controller included, in I")
+    block.output("port_wrench", F_B, WRENCH, "F'_B(k_b) = F'_b - J_b^T F'_m at this sample, in I")
     block.output("passivity_wrench", F_pcb, WRENCH, "F_pcb: share of the passivity controller, (25), in I")
     require_quaternions(block, {"base_orientation": state.orientation, "orientation_setpoint": R_bd})
     require_regular_jacobian(block, smallest_singular_value(star.Jm_inverse), least_sigma)

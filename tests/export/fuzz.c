@@ -47,7 +47,10 @@ static struct {
     {"fmi2EnterEventMode", "", "e", REFUSED, "2.0: 3.2.3 table: also in event mode", 0},
     {"fmi2GetNominalsOfContinuousStates", "", "i", REFUSED, "2.0: 3.2.3 table: also when instantiated", 0},
     {"fmi2SetTime", "", "e", MADE, "2.0: 3.2.3 table, condition 8: in event mode for purely discrete FMUs only", 0},
-    {"fmi2Set*", "t", "ct", MADE_IF_EMPTY, "2.0: 3.2.3, 4.2.4 tables: no setting; without references nothing is set", 0},
+    {"fmi2SetReal", "t", "t", MADE_IF_EMPTY, "2.0: 3.2.3, 4.2.4 tables: no setting; without references nothing is set", 0},
+    {"fmi2SetInteger", "t", "ct", MADE_IF_EMPTY, "as fmi2SetReal", 0},
+    {"fmi2SetBoolean", "t", "ct", MADE_IF_EMPTY, "as fmi2SetReal", 0},
+    {"fmi2SetString", "t", "ct", MADE_IF_EMPTY, "as fmi2SetReal", 0},
     {"fmi2SetRealInputDerivatives", "", "in", MADE_IF_EMPTY, "2.0: 4.2.4 table: co-simulation only", 0},
     {"fmi2GetRealOutputDerivatives", "", "t", MADE_IF_EMPTY, "2.0: 4.2.4 table: co-simulation only", 0},
     {"fmi2GetStatus", "", "t", MADE, "2.0: 4.2.4 table: co-simulation only (and the other four)", 0},
@@ -688,8 +691,10 @@ static int sensitivity(Slot *s, int adjoint)
         v[i] = once_in(30) ? not_finite() : once_in(10) ? wild_number() : (double)below(5) - 2;
         want.given = want.given == GOOD && fabs(v[i]) <= 2 ? GOOD : want.given == BAD ? BAD : OPEN;
     }
-    if (!result && results > 0)
-        want_bad("");
+    if (!result && results > 0) {
+        want.given = GOOD;
+        want_bad("null pointer");
+    }
     if (doubtful(s) && want.given == GOOD)
         want.given = OPEN;
     deviates("any known");

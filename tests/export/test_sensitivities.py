@@ -1,0 +1,187 @@
+"""Directional and adjoint derivatives against differences, and the dependencies that the descriptions tell against both."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fmpy.fmi1 import FMICallException
+from instances import Instance
+
+from fmu_src.block import Block
+from fmu_src.robot import Array, Robot
+from fmu_src.shipped import BLOCKS
+
+EVERY = [(version, name) for version in (2, 3) for name in BLOCKS]
+RANDOM = np.random.default_rng
+
+
+@pytest.fixture
+def instance(fmus: Path, request: pytest.FixtureRequest) -> Iterator[Instance]:
+    version, name = request.param
+    made = Instance(fmus / f"fmi{version}" / f"{name}.fmu")
+    yield made
+    made.close()
+
+
+def disturb(instance: Instance, block: Block, random: np.random.Generator) -> dict[str, Array]:
+    """Inputs beside their start values, where nothing is zero by accident."""
+    values = {}
+    for name in instance.inputs:
+        start = block.start_of(name)
+        values[name] = start + 0.05 * random.uniform(0.2, 1.0, start.shape) * (1.0 + np.abs(start))
+        instance.set(name, values[name])
+    return values
+
+
+def outputs_after(instance: Instance, block: Block, saved: bytes, values: dict[str, Array]) -> Array:
+    """What the inputs make of the outputs: at this instant of a continuous block, at the next sample of a sampled one."""
+    instance.restore(saved)
+    for name, value in values.items():
+        instance.set(name, value)
+    if block.is_sampled:
+        instance.step(0.0, block.default_step)
+    return instance.all_outputs()
+
+
+@pytest.mark.parametrize("instance", [(v, n) for v, n in EVERY if not n.endswith(("trajectory", "loop"))], indirect=True)
+def test_the_directional_derivative_is_the_limit_of_differences(robot: Robot, instance: Instance) -> None:
+    block = BLOCKS[instance.description.modelName](robot)
+    random = RANDOM(3)
+    instance.initialise()
+    values = disturb(instance, block, random)
+    saved = instance.save()
+    seed = {name: random.uniform(-1.0, 1.0, value.shape) for name, value in values.items()}
+    given = np.concatenate([seed[name] for name in instance.inputs])
+    exact = instance.directional(instance.outputs, instance.inputs, given)
+    h = 1e-5
+    sides = [
+        outputs_after(instance, block, saved, {name: value + sign * h * seed[name] for name, value in values.items()})
+        for sign in (1, -1)
+    ]
+    difference = (sides[0] - sides[1]) / (2.0 * h)
+    scale = 1.0 + np.abs(exact).max()
+    if block.name == "arm_drive":  # quantised positions: steps with a slope of zero
+        unquantised = np.concatenate([np.full(instance.sizes[name], name != "joint_position") for name in instance.outputs])
+        exact, difference = exact[unquantised], difference[unquantised]
+    assert np.abs(exact - difference).max() < 1e-6 * scale
+
+
+@pytest.mark.parametrize("instance", [(3, name) for name in BLOCKS], indirect=True)
+def test_the_adjoint_is_the_transpose(robot: Robot, instance: Instance) -> None:
+    """w . (J v) = (J' w) . v for knowns and unknowns of every kind, in initialization and in step mode."""
+    block = BLOCKS[instance.description.modelName](robot)
+    random = RANDOM(5)
+    states = [variable.name for variable in block.having("state")]
+    parameters = [v.name for v in block.having("parameter") if v.kind == "real"]
+    knowns = ["time", *parameters, *instance.inputs, *states]
+    unknowns = [*dict.fromkeys([*instance.outputs, *states])]
+    if not block.is_sampled:
+        unknowns += [f"der({name})" for name in states]
+    instance.enter()
+    disturb(instance, block, random)
+    for mode in ("initialization", "step"):
+        v, w = random.normal(size=instance.width(knowns)), random.normal(size=instance.width(unknowns))
+        forward = instance.directional(unknowns, knowns, v)
+        backward = instance.adjoint(unknowns, knowns, w)
+        assert np.abs(forward).max() > 0.0
+        assert w @ forward == pytest.approx(backward @ v, rel=1e-9, abs=1e-9 * np.abs(backward).max()), mode
+        if mode == "initialization":
+            instance.fmu.exitInitializationMode()
+
+
+@pytest.mark.parametrize("instance", EVERY, indirect=True)
+def test_in_initialization_mode_parameters_and_start_values_count(robot: Robot, instance: Instance) -> None:
+    block = BLOCKS[instance.description.modelName](robot)
+    random = RANDOM(7)
+    knowns = [v.name for v in block.having("parameter", "state", "input") if v.kind == "real" and block.has_start(v)]
+    knowns = [name for name in knowns if not name.endswith(("inertia", "period", "seed", "velocity_floor"))]
+    instance.enter()
+    # The nearer of two joint limits changes in the middle of the range, where some joints begin.
+    values = {name: block.start_of(name) + (0.01 if name == "joint_position" else 0.0) for name in knowns}
+    seed = {name: random.uniform(0.0, 1.0, value.shape) * (1.0 + np.abs(value)) for name, value in values.items()}
+    exact = instance.directional(instance.outputs, knowns, np.concatenate([seed[name] for name in knowns]))
+    h, sides = 1e-6, []
+    for factor in (0.0, 1.0, 2.0):  # one-sided: some parameters begin at their bounds
+        for name, value in values.items():
+            instance.set(name, value + factor * h * seed[name])
+        sides.append(instance.all_outputs())
+    difference = (-3.0 * sides[0] + 4.0 * sides[1] - sides[2]) / (2.0 * h)
+    if block.name == "arm_drive":
+        smooth = np.concatenate([np.full(instance.sizes[name], name != "joint_position") for name in instance.outputs])
+        exact, difference = exact[smooth], difference[smooth]
+    assert np.abs(exact - difference).max() < 1e-4 * (1.0 + np.abs(exact).max())
+
+
+BRANCHES = {
+    "manipulator_controller": {"manipulator_observed_energy", "base_observed_energy", "end_effector_damping", "base_damping"}
+    | {"passivity_wrench"},
+    "base_controller": {"passivity_wrench"},
+    "arm_drive": {"true_joint_position", "true_joint_velocity", "joint_position", "joint_velocity", "joint_torque"},
+    "base_robot": {"base_acceleration"},
+}
+"""Outputs that some inputs reach only while a damper is at work, a brake holds, a step of a sensor is passed or a delay has run."""
+
+
+@pytest.mark.parametrize("instance", EVERY, indirect=True)
+def test_dependencies_are_true(robot: Robot, instance: Instance) -> None:
+    """What is not listed has no influence at any of some random points; what is listed has one somewhere."""
+    block = BLOCKS[instance.description.modelName](robot)
+    random = RANDOM(11)
+    description = instance.description
+    listed = {
+        unknown.variable.valueReference: {known.valueReference for known in unknown.dependencies}
+        for unknown in [*description.outputs, *description.derivatives]
+    }
+    names = {reference: name for name, references in instance.references.items() for reference in references}
+    states = [variable for variable in block.having("state") if not block.is_sampled]
+    knowns = [r for name in ["time", *instance.inputs, *(v.name for v in states)] for r in instance.references[name]]
+    for variable in states:
+        start = block.start_of(variable.name)
+        instance.set(variable.name, start + 0.1 * random.uniform(0.2, 1.0, start.shape))
+    for name in ("translation_amplitude", "rotation_amplitude", "displacement"):  # along every axis
+        if name in instance.references:
+            instance.set(name, random.uniform(0.1, 0.2, instance.sizes[name]))
+    instance.enter(0.37)
+    choices = [variable for variable in block.having("parameter") if variable.kind == "enumeration"]
+    influence: dict[tuple[int, int], float] = {}
+    for repetition in range(4):
+        disturb(instance, block, random)
+        for variable in choices:
+            instance.choose(variable.name, 1 + repetition % len(variable.choices))
+        if repetition == 3:
+            instance.fmu.exitInitializationMode()
+        for known in knowns:
+            width = instance.sizes[names[known]] // len(instance.references[names[known]])
+            seed = list(random.normal(size=width))
+            for unknown in listed:
+                size = instance.sizes[names[unknown]] // len(instance.references[names[unknown]])
+                more = () if instance.version == 2 else (size,)
+                found = np.abs(instance.fmu.getDirectionalDerivative([unknown], [known], seed, *more)).max()
+                influence[unknown, known] = max(influence.get((unknown, known), 0.0), found)
+    for (unknown, known), size in influence.items():
+        pair = f"{names[unknown]} to {names[known]}"
+        if known not in listed[unknown]:
+            assert size == 0.0, f"an influence that is not listed: {pair}"
+        elif names[unknown] not in BRANCHES.get(block.name, ()):
+            # An element of an array may by symmetry have none here, but the array has.
+            others = [k for k in instance.references[names[known]] if k in listed[unknown]]
+            assert max(influence[unknown, k] for k in others) > 0.0, f"listed, without influence: {pair}"
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_a_wrong_reference_or_size_is_refused_by_name(fmus: Path, version: int, capfd: pytest.CaptureFixture[str]) -> None:
+    instance = Instance(fmus / f"fmi{version}" / "free_flyer.fmu").initialise()
+    with pytest.raises(FMICallException):
+        instance.directional(["base_mass"], ["joint_torque"], np.zeros(6))
+    with pytest.raises(FMICallException):
+        instance.directional(["kinetic_energy"], ["kinetic_energy"], np.zeros(1))
+    if version == 3:
+        with pytest.raises(FMICallException):
+            instance.directional(["kinetic_energy"], ["joint_torque"], np.zeros(5))
+        assert "is no output, state or derivative of this FMU" in instance.said[0]
+        assert "is no time, real parameter, input or state of this FMU" in instance.said[1]
+        assert "seed and sensitivity have other numbers of them" in instance.said[2]
+    instance.close()
