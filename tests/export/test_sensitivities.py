@@ -102,6 +102,8 @@ def test_in_initialization_mode_parameters_and_start_values_count(robot: Robot, 
     # The nearer of two joint limits changes in the middle of the range, where some joints begin.
     values = {name: block.start_of(name) + (0.01 if name == "joint_position" else 0.0) for name in knowns}
     seed = {name: random.uniform(0.0, 1.0, value.shape) * (1.0 + np.abs(value)) for name, value in values.items()}
+    for name, value in values.items():
+        instance.set(name, value)
     exact = instance.directional(instance.outputs, knowns, np.concatenate([seed[name] for name in knowns]))
     h, sides = 1e-6, []
     for factor in (0.0, 1.0, 2.0):  # one-sided: some parameters begin at their bounds
@@ -144,15 +146,13 @@ def test_dependencies_are_true(robot: Robot, instance: Instance) -> None:
     for name in ("translation_amplitude", "rotation_amplitude", "displacement"):  # along every axis
         if name in instance.references:
             instance.set(name, random.uniform(0.1, 0.2, instance.sizes[name]))
-    instance.enter(0.37)
+    instance.initialise(0.37)
     choices = [variable for variable in block.having("parameter") if variable.kind == "enumeration"]
     influence: dict[tuple[int, int], float] = {}
     for repetition in range(4):
         disturb(instance, block, random)
         for variable in choices:
             instance.choose(variable.name, 1 + repetition % len(variable.choices))
-        if repetition == 3:
-            instance.fmu.exitInitializationMode()
         for known in knowns:
             width = instance.sizes[names[known]] // len(instance.references[names[known]])
             seed = list(random.normal(size=width))
