@@ -1,0 +1,480 @@
+"""What the FMUs say that they can do, done through FMPy: saved states, changes in mid-run, any steps, inner instants, model exchange."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import resource
+import shutil
+import threading
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+from xml.etree import ElementTree
+from zipfile import ZipFile
+
+import fmpy
+import numpy as np
+import pytest
+from fmpy.fmi1 import FMICallException
+from fmpy.fmi3 import FMU3Slave
+from fmpy.model_description import read_model_description
+from hypothesis import given
+from hypothesis import strategies as st
+from instances import Instance
+from scipy.integrate import DOP853
+
+from cosim import scenario
+from cosim.assemble import assembled
+from cosim.errors import CosimError
+from fmu_src.robot import Array, Robot
+from fmu_src.shipped import BLOCKS
+
+VERSIONS = (2, 3)
+EVERY = [(version, name) for version in VERSIONS for name in BLOCKS]
+MS = 1e-3
+
+
+def path_of(fmus: Path, version: int, name: str) -> Path:
+    return fmus / f"fmi{version}" / f"{name}.fmu"
+
+
+def driven(instance: Instance, robot: Robot, random: np.random.Generator) -> Callable[[], None]:
+    """Gives the inputs new values beside their start values."""
+    block = BLOCKS[instance.description.modelName](robot)
+    starts = {name: block.start_of(name) for name in instance.inputs}
+
+    def drive() -> None:
+        for name, start in starts.items():
+            instance.set(name, start + 0.01 * random.uniform(-1.0, 1.0, start.shape) * (1.0 + np.abs(start)))
+
+    return drive
+
+
+# Saved states
+
+
+@pytest.mark.parametrize(("version", "name"), EVERY)
+def test_a_state_saved_at_any_instant_resumes_bit_for_bit(fmus: Path, robot: Robot, version: int, name: str) -> None:
+    """In the same instance and, from its bytes, in another one."""
+    random = np.random.default_rng(version)
+    one = Instance(path_of(fmus, version, name)).initialise()
+    instant = int(random.integers(1, 40))
+
+    def run(instance: Instance, first: int, last: int) -> Array:
+        drive = driven(instance, robot, np.random.default_rng(100 + first))
+        found = []
+        for k in range(first, last):
+            drive()
+            instance.step(k * MS, MS)
+            found.append(instance.all_outputs())
+        return np.array(found)
+
+    run(one, 0, instant)
+    saved = one.save()
+    expected = run(one, instant, 60)
+    one.restore(saved)
+    assert run(one, instant, 60).tobytes() == expected.tobytes()
+    other = Instance(path_of(fmus, version, name)).initialise()
+    other.restore(saved)
+    assert run(other, instant, 60).tobytes() == expected.tobytes()
+    one.close()
+    other.close()
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+@given(data=st.data())
+def test_bytes_that_are_no_saved_state_are_refused(fmus: Path, version: int, data: st.DataObject) -> None:
+    instance = Instance(path_of(fmus, version, "manipulator_controller")).initialise()
+    try:
+        saved = bytearray(instance.save())
+        before = bytes(saved)
+        place, bit = data.draw(st.integers(0, len(saved) - 1)), data.draw(st.integers(0, 7))
+        saved[place] ^= 1 << bit
+        try:
+            instance.restore(bytes(saved))
+        except FMICallException:
+            assert instance.save() == before
+        # Whether it is let in (a digit of a number) or not: the instance works.
+        instance.restore(before)
+        instance.step(0.0, MS)
+        with pytest.raises(FMICallException):
+            instance.restore(bytes(before[:-8]))
+    finally:
+        instance.close()
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_state_of_another_fmu_is_refused(fmus: Path, version: int) -> None:
+    one = Instance(path_of(fmus, version, "reference_trajectory")).initialise()
+    other = Instance(path_of(fmus, version, "free_flyer")).initialise()
+    model = Instance(path_of(fmus, version, "free_flyer"), model_exchange=True).initialise()
+    for stranger in (one, model):
+        with pytest.raises(FMICallException):
+            other.restore(stranger.save())
+    for instance in (one, other, model):
+        instance.close()
+
+
+# Changes in mid-run
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_tunable_parameters_take_effect_at_the_next_sample(fmus: Path, version: int) -> None:
+    controller = Instance(path_of(fmus, version, "base_controller")).initialise()
+    controller.set("base_position", [0.01, 0.0, 0.0])
+    controller.step(0.0, 0.3)
+    assert controller.get("base_wrench")[0] == pytest.approx(-1.5)
+    controller.set("stiffness", [300.0] * 3 + [40.0] * 3)
+    assert controller.get("base_wrench")[0] == pytest.approx(-1.5)  # held until then
+    controller.step(0.3, 0.3)
+    assert controller.get("base_wrench")[0] == pytest.approx(-3.0)
+    controller.set("stiffness", [-1.0] * 6)
+    with pytest.raises(FMICallException):
+        controller.step(0.6, 0.3)
+    controller.set("stiffness", [100.0] * 6)
+    controller.step(0.6, 0.3)
+    assert controller.get("base_wrench")[0] == pytest.approx(-1.0)
+    controller.close()
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_passivity_control_and_observer_change_in_mid_run(fmus: Path, version: int) -> None:
+    controller = Instance(path_of(fmus, version, "manipulator_controller"))
+    controller.set("manipulator_initial_energy", [0.0] * 6)
+    controller.initialise()
+    velocity = np.array([0.01, 0.0, 0.0, 0.0, 0.0, 0.0])
+    controller.set("end_effector_velocity", velocity)
+    controller.set("desired_velocity", 5.0 * velocity)  # pushed along: energy comes out of the port
+    for k in range(5):
+        controller.step(k * MS, MS)
+    assert controller.get("end_effector_damping")[0] > 0.0
+    controller.switch("manipulator_passivity_control", False)
+    controller.step(5 * MS, MS)
+    assert not controller.get("end_effector_damping").any()
+    controller.switch("manipulator_passivity_control", True)
+    before = controller.get("manipulator_observed_energy")
+    controller.choose("observer", 3)
+    controller.step(6 * MS, MS)
+    assert controller.get("manipulator_observed_energy")[0] != before[0]
+    with pytest.raises(FMICallException):
+        controller.choose("observer", 4)
+    controller.close()
+
+
+# Steps of any size
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_variable_communication_steps_change_nothing_but_rounding(fmus: Path, version: int) -> None:
+    random = np.random.default_rng(4)
+    cuts = np.sort(np.concatenate([[0.0, 0.5], np.round(random.uniform(0.0, 0.5, 60), 3)]))
+    results = []
+    for times in (np.unique(cuts), np.linspace(0.0, 0.5, 501)):
+        plant = Instance(path_of(fmus, version, "free_flyer"))
+        plant.set("joint_velocity", [0.3, -0.2, 0.1, 0.2, 0.3, -0.1])
+        plant.initialise()
+        plant.set("joint_torque", [0.2, -0.1, 0.3, 0.05, 0.0, 0.1])
+        for begin, end in pairwise(times):
+            plant.step(begin, end - begin)
+        results.append(plant.all_outputs())
+        plant.close()
+    np.testing.assert_allclose(results[0], results[1], rtol=0.0, atol=1e-11)
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_run_may_begin_at_any_time(fmus: Path, version: int) -> None:
+    for start in (-3.0, 0.0, 1e6):
+        controller = Instance(path_of(fmus, version, "base_controller")).initialise(start)
+        for k in range(7):
+            controller.set("base_position", [0.01 * (k + 1), 0.0, 0.0])
+            controller.step(start + k * 0.1, 0.1)
+            assert controller.get("base_wrench")[0] == pytest.approx(-1.5 * (1 + 3 * (k // 3)))
+        controller.close()
+
+
+# Inner instants (FMI 3.0)
+
+
+def test_an_importer_may_look_and_act_inside_a_communication_step(fmus: Path) -> None:
+    """Torques changed at inner instants give what steps of 1 ms give."""
+    seen: list[float] = []
+    positions = []
+
+    def update(_: object, time: float, settable: bool, gettable: bool, finished: bool, *rest: object) -> None:
+        assert settable
+        assert gettable
+        assert finished
+        seen.append(time)
+        positions.append(inner.get("joint_position")[1])
+        inner.set("joint_torque", [0.0, 0.1 * len(seen), 0.0, 0.0, 0.0, 0.0])
+        with pytest.raises(FMICallException):
+            inner.step(time, MS)
+
+    path = path_of(fmus, 3, "free_flyer")
+    inner, outer = Instance(path, intermediateUpdate=update).initialise(), Instance(path).initialise()
+    for instance in (inner, outer):
+        instance.set("joint_torque", [0.0] * 6)
+    assert inner.step(0.0, 5 * MS)[2:] == (False, 5 * MS)
+    for k in range(5):
+        outer.set("joint_torque", [0.0, 0.1 * k, 0.0, 0.0, 0.0, 0.0])
+        outer.step(k * MS, MS)
+        assert k == 4 or outer.get("joint_position")[1] == pytest.approx(positions[k], abs=1e-13)
+    assert seen == pytest.approx([MS, 2 * MS, 3 * MS, 4 * MS])
+    np.testing.assert_allclose(inner.all_outputs(), outer.all_outputs(), rtol=0.0, atol=1e-13)
+    assert "fmi3DoStep is not allowed in the state intermediate update mode" in inner.said[0]
+    inner.close()
+    outer.close()
+
+
+@pytest.mark.parametrize("allowed", [False, True])
+def test_an_importer_may_end_a_communication_step_early(fmus: Path, allowed: bool) -> None:
+    def update(_: object, time: float, *rest: object) -> None:
+        early: ctypes._Pointer[ctypes.c_bool] = rest[4]  # type: ignore[assignment]
+        assert bool(rest[3]) is allowed
+        early[0] = time > 2.5 * MS
+
+    plant = Instance(path_of(fmus, 3, "free_flyer"), intermediateUpdate=update, earlyReturnAllowed=allowed).initialise()
+    *_, early, last = plant.step(0.0, 10 * MS)
+    assert (early, last) == ((True, pytest.approx(3 * MS)) if allowed else (False, 10 * MS))
+    plant.step(last, 10 * MS - last if allowed else MS)
+    plant.close()
+
+
+# Model exchange
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_an_importers_solver_comes_to_the_co_simulations_result(fmus: Path, version: int) -> None:
+    """DOP853, of variable step, on derivatives through FMI; its Jacobian is that of differences."""
+    path = path_of(fmus, version, "free_flyer")
+    torque, velocity = [0.3, -0.2, 0.25, 0.1, 0.05, -0.1], [0.2, -0.3, 0.1, 0.2, -0.1, 0.3]
+    model, slave = Instance(path, model_exchange=True), Instance(path)
+    for instance in (model, slave):
+        instance.set("joint_velocity", velocity)
+        instance.initialise()
+        instance.set("joint_torque", torque)
+    fmu = model.fmu
+    (fmu.newDiscreteStates if version == 2 else fmu.updateDiscreteStates)()
+    fmu.enterContinuousTimeMode()
+    states = ["base_position", "base_orientation", "base_velocity", "joint_position", "joint_velocity"]
+    x0 = np.concatenate([model.get(name) for name in states])
+
+    def rates(t: float, x: Array) -> Array:
+        dx, x = np.empty_like(x), np.ascontiguousarray(x)
+        fmu.setTime(t)
+        fmu.setContinuousStates(pointer(x), x.size)
+        (fmu.getDerivatives if version == 2 else fmu.getContinuousStateDerivatives)(pointer(dx), dx.size)
+        return dx
+
+    nominals = np.empty_like(x0)
+    (fmu.getNominalsOfContinuousStates)(pointer(nominals), nominals.size)
+    told = {v.name.partition("[")[0]: float(v.nominal or 1.0) for v in model.description.modelVariables}
+    assert nominals.tolist() == [told[name] for name in states for _ in range(model.sizes[name])]
+    solver = DOP853(rates, 0.0, x0, 1.0, rtol=1e-11, atol=1e-12 * nominals)
+    while solver.status == "running":
+        solver.step()
+    for k in range(1000):
+        slave.step(k * MS, MS)
+    expected = np.concatenate([slave.get(name) for name in states])
+    np.testing.assert_allclose(solver.y, expected, rtol=0.0, atol=2e-9)
+    rates(1.0, solver.y)
+    derivatives = [f"der({name})" for name in states]
+    for column in range(x0.size):
+        e = np.eye(x0.size)[column]
+        difference = (rates(1.0, solver.y + 1e-6 * e) - rates(1.0, solver.y - 1e-6 * e)) / 2e-6
+        rates(1.0, solver.y)
+        np.testing.assert_allclose(model.directional(derivatives, states, e), difference, rtol=1e-5, atol=1e-5)
+    model.close()
+    slave.close()
+
+
+def pointer(array: Array) -> object:
+    return array.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
+
+
+# Wrong values
+
+
+@pytest.mark.parametrize(("version", "name"), EVERY)
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e300, -1e200])
+def test_a_wrong_input_leaves_everything_as_it_was(fmus: Path, version: int, name: str, value: float, capfd: object) -> None:
+    """Refused with the variable's name when it is set, or when a step with it would end beyond numbers."""
+    instance = Instance(path_of(fmus, version, name)).initialise()
+    instance.step(0.0, MS)
+    for wrong in instance.inputs:
+        good = {name: instance.get(name) for name in instance.inputs}
+        outputs, saved = instance.all_outputs(), instance.save()  # in this order: outputs are computed when they are read
+        numbers = good[wrong].copy()
+        numbers[-1] = value
+        refused = False
+        try:
+            instance.set(wrong, numbers)
+            instance.step(MS, MS)
+        except FMICallException:
+            refused = True
+        assert refused or abs(value) < np.inf
+        if refused:
+            for key, numbers in good.items():
+                instance.set(key, numbers)
+            assert instance.all_outputs().tobytes() == outputs.tobytes()
+            assert instance.save() == saved, wrong
+        else:
+            instance.restore(saved)
+        instance.step(MS, MS)
+        instance.restore(saved)
+    instance.close()
+
+
+# Many instances
+
+
+def test_a_hundred_instances_on_eight_threads_compute_the_same_and_give_their_memory_back(fmus: Path) -> None:
+    path = path_of(fmus, 3, "free_flyer")
+    description, folder = read_model_description(str(path)), fmpy.extract(str(path))
+    names = {variable.name: variable.valueReference for variable in description.modelVariables}
+
+    def once() -> bytes:
+        made = [
+            FMU3Slave(guid=description.guid, unzipDirectory=folder, modelIdentifier=path.stem, instanceName=f"number {i}")
+            for i in range(100)
+        ]
+        results = [b""] * len(made)
+
+        def work(which: int) -> None:
+            for i in range(which, len(made), 8):
+                made[i].instantiate()
+                made[i].enterInitializationMode(startTime=0.0)
+                made[i].exitInitializationMode()
+                made[i].setFloat64([names["joint_torque"]], [0.1, -0.2, 0.3, 0.1, 0.0, 0.05])
+                for k in range(100):
+                    made[i].doStep(k * MS, MS)
+                results[i] = np.array(made[i].getFloat64([names["end_effector_velocity"]], nValues=6)).tobytes()
+
+        threads = [threading.Thread(target=work, args=(which,)) for which in range(8)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        for instance in made:
+            instance.terminate()
+            instance.freeInstance()
+        assert len(set(results)) == 1
+        return results[0]
+
+    assert once() == once()
+    # Memory: often enough that FMPy's own of an importer (4 kB each) cannot be mistaken for ours (9 kB each).
+    slave = FMU3Slave(guid=description.guid, unzipDirectory=folder, modelIdentifier=path.stem, instanceName="again")
+
+    def again(times: int) -> None:
+        for _ in range(times):
+            slave.instantiate()
+            slave.fmi3FreeInstance(slave.component)
+        gc.collect()
+
+    again(200)
+    before = resident()
+    again(4000)
+    assert resident() - before < 10e6  # 36e6 would be kept otherwise
+    shutil.rmtree(folder)
+
+
+def resident() -> float:
+    """Bytes of this process in memory."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1]) if Path("/proc/self/statm").exists() else 0
+    return float(pages * resource.getpagesize())
+
+
+# What the descriptions say
+
+
+@pytest.mark.parametrize(("version", "name"), EVERY)
+def test_an_fmu_is_small(fmus: Path, version: int, name: str) -> None:
+    assert path_of(fmus, version, name).stat().st_size < 400_000
+
+
+@pytest.mark.parametrize(("version", "name"), EVERY)
+def test_capabilities_are_told_as_they_are(fmus: Path, robot: Robot, version: int, name: str) -> None:
+    with ZipFile(path_of(fmus, version, name)) as archive:
+        root = ElementTree.fromstring(archive.read("modelDescription.xml"))
+    slave, model = root.find("CoSimulation"), root.find("ModelExchange")
+    sampled = BLOCKS[name](robot).is_sampled
+    assert slave is not None
+    assert (model is None) == sampled
+    state = (
+        ["canGetAndSetFMUstate", "canSerializeFMUstate"] if version == 2 else ["canGetAndSetFMUState", "canSerializeFMUState"]
+    )
+    derivatives = {2: ["providesDirectionalDerivative"], 3: ["providesDirectionalDerivatives", "providesAdjointDerivatives"]}
+    inner = [] if version == 2 or sampled else ["providesIntermediateUpdate", "canReturnEarlyAfterIntermediateUpdate"]
+    memory = ["canNotUseMemoryManagementFunctions"] if version == 2 else []
+    common = {*state, *derivatives[version], *memory}
+    told = {key for key, value in slave.attrib.items() if value == "true"}
+    assert told == {*common, *inner, "canHandleVariableCommunicationStepSize"}
+    if model is not None:
+        assert {key for key, value in model.attrib.items() if value == "true"} - common <= {"completedIntegratorStepNotNeeded"}
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_angles_are_displayed_in_degrees_and_units_are_products_of_si_units(fmus: Path, version: int) -> None:
+    description = read_model_description(str(path_of(fmus, version, "free_flyer")))
+    units = {unit.name: unit for unit in description.unitDefinitions}
+    assert units["rad"].displayUnits[0].name == "deg"
+    assert float(units["rad"].displayUnits[0].factor) == pytest.approx(180.0 / np.pi)
+    newton_metre = units["N.m"].baseUnit
+    assert (newton_metre.kg, newton_metre.m, newton_metre.s) == (1, 2, -2)
+    names = {variable.name: variable for variable in description.modelVariables}
+    element = "der(joint_velocity[1])" if version == 2 else "der(joint_velocity)"
+    assert names[element].unit == "rad/s2"
+
+
+GESTURES = (
+    "free_flyer.base <-> manipulator_controller.base",
+    "free_flyer.base <-> base_controller.base",
+    "free_flyer.arm <-> manipulator_controller.arm",
+    "free_flyer.arm <-> base_controller.arm",
+    "free_flyer.hand <-> manipulator_controller.hand",
+    "reference_trajectory.reference <-> manipulator_controller.reference",
+    "reference_trajectory.reference <-> base_controller.reference",
+    "manipulator_controller.ports <-> base_controller.ports",
+)
+
+
+@pytest.mark.parametrize("fmi", VERSIONS)
+def test_terminals_connect_the_loop_in_nine_gestures(tmp_path: Path, fmi: int) -> None:
+    """The same connections, and the same numbers, as one by one."""
+    written = scenario.load("multirate_passive", ["stop_s=0.6"])
+    text = written.source.partition("connections = [")[0] + f"connections = {list(GESTURES)}\n".replace("'", '"')
+    text += 'delayed = ["base_controller.applied <-> manipulator_controller.applied"]\n'
+    text += "[record]" + written.source.partition("[record]")[2]
+    (tmp_path / "by_terminals.toml").write_text(text)
+    records = []
+    for chosen in (written, scenario.load(str(tmp_path / "by_terminals.toml"))):
+        with assembled(chosen, fmi) as (master, _):
+            wires = {(str(c), c.delayed) for c in master.graph.connections}
+            records.append((wires, master.run().record["free_flyer.joint_position"].tobytes()))
+    assert len(records[0][0]) == 25
+    assert records[0] == records[1]
+
+
+def test_wrong_terminals_are_named(tmp_path: Path) -> None:
+    for wrong, sentence in (
+        ("free_flyer.bas <-> base_controller.base", "component 'free_flyer' has no terminal 'bas'; did you mean 'base'"),
+        ("free_flier.base <-> base_controller.base", "there is no component 'free_flier'"),
+        ("free_flyer.hand <-> base_controller.base", "no output of one terminal is an input of the other"),
+    ):
+        (tmp_path / "a.toml").write_text(f'extends = "multirate_passive"\nconnections = ["{wrong}"]\n')
+        with pytest.raises(CosimError, match=sentence), assembled(scenario.load(str(tmp_path / "a.toml"))):
+            pass
+
+
+def test_terminals_are_valid_by_the_standards_schema(fmus: Path) -> None:
+    from lxml import etree
+
+    schema = etree.XMLSchema(file=str(Path(fmpy.__file__).parent / "schema" / "fmi3" / "fmi3TerminalsAndIcons.xsd"))
+    for name in ("free_flyer", "manipulator_controller", "base_controller", "reference_trajectory"):
+        with ZipFile(path_of(fmus, 3, name)) as archive:
+            data = archive.read("terminalsAndIcons/terminalsAndIcons.xml")
+            names = {variable.name for variable in read_model_description(str(path_of(fmus, 3, name))).modelVariables}
+        schema.assertValid(etree.fromstring(data))
+        members = ElementTree.fromstring(data).iter("TerminalMemberVariable")
+        assert {member.get("variableName") for member in members} <= names
