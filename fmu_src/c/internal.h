@@ -11,6 +11,7 @@
 #define MISUSE "logStatusError"
 #define REQUIREMENT "logRequirement"
 #define NANOSECOND 1       /* tolerance when times that were doubles are compared */
+#define DRIFT 100          /* and the part of a step by which an importer's sum of steps may be off when a sample is due */
 #define LARGEST_TIME 9e9   /* s; nanoseconds must fit into 64 bits */
 
 static inline double *at(Instance *c, Range range) { return c->memory->value + range.first; }

@@ -16,9 +16,10 @@ static Status step_sampled(Instance *c, int64_t begin, int64_t end, double size)
 {
     Memory *m = c->memory;
     double period = m->value[block.period];
-    int due = begin + NANOSECOND >= m->next_sample;
+    int64_t tolerance = NANOSECOND + (end - begin) / DRIFT;
+    int due = begin + tolerance >= m->next_sample;
     int64_t next = due ? sample_after(m, period) : m->next_sample;
-    if (end > next + NANOSECOND) {
+    if (end > next + tolerance) {
         message_begin(&c->message, "a communication step of ");
         message_add_number(&c->message, size);
         message_add(&c->message, " s passes over a sample of this block, whose period is ");

@@ -323,11 +323,12 @@ static int same(const Slot *s, const unsigned char *a, const unsigned char *b, i
 /* Everything that can be read, read one by one; NaN where it cannot. */
 static void read_all(Slot *s, double *value)
 {
+    for (int r = 0; r < block.values; r++)
+        value[r] = NAN;
     for (unsigned r = 0; r < (unsigned)block.values; r++) {
         int kind = block.value[r].kind, extent = block.value[r].extent, number = 0, status = 1;
         fmi3Int64 whole = 0;
         fmi3Boolean flag = 0;
-        value[r] = NAN;
         if (s->version == 2 && kind == REAL)
             status = (int)fmi2GetReal(s->c, &r, 1, &value[r]);
         else if (s->version == 2)
@@ -809,7 +810,7 @@ CALL(fmi2GetStringStatus, fmi2GetStringStatus(s->c, inquiry(NONE_KNOWN), (void *
 
 static int run_step(Slot *s)
 {
-    static const double sizes[] = {0.001, 0.0004, 0.003, 0.01}, odd[] = {0, -0.0, -0.001, NAN, INFINITY, -INFINITY, 1e308, 9.1e9, 1e-13, 5e-324};
+    static const double sizes[] = {0.001, 0.0004, 0.003, 0.01}, odd[] = {0, -0.0, -0.001, NAN, INFINITY, -INFINITY, 1e308, 2e10, 1e-13, 5e-324};
     double at = s->m.time, rest = sampled ? limit(&s->m) - at : 0, size = sampled ? rest / (1 + below(2)) : sizes[below(4)];
     double misfits[] = {at + 1e-6, at - 0.001, NAN, INFINITY, -8.9e9, 8.9e9, 1e308}, time = once_in(12) ? misfits[below(7)] : at;
     size = once_in(5) ? odd[below(10)] : sampled && once_in(8) ? rest + period() * (0.1 + below(3)) : size;
@@ -1117,7 +1118,11 @@ static void sequence(void)
             begin(s, version);
         } else if (what < 50)
             perform(s, named(s, version == 2 ? "SetReal" : "SetFloat64"));
-        else if (version == 2)
+        else if (what < 60) {
+            static const char *const two[] = {"GetFMUstate", "SerializeFMUstate", "DeSerializeFMUstate", "SetFMUstate"};
+            static const char *const three[] = {"GetFMUState", "SerializeFMUState", "DeserializeFMUState", "SetFMUState"};
+            perform(s, named(s, version == 2 ? two[below(4)] : three[below(4)]));
+        } else if (version == 2)
             perform(s, &table2[below(sizeof table2 / sizeof *table2)]);
         else
             perform(s, &table3[below(sizeof table3 / sizeof *table3)]);

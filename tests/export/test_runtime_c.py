@@ -5,15 +5,19 @@ from __future__ import annotations
 import ctypes
 import shutil
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
 
 import mpmath
 import numpy as np
 import pytest
+from casadi import SX
 
+from fmu_src.block import Block
 from fmu_src.export.archive import content_token
 from fmu_src.export.c_code import print_block
 from fmu_src.export.compiler import SOURCES, compiler, fmi_headers, host_platform, run
+from fmu_src.export.layout import layout
 from fmu_src.robot import Robot
 from fmu_src.shipped import BLOCKS
 
@@ -82,6 +86,40 @@ def test_numbers_in_messages_are_written_with_six_digits(tmp_path: Path, value: 
     library.probe(ctypes.c_double(value), out)
     written = out.value.decode().replace("infinity", "inf")
     assert written.lower() == f"{value:.6g}".lower()
+
+
+def counter(_: Robot) -> Block:
+    block = Block("counter", "Counts its samples")
+    block.sampled_every("period", 0.004, "Period")
+    count = block.state("count", 0.0, "1", "Samples taken")
+    block.update("count", count + 1.0)
+    return block
+
+
+def watch(_: Robot) -> Block:
+    block = Block("watch", "Integrates one")
+    block.state("elapsed", 0.0, "s", "Seconds since the start")
+    block.derivative("elapsed", SX(1.0))
+    return block
+
+
+@pytest.mark.parametrize(("make", "expected"), [(counter, 2.5e6), (watch, 1e4)])
+@pytest.mark.parametrize("summed", [False, True])
+def test_ten_million_steps_end_exactly_where_they_should(
+    robot: Robot, tmp_path: Path, make: Callable[[Robot], Block], expected: float, summed: bool
+) -> None:
+    """Also for an importer that adds its steps up: after ten million of them it is 1.6e-6 s off."""
+    block = make(robot)
+    token = content_token(block)
+    (tmp_path / "block.c").write_text(print_block(block, token))
+    zig = compiler(host_platform(), "-std=c99", "-O2", "-isystem", str(fmi_headers()), "-I", str(SOURCES))
+    files = [str(DRIVER.with_name("clock.c")), str(tmp_path / "block.c"), *map(str, sorted(SOURCES.glob("*.c")))]
+    run([*zig, *files, "-lm", "-o", str(tmp_path / "clock")], "compiling clock.c")
+    state = layout(block).reference[block.having("state")[0].name]
+    command = [str(tmp_path / "clock"), token, str(int(summed)), str(state)]
+    last, value = map(float, subprocess.run(command, capture_output=True, text=True, check=True).stdout.split())
+    assert value == pytest.approx(expected, abs=1e-9)
+    assert abs(last - 1e4) < (2e-6 if summed else 2e-12)  # one rounding of the last step's begin and size
 
 
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="no system gcc: the sanitizers need one (CI has it)")

@@ -1,0 +1,89 @@
+"""Random FMI calls on every block's C, under the sanitizers, against the standards' state machines: fuzz.c."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from fmu_src.export.archive import content_token
+from fmu_src.export.c_code import print_block
+from fmu_src.export.compiler import SOURCES, fmi_headers, run
+from fmu_src.robot import Robot
+from fmu_src.shipped import BLOCKS
+
+FUZZ = Path(__file__).parent / "fuzz.c"
+SEQUENCES = 1200  # a block
+STRICT = [
+    "-std=c99",
+    "-g",
+    "-O1",
+    "-Wall",
+    "-Wextra",
+    "-Werror",
+    "-pedantic",
+    "-fsanitize=address,undefined",
+    "-fno-sanitize-recover=all",
+]
+# The equations are straight lines, whose arithmetic test_runtime_c.py compiles with every check: here without optimisation, and
+# with checks of the arrays that they read and write only, which takes seconds a block where -O1 with all checks takes a minute in all.
+STRAIGHT = ["-std=c99", "-g0", "-O0", "-ffp-contract=off", "-fsanitize=address", "--param", "asan-stack=0"]
+
+pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="no system gcc: the sanitizers need one (CI has it)")
+
+
+@pytest.fixture(scope="module")
+def runtime(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """The runtime and the driver, compiled once for all blocks."""
+    directory = tmp_path_factory.mktemp("fuzz")
+
+    def compiled(source: Path) -> str:
+        target = directory / f"{source.stem}.o"
+        run(
+            ["gcc", *STRICT, "-isystem", str(fmi_headers()), "-I", str(SOURCES), "-c", str(source), "-o", str(target)],
+            f"compiling {source.name} with sanitizers",
+        )
+        return str(target)
+
+    with ThreadPoolExecutor(2) as pool:
+        return list(pool.map(compiled, [FUZZ, *sorted(SOURCES.glob("*.c"))]))
+
+
+@pytest.fixture(scope="module")
+def met() -> dict[str, int]:
+    """How often each deviation from the standards was met, over all blocks."""
+    return {}
+
+
+@pytest.mark.parametrize("name", BLOCKS)
+def test_any_sequence_of_calls_is_survived(
+    robot: Robot, tmp_path: Path, runtime: list[str], met: dict[str, int], name: str
+) -> None:
+    block = BLOCKS[name](robot)
+    source, program, token = tmp_path / "block.c", tmp_path / "fuzz", content_token(block)
+    source.write_text(print_block(block, token))
+    run(["gcc", *STRAIGHT, "-I", str(SOURCES), "-c", str(source), "-o", str(tmp_path / "block.o")], "compiling block.c")
+    run(["gcc", "-fsanitize=address,undefined", str(tmp_path / "block.o"), *runtime, "-lm", "-o", str(program)], "linking")
+    first = 1_000_000 * list(BLOCKS).index(name)
+    done = subprocess.run(
+        [str(program), token, "1" if block.is_sampled else "0", str(first), str(SEQUENCES)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-12000:]
+    assert f"{SEQUENCES} sequences, " in done.stdout
+    for times, deviation in re.findall(r"^deviation (\d+): (.*)$", done.stdout, re.MULTILINE):
+        met[deviation] = met.get(deviation, 0) + int(times)
+
+
+def test_every_deviation_from_the_standards_is_met(met: dict[str, int]) -> None:
+    """What fuzz.c lists and nothing does any more is no deviation."""
+    if not met:
+        pytest.skip("runs after all blocks")
+    assert [deviation for deviation, times in met.items() if times == 0] == []
