@@ -10,8 +10,10 @@ import ctypes
 import itertools
 import re
 import shutil
+import sys
 import tempfile
 import zipfile
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -29,6 +31,10 @@ from cosim.errors import ComponentError, StepFailed
 
 ELEMENT = re.compile(r"^(?P<name>.+)\[(?P<index>\d+)\]$")
 REAL = ("Real", "Float64")
+ASKED_TO_END = "the FMU asks for the end of the simulation"
+DISCARD = 2
+FATAL = 4
+"""The status, in FMI 2.0 and 3.0, after which no function of the FMU may be called any more."""
 REQUIREMENT = "logRequirement"
 """Log category by which our FMUs say that the run has left what their equations hold for."""
 UNITS_ANNOTATION = "org.freeflyer-cosim.units"
@@ -82,9 +88,8 @@ def describe(path: Path) -> ModelDescription:
 
 def _version(path: Path) -> str:
     with zipfile.ZipFile(path) as archive:
-        head = archive.read("modelDescription.xml")[:4096].decode("utf-8", "replace")
-    found = re.search(r'fmiVersion\s*=\s*"([^"]*)"', head)
-    return found.group(1) if found else "unknown"
+        root = ElementTree.fromstring(archive.read("modelDescription.xml"))
+    return root.get("fmiVersion", "unknown")
 
 
 def _annotated_units(path: Path) -> dict[str, tuple[str, ...]]:
@@ -115,6 +120,21 @@ def terminals_of(path: Path) -> dict[str, dict[str, str]]:
         }
         for terminal in root.iterfind(".//Terminals/Terminal")
     }
+
+
+def _forget_modules(directory: Path) -> None:
+    """Python inside an FMU is imported by our own interpreter: its modules must not be taken for another FMU's of the same name."""
+    for name, module in list(sys.modules.items()):
+        if _inside(getattr(module, "__file__", None), directory):
+            del sys.modules[name]
+
+
+def _forget_paths(directory: Path) -> None:
+    sys.path[:] = [entry for entry in sys.path if not _inside(entry, directory)]
+
+
+def _inside(path: object, directory: Path) -> bool:
+    return isinstance(path, str) and path.startswith((str(directory), str(directory.resolve())))
 
 
 def _sentence(error: Exception) -> str:
@@ -194,7 +214,8 @@ class FmuComponent:
         self.terminals = terminals_of(path)
         interface = self._interface()
         self.variable_step = bool(getattr(interface, "canHandleVariableCommunicationStepSize", True))
-        self._messages: list[str] = []
+        self._messages: deque[str] = deque(maxlen=5)
+        self._dead = False
         self._left_validity = False
         self._listener = 0
         self._buffers: list[Any] = []
@@ -205,6 +226,7 @@ class FmuComponent:
             with contextlib.chdir(Path.cwd()):  # FMPy stays in the library's folder when loading fails
                 self._slave = self._instantiate(interface.modelIdentifier)
         except BaseException:
+            _forget_paths(self._directory)
             shutil.rmtree(self._directory, ignore_errors=True)
             raise
 
@@ -259,14 +281,16 @@ class FmuComponent:
         try:
             if self.version == 2:
                 slave = self._classes[0](**self._arguments(identifier))
-                slave.instantiate(callbacks=self._callbacks())
+                slave.instantiate(callbacks=self._callbacks(), loggingOn=True)
             else:
                 slave = self._classes[1](**self._arguments(identifier))
-                slave.instantiate(logMessage=self._log)
+                slave.instantiate(logMessage=self._log, loggingOn=True)
         except Exception as error:
             raise ComponentError(
                 f"FMU {self.path} of component {self.name} cannot be instantiated: {self._why(error)}"
             ) from error
+        finally:
+            _forget_modules(self._directory)
         return slave
 
     def _callbacks(self) -> Any:
@@ -275,14 +299,16 @@ class FmuComponent:
         callbacks.componentEnvironment = self._listener = _listen(self)
         callbacks.allocateMemory = fmi2.defaultCallbacks.allocateMemory
         callbacks.freeMemory = fmi2.defaultCallbacks.freeMemory
-        addLoggerProxy(ctypes.byref(callbacks))
+        # PythonFMU hands over what its user logs as the format itself: a "%" in it would be taken for an argument.
+        if not (self.description.generationTool or "").startswith("PythonFMU"):
+            addLoggerProxy(ctypes.byref(callbacks))
         return callbacks
 
     def _log(self, environment: object, status: int, category: object, message: bytes | None) -> None:
         self.note(category, message)
 
     def note(self, category: object, message: bytes | None) -> None:
-        """Keep a log message of the FMU until its failure is told."""
+        """Keep the last log messages of the FMU until its failure is told, or its step has succeeded."""
         if message:
             self._messages.append(message.decode("utf-8", "replace"))
             self._left_validity |= category == REQUIREMENT.encode()
@@ -293,7 +319,8 @@ class FmuComponent:
 
     def _why(self, error: Exception) -> str:
         """What the FMU itself said, or else what FMPy says."""
-        said = "; ".join(self._messages)
+        self._dead |= getattr(error, "status", None) == FATAL
+        said = "; ".join(" ".join(message.split()) for message in self._messages)
         self._messages.clear()
         return said or _sentence(error)
 
@@ -377,17 +404,32 @@ class FmuComponent:
         try:
             if self.version == 2:
                 self._slave.fmi2DoStep(self._slave.component, time, size, 1)
-            else:
-                self._slave.doStep(time, size)
-        except (FMICallException, OSError) as error:
+            elif self._slave.doStep(time, size)[1]:
+                raise StepFailed(self.name, ASKED_TO_END)
+        except FMICallException as error:
+            if self.version == 2 and error.status == DISCARD and self._asked_to_end():
+                raise StepFailed(self.name, ASKED_TO_END) from error
             raise self._failed(error) from error
+        except OSError as error:
+            raise self._failed(error) from error
+        if self._messages:
+            self._messages.clear()
+
+    def _asked_to_end(self) -> bool:
+        try:
+            return bool(self._slave.getBooleanStatus(fmi2.fmi2Terminated))
+        except (FMICallException, OSError):
+            return False
 
     def close(self) -> None:
         slave, self._slave = self._slave, None
         if slave is not None:
-            # A failed instance may refuse to be terminated; it is freed all the same.
-            with contextlib.suppress(FMICallException, OSError):
-                slave.terminate()
-            slave.freeInstance()
+            # A failed instance may refuse to be terminated; it is freed all the same, but for a dead one.
+            if not self._dead:
+                with contextlib.suppress(FMICallException, OSError):
+                    slave.terminate()
+                slave.freeInstance()
             _listeners.pop(self._listener, None)
+            _forget_modules(self._directory)
+            _forget_paths(self._directory)
             shutil.rmtree(self._directory, ignore_errors=True)

@@ -39,15 +39,20 @@ class ModelExchangeComponent(FmuComponent):
     def exit_initialization(self) -> None:
         super().exit_initialization()
         model = self._slave
-        if self.version == 2:
-            model.newDiscreteStates()
-        else:
-            model.updateDiscreteStates()
+        needed = True
+        while needed:
+            needed, *_, event, when = model.newDiscreteStates() if self.version == 2 else model.updateDiscreteStates()
+        if event:
+            raise ComponentError(
+                f"FMU {self.path} of component {self.name} has a time event at {when:g} s; only model exchange without events is "
+                f"supported"
+            )
         model.enterContinuousTimeMode()
         states = len(self.description.derivatives) if self.version == 2 else model.getNumberOfContinuousStates()
         self._x = np.zeros(states)
         self._dx = np.zeros_like(self._x)
-        model.getContinuousStates(self._pointer(self._x), self._x.size)
+        if states:
+            model.getContinuousStates(self._pointer(self._x), self._x.size)
         self._first_step: float | None = None
 
     @staticmethod
@@ -67,23 +72,27 @@ class ModelExchangeComponent(FmuComponent):
 
     def step(self, time: float, size: float) -> None:
         try:
+            if not self._x.size:
+                self._slave.setTime(time + size)
+                return
+            end = time + size
             solver = DOP853(
                 self._rates,
                 time,
                 self._x,
-                time + size,
+                end,
                 rtol=RELATIVE_TOLERANCE,
                 atol=ABSOLUTE_TOLERANCE,
-                first_step=self._first_step,
+                first_step=self._first_step and min(self._first_step, end - time),
             )
             while solver.status == "running":
                 solver.step()
             if solver.status != "finished":
-                raise StepFailed(self.name, f"the integration did not come from {time:g} s to {time + size:g} s")
+                raise StepFailed(self.name, f"the integration did not come from {time:g} s to {end:g} s")
             # A fresh solver begins each step: let it begin where the last one had got to, not by feeling its way.
-            self._first_step = min(max(solver.h_abs, 1e-6), size)
+            self._first_step = max(solver.h_abs, 1e-6)
             self._x = solver.y
-            self._rates(time + size, self._x)
+            self._rates(end, self._x)
             self._slave.completedIntegratorStep()
         except (FMICallException, OSError) as error:
             raise self._failed(error) from error

@@ -13,11 +13,15 @@ Raw = dict[str, Any]
 
 
 def merged(base: Raw, change: Raw) -> Raw:
-    result = dict(base)
+    """A file's tables over those of the scenario that it extends. `without` names components that it leaves out, with their
+    connections.
+    """
+    change = dict(change)
+    result = _left_out(base, change.pop("without", []))
     for key in ("connections", "delayed"):
         # A connection replaces the one that drove the same input; the others stay.
-        if isinstance(base.get(key), list):
-            result[key] = [kept for text in base[key] for kept in _without(text, _driven(change))]
+        if isinstance(result.get(key), list):
+            result[key] = [kept for text in result[key] for kept in _without(text, _driven(change))]
     for key, value in change.items():
         if key in ("connections", "delayed") and isinstance(value, list) and isinstance(result.get(key), list):
             result[key] = [*result[key], *value]
@@ -34,6 +38,31 @@ def merged(base: Raw, change: Raw) -> Raw:
 
 def _other_kind(table: object, change: object) -> bool:
     return isinstance(table, dict) and isinstance(change, dict) and change.get("kind", table.get("kind")) != table.get("kind")
+
+
+def _left_out(base: Raw, names: Any) -> Raw:
+    known = base.get("components", {})
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise ScenarioError(f"without is {names!r}; a list of components' names is expected")
+    for name in names:
+        if name not in known:
+            raise ScenarioError(f"without: there is no component {name!r}{did_you_mean(name, known)}")
+    result = dict(base)
+    for key in ("components", "devices"):
+        if isinstance(base.get(key), dict):
+            result[key] = {name: table for name, table in base[key].items() if name not in names}
+    for key in ("connections", "delayed"):
+        if isinstance(base.get(key), list):
+            result[key] = [left for text in base[key] for left in _apart_from(str(text), names)]
+    return result
+
+
+def _apart_from(text: str, names: Sequence[str]) -> list[str]:
+    """A connection's text without what comes from the components in `names` or goes to them."""
+    arrow = "<->" if "<->" in text else "->"
+    source, _, targets = text.partition(arrow)
+    left = [target.strip() for target in targets.split(",") if target.strip().partition(".")[0] not in names]
+    return [f"{source.strip()} {arrow} {', '.join(left)}"] if left and source.strip().partition(".")[0] not in names else []
 
 
 def _driven(raw: Raw) -> set[str]:

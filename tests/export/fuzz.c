@@ -7,7 +7,7 @@
    - permitted, with good arguments, on an instance that was given sensible values: OK;
    - with bad arguments: Error or Discard, a message with that status, which names the variable where a value is at fault;
    - not OK, or only reading: the saved state is as it was, and so is everything that can be read;
-   - whatever it does: no other instance notices;
+   - whatever it does: no other instance notices, and the state that is then saved can be read back from its bytes;
    - after any of it: a good step from good inputs is made. */
 #include <math.h>
 #include <signal.h>
@@ -201,6 +201,8 @@ static void hear(Slot *s, int status, const char *category, const char *text)
     LAW(strlen(text) > 10, "an empty message");
     for (const char *p = text; *p; p++)
         LAW(*p >= ' ' && *p <= '~', "a message that cannot be read: %s", text);
+    for (const char *e = strchr(text, 'e'); e; e = strchr(e + 1, 'e'))
+        LAW(!((e[1] == '-' || e[1] == '+') && e[2] >= '0' && e[2] <= '9') || (e > text && e[-1] >= '0' && e[-1] <= '9'), "a number that cannot be read: %s", text);
     if (s && s->silent)
         deviates("told all the same");
 }
@@ -812,7 +814,7 @@ static int run_step(Slot *s)
 {
     static const double sizes[] = {0.001, 0.0004, 0.003, 0.01}, odd[] = {0, -0.0, -0.001, NAN, INFINITY, -INFINITY, 1e308, 2e10, 1e-13, 5e-324};
     double at = s->m.time, rest = sampled ? limit(&s->m) - at : 0, size = sampled ? rest / (1 + below(2)) : sizes[below(4)];
-    double misfits[] = {at + 1e-6, at - 0.001, NAN, INFINITY, -8.9e9, 8.9e9, 1e308}, time = once_in(12) ? misfits[below(7)] : at;
+    double misfits[] = {at + 1e-6, at - 0.001, NAN, INFINITY, -8.9e9, 8.9e9, 1e308, at + 4e-10, at - 4e-10}, time = once_in(12) ? misfits[below(9)] : at;
     size = once_in(5) ? odd[below(10)] : sampled && once_in(8) ? rest + period() * (0.1 + below(3)) : size;
     note("%.17g, %.17g", time, size);
     int null = s->version == 3 && once_in(40);
@@ -973,6 +975,10 @@ static void perform(Slot *s, const Call *call)
     for (int i = 0; i < slot_count && !inner; i++) {
         snapshot(&slots[i], after);
         int may_change = &slots[i] == s && status == 0 && !strstr(call->name, "Get");
+        void *again = NULL; /* what was saved can be read back */
+        if (&slots[i] == s && !(s->m.wild & 2))
+            LAW((s->version == 2 ? (int)fmi2DeSerializeFMUstate(s->c, (char *)after, memory_size, &again) : (int)fmi3DeserializeFMUState(s->c, after, memory_size, &again)) == 0, "a saved state cannot be read back");
+        free_state(&slots[i], &again);
         LAW(may_change || same(&slots[i], slots[i].bytes, after, &slots[i] == s && s->inner_sets), "instance %d has changed", i);
     }
     if (watched && (status != 0 || strstr(call->name, "Get")) && !s->inner_sets && m.state == s->m.state) {
