@@ -14,7 +14,7 @@ from fmu_src.export.compiler import PLATFORMS, Platform, host_platform
 from fmu_src.oracle import disagreement
 from fmu_src.robot import Robot
 from fmu_src.shipped import BLOCKS
-from fmu_src.urdf import load_robot_file, load_urdf
+from fmu_src.urdf import DEFAULT_ROBOT, load_robot_file, load_urdf, robot_path, shipped_robots
 from fmu_src.user_block import load_block
 
 SOURCES = "sources"
@@ -28,7 +28,10 @@ class FmusCommand:
 
     def configure(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
-            "--robot", type=Path, metavar="FILE", help="a .urdf, or a robot file .toml (default: the shipped LWR 4+)"
+            "--robot",
+            type=robot_path,
+            metavar="FILE",
+            help=f"a .urdf, a robot file .toml, or a shipped robot: {', '.join(shipped_robots())} (default: {DEFAULT_ROBOT.stem})",
         )
         parser.add_argument("--base-link", metavar="L", help="the floating base (default: the URDF's root)")
         parser.add_argument("--end-effector", metavar="L", help="the hand's link (default: the only last link)")

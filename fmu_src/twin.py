@@ -17,7 +17,7 @@ from fmu_src.block import Block, Requirement, Variable
 from fmu_src.errors import BlockError, did_you_mean
 from fmu_src.robot import Array
 from fmu_src.shipped import BLOCKS
-from fmu_src.urdf import DEFAULT_ROBOT, load_robot_file
+from fmu_src.urdf import DEFAULT_ROBOT, load_robot_file, robot_path
 from fmu_src.user_block import load_block
 
 
@@ -262,14 +262,14 @@ def _views(twin: Twin, names: Sequence[str], buffer: Array) -> list[tuple[Array,
 
 
 def twin_component(name: str, options: Mapping[str, Any], directory: Path) -> Twin:
-    """For scenarios: `block`, a shipped one or a FILE.py (default: the component's name), and `robot`, the path of a robot file (default: the shipped one)."""
+    """For scenarios: `block`, a shipped one or a FILE.py (default: the component's name), and `robot`, a shipped robot or the path of a robot file (default: the LWR 4+ with six joints)."""
     for key in options:
         if key not in ("block", "robot"):
             raise BlockError(
                 f"component {name}: unknown key {key!r}{did_you_mean(key, ('block', 'robot', 'step_s', 'parameters'))}"
             )
     block = options.get("block", name)
-    robot = directory / str(options["robot"]) if "robot" in options else DEFAULT_ROBOT
+    robot = robot_path(str(options["robot"]), directory) if "robot" in options else DEFAULT_ROBOT
     if str(block).endswith(".py"):
         return Twin(load_block(directory / block)(load_robot_file(robot)), name)
     if block not in BLOCKS:

@@ -17,6 +17,15 @@ ROBOTS = Path(__file__).parent / "robots"
 DEFAULT_ROBOT = ROBOTS / "lwr4_free_flyer.toml"
 
 
+def shipped_robots() -> list[str]:
+    return sorted(path.stem for path in ROBOTS.glob("*.toml"))
+
+
+def robot_path(text: str, directory: Path = Path()) -> Path:
+    """Of a shipped robot by name, or of a file."""
+    return ROBOTS / f"{text}.toml" if text in shipped_robots() else directory / text
+
+
 def load_robot_file(path: Path = DEFAULT_ROBOT) -> Robot:
     """Read a small TOML file that names the URDF, base link, end-effector, tool, locked joints and posture.
 

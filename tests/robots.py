@@ -6,6 +6,7 @@ from importlib.metadata import distribution
 from pathlib import Path
 
 from fmu_src.robot import Robot
+from fmu_src.urdf import ROBOTS as SHIPPED
 from fmu_src.urdf import load_robot_file, load_urdf
 
 DATA = Path(__file__).parent / "data"
@@ -32,4 +33,9 @@ def gantry() -> Robot:
     )
 
 
-ROBOTS = {"lwr4": load_robot_file, "ur5": ur5, "gantry": gantry}
+def lwr4_redundant() -> Robot:
+    """All seven joints of the shipped arm."""
+    return load_robot_file(SHIPPED / "lwr4_redundant.toml")
+
+
+ROBOTS = {"lwr4": load_robot_file, "ur5": ur5, "gantry": gantry, "lwr4_redundant": lwr4_redundant}

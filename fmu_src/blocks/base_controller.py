@@ -15,9 +15,9 @@ from fmu_src.blocks.robot_parameters import (
     desired_motion,
     mass_parameters,
     measured_state,
+    require_full_jacobian,
     require_quaternions,
     require_regular_jacobian,
-    require_square_jacobian,
 )
 from fmu_src.equations import passivity, rotation
 from fmu_src.equations.dynamics import articulated_base_inertia
@@ -27,7 +27,6 @@ from fmu_src.equations.tracking_control import (
     feed_forward,
     matched_gains,
     pose_error,
-    smallest_singular_value,
     spring_damper,
 )
 from fmu_src.robot import Robot
@@ -43,7 +42,7 @@ class Discretisation(IntEnum):
 
 
 def base_controller(robot: Robot) -> Block:
-    require_square_jacobian(robot, "base_controller")
+    require_full_jacobian(robot, "base_controller")
     block = Block("base_controller", "Regulation of the base with its passivity controller")
     T_b = block.sampled_every("period", 0.3, "T_b: sampling time of this controller")
     mechanism = mass_parameters(block, robot)
@@ -91,7 +90,7 @@ def base_controller(robot: Robot) -> Block:
     block.output("port_wrench", F_B, WRENCH, "F'_B(k_b) = F'_b - J_b^T F'_m at this sample, in I")
     block.output("passivity_wrench", F_pcb, WRENCH, "F_pcb: share of the passivity controller, (25), in I")
     require_quaternions(block, {"base_orientation": state.orientation, "orientation_setpoint": R_bd})
-    require_regular_jacobian(block, smallest_singular_value(star.Jm_inverse), least_sigma)
+    require_regular_jacobian(block, star.sigma_min, least_sigma)
     block.terminal("base", "base_position", "base_orientation", "base_velocity", "base_wrench")
     block.terminal("arm", "joint_position", "joint_velocity")
     block.terminal("reference", velocity="desired_velocity", acceleration="desired_acceleration")

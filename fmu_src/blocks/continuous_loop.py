@@ -9,20 +9,19 @@ import casadi as ca
 import numpy as np
 
 from fmu_src.block import TWIST, Block
-from fmu_src.blocks.gains import BASE, MANIPULATOR, gains
+from fmu_src.blocks.gains import BASE, MANIPULATOR, gains, null_space_damping
 from fmu_src.blocks.reference_trajectory import reference_motion
 from fmu_src.blocks.robot_parameters import (
     IDENTITY,
     SINGULARITY_THRESHOLD,
     joint_units,
     mass_parameters,
+    require_full_jacobian,
     require_quaternions,
     require_regular_jacobian,
-    require_square_jacobian,
 )
 from fmu_src.equations import dynamics, rotation
 from fmu_src.equations.kinematics import (
-    base_jacobian_times,
     base_jacobian_transposed_times,
     end_effector_pose,
     end_effector_velocity,
@@ -31,8 +30,8 @@ from fmu_src.equations.mechanism import State
 from fmu_src.equations.tracking_control import (
     feed_forward,
     joint_torque,
+    null_space_torque,
     pose_error,
-    smallest_singular_value,
     spring_damper,
     spring_energy,
 )
@@ -42,7 +41,7 @@ SX = ca.SX
 
 
 def continuous_loop(robot: Robot) -> Block:
-    require_square_jacobian(robot, "continuous_loop")
+    require_full_jacobian(robot, "continuous_loop")
     n = robot.joint_count
     block = Block("continuous_loop", "Free-flyer, reference and both control laws in continuous time")
     mechanism = mass_parameters(block, robot)
@@ -55,6 +54,7 @@ def continuous_loop(robot: Robot) -> Block:
     least_sigma = block.parameter(
         "singularity_threshold", SINGULARITY_THRESHOLD, "1", "Least singular value of J_m allowed", tunable=True, minimum=0.0
     )
+    null_damping = null_space_damping(block, robot)
     desired = reference_motion(block, robot)
 
     p_b = block.state("base_position", np.zeros(3), "m", "Position of B in I")
@@ -75,7 +75,12 @@ def continuous_loop(robot: Robot) -> Block:
     # Eq. (7), (8).
     F_m = star.F_m + spring_damper(K_Pm, K_Dm, dx_m, v_m - desired.velocity)
     F_b = star.F_b + spring_damper(K_Pb, K_Db, dx_b, v_b) + base_jacobian_transposed_times(star.p_be, F_m)
-    base_acceleration, qdd = dynamics.forward_dynamics(mechanism, state, F_b, joint_torque(mechanism, state, F_m))
+    torque, null_power = joint_torque(mechanism, state, F_m), SX(0)
+    if star.null_space:
+        torque += null_space_torque(star.null_space, state, null_damping, SX(n, 1), q)
+        rate = star.null_space.at.velocity_in_null_space(qd)
+        null_power = ca.dot(null_damping * rate, rate)
+    base_acceleration, qdd = dynamics.forward_dynamics(mechanism, state, F_b, torque)
     block.derivative("base_position", state.v)
     block.derivative("base_orientation", rotation.derivative(R_b, state.w))
     block.derivative("base_velocity", base_acceleration)
@@ -83,11 +88,10 @@ def continuous_loop(robot: Robot) -> Block:
     block.derivative("joint_velocity", qdd)
 
     # Eq. (10): the kinetic part as a kinetic energy of the error velocity [x_b'; dx_m'] in generalised coordinates.
-    error_rate = star.Jm_inverse @ (v_m - desired.velocity - base_jacobian_times(star.p_be, v_b))
-    kinetic = dynamics.kinetic_energy(mechanism, State(R_b, v_b[:3], v_b[3:], q, error_rate))
+    kinetic = dynamics.kinetic_energy(mechanism, State(R_b, v_b[:3], v_b[3:], q, qd - star.qd_r))
     V = kinetic + spring_energy(K_Pm, dx_m) + spring_energy(K_Pb, dx_b)
-    # Eq. (15).
-    dissipated = ca.dot(K_Db * v_b, v_b) + ca.dot(K_Dm * (v_m - desired.velocity), v_m - desired.velocity)
+    # Eq. (15), and what a redundant arm's null space takes.
+    dissipated = null_power + ca.dot(K_Db * v_b, v_b) + ca.dot(K_Dm * (v_m - desired.velocity), v_m - desired.velocity)
     block.output("end_effector_position", p_e, "m", "Position of E in I")
     block.output("end_effector_orientation", R_e, "1", "Orientation of E in I, quaternion x, y, z, w")
     block.output("end_effector_velocity", v_m, TWIST, "x_m': velocity of E, in I")
@@ -95,5 +99,5 @@ def continuous_loop(robot: Robot) -> Block:
     block.output("desired_orientation", desired.orientation, "1", "Desired orientation of E in I, quaternion x, y, z, w")
     block.output("lyapunov_function", V, "J", "V of (10)")
     block.output("dissipated_power", dissipated, "W", "-dV/dt by (15)")
-    require_regular_jacobian(block, smallest_singular_value(star.Jm_inverse), least_sigma)
+    require_regular_jacobian(block, star.sigma_min, least_sigma)
     return block

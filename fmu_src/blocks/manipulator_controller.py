@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from fmu_src.block import TWIST, WRENCH, Block
-from fmu_src.blocks.gains import DAMPING, MANIPULATOR, gains
+from fmu_src.blocks.gains import DAMPING, MANIPULATOR, gains, null_space_damping, null_space_spring
 from fmu_src.blocks.robot_parameters import (
     SINGULARITY_THRESHOLD,
     desired_motion,
@@ -14,9 +14,9 @@ from fmu_src.blocks.robot_parameters import (
     joint_units,
     mass_parameters,
     measured_state,
+    require_full_jacobian,
     require_quaternions,
     require_regular_jacobian,
-    require_square_jacobian,
     start_pose,
 )
 from fmu_src.blocks.terminals import HAND, REFERENCE
@@ -27,8 +27,8 @@ from fmu_src.equations.passivity import Bookkeeping, Observer
 from fmu_src.equations.tracking_control import (
     feed_forward,
     joint_torque,
+    null_space_torque,
     pose_error,
-    smallest_singular_value,
     spring_damper,
 )
 from fmu_src.robot import Robot
@@ -37,7 +37,7 @@ SX = ca.SX
 
 
 def manipulator_controller(robot: Robot) -> Block:
-    require_square_jacobian(robot, "manipulator_controller")
+    require_full_jacobian(robot, "manipulator_controller")
     block = Block("manipulator_controller", "Tracking control of the end-effector with both passivity observers")
     T_m = block.sampled_every("period", 1e-3, "T_m: sampling time of this controller")
     T_b = block.parameter("base_period", 0.3, "s", "T_b: sampling time of the base controller", above=0.0)
@@ -58,6 +58,8 @@ def manipulator_controller(robot: Robot) -> Block:
     least_sigma = block.parameter(
         "singularity_threshold", SINGULARITY_THRESHOLD, "1", "Least singular value of J_m allowed", tunable=True, minimum=0.0
     )
+    null_damping = null_space_damping(block, robot)
+    null_stiffness, null_posture = null_space_spring(block, robot)
     limits = joint_limits(block, robot)
 
     state = measured_state(block, robot)
@@ -145,16 +147,19 @@ def manipulator_controller(robot: Robot) -> Block:
         "begun": SX(1),
     }.items():
         block.update(name, value)
-    block.output("joint_torque", joint_torque(mechanism, state, F_m_total), joint_units(robot, "N.m", "N"), "tau = J_m^T F'_m")
+    tau, meaning = joint_torque(mechanism, state, F_m_total), "tau = J_m^T F'_m"
+    if star.null_space:
+        tau += null_space_torque(star.null_space, state, null_damping, null_stiffness, null_posture)
+        meaning += ", and the null space's share"
+    block.output("joint_torque", tau, joint_units(robot, "N.m", "N"), meaning)
     block.output("end_effector_wrench", F_m_total, WRENCH, "F'_m: Cartesian wrench at the end-effector, (22), in I")
     block.output("passivity_wrench", F_pcm, WRENCH, "F_pcm: share of the passivity controller, (21), in I")
-    sigma = smallest_singular_value(star.Jm_inverse)
-    block.output("jacobian_sigma_min", sigma, "1", "Lower bound of the smallest singular value of J_m")
+    block.output("jacobian_sigma_min", star.sigma_min, "1", "Lower bound of the smallest singular value of J_m")
     margin = ca.fmin(state.q - limits.lower, limits.upper - state.q)
     block.output("joint_limit_margin", margin, joint_units(robot, "rad", "m"), "Distance of each joint from its nearer limit")
     quaternions = {"base_orientation": state.orientation, "end_effector_orientation": R_e, "desired_orientation": R_d}
     require_quaternions(block, quaternions)
-    require_regular_jacobian(block, sigma, least_sigma)
+    require_regular_jacobian(block, star.sigma_min, least_sigma)
     block.terminal("base", "base_orientation", "base_velocity")
     block.terminal("arm", "joint_position", "joint_velocity", "joint_torque")
     block.terminal("hand", **HAND)

@@ -144,12 +144,11 @@ def require_regular_jacobian(block: Block, sigma_min: SX, threshold: SX | float)
     block.require(sigma_min, threshold, "smallest singular value of J_m", remedy)
 
 
-def require_square_jacobian(robot: Robot, subject: str) -> None:
+def require_full_jacobian(robot: Robot, subject: str) -> None:
     """Refuse a robot that the laws cannot control from its start posture: every FMU must be sound at its start values."""
-    if robot.joint_count != 6:
+    if robot.joint_count < 6:
         raise RobotError(
-            f"robot {robot.name}: {subject} needs six free joints so that J_m is square, got {robot.joint_count}; "
-            f"lock joints with --lock until six are free"
+            f"robot {robot.name}: {subject} needs at least six free joints so that the hand can move every way, got {robot.joint_count}"
         )
     mechanism = constant_mechanism(robot)
     Jm = np.array(ca.evalf(manipulator_jacobian(mechanism, axes(mechanism, SX(ca.DM(robot.posture))))))

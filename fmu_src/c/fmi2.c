@@ -60,9 +60,10 @@ void fmi2FreeInstance(fmi2Component c) { instance_free(c); }
 fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean tolerance_defined, fmi2Real tolerance, fmi2Real start,
                                fmi2Boolean stop_defined, fmi2Real stop)
 {
-    (void)tolerance_defined, (void)tolerance, (void)stop_defined, (void)stop;
+    (void)tolerance_defined, (void)tolerance;
     ALLOW(INSTANTIATED, 1);
-    return status(instance_set_start(c, start));
+    Status s = instance_set_start(c, start);
+    return status(s == OK && stop_defined ? instance_set_stop(c, stop) : s);
 }
 
 fmi2Status fmi2EnterInitializationMode(fmi2Component c)
@@ -237,7 +238,7 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
 
 fmi2Status fmi2EnterEventMode(fmi2Component c)
 {
-    ALLOW(CONTINUOUS | MODEL_EXCHANGE, 1);
+    ALLOW(CONTINUOUS | EVENT | MODEL_EXCHANGE, 1);
     ((Instance *)c)->memory->state = EVENT;
     return fmi2OK;
 }
@@ -298,7 +299,7 @@ fmi2Status fmi2GetContinuousStates(fmi2Component c, fmi2Real x[], size_t n)
 
 fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component c, fmi2Real nominals[], size_t n)
 {
-    ALLOW(INITIALIZATION | EVENT | CONTINUOUS | TERMINATED | MODEL_EXCHANGE, n == 0 || nominals);
+    ALLOW(INSTANTIATED | INITIALIZATION | EVENT | CONTINUOUS | TERMINATED | MODEL_EXCHANGE, n == 0 || nominals);
     return status(instance_get_nominals(c, nominals, n));
 }
 

@@ -73,7 +73,12 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
                                          const fmi3ValueReference intermediate[], size_t n, fmi3InstanceEnvironment environment,
                                          fmi3LogMessageCallback logger, fmi3IntermediateUpdateCallback callback)
 {
-    (void)resources, (void)visible, (void)event_mode, (void)intermediate, (void)n;
+    (void)resources, (void)visible, (void)intermediate, (void)n;
+    if (event_mode) {
+        if (logger)
+            logger(environment, fmi3Error, "logStatusError", "this FMU has no event mode in co-simulation");
+        return NULL;
+    }
     Instance *c = instantiate(name, token, 0, logging, environment, logger);
     if (c && callback) {
         memcpy(&c->update_target[0], &callback, sizeof callback);
@@ -94,14 +99,19 @@ fmi3Instance fmi3InstantiateScheduledExecution(fmi3String name, fmi3String token
     return NULL;
 }
 
-void fmi3FreeInstance(fmi3Instance c) { instance_free(c); }
+void fmi3FreeInstance(fmi3Instance c)
+{
+    /* From within an intermediate update it would pull the ground from under the step: refused, with a message. */
+    if (c && instance_allow((Instance *)c, __func__, BETWEEN, 1) == OK)
+        instance_free(c);
+}
 
 fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean tolerance_defined, fmi3Float64 tolerance, fmi3Float64 start,
                                        fmi3Boolean stop_defined, fmi3Float64 stop)
 {
-    (void)tolerance_defined, (void)tolerance, (void)stop_defined, (void)stop;
+    (void)tolerance_defined, (void)tolerance;
     ALLOW(INSTANTIATED, 1);
-    if (instance_set_start(c, start) != OK)
+    if (instance_set_start(c, start) != OK || (stop_defined && instance_set_stop(c, stop) != OK))
         return fmi3Error;
     instance_enter_initialization(c);
     return fmi3OK;

@@ -46,7 +46,7 @@ Instance *instance_new(const char *name, int model_exchange)
     int n = block.states.count, evaluated = n + block.outputs.count;
     int margins = 2 * (block.running_requirements > block.static_requirements ? block.running_requirements : block.static_requirements);
     int work = INTEGRATE_SCRATCH(n) > evaluated + margins ? INTEGRATE_SCRATCH(n) : evaluated + margins;
-    size_t scratch = (size_t)(work + 2 * n + n + 3 * block.values) * sizeof(double);
+    size_t scratch = (size_t)(work + 2 * n + block.inputs.count + n + 3 * block.values) * sizeof(double);
     char *memory = calloc(1, sizeof(Instance) + name_size + instance_memory_size() + scratch);
     if (!memory)
         return NULL;
@@ -56,7 +56,7 @@ Instance *instance_new(const char *name, int model_exchange)
     c->memory = (Memory *)(memory + sizeof(Instance) + name_size);
     c->scratch = (double *)(memory + sizeof(Instance) + name_size + instance_memory_size());
     c->saved = c->scratch + work;
-    c->initial = c->saved + 2 * n;
+    c->initial = c->saved + 2 * n + block.inputs.count;
     c->seed = c->initial + n;
     c->result = c->seed + block.values;
     c->part = c->result + block.values;
@@ -70,6 +70,7 @@ void instance_free(Instance *c) { free(c); }
 void instance_reset(Instance *c)
 {
     memset(c->memory, 0, instance_memory_size());
+    c->memory->stop = INT64_MAX;
     memcpy(c->memory->value, block.start, (size_t)block.values * sizeof(double));
     c->memory->identity = hash(block.token, (uint64_t)c->model_exchange);
     c->memory->state = INSTANTIATED;
@@ -133,12 +134,25 @@ Status instance_set_start(Instance *c, double time)
 {
     if (fabs(time) < LARGEST_TIME) {
         c->memory->clock = time;
+        c->memory->stop = INT64_MAX;
         return OK;
     }
     message_begin(&c->message, "the start time cannot be ");
     message_add_number(&c->message, time);
-    message_add(&c->message, " s: a finite time below 9e9 s is expected");
+    message_add(&c->message, " s: " TIMES);
     return instance_say(c, ERROR, MISUSE);
+}
+
+Status instance_set_stop(Instance *c, double time)
+{
+    if (!(time >= c->memory->clock && time < LARGEST_TIME)) {
+        message_begin(&c->message, "the stop time cannot be ");
+        message_add_number(&c->message, time);
+        message_add(&c->message, " s: it lies before the start, or is too large: " TIMES);
+        return instance_say(c, ERROR, MISUSE);
+    }
+    c->memory->stop = nanoseconds(time);
+    return OK;
 }
 
 void instance_enter_initialization(Instance *c)
@@ -153,8 +167,10 @@ Status instance_exit_initialization(Instance *c)
     Memory *m = c->memory;
     if (instance_check_parameters(c) != OK)
         return instance_say(c, ERROR, REQUIREMENT);
-    if (block.period >= 0 && !(m->value[block.period] >= 1e-9)) {
-        message_begin(&c->message, "the sampling period must be at least 1 ns");
+    if (block.period >= 0 && !(m->value[block.period] >= 1e-9 && m->value[block.period] < LARGEST_TIME)) {
+        message_begin(&c->message, "the sampling period must be at least 1 ns and below 2e9 s, not ");
+        message_add_number(&c->message, m->value[block.period]);
+        message_add(&c->message, " s");
         return instance_say(c, ERROR, MISUSE);
     }
     m->outputs_valid = 0;

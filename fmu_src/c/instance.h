@@ -30,7 +30,7 @@ typedef struct {
     uint64_t identity; /* whose: a hash of the token and of the interface type */
     State state;
     int outputs_valid, rates_valid, parameters_checked;
-    int64_t start, time, next_sample; /* ns */
+    int64_t start, stop, time, next_sample; /* ns */
     double clock;                     /* s; the exact time that the importer gave */
     double value[];                   /* the value vector, then the integrator's lost digits */
 } Memory;
@@ -48,7 +48,7 @@ typedef struct Instance {
     int may_return_early;
     Message message;
     double *scratch; /* of one evaluation or integration */
-    double *saved;   /* states and lost digits before a step */
+    double *saved;   /* states, lost digits and inputs before a step */
     double *initial; /* states as initialisation makes them */
     double *seed, *result, *part; /* of a sensitivity, each as long as the value vector */
     Memory *memory; /* everything that a saved FMU state holds */
@@ -78,6 +78,7 @@ void instance_put(Instance *, unsigned reference, int elements, const double *va
 int instance_extent(unsigned reference);
 
 Status instance_set_start(Instance *, double time);
+Status instance_set_stop(Instance *, double time);
 void instance_enter_initialization(Instance *);
 Status instance_exit_initialization(Instance *);
 /* DISCARD: nothing has changed, and a step with other inputs or of another size may go through. */

@@ -12,7 +12,9 @@
 #define REQUIREMENT "logRequirement"
 #define NANOSECOND 1       /* tolerance when times that were doubles are compared */
 #define DRIFT 100          /* and the part of a step by which an importer's sum of steps may be off when a sample is due */
-#define LARGEST_TIME 9e9   /* s; nanoseconds must fit into 64 bits */
+#define LARGEST_TIME 2e9   /* s; sums of three such times in nanoseconds must fit into 64 bits */
+#define TIMES "a finite time below 2e9 s is expected"
+#define LARGEST_COUNT 1e7  /* inner steps of one communication step: some 20 s of computation */
 
 static inline double *at(Instance *c, Range range) { return c->memory->value + range.first; }
 

@@ -48,11 +48,13 @@ static const char *fault(const Instance *c, const Memory *m)
     if ((state & (state - 1)) != 0 || !(state & (both | (c->model_exchange ? EVENT | CONTINUOUS : STEP))))
         return "its bytes are damaged";
     double limit = LARGEST_TIME * 1e9;
-    if (!(fabs((double)m->start) <= limit && fabs((double)m->time) <= limit && fabs((double)m->next_sample) <= limit && fabs(m->clock) <= LARGEST_TIME))
+    if (!(fabs((double)m->start) <= limit && fabs((double)m->time) <= limit && fabs((double)m->next_sample) <= 2 * limit && fabs(m->clock) <= LARGEST_TIME))
         return "its bytes are damaged";
     for (int i = 0; i < block.values + block.states.count; i++) {
         const Value *value = &block.value[i < block.values ? i : 0];
-        if (!is_finite(m->value[i]) || (value->kind == BOOLEAN && m->value[i] != 0 && m->value[i] != 1)
+        /* What an evaluation that failed has left behind is not used. */
+        int stale = (inside((unsigned)i, block.outputs) && !m->outputs_valid) || (inside((unsigned)i, block.derivatives) && !m->rates_valid);
+        if ((!is_finite(m->value[i]) && !stale) || (value->kind == BOOLEAN && m->value[i] != 0 && m->value[i] != 1)
             || (value->kind == ENUMERATION && !(m->value[i] >= 1 && m->value[i] <= value->maximum)))
             return "its bytes are damaged";
     }

@@ -52,10 +52,20 @@ static Status step_continuous(Instance *c, double time, double size)
     Memory *m = c->memory;
     int n = block.states.count;
     double *x = at(c, block.states), *saved = c->saved;
-    int64_t count = size > 0 ? (int64_t)ceil(size / block.step - 1e-9) : 0;
-    double h = count > 0 ? size / (double)count : 0, end = time + size;
+    double steps = ceil(size / block.step - 1e-9), end = time + size;
+    if (steps > LARGEST_COUNT) {
+        message_begin(&c->message, "a communication step of ");
+        message_add_number(&c->message, size);
+        message_add(&c->message, " s would be more than 1e7 integration steps of ");
+        message_add_number(&c->message, block.step);
+        message_add(&c->message, " s; choose a shorter one");
+        return instance_say(c, DISCARD, MISUSE);
+    }
+    int64_t count = size > 0 ? (int64_t)steps : 0;
+    double h = count > 0 ? size / (double)count : 0;
     memcpy(saved, x, (size_t)n * sizeof(double));
     memcpy(saved + n, lost(c), (size_t)n * sizeof(double));
+    memcpy(saved + 2 * n, at(c, block.inputs), (size_t)block.inputs.count * sizeof(double));
     for (int64_t i = 0; i < count; i++) {
         double inner = time + (double)(i + 1) * h;
         if (n > 0)
@@ -77,6 +87,7 @@ static Status step_continuous(Instance *c, double time, double size)
         return OK;
     memcpy(x, saved, (size_t)n * sizeof(double));
     memcpy(lost(c), saved + n, (size_t)n * sizeof(double));
+    memcpy(at(c, block.inputs), saved + 2 * n, (size_t)block.inputs.count * sizeof(double));
     m->clock = time;
     m->time = nanoseconds(time);
     m->outputs_valid = 0;
@@ -86,8 +97,9 @@ static Status step_continuous(Instance *c, double time, double size)
 Status instance_step(Instance *c, double time, double size)
 {
     Memory *m = c->memory;
-    if (!(size >= 0) || !(fabs(time) < LARGEST_TIME) || !(fabs(time + size) < LARGEST_TIME)
-        || nanoseconds(time) - m->time > NANOSECOND || m->time - nanoseconds(time) > NANOSECOND) {
+    int sound = size >= 0 && fabs(time) < LARGEST_TIME && fabs(time + size) < LARGEST_TIME;
+    int64_t begin = sound ? nanoseconds(time) : 0, end = sound ? nanoseconds(time + size) : 0;
+    if (!sound || begin - m->time > NANOSECOND || m->time - begin > NANOSECOND) {
         message_begin(&c->message, "a step from ");
         message_add_number(&c->message, time);
         message_add(&c->message, " s of size ");
@@ -97,18 +109,26 @@ Status instance_step(Instance *c, double time, double size)
         message_add(&c->message, " s, or has no valid size");
         return instance_say(c, ERROR, MISUSE);
     }
+    if (m->stop != INT64_MAX && end > m->stop + NANOSECOND + (end - begin) / DRIFT) {
+        message_begin(&c->message, "a step to ");
+        message_add_number(&c->message, time + size);
+        message_add(&c->message, " s goes beyond the stop time that was announced, ");
+        message_add_number(&c->message, (double)m->stop * 1e-9);
+        message_add(&c->message, " s");
+        return instance_say(c, ERROR, MISUSE);
+    }
     double before = m->clock;
     m->clock = time;
     Status status = instance_check_parameters(c) == OK ? OK : instance_say(c, DISCARD, REQUIREMENT);
     if (status == OK)
-        status = block.period >= 0 ? step_sampled(c, nanoseconds(time), nanoseconds(time + size), size) : step_continuous(c, time, size);
+        status = block.period >= 0 ? step_sampled(c, begin, end, size) : step_continuous(c, time, size);
     if (status != OK) {
         m->clock = before;
         return status;
     }
     if (block.period >= 0) {
         m->clock = time + size;
-        m->time = nanoseconds(time + size);
+        m->time = end;
     }
     return OK;
 }

@@ -15,25 +15,37 @@ from fmu_src.equations.kinematics import (
     manipulator_jacobian_rate_times,
 )
 from fmu_src.equations.mechanism import Mechanism, State
+from fmu_src.equations.redundancy import ConsistentInverse, consistent_inverse, reference_acceleration
 
 SX = ca.SX
 
 
+class NullSpace(NamedTuple):
+    """Of a redundant arm: its generalised inverse, and the share P f_q (n) of the trajectory's torque that the hand does not feel."""
+
+    at: ConsistentInverse
+    torque: SX
+
+
 class FeedForward(NamedTuple):
-    """F_m* = M_m x_md'' + Gamma_m x_md' and F_b* = M_bm x_md'' + Gamma_bm x_md' (6 each), with what they were made of; all in I."""
+    """F_m* = M_m x_md'' + Gamma_m x_md' and F_b* = M_bm x_md'' + Gamma_bm x_md' (6 each), in I, with what they were made of: q_r' (n),
+    p_be (3) in I, a lower bound of the smallest singular value of J_m, and what is left to more than six joints.
+    """
 
     F_m: SX
     F_b: SX
-    Jm_inverse: SX
+    qd_r: SX
     p_be: SX
+    sigma_min: SX
+    null_space: NullSpace | None
 
 
-def inverse(J: SX) -> SX:
-    """J^-1 of a square matrix by modified Gram-Schmidt: no pivoting, stable down to the singularity that is refused.
+def left_inverse(J: SX) -> SX:
+    """(J^T J)^-1 J^T, which is J^-1 of a square matrix, by modified Gram-Schmidt: stable down to the singularity that is refused.
 
-    The pivots' tiny addend (1e-30 in the norm) keeps J^-1 finite at an exact singularity, so that it can be reported, with a value.
+    The pivots' tiny addend (1e-30 in the norm) keeps it finite at an exact singularity, so that it can be reported, with a value.
     """
-    n = J.size1()
+    n = J.size2()
     Q, R = SX(J), SX.zeros(n, n)
     for k in range(n):
         R[k, k] = ca.sqrt(ca.sumsqr(Q[:, k]) + 1e-60)
@@ -50,7 +62,7 @@ def inverse(J: SX) -> SX:
 
 
 def smallest_singular_value(inverse_of_J: SX) -> SX:
-    """A lower bound of sigma_min(J) from J^-1: (sum sigma_i^-8)^(-1/8).
+    """A lower bound of sigma_min(J) from its (left) inverse: (sum sigma_i^-8)^(-1/8).
 
     Exact where one singular value is much smaller than the others, that is near a singularity (0.01 % at a ratio of three),
     and never more than 20 % too low for six of them.
@@ -65,18 +77,33 @@ def feed_forward(mechanism: Mechanism, state: State, desired_velocity: SX, desir
 
     In generalised coordinates [0; x_md'] is q_r' = J_m^-1 x_md' and its derivative q_r'' = J_m^-1 (x_md'' - dJ_m q_r');
     f = H q_r'' + C q_r' (C at the ACTUAL velocity), then J~^-T of (5): F_m* = J_m^-T f_q, F_b* = f_b - J_b^T F_m*.
+    With more than six joints q_r' is J# x_md' (equations/redundancy.py).
     """
     R_IB = rotation.matrix(state.orientation)
     turn = ca.diagcat(R_IB, R_IB)
     at = axes(mechanism, state.q)
-    Jm_inverse = inverse(manipulator_jacobian(mechanism, at)) @ turn.T
-    qd_r = Jm_inverse @ desired_velocity
-    dJm_qd_r = turn @ manipulator_jacobian_rate_times(mechanism, at, R_IB.T @ state.v, R_IB.T @ state.w, state.qd, qd_r)
-    qdd_r = Jm_inverse @ (desired_acceleration - dJm_qd_r)
+    p_be = R_IB @ at.p_e
+    consistent = None
+    if len(mechanism.joints) == 6:
+        plain = left_inverse(manipulator_jacobian(mechanism, at))
+        sigma_min = smallest_singular_value(plain)
+        Jm_inverse = plain @ turn.T
+        qd_r = Jm_inverse @ desired_velocity
+        dJm_qd_r = turn @ manipulator_jacobian_rate_times(mechanism, at, R_IB.T @ state.v, R_IB.T @ state.w, state.qd, qd_r)
+        qdd_r = Jm_inverse @ (desired_acceleration - dJm_qd_r)
+    else:
+        consistent = consistent_inverse(mechanism, state.q)
+        sigma_min = smallest_singular_value(left_inverse(consistent.Jm.T))
+        Jm_inverse = consistent.inverse @ turn.T
+        u, w = turn.T @ desired_velocity, R_IB.T @ state.w
+        du = turn.T @ desired_acceleration - ca.vertcat(ca.cross(w, u[:3]), ca.cross(w, u[3:]))
+        qd_r = consistent.inverse @ u
+        qdd_r = reference_acceleration(mechanism, state, consistent, u, du)
     f_base, f_joints = two_velocity_inverse_dynamics(mechanism, state, ca.vertcat(SX(6, 1), qd_r), ca.vertcat(SX(6, 1), qdd_r))
     F_m = Jm_inverse.T @ f_joints
-    p_be = R_IB @ at.p_e
-    return FeedForward(F_m, f_base - base_jacobian_transposed_times(p_be, F_m), Jm_inverse, p_be)
+    F_b = f_base - base_jacobian_transposed_times(p_be, F_m)
+    null_space = NullSpace(consistent, consistent.torque_in_null_space(f_joints)) if consistent else None
+    return FeedForward(F_m, F_b, qd_r, p_be, sigma_min, null_space)
 
 
 def pose_error(position: SX, orientation: SX, desired_position: SX, desired_orientation: SX) -> SX:
@@ -104,6 +131,15 @@ def joint_torque(mechanism: Mechanism, state: State, F_m: SX) -> SX:
     """tau = J_m^T F_m (n), F_m in I."""
     R_IB = rotation.matrix(state.orientation)
     return manipulator_jacobian(mechanism, axes(mechanism, state.q)).T @ (ca.diagcat(R_IB, R_IB).T @ F_m)
+
+
+def null_space_torque(null_space: NullSpace, state: State, damping: SX, stiffness: SX, posture: SX) -> SX:
+    """P (f_q - D P^T q' - K (q - q_0)) (n) for diagonal gains: the trajectory's share, a damper, and a spring to a posture.
+
+    The damper only takes energy; the spring, projected, has no potential, so with it V need not fall.
+    """
+    slow = damping * null_space.at.velocity_in_null_space(state.qd)
+    return null_space.torque - null_space.at.torque_in_null_space(slow + stiffness * (state.q - posture))
 
 
 def matched_gains(stiffness: SX, damping: SX, inertia: SX, period: SX) -> tuple[SX, SX]:

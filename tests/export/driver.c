@@ -89,6 +89,11 @@ static void drive2(const char *token, int sampled)
     EXPECT(fmi2Reset(c) == fmi2OK);
     EXPECT(fmi2SetupExperiment(c, 0, 0, 5.0, 0, 0) == fmi2OK && fmi2EnterInitializationMode(c) == fmi2OK);
     EXPECT(fmi2ExitInitializationMode(c) == fmi2OK && fmi2DoStep(c, 5.0, NAN, 1) == fmi2Error);
+    EXPECT(fmi2Reset(c) == fmi2OK && fmi2SetupExperiment(c, 0, 0, 0, 1, -1) == fmi2Error);
+    EXPECT(fmi2SetupExperiment(c, 0, 0, 0, 1, 0.002) == fmi2OK && fmi2EnterInitializationMode(c) == fmi2OK);
+    EXPECT(fmi2ExitInitializationMode(c) == fmi2OK && fmi2DoStep(c, 0, 0.001, 1) == fmi2OK);
+    EXPECT(fmi2DoStep(c, 0.001, 0.00105, 1) == fmi2Error && fmi2DoStep(c, 0.001, 0.001, 1) == fmi2OK);
+    EXPECT(fmi2DoStep(c, 0.002, 0.001, 1) == fmi2Error);
     EXPECT(fmi2Terminate(c) == fmi2OK);
     fmi2FreeInstance(c);
     EXPECT(fmi2DoStep(NULL, 0, 1, 1) == fmi2Error);
@@ -144,6 +149,7 @@ static void drive_model_exchange3(const char *token)
 
 static void drive3(const char *token)
 {
+    EXPECT(!fmi3InstantiateCoSimulation("x", token, "", 0, 0, 1, 0, NULL, 0, NULL, say3, NULL));
     EXPECT(!fmi3InstantiateCoSimulation("x", "wrong", "", 0, 0, 0, 0, NULL, 0, NULL, say3, NULL));
     fmi3Instance c = fmi3InstantiateCoSimulation("x", token, "", 0, 0, 0, 0, NULL, 0, NULL, say3, NULL);
     fmi3Boolean event, terminate, early;

@@ -17,7 +17,7 @@ from fmu_src.robot import Robot
 from fmu_src.shipped import BLOCKS
 
 FUZZ = Path(__file__).parent / "fuzz.c"
-SEQUENCES = 1200  # a block
+SEQUENCES = 3000  # a block
 STRICT = [
     "-std=c99",
     "-g",

@@ -62,7 +62,8 @@ class Loop:
     """The continuous closed loop with its Lyapunov function, its rate by the chain rule, and W with the paper's expression."""
 
     def __init__(self, robot: Robot) -> None:
-        self.block = block = continuous_loop(robot)
+        self.block, self.joints = continuous_loop(robot), robot.joint_count
+        block = self.block
         t, p, u, x = block.arguments
         rates = block.functions["derivatives"](t, p, u, x)
         outputs, _ = block.functions["outputs"](t, p, u, x)
@@ -81,8 +82,9 @@ class Loop:
         o = np.concatenate([random.uniform(-0.1, 0.1, 3), [1.0]])
         x[3:7] = o / np.linalg.norm(o)
         x[7:13] = random.uniform(-0.05, 0.05, 6)
-        x[13:19] += random.uniform(-0.05, 0.05, 6)
-        x[19:25] = random.uniform(-0.1, 0.1, 6)
+        n = self.joints
+        x[13 : 13 + n] += random.uniform(-0.05, 0.05, n)
+        x[13 + n :] = random.uniform(-0.1, 0.1, n)
         return x
 
     def solve(self, seed: int, stop: float) -> tuple[np.ndarray, np.ndarray]:
@@ -100,12 +102,15 @@ class Loop:
 
 
 LOOP = Loop(load_robot_file())
+REDUNDANT = Loop(ROBOTS["lwr4_redundant"]())
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_V_never_rises_and_falls_as_equation_15_says(seed: int) -> None:
-    times, states = LOOP.solve(seed, 6.0)
-    values = np.array([[float(part) for part in LOOP.V(t, LOOP.p, x)] for t, x in zip(times, states.T, strict=True)])
+@pytest.mark.parametrize("loop", [LOOP, REDUNDANT], ids=["six joints", "seven joints"])
+def test_V_never_rises_and_falls_as_equation_15_says(loop: Loop, seed: int) -> None:
+    """With seven joints: as (15) and the damper in the null space say."""
+    times, states = loop.solve(seed, 6.0)
+    values = np.array([[float(part) for part in loop.V(t, loop.p, x)] for t, x in zip(times, states.T, strict=True)])
     V, dV, dissipated = values.T
     assert V[0] > 1e-3, "the start must not be at rest"
     assert (np.diff(V) < 0.0).all()
@@ -223,7 +228,7 @@ def test_matched_gains_tend_to_the_given_ones() -> None:
 def test_smallest_singular_value_is_a_lower_bound_and_sharp_near_a_singularity() -> None:
     random = np.random.default_rng(5)
     J = SX.sym("J", 6, 6)
-    f = ca.Function("s", [J], [tracking_control.smallest_singular_value(tracking_control.inverse(J))])
+    f = ca.Function("s", [J], [tracking_control.smallest_singular_value(tracking_control.left_inverse(J))])
     for smallest in (0.5, 0.1, 0.02, 0.005):
         U, _, V = np.linalg.svd(random.normal(size=(6, 6)))
         matrix = U @ np.diag([2.0, 1.5, 1.0, 0.8, 0.5, smallest]) @ V

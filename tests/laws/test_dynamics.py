@@ -110,12 +110,13 @@ def _setup(name: str) -> tuple[Robot, Oracle, Ours]:
     path, locked, tip, root = {
         "lwr4": (SHIPPED_ROBOTS / "lwr4_free_flyer.urdf", {"joint_e1": 0.0}, "end_effector", "base"),
         "ur5": (ur5_path(), {}, "tool0", "base_link"),
+        "lwr4_redundant": (SHIPPED_ROBOTS / "lwr4_free_flyer.urdf", {}, "end_effector", "base"),
         "gantry": (DATA / "gantry.urdf", {"swivel": 0.4}, "hand", "bus"),
     }[name]
     return robot, Oracle(path, locked, tip, root), functions(robot)
 
 
-CASES = {name: _setup(name) for name in ("lwr4", "ur5", "gantry")}
+CASES = {name: _setup(name) for name in ("lwr4", "ur5", "gantry", "lwr4_redundant")}
 
 
 def close(ours: object, theirs: np.ndarray) -> None:
