@@ -12,7 +12,7 @@ Status instance_set_time(Instance *c, double time)
 }
 
 /* Of no elements there need be no array. */
-static void copy(double *to, const double *from, size_t n)
+static void transfer(double *to, const double *from, size_t n)
 {
     for (size_t i = 0; i < n; i++)
         to[i] = from[i];
@@ -36,7 +36,7 @@ Status instance_set_states(Instance *c, const double *x, size_t n)
     for (size_t i = 0; i < n; i++)
         if (!is_finite(x[i]))
             return instance_refuse(c, (unsigned)block.states.first + (unsigned)i, x[i], ": it must be a finite number");
-    copy(at(c, block.states), x, n);
+    transfer(at(c, block.states), x, n);
     instance_changed(c);
     return OK;
 }
@@ -45,7 +45,7 @@ Status instance_get_states(Instance *c, double *x, size_t n)
 {
     if (check_count(c, n) != OK)
         return ERROR;
-    copy(x, instance_present_states(c), n);
+    transfer(x, instance_present_states(c), n);
     return OK;
 }
 
@@ -55,7 +55,7 @@ Status instance_get_rates(Instance *c, double *dx, size_t n)
         return ERROR;
     if (instance_update_rates(c) != OK)
         return instance_say(c, ERROR, REQUIREMENT);
-    copy(dx, at(c, block.derivatives), n);
+    transfer(dx, at(c, block.derivatives), n);
     return OK;
 }
 
@@ -63,6 +63,6 @@ Status instance_get_nominals(Instance *c, double *nominals, size_t n)
 {
     if (check_count(c, n) != OK)
         return ERROR;
-    copy(nominals, block.nominal, n);
+    transfer(nominals, block.nominal, n);
     return OK;
 }

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import closed_loop
+import ecos_peer
+import libcosim_peer
+import numpy as np
 import pytest
 import reference_loops
 from masters import PEERS, arguments, before_the_instant, difference, own_master
@@ -45,3 +48,13 @@ def test_the_rules_are_not_the_same() -> None:
     ]
     assert difference(records[0], records[1]) > 1e-5
     assert difference(records[1], records[2]) > 1e-3
+
+
+def test_a_wrench_that_comes_a_whole_period_late_makes_the_loop_unstable() -> None:
+    """Without the base's passivity control, T_b = 0.15 s: libcosim's own rule. ecos, which hands outputs on early, holds it."""
+    options = arguments(0.15, 20.0, period=0.15, base_passivity_control=False)
+    fmus = closed_loop.fmus(2)
+    with pytest.raises(libcosim_peer.LibcosimError, match=r"smallest singular value|not finite"):
+        libcosim_peer.run(fmus, *options)
+    held = ecos_peer.run(fmus, *options)
+    assert np.abs(held["free_flyer.base_position"]).max() < 0.05

@@ -75,16 +75,21 @@ def test_period_of_300_ms_without_pc_diverges() -> None:
 def test_as_printed_with_the_papers_observer_depends_on_the_initial_energy() -> None:
     """The prototype's row (hand of the order of 1e-2 m or late divergence, base 4e-2 m and 9 deg) is what happens when the
     manipulator's passivity controller fights the feed-forward. With E_m(0) = 0.05 J it never acts here, and the row is
-    three orders better; with 0.02 J it does, and the base's errors are the prototype's."""
+    three orders better; with 0.02 J it does. That fight is chaotic: a change of 1e-12 in the base's mass changes the base's
+    errors by a factor of up to three either way (16 runs: 0.5e-2 to 3.9e-2 m), so one run's number says nothing."""
     row = (f"{M}.bookkeeping=as_printed", f"{M}.observer=paper")
     covered, found = last_10_s("multirate_passive", *row)
     assert not covered.outcome.diverged
     assert np.abs(covered.outcome.record[f"{M}.passivity_wrench"]).max() == 0.0
     assert found[0] < 1e-5
-    fighting, found = last_10_s("multirate_passive", *row, f"{M}.manipulator_initial_energy=0.02")
-    assert np.abs(fighting.outcome.record[f"{M}.passivity_wrench"]).max() > 0.1
-    assert found[0] > 1e-2
-    for value, reference in zip(found[1:], (4e-2, 9.0), strict=True):
+    errors = []
+    for k in range(5):
+        mass = f"free_flyer.base_mass={150.0 * (1.0 + 1e-12 * k)!r}"
+        fighting, found = last_10_s("multirate_passive", *row, f"{M}.manipulator_initial_energy=0.02", mass)
+        assert np.abs(fighting.outcome.record[f"{M}.passivity_wrench"]).max() > 0.1
+        assert found[0] > 1e-2
+        errors.append(found)
+    for value, reference in zip(np.median(errors, axis=0)[1:], (1.1e-2, 2.6), strict=True):
         assert reference / 3 <= value <= reference * 3
 
 
