@@ -81,7 +81,7 @@ Status instance_set_start(Instance *, double time);
 Status instance_set_stop(Instance *, double time);
 void instance_enter_initialization(Instance *);
 Status instance_exit_initialization(Instance *);
-/* DISCARD: nothing has changed, and a step with other inputs or of another size may go through. */
+/* ERROR: nothing has changed, and a step with other inputs or of another size may go through. */
 Status instance_step(Instance *, double time, double size);
 
 /* Model exchange. */

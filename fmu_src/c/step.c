@@ -25,10 +25,10 @@ static Status step_sampled(Instance *c, int64_t begin, int64_t end, double size)
         message_add(&c->message, " s passes over a sample of this block, whose period is ");
         message_add_number(&c->message, period);
         message_add(&c->message, " s; choose a step that divides the period");
-        return instance_say(c, DISCARD, MISUSE);
+        return instance_say(c, ERROR, MISUSE);
     }
     if (due && instance_sample(c, at(c, block.states)) != OK)
-        return instance_say(c, DISCARD, REQUIREMENT);
+        return instance_say(c, ERROR, REQUIREMENT);
     if (due)
         memcpy(at(c, block.states), c->scratch, (size_t)block.states.count * sizeof(double));
     m->next_sample = next;
@@ -59,7 +59,7 @@ static Status step_continuous(Instance *c, double time, double size)
         message_add(&c->message, " s would be more than 1e7 integration steps of ");
         message_add_number(&c->message, block.step);
         message_add(&c->message, " s; choose a shorter one");
-        return instance_say(c, DISCARD, MISUSE);
+        return instance_say(c, ERROR, MISUSE);
     }
     int64_t count = size > 0 ? (int64_t)steps : 0;
     double h = count > 0 ? size / (double)count : 0;
@@ -91,7 +91,7 @@ static Status step_continuous(Instance *c, double time, double size)
     m->clock = time;
     m->time = nanoseconds(time);
     m->outputs_valid = 0;
-    return instance_say(c, DISCARD, REQUIREMENT);
+    return instance_say(c, ERROR, REQUIREMENT);
 }
 
 Status instance_step(Instance *c, double time, double size)
@@ -119,7 +119,7 @@ Status instance_step(Instance *c, double time, double size)
     }
     double before = m->clock;
     m->clock = time;
-    Status status = instance_check_parameters(c) == OK ? OK : instance_say(c, DISCARD, REQUIREMENT);
+    Status status = instance_check_parameters(c) == OK ? OK : instance_say(c, ERROR, REQUIREMENT);
     if (status == OK)
         status = block.period >= 0 ? step_sampled(c, begin, end, size) : step_continuous(c, time, size);
     if (status != OK) {

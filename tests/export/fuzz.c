@@ -67,7 +67,6 @@ static struct {
     {"fmi3GetOutputDerivatives", "", "t", MADE_IF_EMPTY, "3.0: 2.3.8: not in model exchange", 0},
     {"clock functions", "insut", "inect", MADE_IF_EMPTY, "3.0: 2.3.3, 2.3.5: clocks in some states only; without references nothing is done", 0},
     {"no error state", "", "", MADE, "2.0: 2.1.3, 3.2.3, 4.2.4; 3.0: 2.2.3, 2.3.1: after an Error only reading, restoring, resetting and freeing", 0},
-    {"no failed step", "", "", MADE, "2.0: 4.2.4: no fmi2DoStep after one that was discarded", 0},
     {"no set-up", "", "", MADE, "2.0: 2.1.6: fmi2SetupExperiment before fmi2EnterInitializationMode", 0},
     {"reading after setting", "", "", MADE, "2.0: 4.2.4, 3.0: 4.2.1: a step between setting and getting in co-simulation", 0},
     {"any variable", "", "", MADE, "2.0: 3.2.3, 4.2.4, condition 2: in initialization mode outputs and initial unknowns only", 0},
@@ -89,7 +88,7 @@ typedef struct {
     State state;
     double start, time;  /* as the importer knows them */
     long samples;        /* taken by a sampled block */
-    int set_up, failed, discarded, written; /* for the deviations */
+    int set_up, failed, written; /* for the deviations */
     int wild_inputs, wild; /* inputs; parameters, states or times: were given senseless values, so that a refusal is no surprise */
 } Model;
 
@@ -831,8 +830,6 @@ static int run_step(Slot *s)
         want_bad("integration steps");
     if (size == 0)
         deviates("step of no size");
-    if (s->m.discarded && s->version == 2)
-        deviates("no failed step");
     fmi3Boolean event = 0, terminate = 0, early = 0;
     fmi3Float64 last = 0;
     if (s->m.state != INTERMEDIATE) {
@@ -847,7 +844,7 @@ static int run_step(Slot *s)
     want.after.time = early ? last : s->end;
     want.after.samples += sampled && at >= s->m.start + (double)s->m.samples * period() - 1e-9;
     want.after.wild |= s->m.wild_inputs && block.states.count > 0;
-    want.after.discarded = want.after.written = 0;
+    want.after.written = 0;
     want.given = want.given == GOOD && doubtful(s) ? OPEN : want.given;
     return status;
 }
@@ -971,7 +968,6 @@ static void perform(Slot *s, const Call *call)
         s->m.state = strstr(call->name, "ExitInit") && s->model_exchange ? EVENT : call->next ? call->next : s->m.state;
     }
     s->m.failed |= status == 3;
-    s->m.discarded |= status == 2;
     after = realloc(after, memory_size);
     for (int i = 0; i < slot_count && !inner; i++) {
         snapshot(&slots[i], after);
