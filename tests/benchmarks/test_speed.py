@@ -12,8 +12,10 @@ import pytest
 from fmpy import read_model_description
 
 from cosim import experiment, scenario
+from fmu_src.export.archive import build_all
 from fmu_src.export.compiler import compiler, fmi_headers, host_platform, run
 from fmu_src.robot import Robot
+from fmu_src.shipped import BLOCKS
 
 pytestmark = pytest.mark.benchmark
 
@@ -97,3 +99,14 @@ def test_multirate_passive_through_fmpy(fmus: Path) -> None:
         f"\nmultirate_passive, 100 s, python master: {result.outcome.wall:.2f} s, {100.0 / result.outcome.wall:.0f} times real time"
     )
     assert result.outcome.wall < 15.0
+
+
+def test_build_and_size_of_all_fmus(robot: Robot, tmp_path: Path) -> None:
+    """All blocks for this machine, on all cores; the compiler's own parts are built before."""
+    list(build_all([BLOCKS["reference_trajectory"](robot)], tmp_path / "before"))
+    begin = time.perf_counter()
+    made = list(build_all([make(robot) for make in BLOCKS.values()], tmp_path / "fmus"))
+    wall = time.perf_counter() - begin
+    largest = max((path.stat().st_size, path.name) for _, paths in made for path in paths.values())
+    print(f"\n{len(made)} blocks, both FMI versions: {wall:.1f} s; the largest is {largest[1]} with {largest[0] / 1e3:.0f} kB")
+    assert wall < 90.0

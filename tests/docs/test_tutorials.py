@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import re
+import shlex
+import shutil
 from pathlib import Path
 
 import pytest
+from robots import ur5_path
 
 from cosim import cli
 
@@ -14,6 +18,21 @@ TEXT = (Path(__file__).parents[2] / "docs" / "own_robots_and_blocks.md").read_te
 
 def example(language: str, containing: str) -> str:
     return next(code for code in re.findall(rf"```{language}\n(.*?)```", TEXT, re.DOTALL) if containing in code)
+
+
+def test_the_users_robot_in_the_loop(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(ur5_path(), "ur5_robot.urdf")
+    command = shlex.split(example("sh", "ur5_robot.urdf"))
+    assert command[0] == "freeflyer"
+    assert cli.main(command[1:]) == 0, capsys.readouterr().err
+    Path("ur5.toml").write_text(example("toml", "[robot]"))
+    assert cli.main([*shlex.split(example("sh", "ur5.toml"))[1:], "--set", "stop_s=12"]) == 0, capsys.readouterr().err
+    summary = json.loads(Path("freeflyer_out/ur5/summary.json").read_text())
+    assert summary["end_effector_position_error_m"]["max"] < 2e-5
+    assert summary["base_position_error_m"]["max"] < 3e-3
 
 
 def test_the_users_block_in_the_loop(
