@@ -63,6 +63,10 @@ def with_devices(scenario: Scenario, *, simulated: bool = False, fmi: int | None
     """
     if not scenario.devices:
         raise DeviceError(f"scenario {scenario.name} has no [devices.NAME]: there is nothing to put into the loop")
+    if scenario.exchange != "sequential":
+        raise DeviceError(
+            f"scenario {scenario.name}: exchange is '{scenario.exchange}', but a device answers at its instant; 'sequential' is expected"
+        )
     models = {spec.name: spec for spec in scenario.components}
     if simulated:
         specs = [replace(models[spec.name], kind=SIMULATED, parameters=spec.parameters) for spec in scenario.devices]
