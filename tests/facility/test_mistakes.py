@@ -123,7 +123,7 @@ def test_a_setting_that_cannot_be_is_refused(
         (("facility", "facility", "--set", "facility.arm_watchdog_cycles=0"), "greater than zero"),
         (("facility", "facility", "--set", "facility.base_jump_m=true"), "a number greater than zero"),
         (("hil", "nothing"), "there is no scenario 'nothing'"),
-        (("hil", "facility", "--set", "exchange=parallel"), "a device answers at its instant; .sequential. is expected"),
+        (("hil", "facility", "--set", "exchange=parallel"), "a device answers at its instant; 'sequential' is expected"),
     ],
 )
 def test_a_scenario_that_cannot_be_is_refused(
