@@ -1,14 +1,10 @@
-"""An FMU as a component: FMPy loads, checks and calls it; FMI 2.0 and FMI 3.0 co-simulation.
-
-Arrays of FMI 2.0 (`name[1]` ... `name[n]`) appear as one port, as they do in FMI 3.0.
-"""
+"""An FMU as a component: FMPy loads, checks and calls it; FMI 2.0 and FMI 3.0 co-simulation."""
 
 from __future__ import annotations
 
 import contextlib
 import ctypes
 import itertools
-import re
 import shutil
 import sys
 import tempfile
@@ -17,27 +13,23 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import fmpy
-import numpy as np
 from fmpy import fmi2, fmi3
 from fmpy.fmi1 import FMICallException
 from fmpy.logging import addLoggerProxy
-from fmpy.model_description import ModelDescription, ModelVariable, read_model_description
+from fmpy.model_description import ModelVariable
 
 from cosim.component import Array, Port
 from cosim.errors import ComponentError, StepFailed
+from cosim.fmu_description import REAL, annotated_units, describe, ports_of, sentence, terminals_of
 
-ELEMENT = re.compile(r"^(?P<name>.+)\[(?P<index>\d+)\]$")
-REAL = ("Real", "Float64")
 ASKED_TO_END = "the FMU asks for the end of the simulation"
 DISCARD = 2
 FATAL = 4
 """The status, in FMI 2.0 and 3.0, after which no function of the FMU may be called any more."""
 REQUIREMENT = "logRequirement"
 """Log category by which our FMUs say that the run has left what their equations hold for."""
-UNITS_ANNOTATION = "org.freeflyer-cosim.units"
 
 
 # FMPy's proxy, which formats an FMI 2.0 message's variable arguments, knows one logger for the whole process: it is this one,
@@ -60,68 +52,6 @@ def _route(environment: int | None, name: object, status: int, category: object,
 _LOGGER = fmi2.fmi2CallbackLoggerTYPE(_route)
 
 
-def describe(path: Path) -> ModelDescription:
-    """The FMU's model description; ComponentError with one sentence for a file that is no usable FMU."""
-    if not path.is_file():
-        raise ComponentError(f"FMU {path} " + ("is not a file" if path.exists() else "does not exist"))
-    try:
-        with zipfile.ZipFile(path) as archive:
-            names = archive.namelist()
-            if "modelDescription.xml" not in names:
-                raise ComponentError(f"{path} is not an FMU: it contains no modelDescription.xml")
-            unsafe = [name for name in names if name.startswith(("/", "\\")) or ".." in Path(name).parts]
-            if unsafe:
-                raise ComponentError(f"FMU {path} is refused: its entry {unsafe[0]!r} points outside the archive")
-        version = _version(path)
-        if not version.startswith(("2.", "3.")):
-            raise ComponentError(f"FMU {path} is of FMI version {version}; FMI 2.0 and FMI 3.0 are supported")
-        return read_model_description(str(path))
-    except OSError as error:
-        raise ComponentError(f"FMU {path} cannot be read: {error.strerror}") from error
-    except zipfile.BadZipFile as error:
-        raise ComponentError(f"{path} is not an FMU: it is no zip archive") from error
-    except ComponentError:
-        raise
-    except Exception as error:  # FMPy raises plain Exception for an invalid description
-        raise ComponentError(f"FMU {path} has an invalid modelDescription.xml: {_sentence(error)}") from error
-
-
-def _version(path: Path) -> str:
-    with zipfile.ZipFile(path) as archive:
-        root = ElementTree.fromstring(archive.read("modelDescription.xml"))
-    return root.get("fmiVersion", "unknown")
-
-
-def _annotated_units(path: Path) -> dict[str, tuple[str, ...]]:
-    """Units element by element, which our FMI 3.0 FMUs give in an annotation (FMI 3.0 itself has one unit for an array)."""
-    with zipfile.ZipFile(path) as archive:
-        root = ElementTree.fromstring(archive.read("modelDescription.xml"))
-    found = {}
-    for variable in root.iterfind("ModelVariables/*"):
-        for annotation in variable.iterfind("Annotations/Annotation"):
-            if annotation.get("type") == UNITS_ANNOTATION and annotation.text:
-                found[variable.get("name", "")] = tuple(annotation.text.split())
-    return found
-
-
-def terminals_of(path: Path) -> dict[str, dict[str, str]]:
-    """Terminal -> member -> variable, from FMI 3.0's terminalsAndIcons.xml; our FMI 2.0 FMUs have the same in an annotation."""
-    with zipfile.ZipFile(path) as archive:
-        inside = "terminalsAndIcons/terminalsAndIcons.xml"
-        name = inside if inside in archive.namelist() else "modelDescription.xml"
-        try:
-            root = ElementTree.fromstring(archive.read(name))
-        except ElementTree.ParseError as error:
-            raise ComponentError(f"FMU {path} has an invalid {name}: {error}") from error
-    return {
-        terminal.get("name", ""): {
-            member.get("memberName", ""): member.get("variableName", "")
-            for member in terminal.iterfind("TerminalMemberVariable")
-        }
-        for terminal in root.iterfind(".//Terminals/Terminal")
-    }
-
-
 def _forget_modules(directory: Path) -> None:
     """Python inside an FMU is imported by our own interpreter: its modules must not be taken for another FMU's of the same name."""
     for name, module in list(sys.modules.items()):
@@ -137,70 +67,6 @@ def _inside(path: object, directory: Path) -> bool:
     return isinstance(path, str) and path.startswith((str(directory), str(directory.resolve())))
 
 
-def _sentence(error: Exception) -> str:
-    return " ".join(str(error).split())[:300]
-
-
-def ports_of(
-    description: ModelDescription, annotated: Mapping[str, tuple[str, ...]]
-) -> tuple[dict[str, Port], dict[str, list[ModelVariable]]]:
-    """Ports by name, and for each the model variables that make it up, in order."""
-    groups: dict[str, list[ModelVariable]] = {}
-    for variable in description.modelVariables:
-        match = ELEMENT.match(variable.name)
-        groups.setdefault(match["name"] if match else variable.name, []).append(variable)
-    unknown = {id(item.variable): item for item in description.outputs}
-    inputs = {id(variable) for variable in description.modelVariables if variable.causality == "input"}
-    owner = {id(variable): name for name, group in groups.items() for variable in group}
-    every_input = frozenset(owner[identity] for identity in inputs)
-    ports = {}
-    for name, group in groups.items():
-        first = group[0]
-        sizes = [int(np.prod(v.shape)) if v.shape else _dimension(v) for v in group]
-        units: list[str | None] = []
-        for variable, size in zip(group, sizes, strict=True):
-            units += [variable.unit or (variable.declaredType.unit if variable.declaredType else None)] * size
-        units = list(annotated.get(name, units))
-        items = first.declaredType.items if first.type == "Enumeration" and first.declaredType else []
-        direct: set[str] = set()
-        for variable in group:
-            item = unknown.get(id(variable))
-            if item is None or item.dependencies is None:
-                direct |= every_input if variable.causality == "output" else frozenset()
-            else:
-                direct |= {owner[id(v)] for v in item.dependencies if id(v) in inputs}
-        starts = [value for variable in group for value in _start(variable)]
-        ports[name] = Port(
-            name=name,
-            size=sum(sizes),
-            causality=first.causality or "local",
-            units=tuple(units),
-            start=tuple(starts) if len(starts) == sum(sizes) else None,
-            settable=first.causality in ("parameter", "structuralParameter")
-            or (first.causality != "input" and first.initial in ("exact", "approx")),
-            choices=tuple(item.name for item in items),
-            boolean=first.type == "Boolean",
-            real=first.type in REAL,
-            direct=frozenset(direct),
-            sampled=first.causality == "output" and first.variability == "discrete",
-        )
-    return ports, groups
-
-
-def _dimension(variable: ModelVariable) -> int:
-    size = 1
-    for dimension in variable.dimensions:
-        size *= int(dimension.start or 1)
-    return size
-
-
-def _start(variable: ModelVariable) -> list[float]:
-    if variable.start is None or variable.type in ("String", "Binary"):
-        return []
-    words = str(variable.start).split()
-    return [float({"true": 1, "false": 0}.get(word.lower(), word)) for word in words]
-
-
 class FmuComponent:
     """One co-simulation instance of an FMU, stepped through FMPy's FMU2Slave or FMU3Slave."""
 
@@ -210,7 +76,7 @@ class FmuComponent:
         self.name, self.path = name, path
         self.description = describe(path)
         self.version = 2 if self.description.fmiVersion.startswith("2") else 3
-        self._ports, self._variables = ports_of(self.description, _annotated_units(path))
+        self._ports, self._variables = ports_of(self.description, annotated_units(path))
         self.terminals = terminals_of(path)
         interface = self._interface()
         self.variable_step = bool(getattr(interface, "canHandleVariableCommunicationStepSize", True))
@@ -322,7 +188,7 @@ class FmuComponent:
         self._dead |= getattr(error, "status", None) == FATAL
         said = "; ".join(" ".join(message.split()) for message in self._messages)
         self._messages.clear()
-        return said or _sentence(error)
+        return said or sentence(error)
 
     # Life cycle
 

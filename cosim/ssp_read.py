@@ -19,7 +19,7 @@ from xml.etree import ElementTree
 from fmpy.model_description import ModelDescription
 
 from cosim.component import Port
-from cosim.fmu import describe, ports_of
+from cosim.fmu_description import describe, ports_of
 from cosim.near import did_you_mean
 from cosim.raw_scenario import Raw, override
 from cosim.scenario import Scenario, from_tables

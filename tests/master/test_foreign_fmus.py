@@ -17,7 +17,7 @@ from commands import said
 from cosim import experiment, scenario
 from cosim.errors import ComponentError
 from cosim.experiment import Result
-from cosim.fmu import describe
+from cosim.fmu_description import describe
 
 pytest.importorskip("pythonfmu3")
 builder = pytest.importorskip("pythonfmu.builder")

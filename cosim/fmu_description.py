@@ -1,0 +1,148 @@
+"""What an FMU says of itself: its model description, its ports, its terminals; a file that is no usable FMU in one sentence.
+
+Arrays of FMI 2.0 (`name[1]` ... `name[n]`) appear as one port, as they do in FMI 3.0.
+"""
+
+from __future__ import annotations
+
+import re
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+from fmpy.model_description import ModelDescription, ModelVariable, read_model_description
+
+from cosim.component import Port
+from cosim.errors import ComponentError
+
+ELEMENT = re.compile(r"^(?P<name>.+)\[(?P<index>\d+)\]$")
+REAL = ("Real", "Float64")
+UNITS_ANNOTATION = "org.freeflyer-cosim.units"
+
+
+def describe(path: Path) -> ModelDescription:
+    """The FMU's model description; ComponentError with one sentence for a file that is no usable FMU."""
+    if not path.is_file():
+        raise ComponentError(f"FMU {path} " + ("is not a file" if path.exists() else "does not exist"))
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = archive.namelist()
+            if "modelDescription.xml" not in names:
+                raise ComponentError(f"{path} is not an FMU: it contains no modelDescription.xml")
+            unsafe = [name for name in names if name.startswith(("/", "\\")) or ".." in Path(name).parts]
+            if unsafe:
+                raise ComponentError(f"FMU {path} is refused: its entry {unsafe[0]!r} points outside the archive")
+        version = _version(path)
+        if not version.startswith(("2.", "3.")):
+            raise ComponentError(f"FMU {path} is of FMI version {version}; FMI 2.0 and FMI 3.0 are supported")
+        return read_model_description(str(path))
+    except OSError as error:
+        raise ComponentError(f"FMU {path} cannot be read: {error.strerror}") from error
+    except zipfile.BadZipFile as error:
+        raise ComponentError(f"{path} is not an FMU: it is no zip archive") from error
+    except ComponentError:
+        raise
+    except Exception as error:  # FMPy raises plain Exception for an invalid description
+        raise ComponentError(f"FMU {path} has an invalid modelDescription.xml: {sentence(error)}") from error
+
+
+def _version(path: Path) -> str:
+    with zipfile.ZipFile(path) as archive:
+        root = ElementTree.fromstring(archive.read("modelDescription.xml"))
+    return root.get("fmiVersion", "unknown")
+
+
+def annotated_units(path: Path) -> dict[str, tuple[str, ...]]:
+    """Units element by element, which our FMI 3.0 FMUs give in an annotation (FMI 3.0 itself has one unit for an array)."""
+    with zipfile.ZipFile(path) as archive:
+        root = ElementTree.fromstring(archive.read("modelDescription.xml"))
+    found = {}
+    for variable in root.iterfind("ModelVariables/*"):
+        for annotation in variable.iterfind("Annotations/Annotation"):
+            if annotation.get("type") == UNITS_ANNOTATION and annotation.text:
+                found[variable.get("name", "")] = tuple(annotation.text.split())
+    return found
+
+
+def terminals_of(path: Path) -> dict[str, dict[str, str]]:
+    """Terminal -> member -> variable, from FMI 3.0's terminalsAndIcons.xml; our FMI 2.0 FMUs have the same in an annotation."""
+    with zipfile.ZipFile(path) as archive:
+        inside = "terminalsAndIcons/terminalsAndIcons.xml"
+        name = inside if inside in archive.namelist() else "modelDescription.xml"
+        try:
+            root = ElementTree.fromstring(archive.read(name))
+        except ElementTree.ParseError as error:
+            raise ComponentError(f"FMU {path} has an invalid {name}: {error}") from error
+    return {
+        terminal.get("name", ""): {
+            member.get("memberName", ""): member.get("variableName", "")
+            for member in terminal.iterfind("TerminalMemberVariable")
+        }
+        for terminal in root.iterfind(".//Terminals/Terminal")
+    }
+
+
+def ports_of(
+    description: ModelDescription, annotated: Mapping[str, tuple[str, ...]]
+) -> tuple[dict[str, Port], dict[str, list[ModelVariable]]]:
+    """Ports by name, and for each the model variables that make it up, in order."""
+    groups: dict[str, list[ModelVariable]] = {}
+    for variable in description.modelVariables:
+        match = ELEMENT.match(variable.name)
+        groups.setdefault(match["name"] if match else variable.name, []).append(variable)
+    unknown = {id(item.variable): item for item in description.outputs}
+    inputs = {id(variable) for variable in description.modelVariables if variable.causality == "input"}
+    owner = {id(variable): name for name, group in groups.items() for variable in group}
+    every_input = frozenset(owner[identity] for identity in inputs)
+    ports = {}
+    for name, group in groups.items():
+        first = group[0]
+        sizes = [int(np.prod(v.shape)) if v.shape else _dimension(v) for v in group]
+        units: list[str | None] = []
+        for variable, size in zip(group, sizes, strict=True):
+            units += [variable.unit or (variable.declaredType.unit if variable.declaredType else None)] * size
+        units = list(annotated.get(name, units))
+        items = first.declaredType.items if first.type == "Enumeration" and first.declaredType else []
+        direct: set[str] = set()
+        for variable in group:
+            item = unknown.get(id(variable))
+            if item is None or item.dependencies is None:
+                direct |= every_input if variable.causality == "output" else frozenset()
+            else:
+                direct |= {owner[id(v)] for v in item.dependencies if id(v) in inputs}
+        starts = [value for variable in group for value in _start(variable)]
+        ports[name] = Port(
+            name=name,
+            size=sum(sizes),
+            causality=first.causality or "local",
+            units=tuple(units),
+            start=tuple(starts) if len(starts) == sum(sizes) else None,
+            settable=first.causality in ("parameter", "structuralParameter")
+            or (first.causality != "input" and first.initial in ("exact", "approx")),
+            choices=tuple(item.name for item in items),
+            boolean=first.type == "Boolean",
+            real=first.type in REAL,
+            direct=frozenset(direct),
+            sampled=first.causality == "output" and first.variability == "discrete",
+        )
+    return ports, groups
+
+
+def _dimension(variable: ModelVariable) -> int:
+    size = 1
+    for dimension in variable.dimensions:
+        size *= int(dimension.start or 1)
+    return size
+
+
+def _start(variable: ModelVariable) -> list[float]:
+    if variable.start is None or variable.type in ("String", "Binary"):
+        return []
+    words = str(variable.start).split()
+    return [float({"true": 1, "false": 0}.get(word.lower(), word)) for word in words]
+
+
+def sentence(error: Exception) -> str:
+    return " ".join(str(error).split())[:300]
