@@ -60,7 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 @contextmanager
 def opened(name: str, overrides: Sequence[str], step: float | None) -> Iterator[Scenario]:
     """A scenario by name, TOML file or SSP file; the FMUs of an SSP file are unpacked for as long."""
-    if not name.endswith(".ssp"):
+    if not name.lower().endswith(".ssp"):
         if step is not None:
             raise ScenarioError("--step belongs to an .ssp file; in a scenario every component has its step_s")
         yield scenario.load(name, overrides)
@@ -116,6 +116,8 @@ class RunCommand:
         parser.add_argument("--out", type=folder, metavar="DIR", help="default: freeflyer_out/SCENARIO")
 
     def execute(self, arguments: argparse.Namespace, console: Console) -> int:
+        if arguments.fmi is not None and arguments.scenario.lower().endswith(".ssp"):
+            raise ScenarioError("--fmi belongs to scenarios; an .ssp file holds its own FMUs")
         with opened(arguments.scenario, arguments.overrides, arguments.step) as chosen:
             directory = arguments.out or Path("freeflyer_out") / chosen.name
             check_writable(directory)

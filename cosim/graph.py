@@ -73,10 +73,13 @@ def expand(components: Mapping[str, Component], connections: Sequence[Connection
     """Connections of terminals -> those of their members: output to input, where both terminals have the member. GraphError if
     there is no such terminal, or nothing that fits.
     """
-    expanded: list[Connection] = []
+    single = [connection for connection in connections if not connection.of_terminals]
+    given = {(connection.source, connection.target, connection.delayed) for connection in single}
     for connection in connections:
-        expanded += _members(components, connection) if connection.of_terminals else [connection]
-    return expanded
+        if connection.of_terminals:  # what is there already, one by one, is the same wire
+            members = _members(components, connection)
+            single += [m for m in members if (m.source, m.target, m.delayed) not in given]
+    return single
 
 
 def _members(components: Mapping[str, Component], connection: Connection) -> list[Connection]:

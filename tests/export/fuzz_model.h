@@ -282,7 +282,7 @@ static int same(const Slot *s, const unsigned char *a, const unsigned char *b, i
     Memory x, y;
     memcpy(&x, a, sizeof x);
     memcpy(&y, b, sizeof y);
-    if (x.identity != y.identity || x.state != y.state || x.start != y.start || x.time != y.time || x.next_sample != y.next_sample || memcmp(&x.clock, &y.clock, sizeof x.clock))
+    if (x.identity != y.identity || x.state != y.state || x.start != y.start || x.next_sample != y.next_sample || memcmp(&x.clock, &y.clock, sizeof x.clock))
         return 0;
     for (unsigned r = 1; r < (unsigned)(block.values + block.states.count); r++) {
         int held = sampled && !is_in(s->m.state, "in"); /* outputs are a sampled block's memory between samples */

@@ -120,13 +120,22 @@ WRONG = [
     ('source="resources/free_flyer.fmu"', 'source="resources/free_flier.fmu"', "did you mean 'resources/free_flyer.fmu'"),
     (' source="resources/free_flyer.fmu"', "", "component free_flyer has no source"),
     ('type="application/x-fmu-sharedlibrary"', 'type="application/x-ssp-package"', "is of type application/x-ssp-package"),
-    ("<ssd:System ", "<!DOCTYPE a><ssd:System ", "declares a document type"),
+    (
+        "<ssd:SystemStructureDescription ",
+        "<!DOCTYPE a><ssd:SystemStructureDescription ",
+        "refused: it declares a document type",
+    ),
+    ("encoding='UTF-8'", "encoding='utf-7'", "SystemStructure.ssd is refused: "),
     ("<ssd:System ", "<", "is not well-formed XML"),
     ('stopTime="0.6"', 'stopTime="soon"', "the stop time is 'soon'; a number is expected"),
     ('stopTime="0.6"', 'stopTime="inf"', "the stop time is 'inf'; a number is expected"),
     (' stopTime="0.6"', "", "it has no stop time: give one with --set stop_s=SECONDS"),
     ('startTime="0.0"', 'startTime="10"', "only runs that start at 0 are supported"),
     ('StepSizeHint value="0.001"', 'StepSizeHint value="-1"', "the step of component free_flyer is -1.0 s"),
+    ('StepSizeHint value="0.001"', 'StepSizeHint value="1e-320"', "at least 1e-9 s is expected"),
+    ('implementation="CoSimulation"', 'implementation="Foo"', "has the implementation 'Foo'"),
+    ("encoding='UTF-8'", "encoding='foo'", "is not well-formed XML"),
+    ('source="resources/free_flyer.fmu"', 'source="http://["', "a file in the archive is expected"),
     ('startElement="free_flyer"', 'startElement="free"', "the element 'free', which does not exist"),
     ('name="reference_trajectory" type', 'name="free_flyer" type', "two elements have the name 'free_flyer'"),
     ('implementation="CoSimulation"', 'implementation="ScheduledExecution"', "is for scheduled execution"),
@@ -158,6 +167,23 @@ def test_a_connection_that_cannot_be_kept_is_refused(packed: Path, version: int,
             continue
         with pytest.raises(CosimError, match=sentence):
             ssp_read.read(path, tmp_path / "u")
+
+
+def test_a_parameter_that_no_fmu_has_and_a_boolean_that_is_none_are_refused(packed: Path, tmp_path: Path) -> None:
+    entry = "resources/manipulator_controller.ssv"
+    for old, new, sentence in (
+        ('name="base_passivity_control"', 'name="base_pasivity_control"', "base_pasivity_control belongs to none of its FMUs"),
+        ('Boolean value="false"', 'Boolean value="maybe"', "is 'maybe'; true or false is expected"),
+    ):
+        path = changed(packed, tmp_path / "x.ssp", old, new, entry)
+        with pytest.raises(CosimError, match=sentence):
+            ssp_read.read(path, tmp_path / "u")
+
+
+def test_options_without_effect_are_refused(packed: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "--fmi belongs to scenarios" in said(capsys, "run", str(packed), "--fmi", "3")[1]
+    assert "--step has no effect" in said(capsys, "run", str(packed), "--step", "0.01")[1]
+    assert "is an SSP file; a scenario is expected here" in said(capsys, "export", str(packed), "--out", "x.ssp")[1]
 
 
 def test_an_archive_is_refused_that_leaves_its_directory_or_swells(
