@@ -14,9 +14,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import casadi as ca
+import fmpy
 import numpy as np
 import pytest
 from fmpy.build import build_platform_binary
+from fmpy.validation import validate_fmu
+from lxml import etree
 
 from cosim.fmu import FmuComponent
 from fmu_src.block import Block
@@ -179,6 +182,17 @@ def test_another_platform_computes_the_same_bits(
 
 
 # Sources
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_fmus_with_all_their_parts_are_valid(built: Path, version: int) -> None:
+    for name in MAKERS:
+        path = built / f"fmi{version}" / f"{name}.fmu"
+        assert validate_fmu(str(path)) == []
+        if version == 3:
+            schema = etree.XMLSchema(file=str(Path(fmpy.__file__).parent / "schema" / "fmi3" / "fmi3BuildDescription.xsd"))
+            with zipfile.ZipFile(path) as archive:
+                schema.assertValid(etree.fromstring(archive.read("sources/buildDescription.xml")))
 
 
 @pytest.mark.parametrize("version", [2, 3])
