@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from fmu_src.block import Block, Units
+from fmu_src.block import Block
+from fmu_src.blocks.robot_parameters import joint_units
 from fmu_src.robot import Robot
 
 SX = ca.SX
@@ -33,15 +34,11 @@ def gains(block: Block, default: tuple[list[float], list[float]], prefix: str = 
     )
 
 
-def joint_gain_units(robot: Robot, revolute: str, prismatic: str) -> Units:
-    return tuple(revolute if joint.kind == "revolute" else prismatic for joint in robot.joints)
-
-
 def null_space_damping(block: Block, robot: Robot) -> SX:
     """Of a redundant arm; nothing is declared for six joints."""
     if robot.joint_count == 6:
         return SX(0, 1)
-    units = joint_gain_units(robot, "N.m.s/rad", "N.s/m")
+    units = joint_units(robot, "N.m.s/rad", "N.s/m")
     description = "Joint damping in the null space of J_m (extension: more joints than the paper's six)"
     return block.parameter("null_space_damping", [1.0] * robot.joint_count, units, description, tunable=True, minimum=0.0)
 
@@ -50,14 +47,14 @@ def null_space_spring(block: Block, robot: Robot) -> tuple[SX, SX]:
     """Stiffness and posture that the null space is drawn to (n each)."""
     if robot.joint_count == 6:
         return SX(0, 1), SX(0, 1)
-    units, zero = joint_gain_units(robot, "N.m/rad", "N/m"), [0.0] * robot.joint_count
+    units, zero = joint_units(robot, "N.m/rad", "N/m"), [0.0] * robot.joint_count
     stiffness = "Joint stiffness in the null space of J_m (extension); 0: none, and the Lyapunov function falls"
     return (
         block.parameter("null_space_stiffness", zero, units, stiffness, tunable=True, minimum=0.0),
         block.parameter(
             "null_space_posture",
             robot.posture,
-            joint_gain_units(robot, "rad", "m"),
+            joint_units(robot, "rad", "m"),
             "Posture that null_space_stiffness draws to",
             tunable=True,
         ),

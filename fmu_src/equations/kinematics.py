@@ -56,11 +56,6 @@ def base_jacobian_transposed_times(p_be: SX, wrench: SX) -> SX:
     return ca.vertcat(wrench[:3], wrench[3:] + cross(p_be, wrench[:3]))
 
 
-def base_jacobian_times(p_be: SX, velocity: SX) -> SX:
-    """J_b x_b' (6)."""
-    return ca.vertcat(velocity[:3] + cross(velocity[3:], p_be), velocity[3:])
-
-
 def manipulator_jacobian_rate_times(mechanism: Mechanism, at: Axes, v: SX, w: SX, qd: SX, y: SX) -> SX:
     """dJ_m/dt y (6) for any y (n), with the derivative taken in I along the actual motion (v, w of B; q').
 

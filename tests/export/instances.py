@@ -14,7 +14,6 @@ from fmpy import fmi2, fmi3
 from fmpy.fmi1 import FMICallException
 from fmpy.model_description import read_model_description
 
-from cosim.fmu import FmuComponent
 from fmu_src.robot import Array
 
 
@@ -137,10 +136,3 @@ class Instance:
             self.fmu.terminate()
         self.fmu.freeInstance()
         shutil.rmtree(self._directory, ignore_errors=True)
-
-
-def ports(path: Path) -> dict[str, Any]:
-    """As our own importer sees them."""
-    component = FmuComponent("probe", path)
-    component.close()
-    return dict(component.ports)
