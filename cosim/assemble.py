@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fnmatch
 import importlib
 import importlib.util
 from collections.abc import Callable, Iterator, Mapping
@@ -111,6 +112,24 @@ def _refuse_driven(wiring: graph.Graph, values: Values) -> None:
             raise ScenarioError(f"{connection.target} cannot be set: it is driven by the connection from {connection.source}")
 
 
+def _recorded(scenario: Scenario, components: Mapping[str, Component]) -> Callable[[str], bool]:
+    """Which signals are recorded; ScenarioError for a pattern that fits none."""
+    outputs = {
+        f"{name}.{port.name}"
+        for name, component in components.items()
+        for port in component.ports.values()
+        if port.causality == "output" and port.real
+    }
+    chosen = {signal for measure in scenario.errors.values() for signal in (measure.actual, measure.desired)}
+    chosen |= set(scenario.observed_energy.values())
+    for pattern in scenario.record_signals:
+        found = fnmatch.filter(outputs, pattern)
+        if not found:
+            raise ScenarioError(f"[record] signals: no output fits {pattern!r}{did_you_mean(pattern, outputs)}")
+        chosen |= set(found)
+    return chosen.__contains__
+
+
 @dataclass(frozen=True, kw_only=True)
 class System:
     """A scenario with its components loaded and everything checked, before anything is initialised. `steps` in ns."""
@@ -146,6 +165,6 @@ def assembled(scenario: Scenario, fmi: int | None = None) -> Iterator[tuple[Mast
     with loaded(scenario, fmi) as system:
         variable_step = {name: component.variable_step for name, component in system.components.items()}
         plan = schedule.build(system.steps, scenario.stop, scenario.record_every, variable_step)
-        master = Master(system.wiring, plan, scenario.limits)
+        master = Master(system.wiring, plan, scenario.limits, _recorded(scenario, system.components))
         master.initialise(system.values)
         yield master, system.values

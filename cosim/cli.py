@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from importlib.metadata import entry_points, version
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import NoReturn, Protocol
+from typing import NoReturn, Protocol, get_args
 
 from rich.console import Console
 from rich.table import Table
@@ -112,7 +112,12 @@ class RunCommand:
         parser.add_argument(
             "--fmi", type=int, choices=(2, 3), help="FMI version of the shipped FMUs (default: the scenario's, else 2)"
         )
-        parser.add_argument("--master", choices=("python",), default="python", help="who steps the FMUs: FMPy, from Python")
+        parser.add_argument(
+            "--master",
+            choices=get_args(experiment.Engine),
+            default="core",
+            help="who steps the FMUs, with the same numbers: native code (default), or FMPy from Python",
+        )
         parser.add_argument("--out", type=folder, metavar="DIR", help="default: freeflyer_out/SCENARIO")
 
     def execute(self, arguments: argparse.Namespace, console: Console) -> int:
@@ -122,7 +127,7 @@ class RunCommand:
             directory = arguments.out or Path("freeflyer_out") / chosen.name
             check_writable(directory)
             with experiment.progress_bar(console, [chosen]) as reports:
-                result = experiment.run(chosen, fmi=arguments.fmi, progress=reports[chosen.name])
+                result = experiment.run(chosen, fmi=arguments.fmi, progress=reports[chosen.name], engine=arguments.master)
         experiment.write(result, directory)
         console.print(result_table(result))
         console.print(f"Results in {directory}: record.parquet, summary.json", soft_wrap=True)

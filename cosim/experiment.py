@@ -7,12 +7,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from cosim import metrics
+from cosim import metrics, native
 from cosim.assemble import assembled
 from cosim.clock import seconds
 from cosim.component import Array
@@ -39,12 +39,16 @@ class Result:
         )
 
 
-def run(scenario: Scenario, *, fmi: int | None = None, progress: Report | None = None) -> Result:
+Engine = Literal["core", "python"]
+"""Who executes the schedule: C (see cosim/native.py), or Python through FMPy; with the same numbers."""
+
+
+def run(scenario: Scenario, *, fmi: int | None = None, progress: Report | None = None, engine: Engine = "core") -> Result:
     """Load, check, simulate, measure. Raises CosimError before the run; afterwards everything is in the result."""
     with assembled(scenario, fmi) as (master, values):
         metrics.check(scenario, master.graph.components)
         with interrupts():  # what was simulated is measured too, whenever a Ctrl-C comes
-            outcome = master.run(progress)
+            outcome = native.run(master, progress) if engine == "core" else master.run(progress)
             series = metrics.errors(scenario, outcome.record, master.graph.components, values)
             summary = metrics.summary(scenario, outcome, series)
     return Result(scenario=scenario, outcome=outcome, errors=series, summary=summary)

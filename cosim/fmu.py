@@ -15,10 +15,12 @@ from pathlib import Path
 from typing import Any
 
 import fmpy
+import numpy as np
 from fmpy import fmi2, fmi3
 from fmpy.fmi1 import FMICallException
 from fmpy.logging import addLoggerProxy
 from fmpy.model_description import ModelVariable
+from numpy.typing import NDArray
 
 from cosim.component import Array, Port
 from cosim.errors import ComponentError, StepFailed
@@ -28,6 +30,8 @@ ASKED_TO_END = "the FMU asks for the end of the simulation"
 DISCARD = 2
 FATAL = 4
 """The status, in FMI 2.0 and 3.0, after which no function of the FMU may be called any more."""
+CALLS = {2: ("fmi2SetReal", "fmi2DoStep", "fmi2GetReal"), 3: ("fmi3SetFloat64", "fmi3DoStep", "fmi3GetFloat64")}
+"""What a step consists of, by FMI version: hand over inputs, step, read outputs."""
 REQUIREMENT = "logRequirement"
 """Log category by which our FMUs say that the run has left what their equations hold for."""
 
@@ -81,6 +85,8 @@ class FmuComponent:
         interface = self._interface()
         self.variable_step = bool(getattr(interface, "canHandleVariableCommunicationStepSize", True))
         self._messages: deque[str] = deque(maxlen=5)
+        self._moment: Callable[[], int] = lambda: 0
+        self._noted_at = 0
         self._dead = False
         self._left_validity = False
         self._listener = 0
@@ -176,6 +182,9 @@ class FmuComponent:
     def note(self, category: object, message: bytes | None) -> None:
         """Keep the last log messages of the FMU until its failure is told, or its step has succeeded."""
         if message:
+            if self._moment() != self._noted_at:
+                self._messages.clear()
+                self._noted_at = self._moment()
             self._messages.append(message.decode("utf-8", "replace"))
             self._left_validity |= category == REQUIREMENT.encode()
 
@@ -230,14 +239,48 @@ class FmuComponent:
         else:
             raise ComponentError(f"component {self.name}: variable {name} is of type {kind}, which cannot be set here")
 
-    def _bound(self, names: Sequence[str], buffer: Array) -> tuple[Any, int, Any, int]:
-        """References and a pointer into the buffer, made once; the arrays are kept alive with the component."""
+    # Called from C (cosim/native.py)
+
+    @property
+    def instance(self) -> int:
+        """The FMU's instance, as an address."""
+        return int(getattr(self._slave.component, "value", self._slave.component))
+
+    def address(self, call: str) -> int:
+        """Of a function of the FMU's library."""
+        return int(ctypes.cast(getattr(self._slave.dll, call), ctypes.c_void_p).value or 0)
+
+    def references(self, names: Sequence[str]) -> NDArray[np.uint32]:
+        """(n) uint32, one a value in FMI 2.0, one a variable in FMI 3.0. Raises ComponentError for what is not real."""
+        variables = self._reals(names)
+        return np.array([variable.valueReference for variable in variables], dtype=np.uint32)
+
+    def count_moments_by(self, moment: Callable[[], int]) -> None:
+        """Messages of an earlier moment are forgotten when there are new ones."""
+        self._moment = moment
+
+    def failure(self, call: str, status: int) -> StepFailed:
+        """What `call`, which gave `status`, is told as."""
+        if self._noted_at != self._moment():
+            self._messages.clear()
+        if call == "fmi2DoStep" and status == DISCARD and self._asked_to_end():
+            return StepFailed(self.name, ASKED_TO_END)
+        return self._failed(FMICallException(call, status))
+
+    # Called from Python
+
+    def _reals(self, names: Sequence[str]) -> list[ModelVariable]:
         variables = [variable for name in names for variable in self._variables[name]]
         strange = [variable.name for variable in variables if variable.type not in REAL]
         if strange:
             raise ComponentError(
                 f"component {self.name}: {strange[0]} is not a real variable; only real variables can be connected"
             )
+        return variables
+
+    def _bound(self, names: Sequence[str], buffer: Array) -> tuple[Any, int, Any, int]:
+        """References and a pointer into the buffer, made once; the arrays are kept alive with the component."""
+        variables = self._reals(names)
         references = (ctypes.c_uint32 * len(variables))(*(variable.valueReference for variable in variables))
         pointer = buffer.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
         self._buffers.append((references, buffer))

@@ -6,6 +6,8 @@ At an instant t:
 3. controllers due at t sample and answer, in the graph's order, each output used at once;
 4. the instant is recorded, and the limits are checked;
 5. all other components due at t take their inputs, and then step on.
+
+`Master.run` does this in Python, call by call; cosim/core does the same in C, and cosim/native.py hands a master to it.
 """
 
 from __future__ import annotations
@@ -16,30 +18,16 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-import numpy as np
-
+from cosim import limits as watched
 from cosim.clock import seconds
-from cosim.component import Array, Component
-from cosim.errors import ComponentError, CosimError, GraphError, StepFailed
-from cosim.graph import Graph, port, split
+from cosim.component import Array
+from cosim.errors import ComponentError, CosimError, StepFailed
+from cosim.graph import Graph
 from cosim.interrupts import interrupts
-from cosim.record import Record, Signal
+from cosim.limits import Limit, Watch
+from cosim.record import Record
 from cosim.schedule import Schedule
-
-
-@dataclass(frozen=True, kw_only=True)
-class Limit:
-    """The run has diverged once the signal's largest element (or its Euclidean norm) is above a maximum, or its least below a
-    minimum, without a break for longer than `lasting` [ns]. `elements` (first, last), counted from 1, picks a part of an array.
-    """
-
-    signal: str
-    bound: float
-    cause: str
-    is_minimum: bool = False
-    elements: tuple[int, int] | None = None
-    euclidean: bool = False
-    lasting: int = 0
+from cosim.slaves import Slave, Slaves
 
 
 @dataclass(kw_only=True)
@@ -57,6 +45,9 @@ class Outcome:
     cause: str | None = None
     interrupted: bool = False
 
+    def stopped_by(self, error: StepFailed) -> None:
+        self.diverged, self.failed, self.cause = error.left_validity, not error.left_validity, str(error)
+
 
 Progress = Callable[[float], None]
 
@@ -72,50 +63,23 @@ class Pace(Protocol):
     def end(self, k: int) -> None: ...
 
 
-@dataclass(frozen=True)
-class _Slave:
-    """One component with everything bound that a step calls."""
-
-    component: Component
-    ratio: int
-    take_inputs: Callable[[], None]
-    take_first_inputs: Callable[[set[str]], None]
-    take_present_inputs: Callable[[], None]
-    write: Callable[[], None]
-    read: Callable[[], None]
-
-    def step(self, time: float, size: float) -> None:
-        try:
-            self.component.step(time, size)
-        except StepFailed:
-            raise
-        except Exception as error:  # a component written by others fails in its own ways; the run is kept all the same
-            left = bool(getattr(error, "left_validity", False))
-            raise StepFailed(self.component.name, told(error), left_validity=left) from error
-
-
 class Master:
-    """Binds a graph to its buffers; `run` may be called once."""
+    """Binds a graph to its buffers; a master runs once. `recorded` chooses among the signals COMPONENT.VARIABLE."""
 
-    def __init__(self, graph: Graph, schedule: Schedule, limits: Sequence[Limit] = ()) -> None:
+    def __init__(
+        self,
+        graph: Graph,
+        schedule: Schedule,
+        limits: Sequence[Limit] = (),
+        recorded: Callable[[str], bool] = lambda signal: True,
+    ) -> None:
+        for limit in limits:
+            watched.check(limit, graph.components)
         self.graph, self.schedule = graph, schedule
-        self._place: dict[str, slice] = {}
-        outputs: dict[str, list[str]] = {}
-        signals, width = [], 0
-        for name, component in graph.components.items():
-            outputs[name] = [p.name for p in component.ports.values() if p.causality == "output" and p.real]
-            for variable in outputs[name]:
-                p = component.ports[variable]
-                self._place[f"{name}.{variable}"] = slice(width, width + p.size)
-                signals.append(Signal(name=f"{name}.{variable}", first=width, size=p.size, units=p.units))
-                width += p.size
-        # One flat vector of all outputs; `_before` is its state before the present instant, for delayed connections.
-        self._now = np.zeros(width)
-        self._before = np.zeros(width)
-        self._has_delays = any(connection.delayed for connection in graph.connections)
-        self._record_signals = signals
-        self._slaves = {name: self._bind(name, outputs[name]) for name in graph.components}
-        self._limits = [self._bind_limit(limit) for limit in limits]
+        self.slaves = Slaves(graph, schedule.ratios, [limit.signal for limit in limits])
+        self.watches = [Watch(limit, self.slaves.value(limit.signal), schedule.tick) for limit in limits]
+        signals, self.columns = self.slaves.signals(graph, recorded)
+        self.record = Record(signals, schedule.ticks // schedule.record_ratio + 2)
 
     def initialise(self, start_values: Mapping[str, Mapping[str, Array]]) -> None:
         """Components with plant-like outputs first, so that the others are initialised with real inputs.
@@ -124,7 +88,7 @@ class Master:
         """
         ready: set[str] = set()
         for name in (*self.graph.then, *self.graph.first):
-            slave = self._slaves[name]
+            slave = self.slaves[name]
             try:
                 slave.component.enter_initialization(0.0, start_values.get(name, {}))
                 slave.take_first_inputs(ready)
@@ -139,19 +103,18 @@ class Master:
 
     def value(self, signal: str) -> Array:
         """The present value of an output, COMPONENT.VARIABLE: a view."""
-        return self._now[self._place[signal]]
+        return self.slaves.value(signal)
 
     def hand_over(self, name: str) -> None:
         """Give a component its inputs at the end of an instant, delayed ones too: for a `Pace` that sends commands there."""
-        self._slaves[name].take_present_inputs()
-        self._slaves[name].write()
+        self.slaves[name].take_present_inputs()
+        self.slaves[name].write()
 
     def run(self, progress: Progress | None = None, pace: Pace | None = None) -> Outcome:
         schedule = self.schedule
-        record = Record(self._record_signals, schedule.ticks // schedule.record_ratio + 2)
-        outcome = Outcome(record=record, simulated=0.0, wall=0.0, steps=dict.fromkeys(self._slaves, 0))
+        outcome = self.outcome()
         begin = time.perf_counter()
-        k = 0
+        k, whole = 0, True
         with interrupts() as interrupted:
             try:
                 for k in range(schedule.ticks + 1):
@@ -171,21 +134,34 @@ class Master:
                     if pace:
                         pace.end(k)
             except StepFailed as error:
-                if k == 0 and not error.left_validity and pace is None:
-                    raise ComponentError(f"component {error}") from error
-                outcome.diverged, outcome.failed, outcome.cause = error.left_validity, not error.left_validity, str(error)
+                if pace is None:
+                    self.refuse_at_start(k, error)
+                outcome.stopped_by(error)
+                whole = False
         outcome.wall = time.perf_counter() - begin
-        outcome.simulated = seconds(k * schedule.tick)
-        if record.rows == 0 or record.time[-1] < outcome.simulated:
-            record.append(outcome.simulated, self._now)
+        self.finish(outcome, k, whole=whole)
         return outcome
+
+    def outcome(self) -> Outcome:
+        return Outcome(record=self.record, simulated=0.0, wall=0.0, steps=dict.fromkeys(self.graph.components, 0))
+
+    def refuse_at_start(self, k: int, error: StepFailed) -> None:
+        """What fails before anything has moved is no result. Raises ComponentError."""
+        if k == 0 and not error.left_validity:
+            raise ComponentError(f"component {error}") from error
+
+    def finish(self, outcome: Outcome, k: int, *, whole: bool) -> None:
+        """The run has ended at tick k, which is recorded too; but not an instant that a failed step has left incomplete."""
+        outcome.simulated = seconds(k * self.schedule.tick)
+        record = self.record
+        if record.rows == 0 or (whole and record.time[-1] < outcome.simulated):
+            record.append(outcome.simulated, self.slaves.now[self.columns])
 
     def _instant(self, k: int, outcome: Outcome, *, last: bool) -> str | None:
         """Everything that happens at tick k; at the last one nobody steps on. A cause if a limit is passed."""
-        schedule, graph, slaves = self.schedule, self.graph, self._slaves
+        schedule, graph, slaves = self.schedule, self.graph, self.slaves
         moment = seconds(k * schedule.tick)
-        if self._has_delays:
-            self._before[:] = self._now
+        slaves.keep_delayed()
         if k:
             for name in graph.then:
                 if k % slaves[name].ratio == 0 or k == schedule.ticks:
@@ -196,111 +172,37 @@ class Master:
                 if k % slave.ratio == 0:
                     slave.take_inputs()
                     slave.write()
-                    slave.step(moment, seconds(schedule.size(name, k)))
+                    self._step(slave, k, outcome)
                     slave.read()
-                    outcome.steps[name] += 1
         if k % schedule.record_ratio == 0:
-            outcome.record.append(moment, self._now)
-        for check in self._limits:
-            cause = check()
+            self.record.append(moment, slaves.now[self.columns])
+        for watch in self.watches:
+            cause = watch()
             if cause:
                 return cause
         if last:
             return None
-        due = [name for name in graph.then if k % slaves[name].ratio == 0]
-        for name in due:
-            slaves[name].take_inputs()
-            slaves[name].write()
-        for name in due:
-            slaves[name].step(moment, seconds(schedule.size(name, k)))
-            outcome.steps[name] += 1
+        due = [slaves[name] for name in graph.then if k % slaves[name].ratio == 0]
+        for slave in due:
+            slave.take_inputs()
+            slave.write()
+        for slave in due:
+            self._step(slave, k, outcome)
         return None
 
-    # Binding
+    def _step(self, slave: Slave, k: int, outcome: Outcome) -> None:
+        name = slave.component.name
+        try:
+            slave.component.step(seconds(k * self.schedule.tick), seconds(self.schedule.size(name, k)))
+        except StepFailed:
+            raise
+        except Exception as error:  # a component written by others fails in its own ways; the run is kept all the same
+            raise failure(name, error) from error
+        outcome.steps[name] += 1
 
-    def _bind(self, name: str, outputs: Sequence[str]) -> _Slave:
-        component, connections = self.graph.components[name], self.graph.inputs_of(name)
-        targets = [split(connection.target)[1] for connection in connections]
-        # Every input begins with its own start value.
-        starts = [np.array(component.ports[target].start or [0.0] * component.ports[target].size) for target in targets]
-        buffer = np.concatenate([np.zeros(0), *starts])
-        prompt: tuple[list[int], list[int]] = ([], [])
-        delayed: tuple[list[int], list[int]] = ([], [])
-        first_time: list[tuple[str, slice, slice]] = []
-        first = 0
-        for connection, start in zip(connections, starts, strict=True):
-            place, there = self._place[connection.source], slice(first, first + start.size)
-            into, sources = delayed if connection.delayed else prompt
-            into += range(there.start, there.stop)
-            sources += range(place.start, place.stop)
-            first_time.append((split(connection.source)[0], there, place))
-            first = there.stop
-        now, before = self._now, self._before
-        (p_to, p_from), (d_to, d_from) = (tuple(np.array(part, dtype=int) for part in pair) for pair in (prompt, delayed))
 
-        def take_inputs() -> None:
-            if p_to.size:
-                buffer[p_to] = now[p_from]
-            if d_to.size:
-                buffer[d_to] = before[d_from]
-
-        def take_first_inputs(ready: set[str]) -> None:
-            for source, there, place in first_time:
-                if source in ready:
-                    buffer[there] = now[place]
-
-        def take_present_inputs() -> None:
-            if p_to.size:
-                buffer[p_to] = now[p_from]
-            if d_to.size:
-                buffer[d_to] = now[d_from]
-
-        write = component.bind_inputs(targets, buffer) if targets else _nothing
-        own = [self._place[f"{name}.{variable}"] for variable in outputs]
-        read = component.bind_outputs(outputs, now[own[0].start : own[-1].stop]) if own else _nothing
-        return _Slave(component, self.schedule.ratios[name], take_inputs, take_first_inputs, take_present_inputs, write, read)
-
-    def _bind_limit(self, limit: Limit) -> Callable[[], str | None]:
-        if limit.signal not in self._place:
-            port(self.graph.components, limit.signal, "limit")
-            raise GraphError(f"limit: {limit.signal} is not a real output")
-        place = self._place[limit.signal]
-        first, last = limit.elements or (1, place.stop - place.start)
-        if last > place.stop - place.start:
-            raise GraphError(
-                f"limit on {limit.signal}: elements {first} to {last} are watched, but it has {place.stop - place.start}"
-            )
-        view = self._now[place.start + first - 1 : place.start + last]
-        square = limit.bound**2
-        patience = limit.lasting // self.schedule.tick
-
-        def check_maximum() -> str | None:
-            # The Euclidean norm bounds the largest element: one product decides the common case; NaN fails it.
-            if view @ view <= square:
-                return None
-            size = float(np.linalg.norm(view) if limit.euclidean else np.abs(view).max())
-            if size <= limit.bound:
-                return None
-            return f"{limit.cause}: {limit.signal} is {size:.4g}, the limit is {limit.bound:g}"
-
-        def check_minimum() -> str | None:
-            least = float(view.min())
-            if least >= limit.bound:
-                return None
-            return f"{limit.cause}: {limit.signal} is {least:.4g}, the least allowed is {limit.bound:g}"
-
-        check = check_minimum if limit.is_minimum else check_maximum
-        if not patience:
-            return check
-        passed = 0
-
-        def check_lasting() -> str | None:
-            nonlocal passed
-            cause = check()
-            passed = passed + 1 if cause else 0
-            return f"{cause}, for {seconds(limit.lasting):g} s" if passed > patience else None
-
-        return check_lasting
+def failure(name: str, error: Exception) -> StepFailed:
+    return StepFailed(name, told(error), left_validity=bool(getattr(error, "left_validity", False)))
 
 
 def told(error: Exception) -> str:
@@ -309,7 +211,3 @@ def told(error: Exception) -> str:
         return " ".join(str(error).split())
     place = traceback.extract_tb(error.__traceback__)[-1]
     return " ".join(f"{type(error).__name__}: {error} ({place.filename}, line {place.lineno})".split())
-
-
-def _nothing() -> None:
-    pass

@@ -57,6 +57,11 @@ class Record:
         self.rows += 1
 
     @property
+    def storage(self) -> tuple[Array, Array]:
+        """Times (all rows) and values (all rows, width), of which the first `rows` are in use."""
+        return self._time, self._values
+
+    @property
     def time(self) -> Array:
         """(rows) [s]."""
         return self._time[: self.rows]

@@ -16,7 +16,7 @@ from typing import Any, Literal, get_args
 from cosim.clock import nanoseconds
 from cosim.errors import ScenarioError
 from cosim.graph import Connection, Exchange
-from cosim.master import Limit
+from cosim.limits import Limit
 from cosim.near import did_you_mean
 from cosim.raw_scenario import Raw, merged, override
 from cosim.units import factor
@@ -55,6 +55,8 @@ class Scenario:
     directory: Path
     stop: int
     record_every: int
+    record_signals: tuple[str, ...]
+    """Patterns of COMPONENT.VARIABLE; what `errors` and `observed_energy` need is recorded in any case."""
     expect: Literal["completes", "diverges"]
     exchange: Exchange
     robot: Mapping[str, Any]
@@ -159,7 +161,12 @@ class _Reader:
         if exchange not in get_args(Exchange):
             raise self.fail(f"exchange is {exchange!r}; 'sequential' or 'parallel' is expected")
         record = self.table(raw, "record")
-        self.known(record, ("every_s",), "[record]")
+        self.known(record, ("every_s", "signals"), "[record]")
+        signals = record.get("signals", ["*"])
+        if not isinstance(signals, list) or not all(isinstance(pattern, str) for pattern in signals):
+            raise self.fail(
+                f"[record] signals is {signals!r}; a list of 'COMPONENT.VARIABLE' with wildcards * and ? is expected"
+            )
         components = tuple(self.component(name, raw["components"][name]) for name in self.table(raw, "components"))
         if not components:
             raise self.fail("it has no components; at least one [components.NAME] is expected")
@@ -172,6 +179,7 @@ class _Reader:
             directory=self.path.parent,
             stop=self.time(raw, "stop_s", "stop_s"),
             record_every=self.time(record, "every_s", "[record] every_s", 0.01),
+            record_signals=tuple(signals),
             expect=expect,
             exchange=exchange,
             robot=self.table(raw, "robot"),

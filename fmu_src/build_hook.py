@@ -1,4 +1,4 @@
-"""Builds the shipped FMUs for this machine's platform while the package is being installed."""
+"""Builds the shipped FMUs and the master's native core for this machine's platform while the package is being installed."""
 
 from __future__ import annotations
 
@@ -17,12 +17,15 @@ class BuildHook(BuildHookInterface):  # type: ignore[misc]
         sys.path.insert(0, self.root)
         try:
             from fmu_src.export.archive import build_all
+            from fmu_src.export.compiler import compile_core, host_platform
             from fmu_src.shipped import BLOCKS
             from fmu_src.urdf import load_robot_file
 
             robot = load_robot_file()
             directory = Path(self.root) / "fmu_src" / "prebuilt"
             shutil.rmtree(directory, ignore_errors=True)  # no FMU of an earlier build stays in the wheel
+            core = Path(self.root) / "cosim" / "core"
+            compile_core(core, core / "prebuilt" / "core.so", host_platform())
             for _ in build_all([make(robot) for make in BLOCKS.values()], directory):
                 pass
         finally:

@@ -67,6 +67,15 @@ def compiler(target: Platform, *flags: str) -> list[str]:
     return [sys.executable, "-m", "ziglang", "cc", "-target", target.target, *flags]
 
 
+def compile_core(sources: Path, output: Path, target: Platform) -> None:
+    """Compile the master's native core, which is C99 like the FMUs' runtime, into a shared library."""
+    output.parent.mkdir(parents=True, exist_ok=True)
+    files = sorted(str(path) for path in sources.glob("*.c"))
+    run(
+        [*compiler(target, "-shared", "-fPIC", *FLAGS), "-Wl,-s", *files, "-lm", "-o", str(output)], "compiling the native core"
+    )
+
+
 def compile_library(block_c: Path, output: Path, target: Platform) -> None:
     """Compile block.c with the runtime into one shared library that serves both FMI versions."""
     sources = sorted(str(path) for path in SOURCES.glob("*.c"))

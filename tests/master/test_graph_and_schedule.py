@@ -14,7 +14,8 @@ from cosim import clock, graph, schedule
 from cosim.component import Port, PythonComponent
 from cosim.errors import CosimError, GraphError, ScenarioError
 from cosim.graph import Connection
-from cosim.master import Limit, Master
+from cosim.limits import Limit
+from cosim.master import Master
 from cosim.units import factor, same
 
 MS = 1_000_000
