@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from enum import IntEnum
-
 import casadi as ca
 import numpy as np
 
 from fmu_src.block import WRENCH, Block
-from fmu_src.blocks.gains import BASE, DAMPING, gains
+from fmu_src.blocks.gains import BASE, DAMPING, MANIPULATOR, gains
 from fmu_src.blocks.robot_parameters import (
     IDENTITY,
     SINGULARITY_THRESHOLD,
@@ -20,25 +18,14 @@ from fmu_src.blocks.robot_parameters import (
     require_regular_jacobian,
 )
 from fmu_src.equations import passivity, rotation
-from fmu_src.equations.dynamics import articulated_base_inertia
-from fmu_src.equations.kinematics import base_jacobian_transposed_times
+from fmu_src.equations.dynamics import articulated_base_inertia, articulated_hand_inertia
+from fmu_src.equations.kinematics import base_jacobian_transposed_times, end_effector_velocity
 from fmu_src.equations.passivity import Bookkeeping
-from fmu_src.equations.tracking_control import (
-    feed_forward,
-    matched_gains,
-    pose_error,
-    spring_damper,
-)
+from fmu_src.equations.sampled_control import Discretisation, mean_wrench, sampled_damping
+from fmu_src.equations.tracking_control import feed_forward, pose_error, spring_damper
 from fmu_src.robot import Robot
 
 SX = ca.SX
-
-
-class Discretisation(IntEnum):
-    """`emulated`: the continuous gains as they are. `matched`: sampled gains with the continuous law's poles, per axis."""
-
-    emulated = 1
-    matched = 2
 
 
 def base_controller(robot: Robot) -> Block:
@@ -47,7 +34,8 @@ def base_controller(robot: Robot) -> Block:
     T_b = block.sampled_every("period", 0.3, "T_b: sampling time of this controller")
     mechanism = mass_parameters(block, robot)
     K_P, K_D = gains(block, BASE)
-    discretisation = block.choice("discretisation", Discretisation, Discretisation.emulated, "How the gains are sampled")
+    K_Pm, K_Dm = gains(block, MANIPULATOR, "end_effector_")
+    discretisation = block.choice("discretisation", Discretisation, Discretisation.emulated, "How the law is sampled")
     bookkeeping = block.choice("bookkeeping", Bookkeeping, Bookkeeping.applied, "As in the manipulator's controller")
     share = block.parameter(
         "damper_bound", 0.5, "1", "c in beta <= c M~ / T_b - K_D (0: no bound), as applied", tunable=True, minimum=0.0
@@ -67,27 +55,32 @@ def base_controller(robot: Robot) -> Block:
     beta_b = block.input("base_damping", np.zeros(6), DAMPING, "beta_b from the passivity observer")
 
     # M~ of B in I: what a base wrench moves while nothing acts at the hand.
-    R_IB = rotation.matrix(state.orientation)
-    M_B = articulated_base_inertia(mechanism, state.q)
-    M = ca.vertcat(ca.diag(R_IB @ M_B[:3, :3] @ R_IB.T), ca.diag(R_IB @ M_B[3:, 3:] @ R_IB.T))
-    matched = matched_gains(K_P, K_D, M, T_b)
+    M = articulated_base_inertia(mechanism, state.q).turned(rotation.matrix(state.orientation)).matrix()
     is_matched = discretisation == int(Discretisation.matched)
-    K_Pd, K_Dd = (ca.if_else(is_matched, sampled, emulated) for sampled, emulated in zip(matched, (K_P, K_D), strict=True))
 
     # Eq. (17), its last term apart.
     star = feed_forward(mechanism, state, v_d, a_d)
     v_b = ca.vertcat(state.v, state.w)
-    Jb_F = base_jacobian_transposed_times(star.p_be, F_m)
-    F_b = star.F_b + spring_damper(K_Pd, K_Dd, pose_error(p_b, state.orientation, p_bd, R_bd), v_b)
+    dx_b = pose_error(p_b, state.orientation, p_bd, R_bd)
+    held_law = mean_wrench(M, ca.diag(K_P), ca.diag(K_D), T_b, -K_P * dx_b, v_b)
+    F_b = star.F_b + ca.if_else(is_matched, held_law, spring_damper(K_P, K_D, dx_b, v_b))
+    # J_b^T F'_m: matched, with the mean of the hand's spring and damper over T_b in place of their value now.
+    dv_m = end_effector_velocity(mechanism, state) - v_d
+    spring_m = F_m - star.F_m + K_Dm * dv_m
+    M_hand = articulated_hand_inertia(mechanism, state)
+    mean_m = mean_wrench(M_hand, ca.diag(K_Pm), ca.diag(K_Dm), T_b, spring_m, dv_m)
+    Jb_F = base_jacobian_transposed_times(star.p_be, ca.if_else(is_matched, star.F_m + mean_m, F_m))
     # Eq. (25), beta_b for the printed beta_m, and (26); bounded so that the held damper makes no energy itself.
     # As printed, the damper is credited in full, so it must not be bounded.
     is_bounded = ca.logic_and(bookkeeping == int(Bookkeeping.applied), share > 0)
-    beta = ca.if_else(is_bounded, passivity.bounded(beta_b, share, M, K_Dd, T_b), beta_b)
+    own_damping = ca.if_else(is_matched, sampled_damping(ca.diag(M), K_P, K_D, T_b), K_D)
+    beta = ca.if_else(is_bounded, passivity.bounded(beta_b, share, ca.diag(M), own_damping, T_b), beta_b)
     F_pcb = -beta * v_b
-    F_B = F_b + F_pcb
+    wrench = F_b + F_pcb + Jb_F
 
-    block.output("base_wrench", F_B + Jb_F, WRENCH, "F'_b: total wrench on the base, passivity controller included, in I")
-    block.output("port_wrench", F_B, WRENCH, "F'_B(k_b) = F'_b - J_b^T F'_m at this sample, in I")
+    block.output("base_wrench", wrench, WRENCH, "F'_b: total wrench on the base, passivity controller included, in I")
+    at_port = wrench - base_jacobian_transposed_times(star.p_be, F_m)
+    block.output("port_wrench", at_port, WRENCH, "F'_B(k_b) = F'_b - J_b^T F'_m at this sample, in I")
     block.output("passivity_wrench", F_pcb, WRENCH, "F_pcb: share of the passivity controller, (25), in I")
     require_quaternions(block, {"base_orientation": state.orientation, "orientation_setpoint": R_bd})
     require_regular_jacobian(block, star.sigma_min, least_sigma)

@@ -24,6 +24,7 @@ from fmu_src.equations import passivity
 from fmu_src.equations.dynamics import articulated_hand_inertia
 from fmu_src.equations.kinematics import base_jacobian_transposed_times
 from fmu_src.equations.passivity import Bookkeeping, Observer
+from fmu_src.equations.sampled_control import Discretisation, mean_wrench, sampled_damping
 from fmu_src.equations.tracking_control import (
     feed_forward,
     joint_torque,
@@ -43,6 +44,7 @@ def manipulator_controller(robot: Robot) -> Block:
     T_b = block.parameter("base_period", 0.3, "s", "T_b: sampling time of the base controller", above=0.0)
     mechanism = mass_parameters(block, robot)
     K_P, K_D = gains(block, MANIPULATOR)
+    discretisation = block.choice("discretisation", Discretisation, Discretisation.emulated, "How the law is sampled")
     observer = block.choice("observer", Observer, Observer.port, "Which power the passivity observers watch")
     bookkeeping = block.choice("bookkeeping", Bookkeeping, Bookkeeping.applied, "How the observers book energy")
     arm_on = block.switch("manipulator_passivity_control", True, "Passivity controller of port M on")
@@ -93,7 +95,11 @@ def manipulator_controller(robot: Robot) -> Block:
 
     # Eq. (16).
     star = feed_forward(mechanism, state, v_d, a_d)
-    F_m = star.F_m + spring_damper(K_P, K_D, pose_error(p_e, R_e, p_d, R_d), v_m - v_d)
+    M_hand = articulated_hand_inertia(mechanism, state)
+    dx_m = pose_error(p_e, R_e, p_d, R_d)
+    is_matched = discretisation == int(Discretisation.matched)
+    held_law = mean_wrench(M_hand, ca.diag(K_P), ca.diag(K_D), T_m, -K_P * dx_m, v_m - v_d)
+    F_m = star.F_m + ca.if_else(is_matched, held_law, spring_damper(K_P, K_D, dx_m, v_m - v_d))
 
     # Port M: which velocity, and which part of F_m, the observer watches.
     tracking = observer == int(Observer.tracking)
@@ -107,10 +113,12 @@ def manipulator_controller(robot: Robot) -> Block:
             Bookkeeping.applied: passivity.observed_as_applied(E_m, S_m_1, u_m_1, u_m, T_m),
         },
     )
-    M_hand = articulated_hand_inertia(mechanism, state)
     applied = bookkeeping == int(Bookkeeping.applied)
+    own_damping = ca.if_else(is_matched, sampled_damping(ca.diag(M_hand), K_P, K_D, T_m), K_D)
     beta_m = passivity.damper(E_m, u_m, T_m, floor)
-    beta_m = ca.if_else(ca.logic_and(applied, share > 0), passivity.bounded(beta_m, share, M_hand, K_D, T_m), beta_m)
+    beta_m = ca.if_else(
+        ca.logic_and(applied, share > 0), passivity.bounded(beta_m, share, ca.diag(M_hand), own_damping, T_m), beta_m
+    )
     beta_m = ca.if_else(arm_on, beta_m, 0)
     # Eq. (21), (22).
     F_pcm = -beta_m * u_m

@@ -60,25 +60,25 @@ def without_joint(inertia: ArticulatedInertia, joint: Joint) -> ArticulatedInert
     return ArticulatedInertia(IN_PLANE @ M @ IN_PLANE, IN_PLANE @ H, I)
 
 
-def articulated_base_inertia(mechanism: Mechanism, q: SX) -> SX:
-    """M~ = ((M^-1)_bb)^-1 (6, 6), about B in B's axes: the base's inertia with no torque in the joints (no force at the hand)."""
+def articulated_base_inertia(mechanism: Mechanism, q: SX) -> ArticulatedInertia:
+    """M~ = ((M^-1)_bb)^-1, about B in B's axes: the base's inertia with no torque in the joints (no force at the hand)."""
     inertia = mechanism.bodies[-1].articulated()
     for i in reversed(range(len(mechanism.joints))):
         R, r = transform(mechanism.joints[i], q[i])
         below = mechanism.bodies[i - 1] if i > 0 else mechanism.base
         inertia = below.articulated() + without_joint(inertia, mechanism.joints[i]).to_parent(R, r)
-    return inertia.matrix()
+    return inertia
 
 
 def articulated_hand_inertia(mechanism: Mechanism, state: State) -> SX:
-    """Diagonal (6) of ((M^-1)_mm)^-1, at E in I: the hand's inertia with no wrench on the base and no torque in the joints."""
+    """((M^-1)_mm)^-1 (6, 6), at E in I: the hand's inertia with no wrench on the base and no torque in the joints."""
     inertia, turn = mechanism.base.articulated(), rotation.matrix(state.orientation)
     for i, joint in enumerate(mechanism.joints):
         R, r = transform(joint, state.q[i])
         inertia = without_joint(inertia.to_parent(R.T, -R.T @ r), joint) + mechanism.bodies[i].articulated()
         turn = turn @ R
     hand = inertia.to_parent(SX.eye(3), -sparse(mechanism.robot.end_effector_translation))
-    return ca.vertcat(ca.diag(turn @ hand.M @ turn.T), ca.diag(turn @ hand.I @ turn.T))
+    return hand.turned(turn).matrix()
 
 
 class _Pass(NamedTuple):

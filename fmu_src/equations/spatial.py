@@ -91,6 +91,10 @@ class ArticulatedInertia(NamedTuple):
         rH = skew(r) @ H
         return ArticulatedInertia(M, H - M @ skew(r), symmetric(R @ self.I @ R.T + rH + rH.T - skew(r) @ M @ skew(r)))
 
+    def turned(self, R: SX) -> ArticulatedInertia:
+        """The same inertia about the same point, in coordinates that R turns these into."""
+        return ArticulatedInertia(symmetric(R @ self.M @ R.T), R @ self.H @ R.T, symmetric(R @ self.I @ R.T))
+
     def matrix(self) -> SX:
         return ca.blockcat([[self.M, self.H], [self.H.T, self.I]])
 

@@ -140,19 +140,3 @@ def null_space_torque(null_space: NullSpace, state: State, damping: SX, stiffnes
     """
     slow = damping * null_space.at.velocity_in_null_space(state.qd)
     return null_space.torque - null_space.at.torque_in_null_space(slow + stiffness * (state.q - posture))
-
-
-def matched_gains(stiffness: SX, damping: SX, inertia: SX, period: SX) -> tuple[SX, SX]:
-    """Sampled gains that place the held double integrator's poles where the continuous law has them, axis by axis.
-
-    For m s^2 + K_D s + K_P with poles s_1, s_2 and z_i = exp(s_i T): K_Pd = m (1 + r - p) / T^2, K_Dd = m (3 - p - r) / (2 T),
-    p = z_1 + z_2, r = z_1 z_2. They tend to K_P, K_D as T -> 0. (This project's own; not in the paper.)
-    """
-    half = 0.5 * damping / inertia
-    square = half * half - stiffness / inertia
-    decay = ca.exp(-half * period)
-    # z_1 + z_2 = 2 exp(-a T) cosh or cos(b T), whichever the sign under the root calls for.
-    root = ca.sqrt(ca.fabs(square)) * period
-    p = 2.0 * decay * ca.if_else(square > 0, ca.cosh(root), ca.cos(root))
-    r = decay * decay
-    return inertia * (1.0 + r - p) / period**2, inertia * (3.0 - p - r) / (2.0 * period)

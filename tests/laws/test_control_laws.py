@@ -1,4 +1,4 @@
-"""The control laws: (7) and (8) against the matrices they stand for, (15) and W along the exact closed loop, matched gains."""
+"""The control laws: (7) and (8) against the matrices they stand for, (15) and W along the exact closed loop."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from robots import ROBOTS
 from scipy.integrate import solve_ivp
-from scipy.linalg import expm
 
 from fmu_src.blocks.continuous_loop import continuous_loop
 from fmu_src.equations import task_space, tracking_control, trajectory
@@ -200,29 +199,6 @@ def test_the_reference_is_consistent_in_position_velocity_and_acceleration(time:
     )
     for part in f(time):
         assert np.abs(np.array(part)).max() < 1e-12
-
-
-@given(st.floats(1.0, 200.0), st.floats(1.0, 500.0), st.floats(0.1, 500.0), st.floats(0.001, 1.0))
-def test_matched_gains_place_the_sampled_poles_where_the_continuous_ones_are(
-    m: float, stiffness: float, damping: float, T: float
-) -> None:
-    gains = ca.Function("g", [], list(tracking_control.matched_gains(SX(stiffness), SX(damping), SX(m), SX(T))))()
-    K, D = (float(gains[name]) for name in ("o0", "o1"))
-    A = np.array([[0.0, 1.0], [-stiffness / m, -damping / m]])
-    wanted = np.poly(expm(A * T))
-    held = np.array([[1.0, T], [0.0, 1.0]]) + np.array([[T * T / 2], [T]]) @ np.array([[-K / m, -D / m]])
-    assert np.abs(np.poly(held) - wanted).max() < 1e-6
-
-
-def test_matched_gains_tend_to_the_given_ones() -> None:
-    K, D = (
-        float(part)
-        for part in ca.Function(
-            "g", [], list(tracking_control.matched_gains(SX(150.0), SX(10.0), SX(160.0), SX(1e-3)))
-        )().values()
-    )
-    assert pytest.approx(150.0, rel=1e-3) == K
-    assert pytest.approx(10.0, rel=1e-2) == D
 
 
 def test_smallest_singular_value_is_a_lower_bound_and_sharp_near_a_singularity() -> None:

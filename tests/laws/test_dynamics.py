@@ -99,7 +99,16 @@ def functions(robot: Robot) -> Ours:
     p, Q = kinematics.end_effector_pose(m, SX(3, 1), o, q)
     return Ours(
         ca.Function("f", [o, v, q, qd, F, tau], [ca.vertcat(*dynamics.forward_dynamics(m, s, F, tau))]),
-        ca.Function("h", [o, v, q, qd], [*dynamics.inertia_and_coriolis(m, s), dynamics.articulated_base_inertia(m, q)]),
+        ca.Function(
+            "h",
+            [o, v, q, qd],
+            [
+                *dynamics.inertia_and_coriolis(m, s),
+                dynamics.articulated_base_inertia(m, q).matrix(),
+                dynamics.articulated_hand_inertia(m, s),
+                ca.horzcat(Jb, Jm),
+            ],
+        ),
         ca.Function("j", [o, v, q, qd], [Jb, Jm, kinematics.end_effector_velocity(m, s), p, Q]),
         ca.Function("r", [o, v, q, qd, y], [dJm_y, task_space.rate(m, Jm, s) @ y]),
     )
@@ -150,7 +159,7 @@ def test_inertia_matrix_and_coriolis_forces_agree_with_pinocchio(name: str, seed
     T = oracle.to_inertial(s)
     H_pin = pin.crba(oracle.model, oracle.data, q)
     H_pin = np.triu(H_pin) + np.triu(H_pin, 1).T
-    H, C, M_base = (np.array(part) for part in ours.matrices(s.orientation, s.velocity, s.q, s.qd))
+    H, C, M_base, M_hand, J = (np.array(part) for part in ours.matrices(s.orientation, s.velocity, s.q, s.qd))
     close(H, T.T @ H_pin @ T)
     # Forces at zero acceleration of B's origin in I: the spatial acceleration of Pinocchio's origin is then not zero.
     R = pin.Quaternion(s.orientation).matrix()
@@ -161,6 +170,8 @@ def test_inertia_matrix_and_coriolis_forces_agree_with_pinocchio(name: str, seed
     # M~: the base's inertia with no torque in the joints is the inverse of H^-1's base block.
     turn = np.kron(np.eye(2), R)
     close(turn @ M_base @ turn.T, np.linalg.inv(np.linalg.inv(H)[:6, :6]))
+    # The hand's, with no wrench on the base and no torque in the joints: what a wrench at the hand moves.
+    close(np.linalg.inv(M_hand), J @ np.linalg.inv(H) @ J.T)
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -192,7 +203,7 @@ def test_jacobians_and_their_rates_agree_with_pinocchio(name: str, seed: int) ->
 def test_rate_of_inertia_minus_twice_coriolis_is_skew(name: str, seed: int) -> None:
     robot, _, ours = CASES[name]
     s = sample(seed, robot.joint_count)
-    H, C, _ = (np.array(part) for part in ours.matrices(s.orientation, s.velocity, s.q, s.qd))
+    H, C, *_ = (np.array(part) for part in ours.matrices(s.orientation, s.velocity, s.q, s.qd))
     rate = np.array(HDOT[name](s.orientation, s.velocity, s.q, s.qd))
     N = rate - 2 * C
     assert np.abs(N + N.T).max() <= TOLERANCE * np.abs(C).max()
