@@ -23,7 +23,7 @@ from cosim import metrics
 from cosim.assemble import assembled, make
 from cosim.clock import seconds
 from cosim.errors import CosimError, StepFailed
-from cosim.experiment import Result
+from cosim.experiment import Result, origin
 from cosim.graph import Connection, split
 from cosim.interrupts import interrupts
 from cosim.master import Master, Outcome, told
@@ -278,6 +278,7 @@ def _run(
 
 
 def _result(scenario: Scenario, master: Master, values: Values, outcome: Outcome, report: LoopReport) -> Result:
+    outcome.record.origin = origin(scenario, master, values)
     series = metrics.errors(scenario, outcome.record, master.graph.components, values)
     summary = {**metrics.summary(scenario, outcome, series), "real_time": report.summary()}
     return Result(scenario=scenario, outcome=outcome, errors=series, summary=summary)

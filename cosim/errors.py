@@ -22,6 +22,10 @@ class ComponentError(CosimError):
     """An FMU or component that cannot be loaded or initialised, or refuses a value."""
 
 
+class RecordError(CosimError):
+    """A record that cannot be read, or that lacks what is asked of it."""
+
+
 class OutputError(CosimError):
     """Results that cannot be written."""
 

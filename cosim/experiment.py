@@ -15,10 +15,12 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from cosim import metrics, native
 from cosim.assemble import assembled
 from cosim.clock import seconds
-from cosim.component import Array
+from cosim.component import Array, Port
 from cosim.interrupts import interrupts
-from cosim.master import Outcome
+from cosim.master import Master, Outcome
 from cosim.master import Progress as Report
+from cosim.origin import Origin
+from cosim.parameters import Values, current
 from cosim.record import write_text
 from cosim.scenario import Scenario
 
@@ -49,9 +51,38 @@ def run(scenario: Scenario, *, fmi: int | None = None, progress: Report | None =
         metrics.check(scenario, master.graph.components)
         with interrupts():  # what was simulated is measured too, whenever a Ctrl-C comes
             outcome = native.run(master, progress) if engine == "core" else master.run(progress)
+            outcome.record.origin = origin(scenario, master, values)
             series = metrics.errors(scenario, outcome.record, master.graph.components, values)
             summary = metrics.summary(scenario, outcome, series)
     return Result(scenario=scenario, outcome=outcome, errors=series, summary=summary)
+
+
+def origin(scenario: Scenario, master: Master, values: Values) -> Origin:
+    """What the master's record comes from: parameters as they were given, or as the components have them by default."""
+    components, schedule = master.graph.components, master.schedule
+    return Origin(
+        scenario=scenario.name,
+        exchange=scenario.exchange,
+        steps={name: ratio * schedule.tick for name, ratio in schedule.ratios.items()},
+        parameters={
+            name: {
+                port.name: _plain(port, current(components, values, name, port.name))
+                for port in component.ports.values()
+                if port.settable
+            }
+            for name, component in components.items()
+        },
+        sources={connection.target: connection.source for connection in master.graph.connections},
+    )
+
+
+def _plain(port: Port, value: Array) -> Any:
+    """A parameter's value as JSON has it."""
+    if port.choices and value.size == 1 and 1 <= value[0] <= len(port.choices):
+        return port.choices[int(value[0]) - 1]
+    if port.boolean:
+        value = value.astype(bool)
+    return value[0].item() if port.size == 1 else value.tolist()
 
 
 def write(result: Result, directory: Path) -> None:

@@ -1,6 +1,7 @@
 """What a run leaves behind: time and every recorded signal, one column per element, as Parquet.
 
-`pandas.read_parquet(path)` loads it in one line; the units are in `.attrs["units"]` of the frame, and in the file's schema.
+`pandas.read_parquet(path)` loads it in one line; the units are in `.attrs["units"]` of the frame, and in the file's schema. There,
+too, is the record's `origin`, under the key freeflyer.origin, where the run was one of a scenario.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import pyarrow.parquet as parquet
 
 from cosim.component import Array
 from cosim.errors import BAD_INPUT, CosimError, OutputError
+from cosim.origin import KEY, Origin
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +52,7 @@ class Record:
                 f"([record] every_s) or stop earlier"
             ) from error
         self.rows = 0
+        self.origin: Origin | None = None
 
     def append(self, time: float, values: Array) -> None:
         self._time[self.rows] = time
@@ -86,7 +89,7 @@ class Record:
 
     @classmethod
     def read(cls, path: Path) -> Record:
-        """What `write` has written; OSError if it cannot be read."""
+        """What `write` has written; OSError if it cannot be read, ValueError if its origin is damaged."""
         table = parquet.read_table(path)
         elements: dict[str, list[str]] = {}
         for column in table.column_names[1:]:
@@ -101,6 +104,8 @@ class Record:
         for place, column in enumerate(c for columns in elements.values() for c in columns):
             record._values[:, place] = table.column(column).to_numpy()
         record.rows = table.num_rows
+        origin = (table.schema.metadata or {}).get(KEY)
+        record.origin = None if origin is None else Origin.from_json(origin)
         return record
 
     def write(self, path: Path) -> None:
@@ -112,7 +117,10 @@ class Record:
         units = self.units
         fields = [pa.field(name, pa.float64(), metadata={"unit": units[name]}) for name in columns]
         # pandas keeps DataFrame.attrs under this key of the schema.
-        schema = pa.schema(fields, metadata={"PANDAS_ATTRS": json.dumps({"units": units})})
+        metadata: dict[str | bytes, str] = {"PANDAS_ATTRS": json.dumps({"units": units})}
+        if self.origin is not None:
+            metadata[KEY] = self.origin.to_json()
+        schema = pa.schema(fields, metadata=metadata)
         table = pa.table([pa.array(values) for values in columns.values()], schema=schema)
         write_whole(path, lambda partial: parquet.write_table(table, partial, compression="zstd"))
 

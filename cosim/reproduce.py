@@ -10,7 +10,7 @@ from matplotlib import rc_context
 from rich.console import Console
 from rich.table import Table
 
-from cosim import experiment, plots, real_time, report, scenario
+from cosim import audit_figure, energy_audit, experiment, plots, real_time, recorded_loop, report, scenario
 from cosim.clock import seconds
 from cosim.errors import DONE, STOPPED
 from cosim.experiment import Result
@@ -134,6 +134,11 @@ def draw(results: Mapping[str, Result], directory: Path) -> list[Figure]:
             path = directory / ("fig03_continuous_time.png" if exact else f"fig{int(number):02d}.png")
             plots.save(figure, path)
             figures.append(Figure(number=f"Fig. {number}", caption=caption, path=path))
+    for name, record in (("multirate_unstable", unstable), ("multirate_passive", passive)):
+        path = directory / f"energy_audit_{name}.png"
+        plots.save(audit_figure.draw(energy_audit.audit(recorded_loop.find(record))), path)
+        caption = f"Energy audit of {name} (not in the paper): powers, balance, where energy enters and goes, observers beside the truth."
+        figures.append(Figure(number="Energy audit", caption=caption, path=path))
     return figures
 
 

@@ -46,6 +46,8 @@ def test_reproduce_writes_figures_page_table_and_summary(tmp_path: Path, capsys:
         "facility",
         "facility_without_pc",
     ]
+    for name in ("multirate_unstable", "multirate_passive"):
+        assert (tmp_path / f"energy_audit_{name}.png").stat().st_size > 20_000
     for name, case in cases.items():
         assert case.keys() >= KEYS
         assert case["scenario"] == name
@@ -55,6 +57,6 @@ def test_reproduce_writes_figures_page_table_and_summary(tmp_path: Path, capsys:
     assert [cases[name]["diverged"] for name in cases] == [False, True, False, True, False, False]
     page = (tmp_path / "report.html").read_text()
     # Self-contained: every picture inside, nothing fetched.
-    assert page.count("data:image/png;base64,") == 13
+    assert page.count("data:image/png;base64,") == 15
     assert not re.search(r"(src|href)=\"(?!data:)", page)
     assert "http" not in re.sub(r"base64,[^\"]*", "", page)

@@ -1,0 +1,42 @@
+"""What a record came from: the system's parameters, steps and connections, so that a record can be understood by itself."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+KEY = b"freeflyer.origin"
+"""Of the Parquet file's schema metadata; the value is JSON."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Origin:
+    scenario: str
+    exchange: str
+    steps: Mapping[str, int]
+    """Communication step of every component [ns]."""
+    parameters: Mapping[str, Mapping[str, Any]]
+    """Start values of every component [SI]: a number, a list, a Boolean, or the name of an enumeration's choice."""
+    sources: Mapping[str, str]
+    """COMPONENT.OUTPUT that drives an input, under the input's COMPONENT.VARIABLE."""
+
+    def to_json(self) -> str:
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def from_json(cls, text: bytes | str) -> Origin:
+        """ValueError for anything that `to_json` has not written."""
+        raw = json.loads(text)
+        kinds: dict[str, type] = {"scenario": str, "exchange": str, "steps": dict, "parameters": dict, "sources": dict}
+        if not isinstance(raw, dict) or raw.keys() != kinds.keys():
+            raise ValueError(f"{', '.join(kinds)} are expected in it")
+        for key, kind in kinds.items():
+            if not isinstance(raw[key], kind):
+                raise ValueError(f"{key} is {raw[key]!r}")
+        inner: dict[str, type] = {"steps": int, "parameters": dict, "sources": str}
+        for key, kind in inner.items():
+            if not all(isinstance(value, kind) for value in raw[key].values()):
+                raise ValueError(f"{key} does not fit")
+        return cls(**raw)
