@@ -48,18 +48,18 @@ def _library() -> tuple[FFI, Any]:
 
 def run(master: Master, progress: Progress | None = None) -> Outcome:
     """As `Master.run`. Raises ComponentError for what fails before anything has moved."""
-    if master.schedule.stop >= LONGEST:
-        raise ComponentError(
-            f"a run of {seconds(master.schedule.stop):g} s is too long for the native core, which counts up to {LONGEST / 1e9:.0f} s; "
-            f"take --master python"
-        )
-    return _Run(master).run(progress)
+    return Run(master).run(progress)
 
 
-class _Run:
+class Run:
     """The master as the C structures of core.h; whatever they point to is kept in `_alive`."""
 
     def __init__(self, master: Master) -> None:
+        if master.schedule.stop >= LONGEST:
+            raise ComponentError(
+                f"a run of {seconds(master.schedule.stop):g} s is too long for the native core, which counts up to "
+                f"{LONGEST / 1e9:.0f} s; take --master python"
+            )
         self.master = master
         self._ffi, self._library = _library()
         self._alive: list[Any] = []
@@ -77,7 +77,7 @@ class _Run:
         with interrupts() as interrupted:
             while ended == end.PAUSED:
                 if interrupted:
-                    outcome.interrupted, outcome.cause, core.cancel = True, "interrupted by the user", 1
+                    self.cancel()
                 before = time.perf_counter()
                 ended = self._library.core_run(core, min(core.at + chunk, core.ticks + 1))
                 # So many instants at a time that somebody who waits for progress, or for the end, sees it soon.
@@ -89,15 +89,21 @@ class _Run:
         master.record.rows = core.rows
         outcome.steps = {slave.component.name: int(core.slave[i].steps) for i, slave in enumerate(self._order)}
         outcome.steps = {name: outcome.steps[name] for name in master.graph.components}
+        outcome.interrupted = bool(core.cancel) and core.at < core.ticks
         if ended == end.PASSED:
             outcome.diverged, outcome.cause = True, self._cause
         elif ended == end.FAILED:
             error = self._told()
             master.refuse_at_start(core.at, error)
-            outcome.interrupted = False
             outcome.stopped_by(error)
+        elif outcome.interrupted:
+            outcome.cause = "interrupted by the user"
         master.finish(outcome, core.at, whole=ended != end.FAILED)
         return outcome
+
+    def cancel(self) -> None:
+        """The next instant is the last; may be called from any thread."""
+        self._core.cancel = 1
 
     # What Python does on the way
 
