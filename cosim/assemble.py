@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import fnmatch
+import functools
 import importlib
 import importlib.util
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,12 @@ from cosim.scenario import ComponentSpec, Scenario
 Factory = Callable[[str, Mapping[str, Any], Path], Component]
 
 
+@functools.cache
+def _points(group: str) -> Mapping[str, EntryPoint]:
+    """Looking through every installed package takes longer than loading an FMU."""
+    return {point.name: point for point in entry_points(group=group)}
+
+
 def find_fmu(name: str, options: Mapping[str, Any], directory: Path) -> Path:
     """`fmu` in options is a path (relative to the scenario), or the name of a shipped FMU (default: the component's name)."""
     _known_options(name, options, ("fmu", "fmi"))
@@ -34,7 +41,7 @@ def find_fmu(name: str, options: Mapping[str, Any], directory: Path) -> Path:
     if fmu.endswith(".fmu"):
         return directory / fmu
     known: list[str] = []
-    for point in entry_points(group="freeflyer.fmus"):
+    for point in _points("freeflyer.fmus").values():
         folder = Path(point.load()()) / f"fmi{version}"
         path = folder / f"{fmu}.fmu"
         if path.is_file():
@@ -88,7 +95,7 @@ def python_component(name: str, options: Mapping[str, Any], directory: Path) -> 
 
 
 def make(spec: ComponentSpec, directory: Path, fmi: int | None) -> Component:
-    points = {point.name: point for point in entry_points(group="freeflyer.components")}
+    points = _points("freeflyer.components")
     if spec.kind not in points:
         raise ComponentError(f"component {spec.name}: there is no kind {spec.kind!r}{did_you_mean(spec.kind, points)}")
     factory: Factory = points[spec.kind].load()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import itertools
-import shutil
 import sys
 import tempfile
 import zipfile
@@ -22,9 +21,10 @@ from fmpy.logging import addLoggerProxy
 from fmpy.model_description import ModelVariable
 from numpy.typing import NDArray
 
+from cosim import unpacked
 from cosim.component import Array, Port
 from cosim.errors import ComponentError, StepFailed
-from cosim.fmu_description import REAL, annotated_units, describe, ports_of, sentence, terminals_of
+from cosim.fmu_description import OWN_TOOL, REAL, describe, ports_in, sentence, terminals_of
 
 ASKED_TO_END = "the FMU asks for the end of the simulation"
 DISCARD = 2
@@ -58,17 +58,20 @@ _LOGGER = fmi2.fmi2CallbackLoggerTYPE(_route)
 
 def _forget_modules(directory: Path) -> None:
     """Python inside an FMU is imported by our own interpreter: its modules must not be taken for another FMU's of the same name."""
+    inside = _inside(directory)
     for name, module in list(sys.modules.items()):
-        if _inside(getattr(module, "__file__", None), directory):
+        if inside(getattr(module, "__file__", None)):
             del sys.modules[name]
 
 
 def _forget_paths(directory: Path) -> None:
-    sys.path[:] = [entry for entry in sys.path if not _inside(entry, directory)]
+    inside = _inside(directory)
+    sys.path[:] = [entry for entry in sys.path if not inside(entry)]
 
 
-def _inside(path: object, directory: Path) -> bool:
-    return isinstance(path, str) and path.startswith((str(directory), str(directory.resolve())))
+def _inside(directory: Path) -> Callable[[object], bool]:
+    spellings = (str(directory), str(directory.resolve()))
+    return lambda path: isinstance(path, str) and path.startswith(spellings)
 
 
 class FmuComponent:
@@ -80,7 +83,7 @@ class FmuComponent:
         self.name, self.path = name, path
         self.description = describe(path)
         self.version = 2 if self.description.fmiVersion.startswith("2") else 3
-        self._ports, self._variables = ports_of(self.description, annotated_units(path))
+        self._ports, self._variables = ports_in(path)
         self.terminals = terminals_of(path)
         interface = self._interface()
         self.variable_step = bool(getattr(interface, "canHandleVariableCommunicationStepSize", True))
@@ -91,15 +94,14 @@ class FmuComponent:
         self._left_validity = False
         self._listener = 0
         self._buffers: list[Any] = []
-        self._directory = Path(tempfile.mkdtemp(prefix="freeflyer-"))
+        self._check_binary(interface.modelIdentifier)
+        self._directory = self._unpack()
         try:
-            self._check_binary(interface.modelIdentifier)
-            self._unpack()
             with contextlib.chdir(Path.cwd()):  # FMPy stays in the library's folder when loading fails
                 self._slave = self._instantiate(interface.modelIdentifier)
         except BaseException:
             _forget_paths(self._directory)
-            shutil.rmtree(self._directory, ignore_errors=True)
+            unpacked.remove(self._directory)
             raise
 
     @property
@@ -135,11 +137,12 @@ class FmuComponent:
                 f"FMU {self.path} has no binary for this platform ({folder}); it has {', '.join(found) or 'none'}: build it for {folder}"
             )
 
-    def _unpack(self) -> None:
+    def _unpack(self) -> Path:
         try:
-            fmpy.extract(str(self.path), str(self._directory))
+            return unpacked.take(self.path)
         except OSError as error:
-            raise ComponentError(f"FMU {self.path} cannot be unpacked into {self._directory}: {error.strerror}") from error
+            where = error.filename or tempfile.gettempdir()
+            raise ComponentError(f"FMU {self.path} cannot be unpacked into {where}: {error.strerror}") from error
 
     def _arguments(self, identifier: str) -> dict[str, Any]:
         return {
@@ -162,8 +165,12 @@ class FmuComponent:
                 f"FMU {self.path} of component {self.name} cannot be instantiated: {self._why(error)}"
             ) from error
         finally:
-            _forget_modules(self._directory)
+            self._forget_python()
         return slave
+
+    def _forget_python(self) -> None:
+        if self.description.generationTool != OWN_TOOL:  # ours have none, and looking through all modules takes 1 ms
+            _forget_modules(self._directory)
 
     def _callbacks(self) -> Any:
         callbacks = fmi2.fmi2CallbackFunctions()
@@ -339,6 +346,9 @@ class FmuComponent:
                     slave.terminate()
                 slave.freeInstance()
             _listeners.pop(self._listener, None)
-            _forget_modules(self._directory)
+            self._forget_python()
             _forget_paths(self._directory)
-            shutil.rmtree(self._directory, ignore_errors=True)
+            if self._dead:
+                unpacked.remove(self._directory)
+            else:
+                unpacked.give_back(self._directory)

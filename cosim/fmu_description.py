@@ -5,10 +5,12 @@ Arrays of FMI 2.0 (`name[1]` ... `name[n]`) appear as one port, as they do in FM
 
 from __future__ import annotations
 
+import functools
 import re
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import TypeVar
 from xml.etree import ElementTree
 
 import numpy as np
@@ -20,8 +22,35 @@ from cosim.errors import ComponentError
 ELEMENT = re.compile(r"^(?P<name>.+)\[(?P<index>\d+)\]$")
 REAL = ("Real", "Float64")
 UNITS_ANNOTATION = "org.freeflyer-cosim.units"
+OWN_TOOL = "freeflyer-cosim"
+"""The generation tool of FMUs that are known to keep nothing outside their instances."""
+Read = TypeVar("Read")
 
 
+def same_file(path: Path) -> tuple[int, ...]:
+    """What changes when a file does; OSError if there is none."""
+    status = path.stat()
+    return status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns
+
+
+def _once_a_file(read: Callable[[Path], Read]) -> Callable[[Path], Read]:
+    """Keep what was read for as long as the file stays as it is: of a sweep's run, half would be reading XML. Nobody changes it."""
+    kept: dict[Path, tuple[tuple[int, ...], Read]] = {}
+
+    @functools.wraps(read)
+    def once(path: Path) -> Read:
+        try:
+            state = same_file(path)
+        except (OSError, ValueError):
+            return read(path)  # it says what is wrong
+        if path not in kept or kept[path][0] != state:
+            kept[path] = (state, read(path))
+        return kept[path][1]
+
+    return once
+
+
+@_once_a_file
 def describe(path: Path) -> ModelDescription:
     """The FMU's model description; ComponentError with one sentence for a file that is no usable FMU."""
     if not path.is_file():
@@ -54,6 +83,7 @@ def _version(path: Path) -> str:
     return root.get("fmiVersion", "unknown")
 
 
+@_once_a_file
 def annotated_units(path: Path) -> dict[str, tuple[str, ...]]:
     """Units element by element, which our FMI 3.0 FMUs give in an annotation (FMI 3.0 itself has one unit for an array)."""
     with zipfile.ZipFile(path) as archive:
@@ -66,6 +96,7 @@ def annotated_units(path: Path) -> dict[str, tuple[str, ...]]:
     return found
 
 
+@_once_a_file
 def terminals_of(path: Path) -> dict[str, dict[str, str]]:
     """Terminal -> member -> variable, from FMI 3.0's terminalsAndIcons.xml; our FMI 2.0 FMUs have the same in an annotation."""
     with zipfile.ZipFile(path) as archive:
@@ -82,6 +113,12 @@ def terminals_of(path: Path) -> dict[str, dict[str, str]]:
         }
         for terminal in root.iterfind(".//Terminals/Terminal")
     }
+
+
+@_once_a_file
+def ports_in(path: Path) -> tuple[dict[str, Port], dict[str, list[ModelVariable]]]:
+    """`ports_of` a file, with its annotated units."""
+    return ports_of(describe(path), annotated_units(path))
 
 
 def ports_of(

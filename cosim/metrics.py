@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import platform
 from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
@@ -90,7 +91,7 @@ def summary(scenario: Scenario, outcome: Outcome, series: Mapping[str, Array]) -
         "steps": outcome.steps,
         **{name: {"max": finite_maximum(values), "last_10_s": finite_maximum(values[last])} for name, values in series.items()},
         "observed_energy_j": energies,
-        "versions": versions(),
+        "versions": dict(versions()),
     }
 
 
@@ -105,7 +106,8 @@ def finite_minimum(values: Array) -> float | None:
     return None if highest is None else -highest
 
 
-def versions() -> dict[str, str]:
+@functools.cache
+def versions() -> Mapping[str, str]:
     found = {"python": platform.python_version(), "platform": platform.platform(terse=True)}
     for package in ("freeflyer-cosim", "fmpy", "casadi", "numpy", "scipy", "ziglang"):
         try:

@@ -84,38 +84,45 @@ def _without(text: object, driven: set[str]) -> list[str]:
 def override(raw: Raw, text: str) -> None:
     """COMPONENT.PARAMETER=VALUE; VALUE as in TOML, or a bare word, or a number with a unit ("300 ms")."""
     target, equals, value = text.partition("=")
-    component, dot, parameter = target.strip().partition(".")
-    if equals and component in ("devices", "facility", "record"):
-        _override_table(raw, text, target.strip().split("."), parse_value(value.strip()))
-        return
-    if equals and target.strip() in ("stop_s", "exchange"):
-        raw[target.strip()] = parse_value(value.strip())
-        return
-    if not equals or not dot or not component or not parameter:
-        raise ScenarioError(f"--set {text}: COMPONENT.PARAMETER=VALUE is expected, for example base_controller.period=0.1")
+    assign(raw, target.strip(), parse_value(value.strip()) if equals else None, f"--set {text}")
+
+
+def assign(raw: Raw, target: str, value: Any, where: str) -> None:
+    """Give a target of `--set` its value; None is none. `where` begins what is said of a mistake."""
+    component, dot, parameter = target.partition(".")
     components = raw.get("components", {})
+    if value is not None and component in ("devices", "facility", "record"):
+        _assign_in_table(raw, where, target.split("."), value)
+        return
+    if value is not None and target in ("stop_s", "exchange"):
+        raw[target] = value
+        return
+    if value is None or not dot or not component or not parameter:
+        raise ScenarioError(f"{where}: COMPONENT.PARAMETER=VALUE is expected, for example base_controller.period=0.1")
+    if component == "robot" and component not in components:
+        _assign_in_table(raw, where, [component, parameter], value)
+        return
     if component not in components:
-        raise ScenarioError(f"--set {text}: there is no component {component!r}{did_you_mean(component, components)}")
-    parsed = parse_value(value.strip())
+        raise ScenarioError(f"{where}: there is no component {component!r}{did_you_mean(component, components)}")
     table = components[component]
     if parameter == "step_s":
-        table["step_s"] = parsed
+        table["step_s"] = value
     else:
-        table.setdefault("parameters", {})[parameter] = parsed
+        table.setdefault("parameters", {})[parameter] = value
 
 
-def _override_table(raw: Raw, text: str, keys: Sequence[str], value: Any) -> None:
-    """devices.NAME.KEY=VALUE or facility.KEY=VALUE; a key may have further parts."""
+def _assign_in_table(raw: Raw, where: str, keys: Sequence[str], value: Any) -> None:
+    """devices.NAME.KEY, facility.KEY and so on; a key may have further parts."""
     if keys[0] == "devices" and (len(keys) < 3 or keys[1] not in raw.get("devices", {})):
         names = ", ".join(raw.get("devices", {})) or "(none)"
-        raise ScenarioError(f"--set {text}: devices.NAME.KEY=VALUE is expected, NAME one of: {names}")
+        raise ScenarioError(f"{where}: devices.NAME.KEY=VALUE is expected, NAME one of: {names}")
     if not all(keys) or len(keys) < 2:
-        raise ScenarioError(f"--set {text}: {keys[0]}.KEY=VALUE is expected")
+        raise ScenarioError(f"{where}: {keys[0]}.KEY=VALUE is expected")
     table = raw
     for key in keys[:-1]:
         table = table.setdefault(key, {})
         if not isinstance(table, dict):
-            raise ScenarioError(f"--set {text}: {key!r} is no table, so that nothing can be set in it")
+            raise ScenarioError(f"{where}: {key!r} is no table, so that nothing can be set in it")
     table[keys[-1]] = value
 
 

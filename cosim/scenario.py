@@ -79,11 +79,16 @@ def shipped() -> list[str]:
 
 def load(name: str, overrides: Sequence[str] = ()) -> Scenario:
     """A shipped scenario by name, or a TOML file by path, with `COMPONENT.PARAMETER=VALUE` overrides applied."""
-    path = find(name)
+    return from_tables(*tables(name, overrides))
+
+
+def tables(name: str, overrides: Sequence[str] = (), beside: Path | None = None) -> tuple[Raw, Path]:
+    """The same, merged and overridden but not checked yet, and the file it is from; `beside` is a folder to look in first."""
+    path = find(name, beside)
     raw = _read(path, ())
     for text in overrides:
         override(raw, text)
-    return _Reader(path).scenario(raw)
+    return raw, path
 
 
 def from_tables(raw: Raw, path: Path) -> Scenario:
