@@ -243,6 +243,21 @@ class Block:
         }
 
     @cached_property
+    def linked(self) -> int:
+        """How many elements of a continuous block's outputs, from the first, reach to the last that is in a terminal: these are
+        made to be connected, and computed without the others when only they are asked for.
+        """
+        members = {variable for group in self.terminals.values() for variable in group.values()}
+        ends = [self.offset(v.name) + v.size for v in self.having("output") if v.name in members and not self.is_sampled]
+        return max(ends, default=0)
+
+    @cached_property
+    def linked_outputs(self) -> ca.Function:
+        """(t, p, u, x) -> the linked outputs, margins: of a continuous block."""
+        outputs, margins = self.functions["outputs"].call(self.arguments)
+        return self._function("linked_outputs", [outputs[: self.linked], margins])
+
+    @cached_property
     def sensitivities(self) -> dict[str, ca.Function]:
         """Of every function but `check`: `forward_NAME` (t, p, u, x, seed of (t, p, u, x)) -> that of the results, margins
         left out; `reverse_NAME` (t, p, u, x, seed of the results) -> that of (t, p, u, x).

@@ -50,6 +50,8 @@ typedef struct {
     Equations *update;   /* sampled: r0 new states, r1 outputs, r2 margins */
     Equations *rates;    /* continuous: r0 derivatives */
     Equations *outputs_; /* continuous: r0 outputs, r1 margins */
+    Equations *linked_outputs; /* continuous: the first `linked` of them, which are made to be connected, and all margins */
+    int linked;
     /* Of initial, update, rates and outputs_. */
     Sensitivity *forward_initial, *forward_update, *forward_rates, *forward_outputs;
     Sensitivity *reverse_initial, *reverse_update, *reverse_rates, *reverse_outputs;

@@ -60,7 +60,7 @@ Status instance_sample(Instance *c, const double *x)
     if (instance_check_finite(c, block.states.first, block.states.count + block.outputs.count, c->scratch, " at this sample; check the inputs") != OK)
         return ERROR;
     memcpy(at(c, block.outputs), outputs, (size_t)block.outputs.count * sizeof(double));
-    m->outputs_valid = 1;
+    m->outputs_valid = ALL;
     return OK;
 }
 
@@ -72,21 +72,23 @@ const double *instance_present_states(Instance *c)
     return c->initial;
 }
 
-Status instance_update_outputs(Instance *c)
+Status instance_update_outputs(Instance *c, Outputs wanted)
 {
     Memory *m = c->memory;
-    if (m->outputs_valid)
+    if (m->outputs_valid >= (int)wanted)
         return OK;
     const double *x = instance_present_states(c);
     if (block.period >= 0)
         return instance_sample(c, x);
     double *margins = c->scratch;
-    block.outputs_(&m->clock, at(c, block.parameters), at(c, block.inputs), x, at(c, block.outputs), margins, 0);
+    Equations *equations = wanted == LINKED ? block.linked_outputs : block.outputs_;
+    int count = wanted == LINKED ? block.linked : block.outputs.count;
+    equations(&m->clock, at(c, block.parameters), at(c, block.inputs), x, at(c, block.outputs), margins, 0);
     if (check_margins(c, block.running_requirement, block.running_requirements, margins) != OK)
         return ERROR;
-    if (instance_check_finite(c, block.outputs.first, block.outputs.count, at(c, block.outputs), "; check states, inputs and parameters") != OK)
+    if (instance_check_finite(c, block.outputs.first, count, at(c, block.outputs), "; check states, inputs and parameters") != OK)
         return ERROR;
-    m->outputs_valid = 1;
+    m->outputs_valid = (int)wanted;
     return OK;
 }
 
@@ -107,6 +109,6 @@ void instance_changed(Instance *c)
 {
     /* A sampled block's outputs follow its inputs only while it is initialised: afterwards they are held. */
     if (block.period < 0 || (c->memory->state & (INSTANTIATED | INITIALIZATION)))
-        c->memory->outputs_valid = 0;
+        c->memory->outputs_valid = NONE;
     c->memory->rates_valid = 0;
 }

@@ -97,30 +97,26 @@ fmi2Status fmi2Reset(fmi2Component c)
 fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference reference[], size_t n, fmi2Real value[])
 {
     ALLOW(INITIALIZED, n == 0 || (reference && value));
-    for (size_t i = 0; i < n; i++)
-        if (instance_get(c, reference[i], REAL, 1, &value[i]) != OK)
-            return fmi2Error;
-    return fmi2OK;
+    References list = {reference, n};
+    return instance_get(c, list, 0, REAL, value) == OK ? fmi2OK : fmi2Error;
 }
 
 fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference reference[], size_t n, const fmi2Real value[])
 {
     ALLOW(ALIVE, n == 0 || (reference && value));
-    for (size_t i = 0; i < n; i++) {
-        Status s = instance_check(c, reference[i], REAL, 1, &value[i]);
-        if (s != OK)
-            return status(s);
-    }
-    for (size_t i = 0; i < n; i++)
-        instance_put(c, reference[i], 1, &value[i]);
-    return fmi2OK;
+    References list = {reference, n};
+    Status s = instance_check(c, list, 0, REAL, value);
+    if (s == OK)
+        instance_put(c, list, 0, value);
+    return status(s);
 }
 
 static fmi2Status get_integers(fmi2Component c, const fmi2ValueReference reference[], size_t n, int value[], Kind kind)
 {
     for (size_t i = 0; i < n; i++) {
         double number;
-        if (instance_get(c, reference[i], kind, 1, &number) != OK)
+        References one = {&reference[i], 1};
+        if (instance_get(c, one, 0, kind, &number) != OK)
             return fmi2Error;
         value[i] = (int)number;
     }
@@ -133,13 +129,15 @@ static fmi2Status set_integers(fmi2Component c, const fmi2ValueReference referen
 {
     for (size_t i = 0; i < n; i++) {
         double number = from_integer(value[i], kind);
-        Status s = instance_check(c, reference[i], kind, 1, &number);
+        References one = {&reference[i], 1};
+        Status s = instance_check(c, one, 0, kind, &number);
         if (s != OK)
             return status(s);
     }
     for (size_t i = 0; i < n; i++) {
         double number = from_integer(value[i], kind);
-        instance_put(c, reference[i], 1, &number);
+        References one = {&reference[i], 1};
+        instance_put(c, one, 0, &number);
     }
     return fmi2OK;
 }

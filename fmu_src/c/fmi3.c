@@ -174,13 +174,8 @@ fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference reference[], 
     ALLOW(INITIALIZED, (nr == 0 || reference) && (n == 0 || value));
     if (check_elements(c, reference, nr, n) != OK)
         return fmi3Error;
-    for (size_t i = 0; i < nr; i++) {
-        int count = instance_extent(reference[i]);
-        if (instance_get(c, reference[i], REAL, count, value) != OK)
-            return fmi3Error;
-        value += count;
-    }
-    return fmi3OK;
+    References list = {reference, nr};
+    return instance_get(c, list, 1, REAL, value) == OK ? fmi3OK : fmi3Error;
 }
 
 fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference reference[], size_t nr, const fmi3Float64 value[], size_t n)
@@ -188,20 +183,11 @@ fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference reference[], 
     ALLOW(ALIVE, (nr == 0 || reference) && (n == 0 || value));
     if (check_elements(c, reference, nr, n) != OK)
         return fmi3Error;
-    const double *next = value;
-    for (size_t i = 0; i < nr; i++) {
-        int count = instance_extent(reference[i]);
-        Status s = instance_check(c, reference[i], REAL, count, next);
-        if (s != OK)
-            return status(s);
-        next += count;
-    }
-    for (size_t i = 0; i < nr; i++) {
-        int count = instance_extent(reference[i]);
-        instance_put(c, reference[i], count, value);
-        value += count;
-    }
-    return fmi3OK;
+    References list = {reference, nr};
+    Status s = instance_check(c, list, 1, REAL, value);
+    if (s == OK)
+        instance_put(c, list, 1, value);
+    return status(s);
 }
 
 /* Enumerations and Booleans of this runtime are scalars. */
@@ -214,7 +200,8 @@ fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference reference[], 
             return fmi3Error;                                                                                                  \
         for (size_t i = 0; i < nr; i++) {                                                                                      \
             double number;                                                                                                     \
-            if (instance_get(c, r[i], kind, 1, &number) != OK)                                                                 \
+            References one = {&r[i], 1};                                                                                       \
+            if (instance_get(c, one, 1, kind, &number) != OK)                                                                  \
                 return fmi3Error;                                                                                              \
             value[i] = (fmi3##Type)number;                                                                                     \
         }                                                                                                                      \
@@ -227,13 +214,15 @@ fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference reference[], 
             return fmi3Error;                                                                                                  \
         for (size_t i = 0; i < nr; i++) {                                                                                      \
             double number = FROM(value[i]);                                                                                    \
-            Status s = instance_check(c, r[i], kind, 1, &number);                                                              \
+            References one = {&r[i], 1};                                                                                       \
+            Status s = instance_check(c, one, 1, kind, &number);                                                               \
             if (s != OK)                                                                                                       \
                 return status(s);                                                                                              \
         }                                                                                                                      \
         for (size_t i = 0; i < nr; i++) {                                                                                      \
             double number = FROM(value[i]);                                                                                    \
-            instance_put(c, r[i], 1, &number);                                                                                 \
+            References one = {&r[i], 1};                                                                                       \
+            instance_put(c, one, 1, &number);                                                                                  \
         }                                                                                                                      \
         return fmi3OK;                                                                                                         \
     }

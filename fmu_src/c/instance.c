@@ -98,6 +98,8 @@ Status instance_allow(Instance *c, const char *function, int states, int given)
     } names[] = {{INSTANTIATED, "instantiated"}, {INITIALIZATION, "initialization mode"}, {STEP, "step mode"},
                  {EVENT, "event mode"},          {CONTINUOUS, "continuous-time mode"},    {INTERMEDIATE, "intermediate update mode"},
                  {TERMINATED, "terminated"}};
+    if (((int)c->memory->state & states) && given && (c->model_exchange || !(states & MODEL_EXCHANGE)))
+        return OK;
     message_begin(&c->message, function);
     if (states & MODEL_EXCHANGE && !c->model_exchange) {
         message_add(&c->message, " belongs to model exchange, and this instance is for co-simulation");
@@ -110,11 +112,8 @@ Status instance_allow(Instance *c, const char *function, int states, int given)
                 message_add(&c->message, names[i].name);
         return instance_say(c, ERROR, MISUSE);
     }
-    if (!given) {
-        message_add(&c->message, " was given a null pointer");
-        return instance_say(c, ERROR, MISUSE);
-    }
-    return OK;
+    message_add(&c->message, " was given a null pointer");
+    return instance_say(c, ERROR, MISUSE);
 }
 
 Status instance_check_categories(Instance *c, const char *const categories[], size_t n)
@@ -162,9 +161,9 @@ Status instance_exit_initialization(Instance *c)
         message_add(&c->message, " s");
         return instance_say(c, ERROR, MISUSE);
     }
-    m->outputs_valid = 0;
+    m->outputs_valid = NONE;
     m->rates_valid = 0;
-    if (instance_update_outputs(c) != OK)
+    if (instance_update_outputs(c, ALL) != OK)
         return instance_say(c, ERROR, REQUIREMENT);
     memcpy(at(c, block.states), instance_present_states(c), (size_t)block.states.count * sizeof(double));
     m->state = c->model_exchange ? EVENT : STEP;

@@ -26,10 +26,14 @@ typedef enum {
 /* Where values may be read. */
 #define INITIALIZED (INITIALIZATION | STEP | EVENT | CONTINUOUS | INTERMEDIATE | TERMINATED)
 
+/* Which outputs are computed: none, those that are made to be connected, all. */
+typedef enum { NONE, LINKED, ALL } Outputs;
+
 typedef struct {
     uint64_t identity; /* whose: a hash of the token and of the interface type */
     State state;
-    int outputs_valid, rates_valid, parameters_checked;
+    int outputs_valid; /* Outputs */
+    int rates_valid, parameters_checked;
     int64_t start, stop, next_sample; /* ns */
     double clock;                     /* s; the exact time that the importer gave */
     double value[];                   /* the value vector, then the integrator's lost digits */
@@ -69,10 +73,15 @@ Status instance_lacks(Instance *, const char *what);
 /* OK if these are log categories of this FMU. */
 Status instance_check_categories(Instance *, const char *const categories[], size_t n);
 
-/* Values by value reference. Setting: first check access, range and finiteness of everything, then put it. */
-Status instance_get(Instance *, unsigned reference, Kind kind, int elements, double *value);
-Status instance_check(Instance *, unsigned reference, Kind kind, int elements, const double *value);
-void instance_put(Instance *, unsigned reference, int elements, const double *value);
+/* Values by value reference, in FMI 3.0 one for a `whole` variable, in FMI 2.0 one for each element. Setting: first check access,
+   range and finiteness of everything, then put it. */
+typedef struct {
+    const unsigned *reference;
+    size_t n;
+} References;
+Status instance_get(Instance *, References, int whole, Kind kind, double *value);
+Status instance_check(Instance *, References, int whole, Kind kind, const double *value);
+void instance_put(Instance *, References, int whole, const double *value);
 /* Elements of the variable that begins at `reference`; 0 if none does. */
 int instance_extent(unsigned reference);
 
@@ -91,12 +100,7 @@ Status instance_get_rates(Instance *, double *dx, size_t n);
 Status instance_get_nominals(Instance *, double *nominals, size_t n);
 
 /* Sensitivities of unknowns (outputs, derivatives; states as outputs) to knowns (time, real parameters, inputs, states), at
-   the present values; of a sampled block, those of the sample that it would take now. In FMI 3.0 a reference stands for a
-   `whole` variable, in FMI 2.0 for one element. Forward: `seed` belongs to the knowns; reverse: to the unknowns. */
-typedef struct {
-    const unsigned *reference;
-    size_t n;
-} References;
+   the present values; of a sampled block, those of the sample that it would take now. Forward: `seed` belongs to the knowns; reverse: to the unknowns. */
 Status instance_sensitivity(Instance *, References unknowns, References knowns, int whole, int reverse, const double *seed,
                             size_t seeds, double *result, size_t results);
 /* Saved states: one flat copy each. `slot` is reused where it is not NULL. */

@@ -27,13 +27,19 @@ static inline int inside(unsigned index, Range range)
     return (int)index >= range.first && (int)index < range.first + range.count;
 }
 
+/* How many outputs, from the first, are computed. */
+static inline int computed_outputs(const Memory *m)
+{
+    return m->outputs_valid >= ALL ? block.outputs.count : m->outputs_valid == LINKED ? block.linked : 0;
+}
+
 static inline int is_finite(double x) { return fabs(x) <= 1.7976931348623157e308; }
 
 static inline int64_t nanoseconds(double seconds) { return (int64_t)llround(seconds * 1e9); }
 
 /* Each says nothing itself: on ERROR the message is ready. */
 Status instance_check_parameters(Instance *);
-Status instance_update_outputs(Instance *);
+Status instance_update_outputs(Instance *, Outputs wanted);
 Status instance_update_rates(Instance *);
 /* New states into c->scratch; outputs into place once everything is checked. */
 Status instance_sample(Instance *, const double *x);

@@ -4,7 +4,15 @@
 
 #include <math.h>
 
-static inline void sin_cos(double x, double *s, double *c)
+/* Clang, left alone, calls it; inside a block's equations their work fills its waiting: the plant's step is 10 % shorter so.
+   Of GCC's, it would be 10 % longer. */
+#if defined(__clang__)
+#define INLINED inline __attribute__((always_inline))
+#else
+#define INLINED inline
+#endif
+
+static INLINED void sin_cos(double x, double *s, double *c)
 {
     /* pi/2 in three parts; the first two have 33 bits, so that their products with a quadrant number below 2^20 are exact. */
     static const double two_over_pi = 0x1.45f306dc9c883p-1, half_pi_1 = 0x1.921fb544p+0, half_pi_2 = 0x1.0b4611a6p-34,
@@ -27,12 +35,10 @@ static inline void sin_cos(double x, double *s, double *c)
              + z * (0x1.1eed8eff8d898p-29 + z * (-0x1.93974a8c07c9dp-37 + z * 0x1.ae7f3e733b81fp-45))))));
     double half = 0.5 * z, one = 1.0 - half;
     double cosine = one + (((1.0 - one) - half) + (q - hi * lo));
-    switch ((int)n & 3) {
-    case 0: *s = sine; *c = cosine; return;
-    case 1: *s = cosine; *c = -sine; return;
-    case 2: *s = -sine; *c = -cosine; return;
-    default: *s = -cosine; *c = sine; return;
-    }
+    int quadrant = (int)n;
+    double even = quadrant & 1 ? cosine : sine, odd = quadrant & 1 ? sine : cosine;
+    *s = quadrant & 2 ? -even : even;
+    *c = (quadrant + 1) & 2 ? -odd : odd;
 }
 
 #endif

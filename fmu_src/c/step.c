@@ -76,19 +76,19 @@ static Status step_continuous(Instance *c, double time, double size)
         }
     }
     m->clock = end;
-    m->outputs_valid = 0;
+    m->outputs_valid = NONE;
     m->rates_valid = 0;
     Status status = instance_check_finite(c, block.states.first, n, x, " after this step; the step was not made: check the inputs");
     /* Outputs wait until somebody asks, unless a requirement watches the motion. */
     if (status == OK && block.running_requirements > 0)
-        status = instance_update_outputs(c);
+        status = instance_update_outputs(c, LINKED);
     if (status == OK)
         return OK;
     memcpy(x, saved, (size_t)n * sizeof(double));
     memcpy(lost(c), saved + n, (size_t)n * sizeof(double));
     memcpy(at(c, block.inputs), saved + 2 * n, (size_t)block.inputs.count * sizeof(double));
     m->clock = time;
-    m->outputs_valid = 0;
+    m->outputs_valid = NONE;
     return instance_say(c, ERROR, REQUIREMENT);
 }
 

@@ -1,15 +1,11 @@
 /* Values by value reference. */
 #include "internal.h"
 
-#include <string.h>
-
 int instance_extent(unsigned reference) { return reference < (unsigned)block.values ? block.value[reference].extent : 0; }
 
-static Status check_reference(Instance *c, unsigned reference, Kind kind, int elements)
+static Status refuse_reference(Instance *c, unsigned reference, Kind kind)
 {
     static const char *const kinds[] = {"a real", "a Boolean", "an enumeration"};
-    if (reference < (unsigned)block.values && (int)reference + elements <= block.values && block.value[reference].kind == kind)
-        return OK;
     message_begin(&c->message, "value reference ");
     message_add_number(&c->message, reference);
     message_add(&c->message, " is not ");
@@ -18,21 +14,46 @@ static Status check_reference(Instance *c, unsigned reference, Kind kind, int el
     return instance_say(c, ERROR, MISUSE);
 }
 
-Status instance_get(Instance *c, unsigned reference, Kind kind, int elements, double *value)
+static inline int is_reference(unsigned reference, Kind kind)
 {
-    if (check_reference(c, reference, kind, elements) != OK)
-        return ERROR;
+    return reference < (unsigned)block.values && block.value[reference].kind == kind;
+}
+
+static inline int extent(unsigned reference, int whole) { return whole ? block.value[reference].extent : 1; }
+
+/* Beyond the linked outputs, if one of the list lies there: then everything is computed at once. */
+static int wanted_outputs(References list)
+{
+    for (size_t i = 0; i < list.n; i++)
+        if (inside(list.reference[i], block.outputs) && (int)list.reference[i] >= block.outputs.first + block.linked)
+            return ALL;
+    return LINKED;
+}
+
+Status instance_get(Instance *c, References list, int whole, Kind kind, double *value)
+{
     Memory *m = c->memory;
-    if (inside(reference, block.outputs) && instance_update_outputs(c) != OK)
-        return instance_say(c, ERROR, REQUIREMENT);
-    if (inside(reference, block.derivatives) && instance_update_rates(c) != OK)
-        return instance_say(c, ERROR, REQUIREMENT);
-    if (reference == TIME)
-        m->value[TIME] = m->clock;
-    const double *from = m->value + reference;
-    if (inside(reference, block.states))
-        from = instance_present_states(c) + ((int)reference - block.states.first);
-    memcpy(value, from, (size_t)elements * sizeof(double));
+    for (size_t i = 0; i < list.n; i++) {
+        unsigned reference = list.reference[i];
+        if (!is_reference(reference, kind))
+            return refuse_reference(c, reference, kind);
+        const double *from = m->value + reference;
+        if (inside(reference, block.outputs)) {
+            int level = (int)reference < block.outputs.first + block.linked ? LINKED : ALL;
+            if (m->outputs_valid < level && instance_update_outputs(c, wanted_outputs(list)) != OK)
+                return instance_say(c, ERROR, REQUIREMENT);
+        } else if (inside(reference, block.derivatives)) {
+            if (!m->rates_valid && instance_update_rates(c) != OK)
+                return instance_say(c, ERROR, REQUIREMENT);
+        } else if (reference == TIME) {
+            m->value[TIME] = m->clock;
+        } else if (m->state == INITIALIZATION && inside(reference, block.states)) {
+            from = instance_present_states(c) + ((int)reference - block.states.first);
+        }
+        *value++ = from[0]; /* before the loop, whose beginning costs more than one element */
+        for (int k = 1, n = extent(reference, whole); k < n; k++)
+            *value++ = from[k];
+    }
     return OK;
 }
 
@@ -45,7 +66,16 @@ Status instance_refuse(Instance *c, unsigned index, double value, const char *re
     return instance_say(c, DISCARD, MISUSE);
 }
 
-Status instance_check(Instance *c, unsigned reference, Kind kind, int elements, const double *value)
+static Status refuse_access(Instance *c, const Value *variable)
+{
+    message_begin(&c->message, variable->name);
+    message_add(&c->message, variable->access == READ_ONLY                       ? " cannot be set: it is computed"
+                             : variable->access == FIXED || variable->access == START ? " cannot be set any more: it is fixed once the run has begun"
+                                                                                  : " cannot be set in this state");
+    return instance_say(c, ERROR, MISUSE);
+}
+
+Status instance_check(Instance *c, References list, int whole, Kind kind, const double *value)
 {
     static const int allowed[] = {
         [READ_ONLY] = 0,
@@ -54,29 +84,36 @@ Status instance_check(Instance *c, unsigned reference, Kind kind, int elements, 
         [INPUT] = INSTANTIATED | INITIALIZATION | STEP | EVENT | CONTINUOUS | INTERMEDIATE,
         [START] = INSTANTIATED | INITIALIZATION,
     };
-    if (check_reference(c, reference, kind, elements) != OK)
-        return ERROR;
-    const Value *variable = &block.value[reference];
-    if (!((int)c->memory->state & allowed[variable->access])) {
-        message_begin(&c->message, variable->name);
-        message_add(&c->message, variable->access == READ_ONLY                       ? " cannot be set: it is computed"
-                                 : variable->access == FIXED || variable->access == START ? " cannot be set any more: it is fixed once the run has begun"
-                                                                                      : " cannot be set in this state");
-        return instance_say(c, ERROR, MISUSE);
-    }
-    for (int i = 0; i < elements; i++) {
-        if (!is_finite(value[i]))
-            return instance_refuse(c, reference + (unsigned)i, value[i], ": it must be a finite number");
-        if (kind == ENUMERATION && (value[i] < 1 || value[i] > variable->maximum))
-            return instance_refuse(c, reference + (unsigned)i, value[i], ": it is none of the enumeration's items");
+    int state = (int)c->memory->state;
+    for (size_t i = 0; i < list.n; i++) {
+        unsigned reference = list.reference[i];
+        if (!is_reference(reference, kind))
+            return refuse_reference(c, reference, kind);
+        const Value *variable = &block.value[reference];
+        if (!(state & allowed[variable->access]))
+            return refuse_access(c, variable);
+        for (int k = 0, n = extent(reference, whole); k < n; k++, value++) {
+            if (!is_finite(*value))
+                return instance_refuse(c, reference + (unsigned)k, *value, ": it must be a finite number");
+            if (kind == ENUMERATION && (*value < 1 || *value > variable->maximum))
+                return instance_refuse(c, reference + (unsigned)k, *value, ": it is none of the enumeration's items");
+        }
     }
     return OK;
 }
 
-void instance_put(Instance *c, unsigned reference, int elements, const double *value)
+void instance_put(Instance *c, References list, int whole, const double *value)
 {
-    memcpy(c->memory->value + reference, value, (size_t)elements * sizeof(double));
-    if (inside(reference, block.parameters) || inside(reference, block.states))
-        c->memory->parameters_checked = 0;
-    instance_changed(c);
+    Memory *m = c->memory;
+    for (size_t i = 0; i < list.n; i++) {
+        unsigned reference = list.reference[i];
+        double *to = m->value + reference;
+        to[0] = *value++;
+        for (int k = 1, n = extent(reference, whole); k < n; k++)
+            to[k] = *value++;
+        if (!inside(reference, block.inputs))
+            m->parameters_checked = 0;
+    }
+    if (list.n > 0)
+        instance_changed(c);
 }

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import casadi as ca
 
 from fmu_src.equations import rotation
-from fmu_src.equations.mechanism import Mechanism, State, transform
+from fmu_src.equations.mechanism import Mechanism, State, inertia_to_child, inertia_to_parent, transform
 from fmu_src.equations.spatial import (
     ArticulatedInertia,
     RigidInertia,
@@ -43,6 +43,15 @@ def body_velocities(mechanism: Mechanism, state: State) -> list[tuple[SX, SX]]:
     return velocities
 
 
+def body_turns(mechanism: Mechanism, state: State) -> list[SX]:
+    """w (3) of the base and of every body, each in its own frame."""
+    turns = [rotation.matrix(state.orientation).T @ state.w]
+    for i, joint in enumerate(mechanism.joints):
+        turned = transform(joint, state.q[i])[0].T @ turns[-1]
+        turns.append(turned + Z * state.qd[i] if joint.kind == "revolute" else turned)
+    return turns
+
+
 def without_joint(inertia: ArticulatedInertia, joint: Joint) -> ArticulatedInertia:
     """What of an articulated inertia is felt across a free joint about or along z: I - U U^T / D (Featherstone, 7.3).
 
@@ -64,9 +73,8 @@ def articulated_base_inertia(mechanism: Mechanism, q: SX) -> ArticulatedInertia:
     """M~ = ((M^-1)_bb)^-1, about B in B's axes: the base's inertia with no torque in the joints (no force at the hand)."""
     inertia = mechanism.bodies[-1].articulated()
     for i in reversed(range(len(mechanism.joints))):
-        R, r = transform(mechanism.joints[i], q[i])
-        below = mechanism.bodies[i - 1] if i > 0 else mechanism.base
-        inertia = below.articulated() + without_joint(inertia, mechanism.joints[i]).to_parent(R, r)
+        joint, below = mechanism.joints[i], mechanism.bodies[i - 1] if i > 0 else mechanism.base
+        inertia = below.articulated() + inertia_to_parent(without_joint(inertia, joint), joint, q[i])
     return inertia
 
 
@@ -74,17 +82,15 @@ def articulated_hand_inertia(mechanism: Mechanism, state: State) -> SX:
     """((M^-1)_mm)^-1 (6, 6), at E in I: the hand's inertia with no wrench on the base and no torque in the joints."""
     inertia, turn = mechanism.base.articulated(), rotation.matrix(state.orientation)
     for i, joint in enumerate(mechanism.joints):
-        R, r = transform(joint, state.q[i])
-        inertia = without_joint(inertia.to_parent(R.T, -R.T @ r), joint) + mechanism.bodies[i].articulated()
-        turn = turn @ R
-    hand = inertia.to_parent(SX.eye(3), -sparse(mechanism.robot.end_effector_translation))
+        inertia = without_joint(inertia_to_child(inertia, joint, state.q[i]), joint) + mechanism.bodies[i].articulated()
+        turn = turn @ transform(joint, state.q[i])[0]
+    hand = inertia.shifted(-sparse(mechanism.robot.end_effector_translation))
     return hand.turned(turn).matrix()
 
 
 class _Pass(NamedTuple):
     """What the articulated-body algorithm's way outside in leaves for the way back."""
 
-    velocities: list[tuple[SX, SX]]
     transforms: list[tuple[SX, SX]]
     base_inertia: ArticulatedInertia
     base_bias: tuple[SX, SX]
@@ -92,37 +98,42 @@ class _Pass(NamedTuple):
 
 
 def _outside_in(mechanism: Mechanism, state: State, joint_torque: SX) -> _Pass:
-    """Articulated inertias and bias wrenches, tip to base (Featherstone, table 7.1)."""
+    """Articulated inertias and bias wrenches, tip to base (Featherstone, table 7.1).
+
+    Accelerations are those of the bodies' origins in I, not Featherstone's spatial ones: then no linear velocity enters, as by
+    Galilei none must, and the bias is w x (w x m c) and w x I w.
+    """
     joints, n = mechanism.joints, len(mechanism.joints)
-    velocities = body_velocities(mechanism, state)
     transforms = [transform(joint, state.q[i]) for i, joint in enumerate(joints)]
+    turns = body_turns(mechanism, state)
     inertias = [body.articulated() for body in (mechanism.base, *mechanism.bodies)]
-    bias = []
-    for body, (v, w) in zip((mechanism.base, *mechanism.bodies), velocities, strict=True):
-        p, L = body.momentum(v, w)
-        bias.append((cross(w, p), cross(w, L) + cross(v, p)))
+    bias = [
+        (cross(w, cross(w, body.first_moment)), cross(w, body.inertia @ w))
+        for body, w in zip((mechanism.base, *mechanism.bodies), turns, strict=True)
+    ]
     saved: list[tuple[SX, SX, SX, SX]] = [(SX(0), SX(0), SX(0), SX(0))] * n
     for i in reversed(range(n)):
-        (M, H, I), (f, t), (v, w) = inertias[i + 1], bias[i + 1], velocities[i + 1]
+        (M, H, I), (f, t), (R, r) = inertias[i + 1], bias[i + 1], transforms[i]
+        # What the child's origin and turn accelerate by while q'' = 0 and the parent does not.
+        c_v, slide = R.T @ cross(turns[i], cross(turns[i], r)), cross(turns[i + 1], Z) * state.qd[i]
         if joints[i].kind == "revolute":
             U_f, U_t, D, u = H[:, 2], I[:, 2], I[2, 2], joint_torque[i] - t[2]
-            c_v, c_w = cross(v, Z) * state.qd[i], cross(w, Z) * state.qd[i]
+            c_w = slide
         else:
             U_f, U_t, D, u = M[:, 2], H[2, :].T, M[2, 2], joint_torque[i] - f[2]
-            c_v, c_w = cross(w, Z) * state.qd[i], SX(3, 1)
+            c_v, c_w = c_v + 2.0 * slide, SX(3, 1)
         free = without_joint(inertias[i + 1], joints[i])
         f = f + free.M @ c_v + free.H @ c_w + U_f * (u / D)
         t = t + free.H.T @ c_v + free.I @ c_w + U_t * (u / D)
-        R, r = transforms[i]
-        inertias[i] = inertias[i] + free.to_parent(R, r)
+        inertias[i] = inertias[i] + inertia_to_parent(free, joints[i], state.q[i])
         f, t = wrench_to_parent(R, r, f, t)
         bias[i] = (bias[i][0] + f, bias[i][1] + t)
         saved[i] = (ca.vertcat(U_f, U_t) / D, u / D, c_v, c_w)
-    return _Pass(velocities, transforms, inertias[0], bias[0], saved)
+    return _Pass(transforms, inertias[0], bias[0], saved)
 
 
 def _inside_out(mechanism: Mechanism, done: _Pass, a: SX, alpha: SX) -> SX:
-    """q'' (n) from the base's spatial acceleration (a, alpha), in its own axes."""
+    """q'' (n) from the acceleration of the base's origin and its angular acceleration, in its own axes."""
     qdd = []
     for i, joint in enumerate(mechanism.joints):
         R, r = done.transforms[i]
@@ -144,8 +155,7 @@ def forward_dynamics(mechanism: Mechanism, state: State, base_wrench: SX, joint_
     wrench = ca.vertcat(R_IB.T @ base_wrench[:3] - force, R_IB.T @ base_wrench[3:] - torque)
     acceleration = solve_positive_definite(done.base_inertia.matrix(), wrench)
     a, alpha = acceleration[:3], acceleration[3:]
-    v_b, w_b = done.velocities[0]
-    return ca.vertcat(R_IB @ (a + cross(w_b, v_b)), R_IB @ alpha), _inside_out(mechanism, done, a, alpha)
+    return ca.vertcat(R_IB @ a, R_IB @ alpha), _inside_out(mechanism, done, a, alpha)
 
 
 def arm_on_moving_base(mechanism: Mechanism, state: State, base_acceleration: SX, joint_torque: SX, gravity: SX) -> SX:
@@ -155,9 +165,7 @@ def arm_on_moving_base(mechanism: Mechanism, state: State, base_acceleration: SX
     """
     R_IB = rotation.matrix(state.orientation)
     done = _outside_in(mechanism, state, joint_torque)
-    v_b, w_b = done.velocities[0]
-    a = R_IB.T @ (base_acceleration[:3] - gravity) - cross(w_b, v_b)
-    return _inside_out(mechanism, done, a, R_IB.T @ base_acceleration[3:])
+    return _inside_out(mechanism, done, R_IB.T @ (base_acceleration[:3] - gravity), R_IB.T @ base_acceleration[3:])
 
 
 def two_velocity_inverse_dynamics(
@@ -170,16 +178,16 @@ def two_velocity_inverse_dynamics(
     velocity it is ordinary inverse dynamics. A recursion as in Newton-Euler, so M and Gamma are never formed.
     """
     R_IB = rotation.matrix(state.orientation)
-    actual = body_velocities(mechanism, state)
+    actual = body_turns(mechanism, state)
     w_r = R_IB.T @ reference_velocity[3:6]
     a_r, alpha_r = R_IB.T @ reference_acceleration[:3], R_IB.T @ reference_acceleration[3:6]
     y, yd = reference_velocity[6:], reference_acceleration[6:]
-    wrenches = [_two_velocity_wrench(mechanism.base, actual[0][1], w_r, a_r, alpha_r)]
+    wrenches = [_two_velocity_wrench(mechanism.base, actual[0], w_r, a_r, alpha_r)]
     transforms = []
     for i, joint in enumerate(mechanism.joints):
         R, r = transform(joint, state.q[i])
         transforms.append((R, r))
-        w_parent, w = actual[i][1], actual[i + 1][1]
+        w_parent, w = actual[i], actual[i + 1]
         # dr/dt in I: the offset turns with the parent; a prismatic joint also slides it (its v then is in the child's axes).
         rate = cross(w_parent, r) + (R[:, 2] * state.qd[i] if joint.kind == "prismatic" else 0)
         a_r = R.T @ (a_r + cross(alpha_r, r) + cross(w_r, rate))

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from fmu_src.equations.spatial import RigidInertia, sparse
+from fmu_src.equations.spatial import ArticulatedInertia, RigidInertia, sparse
 from fmu_src.robot import Joint, Robot
 
 SX = ca.SX
@@ -68,6 +68,19 @@ def constant_mechanism(robot: Robot) -> Mechanism:
         SX(ca.DM(robot.tool.centre_of_mass)),
         SX(ca.DM(inertia_entries(robot.tool.inertia))),
     )
+
+
+def inertia_to_parent(inertia: ArticulatedInertia, joint: Joint, q: SX) -> ArticulatedInertia:
+    """About the parent's origin, in its axes: the turn about the joint's z apart, which costs less so."""
+    if joint.kind == "revolute":
+        inertia = inertia.turned_about_z(ca.cos(q), ca.sin(q))
+    return inertia.turned(sparse(joint.rotation)).shifted(transform(joint, q)[1])
+
+
+def inertia_to_child(inertia: ArticulatedInertia, joint: Joint, q: SX) -> ArticulatedInertia:
+    """The other way."""
+    inertia = inertia.shifted(-transform(joint, q)[1]).turned(sparse(joint.rotation).T)
+    return inertia.turned_about_z(ca.cos(q), -ca.sin(q)) if joint.kind == "revolute" else inertia
 
 
 def transform(joint: Joint, q: SX) -> tuple[SX, SX]:

@@ -84,19 +84,30 @@ class ArticulatedInertia(NamedTuple):
         assert isinstance(other, ArticulatedInertia)
         return ArticulatedInertia(self.M + other.M, self.H + other.H, self.I + other.I)
 
-    def to_parent(self, R: SX, r: SX) -> ArticulatedInertia:
-        """The same inertia about the parent's origin, in parent coordinates."""
-        M = symmetric(R @ self.M @ R.T)
-        H = R @ self.H @ R.T
-        rH = skew(r) @ H
-        return ArticulatedInertia(M, H - M @ skew(r), symmetric(R @ self.I @ R.T + rH + rH.T - skew(r) @ M @ skew(r)))
-
     def turned(self, R: SX) -> ArticulatedInertia:
-        """The same inertia about the same point, in coordinates that R turns these into."""
+        """In other axes about the same origin: R turns the present coordinates into the new ones."""
         return ArticulatedInertia(symmetric(R @ self.M @ R.T), R @ self.H @ R.T, symmetric(R @ self.I @ R.T))
+
+    def turned_about_z(self, c: SX, s: SX) -> ArticulatedInertia:
+        """`turned` by the angle with this cosine and sine."""
+        return ArticulatedInertia(*(_turned_about_z(part, c, s) for part in self))
+
+    def shifted(self, r: SX) -> ArticulatedInertia:
+        """About another origin, from which the present one is seen at r; in the same axes."""
+        H = self.H - self.M @ skew(r)
+        return ArticulatedInertia(self.M, H, symmetric(self.I + skew(r) @ H + (skew(r) @ self.H).T))
 
     def matrix(self) -> SX:
         return ca.blockcat([[self.M, self.H], [self.H.T, self.I]])
+
+
+def _turned_about_z(A: SX, c: SX, s: SX) -> SX:
+    """R A R^T (3, 3) with less than half the products: in the plane, the trace and the antisymmetric part do not turn."""
+    u = s * (A[0, 0] - A[1, 1]) + c * (A[0, 1] + A[1, 0])
+    column = ca.vertcat(c * A[0, 2] - s * A[1, 2], s * A[0, 2] + c * A[1, 2])
+    row = ca.horzcat(c * A[2, 0] - s * A[2, 1], s * A[2, 0] + c * A[2, 1])
+    in_plane = ca.blockcat([[A[0, 0] - s * u, c * u - A[1, 0]], [c * u - A[0, 1], A[1, 1] + s * u]])
+    return ca.blockcat([[in_plane, column], [row, A[2, 2]]])
 
 
 def wrench_to_parent(R: SX, r: SX, force: SX, torque: SX) -> tuple[SX, SX]:
@@ -108,11 +119,12 @@ def wrench_to_parent(R: SX, r: SX, force: SX, torque: SX) -> tuple[SX, SX]:
 def solve_positive_definite(A: SX, b: SX) -> SX:
     """A^-1 b for symmetric positive definite A by L D L^T: no pivoting needed, no square root."""
     n = A.size1()
-    L, D = SX.eye(n), [SX(0)] * n
+    L, D, LD = SX.eye(n), [SX(0)] * n, SX(n, n)
     for j in range(n):
-        D[j] = A[j, j] - sum(L[j, k] ** 2 * D[k] for k in range(j))
+        D[j] = A[j, j] - sum(L[j, k] * LD[j, k] for k in range(j))
         for i in range(j + 1, n):
-            L[i, j] = (A[i, j] - sum(L[i, k] * L[j, k] * D[k] for k in range(j))) / D[j]
+            LD[i, j] = A[i, j] - sum(L[i, k] * LD[j, k] for k in range(j))
+            L[i, j] = LD[i, j] / D[j]
     x = SX(b)
     for i in range(n):
         for k in range(i):

@@ -130,10 +130,11 @@ def print_block(block: Block, token: str) -> str:
     """The whole of block.c."""
     plan = layout(block)
     functions = block.functions
+    equations = functions if block.is_sampled else functions | {"linked_outputs": block.linked_outputs}
     parts = [
         f"/* Generated from the block {block.name}; do not edit. */\n",
         '#include "block.h"\n#include "sincos.h"\n',
-        *(print_function(function, key, ARGUMENTS, ("r0", "r1", "r2")) for key, function in functions.items()),
+        *(print_function(function, key, ARGUMENTS, ("r0", "r1", "r2")) for key, function in equations.items()),
         *(print_function(function, key, SENSITIVITY, ("result",)) for key, function in block.sensitivities.items()),
         print_values(plan),
         print_numbers("start", plan.start),
@@ -149,7 +150,7 @@ def print_block(block: Block, token: str) -> str:
         "forward_derivatives": "forward_rates",
         "reverse_derivatives": "reverse_rates",
     }
-    made = "\n".join(f"    .{field.get(name, name)} = {name}," for name in (*functions, *block.sensitivities))
+    made = "\n".join(f"    .{field.get(name, name)} = {name}," for name in (*equations, *block.sensitivities))
     parts.append(
         f"""const Block block = {{
     .name = {c_text(block.name)},
@@ -160,6 +161,7 @@ def print_block(block: Block, token: str) -> str:
     .start = start,
     .period = {period},
     .step = {number(block.default_step)},
+    .linked = {block.linked},
     .nominal = nominal,
 {made}
     .static_requirements = {len(block.static_requirements)},

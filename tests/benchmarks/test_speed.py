@@ -10,87 +10,82 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fmpy import read_model_description
+from plant_peers import BASE_VELOCITY, JOINT_VELOCITY, MuJoCo, Pinocchio
 
 from cosim import experiment, scenario
+from fmu_src.block import Block, Variable
 from fmu_src.export.archive import build_all
 from fmu_src.export.compiler import compiler, fmi_headers, host_platform, run
-from fmu_src.robot import Robot
+from fmu_src.export.layout import layout
+from fmu_src.robot import Array, Robot
 from fmu_src.shipped import BLOCKS
 
 pytestmark = pytest.mark.benchmark
 
 
-def step_time(fmus: Path, tmp_path: Path, name: str, step: float) -> float:
-    """Microseconds a doStep, measured by a C program."""
+def step_times(fmus: Path, tmp_path: Path, block: Block, step: float) -> list[float]:
+    """Microseconds, by a C program: doStep; set inputs, step, get all outputs; the same with those that terminals connect."""
     program = tmp_path / "time_steps"
     if not program.exists():
         source = Path(__file__).parent / "time_steps.c"
         zig = compiler(host_platform(), "-std=c99", "-O2", "-isystem", str(fmi_headers()))
         run([*zig, str(source), "-ldl", "-o", str(program)], "time_steps")
-    path = fmus / "fmi2" / f"{name}.fmu"
+    path = fmus / "fmi2" / f"{block.name}.fmu"
     with zipfile.ZipFile(path) as archive:
         library = next(entry for entry in archive.namelist() if entry.startswith("binaries/"))
         archive.extract(library, tmp_path)
     token = read_model_description(str(path)).guid
-    done = subprocess.run(
-        [str(program), str(tmp_path / library), token, str(step), "50000"], capture_output=True, text=True, check=True
-    )
-    return float(done.stdout)
+    first = layout(block).reference
+
+    def references(variables: list[Variable]) -> str:
+        return ",".join(str(first[v.name] + i) for v in variables for i in range(v.size)) or "-"
+
+    outputs = [variable for variable in block.having("output", "state") if not variable.local]
+    members = {name for group in block.terminals.values() for name in group.values()}
+    lists = [references(block.having("input")), references(outputs), references([v for v in outputs if v.name in members])]
+    command = [str(program), str(tmp_path / library), token, str(step), "10000", *lists]
+    return [float(word) for word in subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()]
 
 
-def mujoco_step_time(robot: Robot) -> float:
-    """Microseconds an RK4 step of 1 ms of the same robot, without gravity, contacts and joint limits, looped in C."""
-    mujoco = pytest.importorskip("mujoco", reason="the benchmark extra is not installed")
-    spec = mujoco.MjSpec()
-    spec.option.timestep = 1e-3
-    spec.option.gravity = [0, 0, 0]
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
-
-    def give(body: object, inertial: object) -> None:
-        body.mass = inertial.mass  # type: ignore[attr-defined]
-        body.ipos = inertial.centre_of_mass  # type: ignore[attr-defined]
-        m = inertial.inertia  # type: ignore[attr-defined]
-        body.fullinertia = [m[0, 0], m[1, 1], m[2, 2], m[0, 1], m[0, 2], m[1, 2]]  # type: ignore[attr-defined]
-        body.explicitinertial = True  # type: ignore[attr-defined]
-
-    def quaternion(rotation: np.ndarray) -> np.ndarray:
-        result = np.zeros(4)
-        mujoco.mju_mat2Quat(result, np.ascontiguousarray(rotation).ravel())
-        return result
-
-    body = spec.worldbody.add_body(name="base")
-    give(body, robot.base.merged_with(robot.base_attachment))
-    body.add_freejoint()
-    hand = (robot.end_effector_rotation, robot.end_effector_translation)
-    for index, (joint, inertial) in enumerate(zip(robot.joints, robot.bodies, strict=True)):
-        body = body.add_body(name=joint.name, pos=joint.translation, quat=quaternion(joint.rotation))
-        last = index == robot.joint_count - 1
-        give(body, inertial.merged_with(robot.tool.seen_from(*hand)) if last else inertial)
-        kind = mujoco.mjtJoint.mjJNT_HINGE if joint.kind == "revolute" else mujoco.mjtJoint.mjJNT_SLIDE
-        body.add_joint(type=kind, axis=[0, 0, 1])
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    data.qpos[7:] = robot.posture
-    data.qvel[6:] = 0.1
-    best = np.inf
-    for _ in range(5):
-        begin = time.perf_counter()
-        mujoco.mj_step(model, data, nstep=20_000)
-        best = min(best, (time.perf_counter() - begin) / 20_000 * 1e6)
-    return float(best)
+def ours_at_the_start(robot: Robot) -> Array:
+    block = BLOCKS["free_flyer"](robot)
+    x = dict(zip([v.name for v in block.having("state")], block.having("state"), strict=True))
+    start = {name: np.array(variable.start) for name, variable in x.items()}
+    start["base_velocity"] = np.array(BASE_VELOCITY)
+    start["joint_velocity"] = np.full(robot.joint_count, JOINT_VELOCITY)
+    given = [0.0, block.start_values("parameter"), block.start_values("input"), np.concatenate(list(start.values()))]
+    rates = np.array(block.functions["derivatives"](*given)).ravel()
+    first = {name: block.offset(name) for name in start}
+    return np.concatenate([rates[first[name] :][: start[name].size] for name in ("base_velocity", "joint_velocity")])
 
 
 def test_step_times(fmus: Path, robot: Robot, tmp_path: Path) -> None:
-    names = {"free_flyer": 1e-3, "reference_trajectory": 1e-3, "manipulator_controller": 1e-3, "base_controller": 0.3}
-    times = {name: step_time(fmus, tmp_path, name, step) for name, step in names.items()}
-    theirs = mujoco_step_time(robot)
-    print()
+    """Of doStep, and of a master's whole turn: set the inputs, step, get outputs; all of them, or what terminals connect."""
+    steps = {"free_flyer": 1e-3, "reference_trajectory": 1e-3, "manipulator_controller": 1e-3, "base_controller": 0.3}
+    times = {name: step_times(fmus, tmp_path, BLOCKS[name](robot), step) for name, step in steps.items()}
+    print(f"\n{'us':24s} doStep  set, step, get all  set, step, get connected")
+    for name, (alone, everything, connected) in times.items():
+        print(f"{name:24s} {alone:6.2f} {everything:19.2f} {connected:25.2f}")
+    turn = np.sum([time for name, time in times.items() if name != "base_controller"], axis=0)
+    print(f"{'each millisecond':24s} {turn[0]:6.2f} {turn[1]:19.2f} {turn[2]:25.2f}")
+    assert times["free_flyer"][0] < 3.5
+    assert times["manipulator_controller"][0] < 2.0
+
+
+def test_the_plant_beside_mujoco_and_pinocchio(fmus: Path, robot: Robot, tmp_path: Path) -> None:
+    peers = {"MuJoCo": MuJoCo(robot), "Pinocchio, C++ -O2": Pinocchio(robot, tmp_path, "-O2")}
+    expected = ours_at_the_start(robot)
+    for peer in peers.values():  # the same robot
+        np.testing.assert_allclose(peer.acceleration, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
+    times = {"ours": np.inf} | dict.fromkeys(peers, np.inf)
+    for _ in range(3):  # in turn: the machine is not always equally fast
+        times["ours"] = min(times["ours"], step_times(fmus, tmp_path, BLOCKS["free_flyer"](robot), 1e-3)[0])
+        for name, peer in peers.items():
+            times[name] = min(times[name], peer.step_time())
+    print("\nRK4 step of 1 ms, same robot")
     for name, value in times.items():
-        print(f"{name:24s} {value:6.2f} us a doStep")
-    print(
-        f"{'MuJoCo RK4, same robot':24s} {theirs:6.2f} us a step: {theirs / times['free_flyer']:.1f} times the plant's doStep"
-    )
-    assert times["free_flyer"] < 3.5
+        print(f"{name:24s} {value:6.2f} us, {value / times['ours']:4.1f} times ours")
+    assert min(times[name] for name in peers) > 3.0 * times["ours"]
 
 
 def test_multirate_passive_through_fmpy(fmus: Path) -> None:

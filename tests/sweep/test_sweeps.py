@@ -13,7 +13,7 @@ from cosim import cli, verdict
 SWEEP = """
 title = "Two periods, two factors"
 scenario = "multirate_unstable"
-set = ["stop_s=20.5"]
+set = ["stop_s=30.5"]
 [cases.without_pc]
 [cases.with_pc]
 manipulator_controller.manipulator_passivity_control = true
@@ -46,7 +46,7 @@ def test_a_row_is_what_the_same_run_alone_gives(swept: Path, tmp_path: Path) -> 
     frame = pandas.read_parquet(swept / "results.parquet")
     picked = frame["base_controller.period"].eq(0.5) & frame["base_controller.damping[4:6]"].eq(100.0)
     row = frame[picked & frame["free_flyer.base_mass"].eq(150) & frame["case"].eq("with_pc")].iloc[0]
-    settings = ("stop_s=20.5", "base_controller.period=0.5", "base_controller.damping=[10, 10, 10, 200, 200, 200]")
+    settings = ("stop_s=30.5", "base_controller.period=0.5", "base_controller.damping=[10, 10, 10, 200, 200, 200]")
     cli.main(
         ["run", "multirate_unstable", "--out", str(tmp_path)]
         + [f"--set={text}" for text in settings]
