@@ -1,0 +1,121 @@
+"""Random gains, and the boundary of the simulated loop beside the predicted one: by the fitted growth of a small perturbation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from simulated_period import POSTURE, QUIET, STATES, Array, starting_at
+
+from cosim import lifting, scenario
+from cosim.assemble import assembled
+from cosim.prediction import scan
+from cosim.set_point import SetPoint, at_set_point
+from cosim.task_coordinates import TaskCoordinates
+
+NAME = "multirate_unstable"
+PERTURBATION = 1e-6
+DURATION = 80.0
+LONGEST = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Side:
+    """One base period of n T_m: predicted and simulated growth rates [1/s]."""
+
+    n: int
+    predicted: float
+    simulated: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    """The simulated boundary lies between `below` and `above`, which are as far from the predicted one as the tolerance is."""
+
+    seed: int
+    predicted: int
+    limit: str
+    below: Side
+    above: Side
+
+    @property
+    def agrees(self) -> bool:
+        return self.below.simulated < 0.0 <= self.above.simulated
+
+    def __str__(self) -> str:
+        sides = "  ".join(f"{s.n:4d}: {s.simulated:+.5f} ({s.predicted:+.5f})" for s in (self.below, self.above))
+        return f"{self.seed:3d}  {self.predicted:4d} ms  {sides}  {self.limit}"
+
+
+def random_gains(seed: int) -> list[str]:
+    """Every axis has its own; springs and dampers of the base over more than a decade each."""
+    random = np.random.default_rng(seed)
+
+    def drawn(least: tuple[float, float], most: tuple[float, float]) -> list[float]:
+        centre = [math.exp(random.uniform(math.log(a), math.log(b))) for a, b in zip(least, most, strict=True)]
+        return [round(float(c * random.uniform(0.7, 1.4)), 3) for c in centre for _ in range(3)]
+
+    return [
+        f"base_controller.stiffness={drawn((50.0, 10.0), (500.0, 100.0))}",
+        f"base_controller.damping={drawn((5.0, 1.0), (600.0, 120.0))}",
+        f"manipulator_controller.stiffness={drawn((200.0, 20.0), (1000.0, 100.0))}",
+        f"manipulator_controller.damping={drawn((40.0, 1.5), (160.0, 5.0))}",
+    ]
+
+
+def comparisons() -> Iterator[Comparison]:
+    """Of every set, in the order of seeds, whose predicted boundary lies within the scan."""
+    seed = 0
+    while True:
+        found = compared(seed)
+        if found:
+            yield found
+        seed += 1
+
+
+def compared(seed: int) -> Comparison | None:
+    """None if the loop is stable, or unstable, at all periods scanned."""
+    overrides = [*QUIET, *random_gains(seed)]
+    with at_set_point(scenario.load(NAME, overrides)) as here:
+        prediction = scan(here, LONGEST)
+        n = round(prediction.largest_stable_s / prediction.tick_s)
+        if not prediction.boundary or not prediction.limit or n < 2:
+            return None
+        # The simulated boundary may be off by 2 % or one T_m, whichever is more; the first unstable period is one T_m beyond.
+        off = max(int(0.02 * n), 1)
+        below, above = (side(here, prediction.coordinates, overrides, k, seed) for k in (n - off, n + off + 1))
+    return Comparison(seed=seed, predicted=n, limit=prediction.limit.kind, below=below, above=above)
+
+
+def side(here: SetPoint, coordinates: TaskCoordinates, overrides: list[str], n: int, seed: int) -> Side:
+    """Both growth rates with a base period of n T_m."""
+    values, vectors = np.linalg.eig(lifting.lifted(here.loop(n), n))
+    worst = int(np.abs(values).argmax())
+    # Along the predicted mode, so that it need not outlive all others first; with a hundredth of everything else.
+    start, rest = vectors[:24, worst].real, np.random.default_rng(seed).normal(size=24)
+    start = start / np.linalg.norm(start) + 0.01 * rest / np.linalg.norm(rest)
+    rate = fitted_growth(overrides, PERTURBATION * start, n, coordinates)
+    return Side(n=n, predicted=math.log(abs(values[worst])) / (1e-3 * n), simulated=rate)
+
+
+def fitted_growth(overrides: list[str], start: Array, n: int, coordinates: TaskCoordinates) -> float:
+    """[1/s]: slope of ln sqrt(energy) at the base's samples, over the second half of a run (or of what comes before the
+    perturbation has grown a thousandfold).
+    """
+    period = n * 1e-3
+    stop = round(DURATION / period) * n / 1000
+    times = [f"base_controller.period={n / 1000!r}", f"record.every_s={n / 1000!r}", f"stop_s={stop!r}"]
+    chosen = scenario.load(NAME, [*overrides, *starting_at(start), *times])
+    with assembled(chosen) as (master, _):
+        record = master.run().record
+    rest = (np.zeros(3), np.array([0.0, 0.0, 0.0]), np.zeros(6), POSTURE, np.zeros(6))
+    columns = [record[f"free_flyer.{name}"] for name in STATES]
+    columns[1] = 2.0 * columns[1][:, :3]  # a small rotation vector
+    x = np.hstack([column - zero for column, zero in zip(columns, rest, strict=True)])
+    size = 0.5 * np.log(coordinates.energy(x.T).sum(axis=0))
+    grown = np.flatnonzero(size > size[0] + math.log(1e3))
+    end = int(grown[0]) if grown.size else size.size
+    late = slice(end // 2, end)
+    return float(np.polyfit(record.time[late], size[late], 1)[0])

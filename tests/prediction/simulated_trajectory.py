@@ -1,0 +1,42 @@
+"""Growth of a small perturbation along the scenario's motion, from the difference of two simulated runs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+from simulated_period import QUIET, STATES, Array, starting_at
+
+from cosim import scenario
+from cosim.assemble import assembled
+from cosim.record import Record
+from cosim.task_coordinates import TaskCoordinates
+
+OFF = QUIET[:2]
+"""No passivity controllers; but the reference moves."""
+
+
+def _run(name: str, overrides: Sequence[str], start: Array) -> Record:
+    with assembled(scenario.load(name, [*OFF, *overrides, *starting_at(start)])) as (master, _):
+        outcome = master.run()
+    assert not outcome.cause, outcome.cause
+    return outcome.record
+
+
+def growth_rate(name: str, overrides: Sequence[str], coordinates: TaskCoordinates, starts: int = 1) -> float:
+    """[1/s]: slope, over the second half, of ln sqrt(energy) of the difference that 1e-6 at the start has made."""
+    period = next(text.partition("=")[2] for text in overrides if text.startswith("base_controller.period"))
+    overrides = [*overrides, f"record.every_s={period}"]
+    random, total = np.random.default_rng(1), 0.0
+    reference = _run(name, overrides, np.zeros(24))
+    for _ in range(starts):
+        start = random.normal(size=24)
+        other = _run(name, overrides, 1e-6 * start / np.linalg.norm(start))
+        parts = [other[f"free_flyer.{s}"] - reference[f"free_flyer.{s}"] for s in STATES]
+        turned = [Rotation.from_quat(record["free_flyer.base_orientation"]) for record in (other, reference)]
+        parts[1] = (turned[0] * turned[1].inv()).as_rotvec()
+        total = total + coordinates.energy(np.hstack(parts).T).sum(axis=0)
+    time = reference.time
+    late = time >= 0.5 * time[-1]
+    return float(np.polyfit(time[late], 0.5 * np.log(total[late]), 1)[0])

@@ -1,0 +1,72 @@
+"""Growth along a motion against the difference of two simulated runs, and where the loop frozen in time says something else."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from simulated_trajectory import OFF, growth_rate
+
+from cosim import scenario
+from cosim.set_point import at_set_point
+from cosim.trajectory_stability import Trajectory
+
+NAME = "multirate_unstable"
+
+
+def overrides_for(n: int, stop: float) -> list[str]:
+    """A base period of n ms, and a whole number of them."""
+    return [f"base_controller.period={n / 1000!r}", f"stop_s={math.floor(1000 * stop / n) * n / 1000!r}"]
+
+
+def both(n: int, stop: float) -> tuple[float, float]:
+    """Predicted and simulated growth rate [1/s], from the same start."""
+    overrides = overrides_for(n, stop)
+    with at_set_point(scenario.load(NAME, [*OFF, *overrides])) as here:
+        coordinates = here.coordinates(n)
+        start = np.random.default_rng(1).normal(size=(24, 1))
+        predicted = Trajectory(here.model, coordinates).growth_of(start, n)
+    return predicted, growth_rate(NAME, overrides, coordinates)
+
+
+def test_a_perturbation_grows_along_the_motion_as_predicted() -> None:
+    """T_b = 0.15 s over 40 s. The operating points are those of the run at T_m, from which the simulated run at T_b is up to 2 deg
+    away: that is the difference.
+    """
+    predicted, simulated = both(150, 40.0)
+    print(predicted, simulated)
+    assert abs(simulated) > 5e-3
+    assert predicted == pytest.approx(simulated, abs=1e-3)
+
+
+def test_at_rest_the_growth_along_the_trajectory_is_that_of_the_set_point() -> None:
+    """A reference that stays where it is: the product's rate is ln(radius) / T_b, whatever the cells are."""
+    still = ["reference_trajectory.translation_amplitude=0", "reference_trajectory.rotation_amplitude=0", "stop_s=60"]
+    with at_set_point(scenario.load(NAME, [*OFF, *still, "base_controller.period=0.3"])) as here:
+        trajectory = Trajectory(here.model, here.coordinates(300), 1.0)
+        along, own = trajectory.growth_rate(300), here.modes(300)[0].growth_rate
+        frozen = trajectory.frozen_growth_rates(300)
+    assert frozen == pytest.approx(own, abs=1e-9)
+    assert along == pytest.approx(own, abs=1e-9)
+
+
+@pytest.mark.benchmark
+@pytest.mark.parametrize("n", [90, 104, 110, 150])
+def test_over_100_s_the_growth_is_the_predicted_one(n: int) -> None:
+    predicted, simulated = both(n, 100.0)
+    print(f"\nT_b = {n} ms: predicted {predicted:+.5f}, simulated {simulated:+.5f} 1/s")
+    assert predicted == pytest.approx(simulated, abs=5e-4)
+
+
+@pytest.mark.benchmark
+def test_the_loop_frozen_in_time_calls_unstable_what_decays() -> None:
+    """T_b = 90 ms: frozen, it would be unstable for a third of the time; the perturbation decays."""
+    overrides = overrides_for(90, 100.0)
+    with at_set_point(scenario.load(NAME, [*OFF, *overrides])) as here:
+        trajectory = Trajectory(here.model, here.coordinates(90))
+        along, frozen = trajectory.growth_rate(90), trajectory.frozen_growth_rates(90)
+    print(f"\nalong {along:+.5f}, frozen up to {frozen.max():+.5f} 1/s, unstable {np.mean(frozen >= 0.0):.0%} of the time")
+    assert frozen.max() > 0.0
+    assert np.mean(frozen >= 0.0) > 0.25
+    assert along < 0.0

@@ -1,0 +1,124 @@
+"""The map over a base period against other ways to the same numbers: simulated runs, and loops that can be written down."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.linalg import expm
+from simulated_period import QUIET, Array, jacobian
+
+from cosim import lifting, scenario
+from cosim.lifting import Inputs, Instants, Law, Loop
+from cosim.set_point import at_set_point
+
+NAME = "multirate_unstable"
+ROUNDING = 2e-8
+"""Differences of 1e-6 leave the states' rounding of some 1e-15, times 1e6 and the entries' sizes (up to 20); the runs' RK4 and the
+exact exponential differ by less.
+"""
+
+
+@pytest.mark.parametrize(
+    ("n", "overrides"),
+    [
+        (50, ["base_controller.period=0.05"]),
+        (300, ["base_controller.period=0.3", "base_controller.discretisation=matched"]),
+    ],
+    ids=["emulated", "matched"],
+)
+def test_the_lifted_map_is_the_derivative_of_the_simulated_period(n: int, overrides: list[str]) -> None:
+    """All 24 directions, 1e-6 to either side, each through the master and its co-simulation FMUs."""
+    with at_set_point(scenario.load(NAME, [*QUIET, *overrides])) as here:
+        predicted = lifting.lifted(here.loop(n), n)
+    simulated = jacobian(NAME, overrides, n / 1000)
+    assert predicted.shape == (24, 24)
+    assert np.abs(predicted - simulated).max() < ROUNDING
+
+
+def test_the_lifted_map_is_the_derivative_of_the_simulated_period_in_parallel_exchange() -> None:
+    """Two base periods: what the controllers answered to the start acts in the second one only."""
+    n, overrides = 20, ["base_controller.period=0.02", "exchange=parallel"]
+    with at_set_point(scenario.load(NAME, [*QUIET, *overrides])) as here:
+        loop = here.loop(n)
+    # At the start the controllers have answered to it in their order already, as they do at initialisation.
+    instants = Instants(loop)
+    rows = np.zeros((instants.size, 24))
+    rows[:24] = np.eye(24)
+    signals = np.zeros((loop.width, 24))
+    signals[: loop.plant.C.shape[0]] = loop.plant.C
+    for law in loop.laws:
+        signals[law.first : law.last] = law.gain @ (signals[law.inputs.sources] * ~law.inputs.delayed[:, None])
+    rows[-loop.width :] = signals
+    for k in range(2 * n):
+        instants.apply(rows, slow=k % n == 0)
+    assert np.abs(rows[:24] - jacobian(NAME, overrides, 2 * n / 1000)).max() < ROUNDING
+
+
+def one_axis(m: float, k: float, d: float, tick: float, *, delayed: bool = False, parallel: bool = False) -> Loop:
+    """Mass, and a slow spring-damper alone."""
+    plant = lifting.plant(
+        np.array([[0.0, 1.0], [0.0, 0.0]]),
+        np.array([[0.0], [1.0 / m]]),
+        np.eye(2),
+        Inputs(sources=np.array([2]), delayed=np.array([delayed])),
+        tick,
+    )
+    law = Law(
+        name="law",
+        gain=np.array([[-k, -d]]),
+        inputs=Inputs(sources=np.array([0, 1]), delayed=np.zeros(2, dtype=bool)),
+        first=2,
+        last=3,
+        slow=True,
+    )
+    return Loop(plant=plant, laws=(law,), width=3, tick=tick, parallel=parallel)
+
+
+def held(m: float, period: float) -> tuple[Array, Array]:
+    both = expm(np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0 / m], [0.0, 0.0, 0.0]]) * period)
+    return both[:2, :2], both[:2, 2:]
+
+
+@given(m=st.floats(0.1, 200.0), k=st.floats(0.0, 500.0), d=st.floats(0.0, 500.0), n=st.integers(1, 400))
+def test_one_axis_lifts_to_the_held_double_integrator(m: float, k: float, d: float, n: int) -> None:
+    A, B = held(m, 1e-3 * n)
+    exact = A + B @ np.array([[-k, -d]])
+    found = lifting.lifted(one_axis(m, k, d, 1e-3), n)
+    assert np.abs(found - exact).max() <= 1e-10 * np.abs(exact).max()
+
+
+@given(k=st.floats(1.0, 500.0), d=st.floats(1.0, 500.0), n=st.integers(2, 200))
+def test_in_parallel_exchange_the_answer_comes_a_period_late(k: float, d: float, n: int) -> None:
+    A, B = held(20.0, 1e-3 * n)
+    late = np.block([[A, B], [np.array([[-k, -d]]), np.zeros((1, 1))]])  # the answer waits for the next sample
+    found = np.sort_complex(np.linalg.eigvals(lifting.lifted(one_axis(20.0, k, d, 1e-3, parallel=True), n)))
+    exact = np.sort_complex(np.linalg.eigvals(late))
+    # The order of complex pairs may differ by rounding: compare what does not depend on it.
+    assert np.poly(found) == pytest.approx(np.poly(exact), abs=1e-8)
+
+
+@given(k=st.floats(1.0, 500.0), d=st.floats(1.0, 500.0), n=st.integers(2, 50))
+def test_a_delayed_connection_brings_the_answer_one_step_late(k: float, d: float, n: int) -> None:
+    """The first T_m of a period still has the last period's answer."""
+    first, rest = held(20.0, 1e-3), held(20.0, 1e-3 * (n - 1))
+    answer = np.array([[-k, -d]])
+    exact = np.block(
+        [
+            [rest[0] @ first[0] + rest[1] @ answer, rest[0] @ first[1]],
+            [answer, np.zeros((1, 1))],
+        ]
+    )
+    found = lifting.lifted(one_axis(20.0, k, d, 1e-3, delayed=True), n)
+    assert np.poly(np.linalg.eigvals(found)) == pytest.approx(np.poly(np.linalg.eigvals(exact)), abs=1e-8)
+
+
+@pytest.mark.parametrize("discretisation", ["emulated", "matched"])
+def test_a_scan_gives_the_map_of_every_period(discretisation: str) -> None:
+    """The scan carries the fast map's power on; each map by itself is computed from nothing."""
+    with at_set_point(scenario.load(NAME, [f"base_controller.discretisation={discretisation}"])) as here:
+        scanned = list(lifting.lifted_maps(here.loop(n) for n in range(1, 61)))
+        for n in (1, 2, 17, 60):
+            alone = lifting.lifted(here.loop(n), n)
+            assert np.abs(scanned[n - 1] - alone).max() < 1e-11 * np.abs(alone).max()
