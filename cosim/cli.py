@@ -16,11 +16,13 @@ from typing import NoReturn, Protocol, get_args
 from rich.console import Console
 from rich.table import Table
 
-from cosim import assemble, experiment, reproduce, scenario, ssp_read, ssp_write
+from cosim import assemble, experiment, reproduce, scenario
 from cosim.errors import BAD_INPUT, DONE, STOPPED, CosimError, ScenarioError
 from cosim.experiment import Result
 from cosim.record import check_writable
 from cosim.scenario import Scenario
+from cosim.ssp import read as ssp_read
+from cosim.ssp import write as ssp_write
 
 SCENARIO_HELP = f"{', '.join(scenario.shipped())}, or a .toml file"
 

@@ -10,7 +10,9 @@ from matplotlib import rc_context
 from rich.console import Console
 from rich.table import Table
 
-from cosim import audit_figure, energy_audit, experiment, plots, real_time, recorded_loop, report, scenario
+from cosim import experiment, plots, real_time, report, scenario
+from cosim.audit import figure as audit_figure
+from cosim.audit import ledger, recorded_loop
 from cosim.clock import seconds
 from cosim.errors import DONE, STOPPED
 from cosim.experiment import Result
@@ -136,7 +138,7 @@ def draw(results: Mapping[str, Result], directory: Path) -> list[Figure]:
             figures.append(Figure(number=f"Fig. {number}", caption=caption, path=path))
     for name, record in (("multirate_unstable", unstable), ("multirate_passive", passive)):
         path = directory / f"energy_audit_{name}.png"
-        plots.save(audit_figure.draw(energy_audit.audit(recorded_loop.find(record))), path)
+        plots.save(audit_figure.draw(ledger.audit(recorded_loop.find(record))), path)
         caption = f"Energy audit of {name} (not in the paper): powers, balance, where energy enters and goes, observers beside the truth."
         figures.append(Figure(number="Energy audit", caption=caption, path=path))
     return figures

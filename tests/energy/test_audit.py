@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim import energy_audit, experiment, recorded_loop, scenario
-from cosim.energy_audit import Audit, Port
+from cosim import experiment, scenario
+from cosim.audit import ledger, recorded_loop
+from cosim.audit.ledger import Audit, Port
 from cosim.errors import RecordError
 from cosim.record import Record
 
@@ -22,7 +23,7 @@ def recorded(name: str, *overrides: str) -> Record:
 
 
 def audited(name: str, *overrides: str) -> Audit:
-    return energy_audit.audit(recorded_loop.find(recorded(name, *overrides)))
+    return ledger.audit(recorded_loop.find(recorded(name, *overrides)))
 
 
 def without_pc(T_b: float, *overrides: str) -> Audit:
@@ -121,14 +122,14 @@ def test_a_record_keeps_what_the_audit_needs(tmp_path: Path) -> None:
     again = Record.read(tmp_path / "record.parquet")
     assert again.origin == record.origin
     assert np.array_equal(
-        energy_audit.audit(recorded_loop.find(again)).base.virtual, audited("multirate_unstable", "stop_s=10").base.virtual
+        ledger.audit(recorded_loop.find(again)).base.virtual, audited("multirate_unstable", "stop_s=10").base.virtual
     )
 
 
 def test_rows_that_are_not_finite_are_left_out_and_said_to_be() -> None:
     record = experiment.run(scenario.load("multirate_unstable", ["stop_s=2"])).outcome.record
     record["free_flyer.base_velocity"][150:, 4] = np.nan
-    audit = energy_audit.audit(recorded_loop.find(record))
+    audit = ledger.audit(recorded_loop.find(record))
     assert audit.time.size == 150
     assert np.isfinite(terms(audit.base)).all()
     assert f"The last {record.rows - 150} rows are left out" in audit.notes[-1]
@@ -166,7 +167,7 @@ def test_what_a_user_puts_between_controller_and_robot_is_the_work_of_others(tmp
         '[components.kick]\nkind = "python"\nobject = "kick.py:Kick"\nstep_s = 0.001\n'
     )
     record = recorded(str(tmp_path / "kick.toml"))
-    balance = energy_audit.audit(recorded_loop.find(record)).balance
+    balance = ledger.audit(recorded_loop.find(record)).balance
     assert balance is not None
     during = (record.time > 0.9995) & (record.time < 1.0995)
     turned = 0.001 * record["free_flyer.joint_velocity"][during, 1].sum()

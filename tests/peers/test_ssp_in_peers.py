@@ -15,7 +15,9 @@ import reference_loops
 from masters import FOUR, arguments, difference, own_master
 from reference_loops import Rule
 
-from cosim import assemble, experiment, scenario, ssp_read, ssp_write
+from cosim import assemble, experiment, scenario
+from cosim.ssp import read as ssp_read
+from cosim.ssp import write as ssp_write
 
 
 def exported(path: Path, base_step: float) -> Path:

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from simulated_period import POSTURE, QUIET, STATES, Array, starting_at
 
-from cosim import lifting, scenario
+from cosim import scenario
 from cosim.assemble import assembled
-from cosim.prediction import scan
-from cosim.set_point import SetPoint, at_set_point
-from cosim.task_coordinates import TaskCoordinates
+from cosim.prediction import lifting, scan
+from cosim.prediction.set_point import SetPoint, at_set_point
+from cosim.prediction.task_coordinates import TaskCoordinates
 
 NAME = "multirate_unstable"
 PERTURBATION = 1e-6

@@ -10,8 +10,8 @@ from simulated_period import QUIET, STATES, Array, starting_at
 
 from cosim import scenario
 from cosim.assemble import assembled
+from cosim.prediction.task_coordinates import TaskCoordinates
 from cosim.record import Record
-from cosim.task_coordinates import TaskCoordinates
 
 OFF = QUIET[:2]
 """No passivity controllers; but the reference moves."""

@@ -9,8 +9,8 @@ import pytest
 from simulated_trajectory import OFF, growth_rate
 
 from cosim import scenario
-from cosim.set_point import at_set_point
-from cosim.trajectory_stability import Trajectory
+from cosim.prediction.set_point import at_set_point
+from cosim.prediction.trajectory import Trajectory
 
 NAME = "multirate_unstable"
 

@@ -9,10 +9,10 @@ import pytest
 from simulated_boundary import compared, comparisons, side
 from simulated_period import QUIET
 
-from cosim import linearisation, scenario
-from cosim.modes import DEGREES
-from cosim.prediction import Prediction, predict, scan
-from cosim.set_point import at_set_point
+from cosim import scenario
+from cosim.prediction.boundary import Prediction, linearisation, predict, scan
+from cosim.prediction.modes import DEGREES
+from cosim.prediction.set_point import at_set_point
 
 NAME = "multirate_unstable"
 

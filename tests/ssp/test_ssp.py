@@ -11,8 +11,11 @@ import pytest
 from commands import said
 from lxml import etree
 
-from cosim import assemble, cli, experiment, scenario, ssp_package, ssp_read, ssp_write
+from cosim import assemble, cli, experiment, scenario
 from cosim.errors import CosimError
+from cosim.ssp import package as ssp_package
+from cosim.ssp import read as ssp_read
+from cosim.ssp import write as ssp_write
 
 SSD = "SystemStructure.ssd"
 SCENARIOS = [name for name in scenario.shipped() if name != "continuous"]  # that one is the same loop with one FMU more

@@ -13,10 +13,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cosim import sweep_file
 from cosim.clock import nanoseconds
-from cosim.designs import Axis, Designs, Interval, Levels, Sample, Target
-from cosim.sweep_plan import Plan
+from cosim.sweep import file as sweep_file
+from cosim.sweep.designs import Axis, Designs, Interval, Levels, Sample, Target
+from cosim.sweep.plan import Plan
 
 numbers = st.floats(1e-3, 1e3)
 

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from matplotlib import colors
 from matplotlib import pyplot as plt
 
-from cosim import plots, stability_map
+from cosim import plots
 from cosim.component import Array
+from cosim.sweep import map as stability_map
 
 UNITS = {"a.x": "s", "a.y": "1"}
 

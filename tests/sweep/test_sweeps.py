@@ -8,7 +8,8 @@ from pathlib import Path
 import pandas
 import pytest
 
-from cosim import cli, verdict
+from cosim import cli
+from cosim.sweep import verdict
 
 SWEEP = """
 title = "Two periods, two factors"

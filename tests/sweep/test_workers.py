@@ -11,10 +11,12 @@ from pathlib import Path
 import psutil
 import pytest
 
-from cosim import assemble, parameters, scenario, sweep_file, sweep_task, unpacked
-from cosim.cluster import connected
+from cosim import assemble, parameters, scenario, unpacked
 from cosim.fmu import FmuComponent
-from cosim.sweep_plan import Plan
+from cosim.sweep import file as sweep_file
+from cosim.sweep import task as sweep_task
+from cosim.sweep.cluster import connected
+from cosim.sweep.plan import Plan
 
 SWEEP = 'scenario = "multirate_passive"\nset = ["stop_s=0.01"]\n[grid]\n"robot.base_mass" = [150, 100.0]\n'
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from matplotlib import pyplot as plt
 
+from cosim.audit.ledger import Audit
 from cosim.component import Array
-from cosim.energy_audit import Audit
 from cosim.plots import STYLE
 
 # Okabe and Ito's colours, each with a dash of its own, so that grey print tells them apart too.

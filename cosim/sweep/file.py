@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
 
-from cosim.designs import Axis, Designs, Interval, Levels, Method, Sample, Target
 from cosim.errors import ScenarioError
 from cosim.near import did_you_mean
 from cosim.raw_scenario import Raw, parse_value
+from cosim.sweep.designs import Axis, Designs, Interval, Levels, Method, Sample, Target
 
-SHIPPED = Path(__file__).parent / "sweeps"
+SHIPPED = Path(__file__).parent.parent / "sweeps"
 ONE_CASE = "scenario"
 """The case of a sweep that names none."""
 AXIS = ("first", "last", "count", "low", "high", "values", "logarithmic", "multiple_of", "unit", "relative", "also")

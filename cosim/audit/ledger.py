@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cosim import energy
-from cosim.audit_notes import notes
+from cosim.audit import energy
+from cosim.audit.notes import notes
+from cosim.audit.recorded_loop import Law, Motion, RecordedLoop
 from cosim.component import Array
-from cosim.recorded_loop import Law, Motion, RecordedLoop
 
 
 @dataclass(frozen=True, kw_only=True)

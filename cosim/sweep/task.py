@@ -12,10 +12,11 @@ from typing import Any
 
 from distributed import get_worker
 
-from cosim import assemble, experiment, metrics, unpacked, verdict
+from cosim import assemble, experiment, metrics, unpacked
 from cosim.errors import CosimError, ScenarioError
 from cosim.experiment import Result
-from cosim.sweep_plan import Run, Setup, files
+from cosim.sweep import verdict
+from cosim.sweep.plan import Run, Setup, files
 
 Row = dict[str, Any]
 _one_at_a_time = threading.Lock()

@@ -9,9 +9,9 @@ import matplotlib
 import numpy as np
 
 from cosim.plots import LINES, STYLE
-from cosim.prediction import Prediction
+from cosim.prediction.boundary import Prediction
+from cosim.prediction.trajectory import AlongTrajectory
 from cosim.record import write_whole
-from cosim.trajectory_stability import AlongTrajectory
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt

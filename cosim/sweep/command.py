@@ -10,14 +10,14 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from cosim import sweep_file
 from cosim.cli import complain, folder
 from cosim.errors import DONE, STOPPED, ScenarioError
+from cosim.sweep import file as sweep_file
 
 if TYPE_CHECKING:
-    from cosim.sweep import Ended
-    from cosim.sweep_plan import Plan
-    from cosim.sweep_results import Results
+    from cosim.sweep.plan import Plan
+    from cosim.sweep.results import Results
+    from cosim.sweep.run import Ended
 
 
 class SweepCommand:
@@ -48,8 +48,8 @@ class SweepCommand:
             )
         chosen = sweep_file.read(arguments.sweep, arguments.overrides)
 
-        from cosim.sweep_plan import Plan
-        from cosim.sweep_results import Results
+        from cosim.sweep.plan import Plan
+        from cosim.sweep.results import Results
 
         plan = Plan(chosen, arguments.fmi)
         directory = arguments.out or Path("freeflyer_out") / chosen.name
@@ -70,8 +70,8 @@ def compute(plan: Plan, results: Results, scheduler: str | None, workers: int | 
     """What is not finished yet, with a bar where somebody watches; None if nothing is left to do."""
     if len(results.runs) == len(plan):
         return None
-    from cosim import sweep
-    from cosim.cluster import connected
+    from cosim.sweep import run as sweep
+    from cosim.sweep.cluster import connected
 
     columns = (
         TextColumn("{task.description}", markup=False),
@@ -90,7 +90,7 @@ def compute(plan: Plan, results: Results, scheduler: str | None, workers: int | 
 
 def report(plan: Plan, results: Results, console: Console) -> None:
     """One table from all parts, the map if there is one, and what they say."""
-    from cosim import sweep_results
+    from cosim.sweep import results as sweep_results
 
     table = results.write()
     shares = Table(title=plan.sweep.title, title_justify="left")
@@ -113,7 +113,8 @@ def report(plan: Plan, results: Results, console: Console) -> None:
         console.print(f"Most frequent failure: {cause}", soft_wrap=True)
     written = [sweep_results.RESULTS]
     if plan.sweep.map is not None:
-        from cosim import plots, stability_map
+        from cosim import plots
+        from cosim.sweep import map as stability_map
 
         plots.save(
             stability_map.draw(table, plan.sweep.map.x, plan.sweep.map.y, plan.units), results.directory / "stability_map"

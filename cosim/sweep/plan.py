@@ -11,15 +11,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from cosim import assemble, metrics, parameters, scenario, schedule, verdict
+from cosim import assemble, metrics, parameters, scenario, schedule
 from cosim.assemble import System
 from cosim.component import Array, Port
-from cosim.designs import Axis, Levels, Target
 from cosim.errors import CosimError, ScenarioError
 from cosim.near import did_you_mean
 from cosim.raw_scenario import Raw, assign
 from cosim.scenario import ComponentSpec, Scenario
-from cosim.sweep_file import ONE_CASE, Sweep
+from cosim.sweep import verdict
+from cosim.sweep.designs import Axis, Levels, Target
+from cosim.sweep.file import ONE_CASE, Sweep
 from cosim.units import DIMENSIONLESS, factor
 
 Assignments = tuple[tuple[str, Any], ...]

@@ -14,7 +14,7 @@ from xml.etree import ElementTree
 
 from cosim.errors import ScenarioError
 from cosim.near import did_you_mean
-from cosim.ssp_names import tag
+from cosim.ssp.names import tag
 
 LARGEST_TEXT = 64 << 20
 LARGEST_FMU = 2 << 30

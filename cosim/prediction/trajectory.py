@@ -16,13 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from cosim import lifting
 from cosim.clock import nanoseconds, seconds
 from cosim.component import Array
 from cosim.errors import ScenarioError
-from cosim.lifting import Loop
-from cosim.linearisation import LoopModel, Point
-from cosim.task_coordinates import TaskCoordinates
+from cosim.prediction import lifting
+from cosim.prediction.lifting import Loop
+from cosim.prediction.linearisation import LoopModel, Point
+from cosim.prediction.task_coordinates import TaskCoordinates
 
 CELL = 0.05
 """The loop is linearised every 50 ms, and taken as constant around each of these instants [s]."""

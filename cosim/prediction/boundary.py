@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim import lifting
 from cosim.clock import nanoseconds, seconds, shown
 from cosim.component import Array
 from cosim.errors import ScenarioError
-from cosim.modes import Limit, Mode, limit_of
+from cosim.prediction import lifting
+from cosim.prediction.modes import Limit, Mode, limit_of
+from cosim.prediction.set_point import SetPoint, at_set_point
+from cosim.prediction.task_coordinates import TaskCoordinates
 from cosim.scenario import Scenario
-from cosim.set_point import SetPoint, at_set_point
-from cosim.task_coordinates import TaskCoordinates
 
 LONGEST = 0.5
 """How far periods are scanned [s], if nothing else is said; the scenario's own period is always among them."""

@@ -12,8 +12,8 @@ import numpy as np
 
 from cosim.component import Array
 from cosim.errors import ScenarioError
-from cosim.lifting import Indices, Instants, Loop
-from cosim.linearisation import LoopModel, Point
+from cosim.prediction.lifting import Indices, Instants, Loop
+from cosim.prediction.linearisation import LoopModel, Point
 
 POSE = ("base_position", "base_orientation", "end_effector_position", "end_effector_orientation")
 VELOCITY = ("base_velocity", "end_effector_velocity")

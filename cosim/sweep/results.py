@@ -16,12 +16,13 @@ import pyarrow as pa
 import pyarrow.compute as compute
 import pyarrow.parquet as parquet
 
-from cosim import metrics, scenario, verdict
-from cosim.designs import Levels
+from cosim import metrics, scenario
 from cosim.errors import ScenarioError
 from cosim.record import check_writable, write_text, write_whole
-from cosim.sweep_plan import Plan
-from cosim.sweep_task import Row
+from cosim.sweep import verdict
+from cosim.sweep.designs import Levels
+from cosim.sweep.plan import Plan
+from cosim.sweep.task import Row
 
 PLAN, PARTS, RESULTS = "sweep.json", "parts", "results.parquet"
 

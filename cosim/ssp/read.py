@@ -23,8 +23,8 @@ from cosim.fmu_description import describe, ports_of
 from cosim.near import did_you_mean
 from cosim.raw_scenario import Raw, override
 from cosim.scenario import Scenario, from_tables
-from cosim.ssp_names import ANNOTATION, DESCRIPTION, FMU_TYPE, NAMESPACES, SETTINGS, STEP_ANNOTATION, tag
-from cosim.ssp_package import Package, opened
+from cosim.ssp.names import ANNOTATION, DESCRIPTION, FMU_TYPE, NAMESPACES, SETTINGS, STEP_ANNOTATION, tag
+from cosim.ssp.package import Package, opened
 from cosim.units import DIMENSIONLESS, same
 
 Element = ElementTree.Element

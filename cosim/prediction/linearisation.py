@@ -12,18 +12,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from cosim import graph, lifting, parameters, schedule, tangent
+from cosim import graph, parameters, schedule
 from cosim.assemble import System, find_fmu
 from cosim.clock import seconds
 from cosim.component import Array
 from cosim.errors import ScenarioError
 from cosim.graph import Connection, split
-from cosim.lifting import Indices, Inputs, Law, Loop, Plant
-from cosim.loop_roles import Roles, roles_of
 from cosim.master import Master
 from cosim.parameters import Values
+from cosim.prediction import lifting, tangent
+from cosim.prediction.lifting import Indices, Inputs, Law, Loop, Plant
+from cosim.prediction.loop_roles import Roles, roles_of
+from cosim.prediction.sensitivity import DifferentiableFmu
 from cosim.scenario import ComponentSpec, Scenario
-from cosim.sensitivity import DifferentiableFmu
 
 PASSIVITY_CONTROL = "passivity_control"
 
@@ -98,7 +99,7 @@ class LoopModel:
         return lifting.plant(A, B, self._outputs_by_state() @ into, self._inputs[name], seconds(self.roles.tick))
 
     def chart(self, point: Point) -> tuple[Array, Array]:
-        """See cosim.tangent: of the plant's states."""
+        """See cosim.prediction.tangent: of the plant's states."""
         states = self.fmus[self.roles.plant].states
         return tangent.chart(states, [point[f"{self.roles.plant}.{state}"] for state in states])
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from cosim.audit.recorded_loop import RecordedLoop
 from cosim.clock import seconds
-from cosim.recorded_loop import RecordedLoop
 
 
 def notes(loop: RecordedLoop) -> list[str]:

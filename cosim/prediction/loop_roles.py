@@ -9,8 +9,8 @@ from cosim.assemble import System
 from cosim.clock import shown
 from cosim.errors import ScenarioError
 from cosim.near import did_you_mean
+from cosim.prediction.sensitivity import DifferentiableFmu
 from cosim.scenario import Scenario
-from cosim.sensitivity import DifferentiableFmu
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,10 +12,12 @@ import pyarrow as pa
 from rich.console import Console
 from rich.table import Table
 
-from cosim import audit_figure, energy_audit, plots, recorded_loop
+from cosim import plots
+from cosim.audit import figure as audit_figure
+from cosim.audit import ledger, recorded_loop
+from cosim.audit.ledger import Audit, Port
 from cosim.clock import seconds
 from cosim.component import Array
-from cosim.energy_audit import Audit, Port
 from cosim.errors import DONE, RecordError
 from cosim.record import Record, check_writable, write_text
 
@@ -45,7 +47,7 @@ class AuditCommand:
         source: Path = arguments.record
         record = read(source)
         directory: Path = arguments.out or (source if source.is_dir() else source.parent)
-        audit = energy_audit.audit(recorded_loop.find(record))
+        audit = ledger.audit(recorded_loop.find(record))
         check_writable(directory)
         plots.save(audit_figure.draw(audit), directory / "energy_audit.png")
         write_text(directory / "energy_audit.json", json.dumps(numbers(audit), indent=2) + "\n")

@@ -24,7 +24,7 @@ from cosim.fmu import FmuComponent
 from cosim.graph import split
 from cosim.record import write_whole
 from cosim.scenario import ComponentSpec, Scenario, to_toml
-from cosim.ssp_names import ANNOTATION, DESCRIPTION, FMU_TYPE, SETTINGS, STEP_ANNOTATION, tag
+from cosim.ssp.names import ANNOTATION, DESCRIPTION, FMU_TYPE, SETTINGS, STEP_ANNOTATION, tag
 
 EPOCH = (1980, 1, 1, 0, 0, 0)
 IMPLEMENTATIONS = {"fmu": "CoSimulation", "model_exchange": "ModelExchange"}

@@ -8,15 +8,15 @@ from contextlib import contextmanager
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim import lifting, linearisation
 from cosim.clock import seconds
 from cosim.errors import ComponentError, ScenarioError, StepFailed
 from cosim.graph import split
-from cosim.lifting import Loop, Plant
-from cosim.linearisation import LoopModel, Point
-from cosim.modes import Mode, modes
+from cosim.prediction import lifting, linearisation
+from cosim.prediction.lifting import Loop, Plant
+from cosim.prediction.linearisation import LoopModel, Point
+from cosim.prediction.modes import Mode, modes
+from cosim.prediction.task_coordinates import TaskCoordinates, task_coordinates
 from cosim.scenario import Scenario
-from cosim.task_coordinates import TaskCoordinates, task_coordinates
 
 REST = 1e-6
 """Rates of the plant's states [SI] below which it is at rest."""
@@ -48,7 +48,7 @@ class SetPoint:
         return float(np.abs(multipliers[order[self.neutral :]]).max())
 
     def modes(self, n: int) -> list[Mode]:
-        """The least stable first; see cosim.modes. Neutral directions are left out."""
+        """The least stable first; see cosim.prediction.modes. Neutral directions are left out."""
         loop = self.loop(n)
         period = seconds(n * self.model.roles.tick)
         found = modes(lifting.lifted(loop, n), period, task_coordinates(self.model, loop, self.point), self.states)
@@ -64,7 +64,7 @@ class SetPoint:
 
 @contextmanager
 def at_set_point(scenario: Scenario, component: str | None = None) -> Iterator[SetPoint]:
-    """See cosim.linearisation.opened. Raises CosimError."""
+    """See cosim.prediction.linearisation.opened. Raises CosimError."""
     with linearisation.opened(scenario, component) as model:
         yield SetPoint(model)
 

@@ -15,9 +15,9 @@ from distributed.scheduler import KilledWorker
 from cosim.errors import STOPPED, ScenarioError
 from cosim.interrupts import interrupts
 from cosim.metrics import versions
-from cosim.sweep_plan import Plan
-from cosim.sweep_results import Results
-from cosim.sweep_task import WorkerRefused, failure, run_batch
+from cosim.sweep.plan import Plan
+from cosim.sweep.results import Results
+from cosim.sweep.task import WorkerRefused, failure, run_batch
 
 BATCH = 1.0
 """A batch takes about this long [s]: long beside what a task costs, short beside what an interrupt may lose."""

@@ -9,8 +9,8 @@ from typing import Literal
 import numpy as np
 
 from cosim.component import Array
-from cosim.held_axis import sampled_damper, sampled_spring
-from cosim.task_coordinates import DEGREES, TaskCoordinates
+from cosim.prediction.held_axis import sampled_damper, sampled_spring
+from cosim.prediction.task_coordinates import DEGREES, TaskCoordinates
 
 MOSTLY = 0.9
 """Share of the energy from which a mode belongs to one body."""
@@ -25,7 +25,7 @@ REAL = 1e-6
 
 
 Kind = Literal["sampled spring", "sampled damper", "hand", "coupling"]
-"""What limits T_b: one of the two conditions of cosim.held_axis in an axis of the base, the hand's own loop, or neither."""
+"""What limits T_b: one of the two conditions of cosim.prediction.held_axis in an axis of the base, the hand's own loop, or neither."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,15 +9,16 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
-from cosim import prediction_plot, scenario
+from cosim import scenario
 from cosim.cli import SCENARIO_HELP, folder
 from cosim.errors import DONE
 from cosim.interrupts import interrupts
-from cosim.modes import Mode
-from cosim.prediction import LONGEST, Prediction, scan
+from cosim.prediction import plot as prediction_plot
+from cosim.prediction.boundary import LONGEST, Prediction, scan
+from cosim.prediction.modes import Mode
+from cosim.prediction.set_point import SetPoint, at_set_point
+from cosim.prediction.trajectory import AlongTrajectory, along_trajectory, check_length
 from cosim.record import check_writable, write_text
-from cosim.set_point import SetPoint, at_set_point
-from cosim.trajectory_stability import AlongTrajectory, along_trajectory, check_length
 
 
 class PredictCommand:
