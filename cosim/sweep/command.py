@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,8 @@ from cosim.errors import DONE, STOPPED, ScenarioError
 from cosim.sweep import file as sweep_file
 
 if TYPE_CHECKING:
+    from cosim.component import Array
+    from cosim.sweep.file import Map
     from cosim.sweep.plan import Plan
     from cosim.sweep.results import Results
     from cosim.sweep.run import Ended
@@ -48,10 +51,12 @@ class SweepCommand:
             )
         chosen = sweep_file.read(arguments.sweep, arguments.overrides)
 
+        from cosim.sweep import boundary
         from cosim.sweep.plan import Plan
         from cosim.sweep.results import Results
 
         plan = Plan(chosen, arguments.fmi)
+        boundary.check(plan)
         directory = arguments.out or Path("freeflyer_out") / chosen.name
         results = Results(directory, plan)
         with results.opened():
@@ -116,11 +121,21 @@ def report(plan: Plan, results: Results, console: Console) -> None:
         from cosim import plots
         from cosim.sweep import map as stability_map
 
-        plots.save(
-            stability_map.draw(table, plan.sweep.map.x, plan.sweep.map.y, plan.units), results.directory / "stability_map"
-        )
+        figure = plan.sweep.map
+        lines = predicted(plan, figure, console) if figure.predict else None
+        plots.save(stability_map.draw(table, figure.x, figure.y, plan.units, lines), results.directory / "stability_map")
         written += ["stability_map.png", "stability_map.pdf"]
     console.print(f"Results in {results.directory}: {', '.join(written)}", soft_wrap=True)
+
+
+def predicted(plan: Plan, figure: Map, console: Console) -> Mapping[str, tuple[Array, Array]]:
+    """The boundary by the linear loop, with a bar where somebody watches: about a second a point."""
+    from cosim.sweep import boundary
+
+    columns = (TextColumn("predicted boundary"), BarColumn(), MofNCompleteColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("", total=boundary.points(plan, figure))
+        return boundary.predicted(plan, figure, lambda: bar.advance(task))
 
 
 def percent(part: int, whole: int) -> str:

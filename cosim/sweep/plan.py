@@ -88,7 +88,7 @@ class Plan:
 
     def run(self, number: int) -> Run:
         _, case, values = self.design(number)
-        return Run(number=number, case=case, assignments=self._assignments(case, values))
+        return Run(number=number, case=case, assignments=self.assignments(case, values))
 
     @property
     def content(self) -> dict[str, Any]:
@@ -117,9 +117,20 @@ class Plan:
         result: dict[str, Any] = json.loads(json.dumps(content, default=str))
         return result
 
+    def levels(self, target: str) -> tuple[Any, ...]:
+        """An axis of the grid."""
+        return next(
+            levels for axis, levels in zip(self.designs.grid, self.designs.levels, strict=True) if str(axis.target) == target
+        )
+
+    @staticmethod
+    def first_of(axis: Axis) -> Any:
+        return axis.source.values[0] if isinstance(axis.source, Levels) else axis.source.at(0.0)
+
     # What a run sets
 
-    def _assignments(self, case: str, values: tuple[Any, ...]) -> Assignments:
+    def assignments(self, case: str, values: tuple[Any, ...]) -> Assignments:
+        """Targets of `--set` with their values, for the axes' values in a case."""
         found: dict[str, Any] = {}
         vectors: dict[str, Array] = {}
         pairs = [(axis, target, value) for axis, value in zip(self.axes, values, strict=True) for target in axis.targets]
@@ -158,14 +169,14 @@ class Plan:
                 for target in axis.targets:
                     self._look_up(case, axis, target, plain, system)
             for values in self._tried():
-                changed = self.setup.scenario(case, self._assignments(case, values))
+                changed = self.setup.scenario(case, self.assignments(case, values))
                 given = parameters.resolve(changed, system.components)
                 steps = parameters.steps(changed, system.components, given)
                 variable = {name: component.variable_step for name, component in system.components.items()}
                 schedule.build(steps, changed.stop, changed.record_every, variable)
             metrics.check(plain, system.components)
         # Whatever else could be wrong: assembled as a run is.
-        with assemble.loaded(self.setup.scenario(case, self._assignments(case, self.designs[0])), self.setup.fmi):
+        with assemble.loaded(self.setup.scenario(case, self.assignments(case, self.designs[0])), self.setup.fmi):
             pass
 
     def _tried(self) -> Iterator[tuple[Any, ...]]:
