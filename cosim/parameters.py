@@ -12,7 +12,7 @@ from cosim.component import Array, Component, Port
 from cosim.errors import ScenarioError
 from cosim.near import did_you_mean
 from cosim.scenario import ComponentSpec, Scenario
-from cosim.units import DIMENSIONLESS, factor, same
+from cosim.units import DIMENSIONLESS, converted, factor, same
 
 Values = dict[str, dict[str, Array]]
 
@@ -127,7 +127,8 @@ def _numbers(value: Any, port: Port, subject: str) -> Array:
     numbers = np.array([float(item) for item in items])
     if port.choices and not all(1 <= number <= len(port.choices) and number == int(number) for number in numbers):
         raise ScenarioError(f"{subject} is {value!r}; {_expected(port)} is expected")
-    return numbers * (scale if numbers.size == scale.size else scale[0])
+    scales = scale if numbers.size == scale.size else np.full(numbers.size, scale[0])
+    return np.array([converted(number, by) for number, by in zip(numbers, scales, strict=True)])
 
 
 def _factor(unit: object, target: str | None, subject: str) -> float:

@@ -19,7 +19,7 @@ from cosim.graph import Connection, Exchange
 from cosim.limits import Limit
 from cosim.near import did_you_mean
 from cosim.raw_scenario import Raw, merged, override
-from cosim.units import factor
+from cosim.units import converted, factor
 
 SHIPPED = Path(__file__).parent / "scenarios"
 Step = int | str
@@ -216,7 +216,7 @@ class _Reader:
             raise self.fail(f"component {name}: 'kind' must be a name and 'parameters' a table")
         if isinstance(step, dict) and step.get("unit") and isinstance(step.get("value"), int | float):
             try:
-                step = step["value"] * factor(step["unit"], "s")
+                step = converted(step["value"], factor(step["unit"], "s"))
             except ValueError as error:
                 raise self.fail(f"component {name}: step_s: {error}") from error
         if isinstance(step, str) and step.startswith("="):

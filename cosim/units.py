@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from decimal import Decimal
 from functools import lru_cache
 from typing import Any
 
@@ -29,9 +30,16 @@ def unit(text: str) -> Any:
 def factor(source: str, target: str) -> float:
     """What a value in `source` is multiplied by to be in `target`; ValueError where they measure different things."""
     try:
-        return float((1.0 * unit(source)).to(unit(target)).magnitude)
+        found = float((1.0 * unit(source)).to(unit(target)).magnitude)
     except pint.DimensionalityError as error:
         raise ValueError(f"unit {source!r} cannot be converted to {target!r}") from error
+    short = float(f"{found:.12g}")
+    return short if abs(short - found) <= 1e-15 * abs(found) else found  # 1e-6 comes as 9.999999999999999e-07
+
+
+def converted(value: float, by: float) -> float:
+    """The product as of decimal numbers: 104 ms are 0.104 s, a whole number of nanoseconds, not 0.10400000000000001 s."""
+    return float(Decimal(repr(float(value))) * Decimal(repr(by)))
 
 
 def same(source: str | None, target: str | None) -> bool:

@@ -21,7 +21,7 @@ from cosim.scenario import ComponentSpec, Scenario
 from cosim.sweep import verdict
 from cosim.sweep.designs import Axis, Levels, Target
 from cosim.sweep.file import ONE_CASE, Sweep
-from cosim.units import DIMENSIONLESS, factor
+from cosim.units import DIMENSIONLESS, converted, factor
 
 Assignments = tuple[tuple[str, Any], ...]
 
@@ -147,7 +147,7 @@ class Plan:
             elif axis.unit is None:
                 vector[place] = value
             else:
-                vector[place] = [value * factor(axis.unit, unit or DIMENSIONLESS) for unit in port.units[place]]
+                vector[place] = [converted(value, factor(axis.unit, unit or DIMENSIONLESS)) for unit in port.units[place]]
             found[target.name] = [float(number) for number in vector]
         return tuple(found.items())
 

@@ -16,7 +16,7 @@ from cosim.errors import CosimError, GraphError, ScenarioError
 from cosim.graph import Connection
 from cosim.limits import Limit
 from cosim.master import Master
-from cosim.units import factor, same
+from cosim.units import converted, factor, same
 
 MS = 1_000_000
 
@@ -162,6 +162,12 @@ def test_a_step_that_is_no_multiple_is_refused_and_told_what_would_fit() -> None
 @given(st.integers(1, 9_000_000_000))
 def test_decimal_seconds_are_exact_nanoseconds(microseconds: int) -> None:
     assert clock.nanoseconds(microseconds / 1_000_000, "x") == microseconds * 1000
+
+
+@given(st.integers(1, 10**6), st.sampled_from((("ms", 10**6), ("us", 10**3), ("s", 10**9))))
+def test_times_in_other_units_are_exact_nanoseconds(number: int, unit: tuple[str, int]) -> None:
+    name, in_nanoseconds = unit
+    assert clock.nanoseconds(converted(number, factor(name, "s")), "x") == number * in_nanoseconds
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, 1e-10, 1 / 3, float("inf"), float("nan"), 1e300])
