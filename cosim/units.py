@@ -39,7 +39,7 @@ def factor(source: str, target: str) -> float:
 
 def converted(value: float, by: float) -> float:
     """The product as of decimal numbers: 104 ms are 0.104 s, a whole number of nanoseconds, not 0.10400000000000001 s."""
-    return float(Decimal(repr(float(value))) * Decimal(repr(by)))
+    return float(Decimal(repr(float(value))) * Decimal(repr(float(by))))
 
 
 def same(source: str | None, target: str | None) -> bool:
