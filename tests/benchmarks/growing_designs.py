@@ -1,0 +1,58 @@
+"""Runs of a sweep whose errors still grew at its end, once more and longer: `python tests/benchmarks/growing_designs.py SWEEP DIR CASE...`.
+
+SWEEP is a shipped sweep or a file, DIR holds its results. Prints, for each run of the cases that is neither stable nor diverged, the
+verdict after five times the time, and how far the base's spring is from resonance with the trajectory (0.1 Hz).
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas
+
+from cosim import experiment
+from cosim.sweep import file, verdict
+from cosim.sweep.plan import Plan
+
+LONGER = 5
+BASE_INERTIA = np.array([156.0, 161.0, 161.0, 45.0, 22.0, 23.0])
+"""Diagonal of M~ at the start posture [kg, kg m2]."""
+REFERENCE = 2.0 * np.pi * 0.1
+"""Angular frequency of the trajectory [rad/s]."""
+
+
+def main(sweep: str, directory: str, *cases: str) -> None:
+    plan = Plan(file.read(sweep))
+    table = pandas.read_parquet(Path(directory) / "results.parquet")
+    growing = table[table["case"].isin(cases) & table["stable"].eq(False) & ~table["diverged"] & ~table["failed"]]
+    settled = dict.fromkeys(cases, 0)
+    for number in growing["run"]:
+        run = plan.run(int(number))
+        scenario = plan.setup.scenario(run.case, run.assignments)
+        scenario = replace(scenario, stop=LONGER * scenario.stop, record_every=10 * scenario.record_every, record_signals=())
+        result = experiment.run(scenario)
+        record = result.outcome.record
+        before = {name: verdict.earlier(record.time, error, result.outcome.simulated) for name, error in result.errors.items()}
+        stable = verdict.stable(result.summary, before)
+        settled[run.case] += stable is True
+        given = dict(run.assignments)
+        stiffness = np.array(given["base_controller.stiffness"], dtype=float)
+        resonance = np.sqrt(stiffness / BASE_INERTIA) / REFERENCE
+        nearest = resonance[np.argmin(np.abs(np.log(resonance)))]
+        largest = max(result.summary["base_orientation_error_deg"]["last_10_s"], 0.0)
+        print(
+            f"run {number}, {run.case}: {'stable' if stable else 'NOT stable'} after {result.outcome.simulated:g} s; nearest natural "
+            f"frequency of the base / the trajectory's: {nearest:.2f}; base {1e3 * result.summary['base_position_error_m']['last_10_s']:.1f} mm, "
+            f"{largest:.2f} deg",
+            flush=True,
+        )
+    for case in cases:
+        count = int(growing["case"].eq(case).sum())
+        print(f"{case}: {settled[case]} of {count} that grew at the end are stable in the longer run")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
