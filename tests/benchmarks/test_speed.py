@@ -12,7 +12,6 @@ import pytest
 from fmpy import read_model_description
 from plant_peers import BASE_VELOCITY, JOINT_VELOCITY, MuJoCo, Pinocchio
 
-from cosim import experiment, scenario
 from fmu_src.block import Block, Variable
 from fmu_src.export.archive import build_all
 from fmu_src.export.compiler import compiler, fmi_headers, host_platform, run
@@ -86,14 +85,6 @@ def test_the_plant_beside_mujoco_and_pinocchio(fmus: Path, robot: Robot, tmp_pat
     for name, value in times.items():
         print(f"{name:24s} {value:6.2f} us, {value / times['ours']:4.1f} times ours")
     assert min(times[name] for name in peers) > 3.0 * times["ours"]
-
-
-def test_multirate_passive_through_fmpy(fmus: Path) -> None:
-    result = experiment.run(scenario.load("multirate_passive"))
-    print(
-        f"\nmultirate_passive, 100 s, python master: {result.outcome.wall:.2f} s, {100.0 / result.outcome.wall:.0f} times real time"
-    )
-    assert result.outcome.wall < 15.0
 
 
 def test_build_and_size_of_all_fmus(robot: Robot, tmp_path: Path) -> None:
