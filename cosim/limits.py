@@ -44,7 +44,7 @@ class Watch:
     def __init__(self, limit: Limit, signal: Array, tick: int) -> None:
         first, last = limit.elements or (1, signal.size)
         self.limit, self.view = limit, signal[first - 1 : last]
-        self._square = limit.bound**2
+        self._square = limit.bound * limit.bound  # infinite, where a power would be an OverflowError
         self._patience = limit.lasting // tick
         self._passed = 0
 

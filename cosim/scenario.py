@@ -7,6 +7,7 @@ which takes over what another component has.
 
 from __future__ import annotations
 
+import math
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -258,7 +259,12 @@ class _Reader:
         if not isinstance(signal, str) or ("maximum" in raw) == ("minimum" in raw):
             raise self.fail(f"limits: {raw!r}; a 'signal' and either a 'maximum' or a 'minimum' are expected")
         bound = raw.get("maximum", raw.get("minimum"))
-        if isinstance(bound, bool) or not isinstance(bound, int | float) or ("maximum" in raw and not bound > 0):
+        if (
+            isinstance(bound, bool)
+            or not isinstance(bound, int | float)
+            or math.isnan(bound)
+            or ("maximum" in raw and bound <= 0)
+        ):
             raise self.fail(f"limit on {signal}: {bound!r}; a number is expected, greater than zero for a maximum")
         if norm not in ("maximum", "euclidean"):
             raise self.fail(f"limit on {signal}: norm is {norm!r}; 'maximum' or 'euclidean' is expected")

@@ -132,6 +132,7 @@ def test_scenario_files(capsys: pytest.CaptureFixture[str], tmp_path: Path, text
             "elements 7 to 9 are watched, but it has 6",
         ),
         ("[[limits]]\nsignal='free_flyer.base_velocity'\nmaximum=1.0\nminimum=0.0\n", "either a 'maximum' or a 'minimum'"),
+        ("[[limits]]\nsignal='free_flyer.base_velocity'\nminimum=nan\n", "nan; a number is expected"),
         (
             "[errors]\nbase_position=['free_flyer.base_positon','base_controller.position_setpoint']\n",
             "no variable 'base_positon'; did you mean",

@@ -153,6 +153,17 @@ def test_any_system_of_components_in_python(system: tuple) -> None:
     assert [c.calls for c in mine.values()] == [c.calls for c in theirs.values()]
 
 
+@pytest.mark.parametrize("norm", ["maximum", "euclidean"])
+@pytest.mark.parametrize("bound", ["1e200", "inf"])
+def test_a_limit_whose_square_is_no_number_any_more_is_never_passed(tmp_path: Path, norm: str, bound: str) -> None:
+    path = tmp_path / "far.toml"
+    limit = f"[[limits]]\nsignal = 'free_flyer.base_velocity'\nmaximum = {bound}\nnorm = '{norm}'\n"
+    path.write_text(f"extends = 'multirate_passive'\nstop_s = 0.05\n{limit}")
+    ends = [outcome(str(path), engine) for engine in ("core", "python")]
+    assert_twins(*ends)
+    assert ends[0].cause is None
+
+
 def test_every_instant_is_shown_to_somebody_who_watches_and_the_lock_is_free() -> None:
     seen: list[float] = []
     counted = [0]
