@@ -176,11 +176,6 @@ def lifted_maps(loops: Iterable[Loop]) -> Iterator[Array]:
         before = loop
 
 
-def _with_full_slow_laws(loop: Loop) -> Loop:
-    """No element of a slow law is zero by chance: what is remembered holds for every period."""
-    return replace(loop, laws=tuple(replace(law, gain=np.ones_like(law.gain)) if law.slow else law for law in loop.laws))
-
-
 def _same_but_slow(one: Loop, other: Loop) -> bool:
     if one.plant is not other.plant:
         return False

@@ -11,7 +11,8 @@ from simulated_period import POSTURE, QUIET, STATES, Array, starting_at
 
 from cosim import scenario
 from cosim.assemble import assembled
-from cosim.prediction import lifting, scan
+from cosim.prediction import lifting
+from cosim.prediction.boundary import scan
 from cosim.prediction.set_point import SetPoint, at_set_point
 from cosim.prediction.task_coordinates import TaskCoordinates
 
