@@ -34,7 +34,9 @@ def check(plan: Plan) -> None:
 
 
 def predicted(plan: Plan, figure: Map, done: Callable[[], None]) -> Mapping[str, tuple[Array, Array]]:
-    """Points (x, y) by case; x is not finite where the loop stays stable up to the map's edge. `done` is called after each point."""
+    """Points (x, y) by case; x is not finite where the loop stays stable up to the map's edge, and where it cannot be predicted (a
+    value that an FMU refuses is a failed row there). `done` is called after each point.
+    """
     component = figure.x.partition(".")[0]
     longest = max(plan.levels(figure.x))
     lines = {}
@@ -42,7 +44,10 @@ def predicted(plan: Plan, figure: Map, done: Callable[[], None]) -> Mapping[str,
         ys, xs = np.array(plan.levels(figure.y), dtype=float), []
         for y in ys:
             scenario = plan.setup.scenario(case, _assignments(plan, figure, case, float(y)))
-            found = predict(scenario, longest=longest, component=component, beyond=False).largest_stable_s
+            try:
+                found = predict(scenario, longest=longest, component=component, beyond=False).largest_stable_s
+            except CosimError:
+                found = longest
             xs.append(found if found < longest else np.nan)
             done()
         lines[case] = (np.array(xs), ys)

@@ -210,6 +210,8 @@ def _map(raw: Raw, grid: Sequence[Axis]) -> Map:
                 f"[map] {key} is {raw.get(key)!r}; a target of the grid with numbers is expected"
                 f"{did_you_mean(str(raw.get(key)), sorted(numeric))}"
             )
+    if raw["x"] == raw["y"]:
+        raise ScenarioError(f"[map] x and y are both {raw['x']}; two targets of the grid are expected")
     return Map(x=raw["x"], y=raw["y"], predict=_switch(raw, "predict", "[map]"))
 
 

@@ -78,6 +78,7 @@ def said_of(capsys: pytest.CaptureFixture[str], directory: Path, text: str, *opt
             f"[grid]\n{P} = [0.1]\n[map]\nx = {P}\ny = 'base_controller.damping'",
             "[map] y is 'base_controller.damping'; a target of the grid",
         ),
+        (f"[grid]\n{P} = [0.1, 0.2]\n[map]\nx = {P}\ny = {P}", "[map] x and y are both base_controller.period"),
         ("scenario = 'multirate_pasive'\n[grid]\nstop_s = [1]", "no scenario 'multirate_pasive'"),
         ("scenario = 3", "scenario is 3; a shipped scenario or a .toml file beside the sweep is expected"),
         ("[grid", "is not valid TOML"),

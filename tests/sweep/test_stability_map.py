@@ -12,9 +12,13 @@ from hypothesis import strategies as st
 from matplotlib import colors
 from matplotlib import pyplot as plt
 
-from cosim import plots
+from cosim import plots, scenario
 from cosim.component import Array
+from cosim.prediction.boundary import predict
+from cosim.sweep import boundary
+from cosim.sweep import file as sweep_file
 from cosim.sweep import map as stability_map
+from cosim.sweep.plan import Plan
 
 UNITS = {"a.x": "s", "a.y": "1"}
 
@@ -69,6 +73,24 @@ def test_a_boundary_is_drawn_where_it_was_given_and_on_its_own_panel(tmp_path: P
     assert np.array_equal(figure.axes[1].lines[0].get_xydata(), np.column_stack(line))
     plots.save(figure, tmp_path / "map")
     assert {path.name for path in tmp_path.iterdir()} == {"map.png", "map.pdf"}
+
+
+def test_the_boundary_is_the_predicted_one_with_a_gap_where_a_value_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "some.toml"
+    path.write_text(
+        'scenario = "multirate_unstable"\n'
+        '[grid]\n"base_controller.period" = [0.05, 0.2]\n"free_flyer.base_mass" = [150, -1]\n'
+        '[map]\nx = "base_controller.period"\ny = "free_flyer.base_mass"\npredict = true\n'
+    )
+    plan, done = Plan(sweep_file.read(str(path))), list[None]()
+    figure = plan.sweep.map
+    assert figure is not None
+    boundary.check(plan)
+    ((periods, masses),) = boundary.predicted(plan, figure, lambda: done.append(None)).values()
+    assert len(done) == boundary.points(plan, figure) == 2
+    assert masses.tolist() == [150.0, -1.0]
+    assert periods[0] == predict(scenario.load("multirate_unstable")).largest_stable_s
+    assert np.isnan(periods[1])
 
 
 @given(st.lists(st.floats(0.01, 100.0), min_size=1, max_size=12, unique=True))
