@@ -1,9 +1,9 @@
 """A spring and damper whose wrench is held for a whole period: what is held is the mean of what it should be until the next sample.
 
-Over a period T of a mass M under the held wrench F the mean velocity is exactly v + T/(2 M) F, and the mean displacement x + T/2 of
-that. A law that is taken at these means, -K x_mean - D v_mean, instead of at the sample, is solved for F in closed form below. Its
-work over the period is exactly that of a spring with potential 1/2 x^T K x and a damper T v_mean^T D v_mean: no energy comes from
-sampling, whatever K, D and T. (This project's own; derived, with its limits, in docs/matched_gains.md.)
+Over a period T of a mass M under the held wrench F the mean of the velocities at both ends is exactly v + T/(2 M) F, and that of the
+displacements x + T/2 of that. A law that is taken at these means, -K x_mean - D v_mean, instead of at the sample, is solved for F in
+closed form below. Its work over the period is exactly that of a spring with potential 1/2 x^T K x and a damper T v_mean^T D v_mean: no
+energy comes from sampling, whatever K, D and T. (This project's own; derived, with its limits, in docs/matched_gains.md.)
 """
 
 from __future__ import annotations
