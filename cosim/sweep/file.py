@@ -91,7 +91,13 @@ def _sweep(raw: Raw, path: Path, settings: Sequence[str]) -> Sweep:
     if not designs.axes:
         raise ScenarioError("nothing is varied; a [grid] or a [sample] with parameters is expected")
     cases = {name: _case(name, table) for name, table in _table(raw, "cases").items()} or {ONE_CASE: {}}
-    _refuse_twice([target for axis in designs.axes for target in axis.targets], cases)
+    varied = [target for axis in designs.axes for target in axis.targets]
+    _refuse_twice(varied, cases)
+    for text in settings:
+        if any(target.name == text.partition("=")[0].strip() and target.elements is None for target in varied):
+            raise ScenarioError(
+                f"{text}: {text.partition('=')[0].strip()} is varied by the sweep; set it there or here, not both"
+            )
     return Sweep(
         name=path.stem,
         title=title,

@@ -193,6 +193,8 @@ class Plan:
         """The scenario's own value, wherever it is needed, and the unit of the axis."""
         needed = axis.relative or target.elements is not None
         component, _, parameter = target.name.partition(".")
+        if component in ("devices", "facility") or target.name == "record.signals":
+            raise ScenarioError(f"{target.name} changes nothing that a sweep measures; a parameter of a component is expected")
         if component == "robot" and component not in system.components:
             component = _first_user(plain, system, parameter)
         if component not in system.components or parameter not in system.components[component].ports:

@@ -134,4 +134,4 @@ def test_units_are_converted_for_elements_too(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", sweep_file.shipped())
 def test_shipped_sweeps_can_be_planned(name: str) -> None:
     plan = Plan(sweep_file.read(name))
-    assert len(plan) == len(plan.designs) * len(plan.sweep.cases) >= 1000
+    assert len(plan) == len(plan.designs) * len(plan.sweep.cases) >= 500

@@ -80,6 +80,8 @@ def said_of(capsys: pytest.CaptureFixture[str], directory: Path, text: str, *opt
         ),
         (f"[grid]\n{P} = [0.1, 0.2]\n[map]\nx = {P}\ny = {P}", "[map] x and y are both base_controller.period"),
         ("scenario = 'multirate_pasive'\n[grid]\nstop_s = [1]", "no scenario 'multirate_pasive'"),
+        ("[grid]\n'facility.seed' = [1, 2]", "facility.seed changes nothing that a sweep measures"),
+        ("[grid]\n'record.signals' = ['a']", "record.signals changes nothing that a sweep measures"),
         ("scenario = 3", "scenario is 3; a shipped scenario or a .toml file beside the sweep is expected"),
         ("[grid", "is not valid TOML"),
         ("[gird]\nstop_s = [1]", "unknown key 'gird' in the sweep; did you mean 'grid'"),
@@ -230,3 +232,9 @@ def test_errors_that_fall_are_stable_and_those_that_grow_beyond_the_floor_are_no
         assert found is False
     assert verdict.stable(summary | {"diverged": True}, {f"x_error_{unit}": before}) is False
     assert verdict.stable(summary | {"simulated_s": 19.0}, {f"x_error_{unit}": before}) is None
+
+
+def test_what_the_sweep_varies_is_not_set_beside_it(capsys: pytest.CaptureFixture[str]) -> None:
+    code, error = said(capsys, "sweep", "stability_map", "--set", "base_controller.period=1")
+    assert code == 2
+    assert "base_controller.period is varied by the sweep" in error
