@@ -121,7 +121,7 @@ class Master:
                     outcome.cause = pace.begin(k) if pace else None
                     if outcome.cause:
                         break
-                    outcome.interrupted = bool(interrupted)
+                    outcome.interrupted = bool(interrupted) and k < schedule.ticks
                     cause = self._instant(k, outcome, last=outcome.interrupted or k == schedule.ticks)
                     if cause:
                         outcome.diverged, outcome.cause = True, cause

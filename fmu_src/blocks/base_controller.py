@@ -34,7 +34,7 @@ def base_controller(robot: Robot) -> Block:
     T_b = block.sampled_every("period", 0.3, "T_b: sampling time of this controller")
     mechanism = mass_parameters(block, robot)
     K_P, K_D = gains(block, BASE)
-    K_Pm, K_Dm = gains(block, MANIPULATOR, "end_effector_")
+    K_Pm, K_Dm = gains(block, MANIPULATOR, "manipulator_")
     discretisation = block.choice("discretisation", Discretisation, Discretisation.emulated, "How the law is sampled")
     bookkeeping = block.choice("bookkeeping", Bookkeeping, Bookkeeping.applied, "As in the manipulator's controller")
     share = block.parameter(
