@@ -33,9 +33,9 @@ def check(plan: Plan) -> None:
             raise ScenarioError(f"sweep {plan.sweep.path}: [map] predict, case {case}: {error}") from error
 
 
-def predicted(plan: Plan, figure: Map, done: Callable[[], None]) -> Mapping[str, tuple[Array, Array]]:
+def predicted(plan: Plan, figure: Map, done: Callable[[str | None], None]) -> Mapping[str, tuple[Array, Array]]:
     """Points (x, y) by case; x is not finite where the loop stays stable up to the map's edge, and where it cannot be predicted (a
-    value that an FMU refuses is a failed row there). `done` is called after each point.
+    value that an FMU refuses is a failed row there). `done` is called after each point, with a sentence if it cannot be predicted.
     """
     component = figure.x.partition(".")[0]
     longest = max(plan.levels(figure.x))
@@ -44,12 +44,13 @@ def predicted(plan: Plan, figure: Map, done: Callable[[], None]) -> Mapping[str,
         ys, xs = np.array(plan.levels(figure.y), dtype=float), []
         for y in ys:
             scenario = plan.setup.scenario(case, _assignments(plan, figure, case, float(y)))
+            found, refused = longest, None
             try:
                 found = predict(scenario, longest=longest, component=component, beyond=False).largest_stable_s
-            except CosimError:
-                found = longest
+            except CosimError as error:
+                refused = f"no boundary for case {case} at {figure.y} = {y:g}: {error}"
             xs.append(found if found < longest else np.nan)
-            done()
+            done(refused)
         lines[case] = (np.array(xs), ys)
     return lines
 

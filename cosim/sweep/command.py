@@ -135,7 +135,13 @@ def predicted(plan: Plan, figure: Map, console: Console) -> Mapping[str, tuple[A
     columns = (TextColumn("predicted boundary"), BarColumn(), MofNCompleteColumn())
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("", total=boundary.points(plan, figure))
-        return boundary.predicted(plan, figure, lambda: bar.advance(task))
+
+        def done(refused: str | None) -> None:
+            bar.advance(task)
+            if refused:
+                console.print(f"Note: {refused}", soft_wrap=True)
+
+        return boundary.predicted(plan, figure, done)
 
 
 def percent(part: int, whole: int) -> str:

@@ -82,15 +82,17 @@ def test_the_boundary_is_the_predicted_one_with_a_gap_where_a_value_is_refused(t
         '[grid]\n"base_controller.period" = [0.05, 0.2]\n"free_flyer.base_mass" = [150, -1]\n'
         '[map]\nx = "base_controller.period"\ny = "free_flyer.base_mass"\npredict = true\n'
     )
-    plan, done = Plan(sweep_file.read(str(path))), list[None]()
+    plan, done = Plan(sweep_file.read(str(path))), list[str | None]()
     figure = plan.sweep.map
     assert figure is not None
     boundary.check(plan)
-    ((periods, masses),) = boundary.predicted(plan, figure, lambda: done.append(None)).values()
+    ((periods, masses),) = boundary.predicted(plan, figure, done.append).values()
     assert len(done) == boundary.points(plan, figure) == 2
     assert masses.tolist() == [150.0, -1.0]
     assert periods[0] == predict(scenario.load("multirate_unstable")).largest_stable_s
     assert np.isnan(periods[1])
+    assert done[0] is None
+    assert "no boundary for case scenario at free_flyer.base_mass = -1" in str(done[1])
 
 
 @given(st.lists(st.floats(0.01, 100.0), min_size=1, max_size=12, unique=True))
