@@ -34,7 +34,7 @@ def test_a_killed_sweep_goes_on_without_repeating_finished_runs(capsys: pytest.C
     kill_9(psutil.Process(process.pid))
     process.communicate(timeout=PATIENCE)
     before = sweep.parts
-    finished = {int(x) for path in (sweep.out / "parts").iterdir() for x in pandas.read_parquet(path)["one.x"]}
+    finished = {int(x) for path in (sweep.out / "parts").glob("*.parquet") for x in pandas.read_parquet(path)["one.x"]}
     assert 0 < len(finished) < 60
     psutil.wait_procs(workers, timeout=PATIENCE)  # they notice that nobody is there any more
     assert not any(worker.is_running() for worker in workers)
@@ -55,7 +55,7 @@ def test_ctrl_c_keeps_what_is_finished_and_says_how_to_go_on(tmp_path: Path) -> 
     assert process.returncode == 3
     assert len(error.strip().splitlines()) == 1, error
     assert "of 60 runs; the same command goes on from there" in error
-    finished = sum(len(pandas.read_parquet(path)) for path in (sweep.out / "parts").iterdir())
+    finished = sum(len(pandas.read_parquet(path)) for path in (sweep.out / "parts").glob("*.parquet"))
     assert f"interrupted after {finished} of 60 runs" in error
     assert not (sweep.out / "results.parquet").exists()
 
