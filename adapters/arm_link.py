@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import can
 
+from adapters import outside
 from adapters.arm_frames import Frame
 from adapters.device import DeviceError
 from adapters.e2e import Checker, Protector
@@ -28,7 +29,7 @@ def open_bus(interface: str, channel: str, is_fd: bool, identifiers: Sequence[Fr
         {"can_id": f.identifier, "can_mask": 0x1FFFFFFF if f.extended else 0x7FF, "extended": f.extended} for f in identifiers
     ]
     try:
-        return can.Bus(
+        return outside.present().bus(
             interface=interface, channel=channel, fd=is_fd, can_filters=filters if interface in FILTERING else None, **options
         )
     except Exception as error:  # every interface has errors of its own, and of its driver's
@@ -36,10 +37,16 @@ def open_bus(interface: str, channel: str, is_fd: bool, identifiers: Sequence[Fr
         raise DeviceError(f"CAN interface {interface!r}, channel {channel!r}, cannot be opened: {text}") from error
 
 
+class Sending(Protocol):
+    """What is needed of a bus to send."""
+
+    def send(self, message: can.Message) -> None: ...
+
+
 class Sender:
     """One kind of frame, protected if it has a data ID."""
 
-    def __init__(self, bus: can.BusABC, frame: Frame) -> None:
+    def __init__(self, bus: Sending, frame: Frame) -> None:
         self.bus, self.frame = bus, frame
         self._protector = None if frame.data_id is None else Protector(frame.data_id, frame.e2e_offset)
         self.failed = 0

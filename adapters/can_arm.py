@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import secrets
-import time
 from collections.abc import Callable, Mapping
 
 import can
 import numpy as np
 
+from adapters import outside
 from adapters import settings as all_settings
 from adapters.arm_description import compare
 from adapters.arm_frames import ArmFrames, Mode
@@ -36,6 +36,7 @@ class CanArm:
     def __init__(self, name: str, options: ArmOptions) -> None:
         self.name, self.options = name, options
         self.state = State(name)
+        self._outside = outside.present()
         n = options.joints
         self.frames = ArmFrames(options.frames, n)
         ports = [
@@ -117,17 +118,17 @@ class CanArm:
 
     def _described(self, receiver: Receiver) -> dict[str, list[float]]:
         """Waits for a description; an arm that is active for somebody else sends none, but its state frames say for whom."""
-        end = time.monotonic() + float(self.values["configure_timeout"][0])
+        end = self._outside.monotonic() + float(self.values["configure_timeout"][0])
         while True:
-            message = self._received(end - time.monotonic())
-            if message is None or time.monotonic() > end:
+            message = self._received(end - self._outside.monotonic())
+            if message is None or self._outside.monotonic() > end:
                 raise DeviceError(self._silence("description", receiver))
             found = receiver.take(message)
             if found is not None:
                 return found
             state = self._states.take(message)
             if state is not None:
-                self._take(state, time.monotonic_ns())
+                self._take(state, self._outside.monotonic_ns())
                 self._refuse_another_controller()
 
     def _silence(self, what: str, receiver: Receiver) -> str:
@@ -140,12 +141,12 @@ class CanArm:
 
     def _claim(self) -> None:
         """The first measurement, and the arm's word that it listens to us."""
-        end = time.monotonic() + float(self.values["configure_timeout"][0])
+        end = self._outside.monotonic() + float(self.values["configure_timeout"][0])
         self._drain()
         while True:
-            if not self._wait(end - time.monotonic()):
+            if not self._wait(end - self._outside.monotonic()):
                 raise DeviceError(self._silence("state", self._states))
-            if time.monotonic() > end:
+            if self._outside.monotonic() > end:
                 raise DeviceError(
                     f"{self._where} sends its state, but does not take this controller's commands: it obeys {self._obeyed or 'nobody'}"
                 )
@@ -185,12 +186,12 @@ class CanArm:
         """The arm stands braked; the first torque beyond gravity is none, which is what it holds now."""
         self._claim()
         self._last_torque = np.zeros(self.options.joints)
-        end = time.monotonic() + float(self.values["configure_timeout"][0])
+        end = self._outside.monotonic() + float(self.values["configure_timeout"][0])
         while not self._is_active:
             stopped = self._arm_state in (LifeCycle.safe_stop, LifeCycle.fault)
             self._released = True
             self._send(Mode.reset if stopped else Mode.torque, self._last_torque)
-            if not self._wait(end - time.monotonic()) or time.monotonic() > end:
+            if not self._wait(end - self._outside.monotonic()) or self._outside.monotonic() > end:
                 raise DeviceError(f"{self._where} does not become active; its state is {self._state_said}")
         self._released = True
         self._send(Mode.torque, self._last_torque)
@@ -199,13 +200,13 @@ class CanArm:
     # Every cycle
 
     def read(self) -> None:
-        left = self._arrived * 1e-9 + PATIENCE * self.cycle - time.monotonic()
+        left = self._arrived * 1e-9 + PATIENCE * self.cycle - self._outside.monotonic()
         before = self._cycle_number
         if self._wait(max(left, 0.0)):
             # What is missing in the numbers is lost, but for what was counted as silence already. An arm whose own time has
             # stood still is not ahead of us: its numbers come later than they were waited for.
             gap = (self._cycle_number - before) % self.frames.cycles
-            missing = gap - 1 - self._silent_cycles if gap < self.frames.cycles // 2 else 0
+            missing = gap - 1 - self._silent_cycles
             reason = self.monitor.lose(max(missing, 0))
             self.monitor.observe(lost=False)
             self._silent_cycles = 0
@@ -329,7 +330,7 @@ class CanArm:
 
     def _wait(self, timeout: float) -> bool:
         """Wait for a state frame, and take the newest if there are several."""
-        end = time.monotonic() + timeout
+        end = self._outside.monotonic() + timeout
         came = False
         left = timeout
         while True:
@@ -338,18 +339,25 @@ class CanArm:
                 if came:
                     return True
             else:
-                now = time.monotonic_ns()
+                now = self._outside.monotonic_ns()
                 numbers = self._states.take(message)
-                if numbers is not None:
-                    late = time.time() - message.timestamp
+                if numbers is not None and self._is_stale(numbers):
+                    self._states.rejected["stale"] += 1
+                elif numbers is not None:
+                    late = self._outside.time_ns() * 1e-9 - message.timestamp
                     if 0.0 <= late < 1.0 and self.state.now is LifeCycle.active:
                         self.wake_up.add(int(late * 1e9))
                     self._take(numbers, now)
                     came = True
             if not came:
-                left = end - time.monotonic()
+                left = end - self._outside.monotonic()
                 if left <= 0.0:
                     return False
+
+    def _is_stale(self, numbers: Mapping[str, list[float]]) -> bool:
+        """Whether the frame, new as it is, says that it is from the cycle of the last one, or from one before."""
+        ahead = (int(numbers["cycle"][0]) - self._cycle_number) % self.frames.cycles
+        return self.state.now is LifeCycle.active and not 0 < ahead < self.frames.cycles // 2
 
     def _take(self, numbers: Mapping[str, list[float]], now: int) -> None:
         for name in MEASURED:
@@ -380,5 +388,5 @@ class CanArm:
             "joint_torque_command": torque.tolist(),
         })  # fmt: skip
         if not self._answered and sent and self.state.now is LifeCycle.active:
-            self.answer.add(time.monotonic_ns() - self._arrived)
+            self.answer.add(self._outside.monotonic_ns() - self._arrived)
         self._answered = True

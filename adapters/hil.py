@@ -6,14 +6,13 @@ ramp-down under the arm's own clock, then brakes. The arm's state frame is the c
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from adapters import pacing
+from adapters import outside, pacing
 from adapters.device import SIMULATED, Device, DeviceError, LifeCycle, SafeStop
 from adapters.device_component import DeviceComponent
 from adapters.histogram import Histogram
@@ -144,6 +143,7 @@ class _Pace:
             self._times["loop: wake-up"] = self.pacer.lateness
         self._pictured = 0.0
         self._asked_to_stop = asked_to_stop
+        self._outside = outside.present()
 
     def begin(self, k: int) -> str | None:
         if k == 0:
@@ -164,7 +164,7 @@ class _Pace:
             self._master.hand_over(device.name)
             _guarded(device, device.write)
         woken = self._clock.woken if self._clock is not None else self._woken
-        self.compute.add(time.monotonic_ns() - woken)
+        self.compute.add(self._outside.monotonic_ns() - woken)
         if self.view is not None and k % VIEW_EVERY == 0:
             self.view.write(self.numbers(k))
 
@@ -187,7 +187,7 @@ class _Pace:
 
     def numbers(self, k: int) -> list[float]:
         """In the order of `names`; times since the last picture, all else as it is."""
-        now = time.monotonic()
+        now = self._outside.monotonic()
         rate = VIEW_EVERY / max(now - self._pictured, 1e-9)
         self._pictured = now
         return [
@@ -289,18 +289,19 @@ def stop(devices: Sequence[Device], period: int, reason: str, *, orderly: bool) 
     active = [device for device in devices if device.state.now is LifeCycle.active]
     if not active:
         return "nothing was active"
-    begin = time.monotonic()
+    now = outside.present().monotonic
+    begin = now()
     pacer = None if any(device.is_clock for device in active) else Pacer(period)
     going = list(active)
     broken: list[Device] = []
-    while going and time.monotonic() - begin < LONGEST_STOP:
+    while going and now() - begin < LONGEST_STOP:
         if pacer is not None:
             pacer.wait()
-        elapsed = time.monotonic() - begin
+        elapsed = now() - begin
         # Who is done goes on holding until all are.
         done = [_ramped(device, elapsed, broken) for device in active]
         going = [device for device, is_done in zip(active, done, strict=True) if not is_done]
-    took = time.monotonic() - begin
+    took = now() - begin
     unsure = [device.name for device in active if device in broken or not device.at_rest]
     for device in active:
         with suppress(Exception):  # one that fails even now must not keep the others from their end

@@ -5,10 +5,10 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
+from adapters import outside
 from adapters.histogram import Histogram
 
 PR_SET_TIMERSLACK = 29
@@ -90,16 +90,17 @@ class Pacer:
         self.late = 0
         """At the last waking up [ns]."""
         self._deadline = 0
+        self._outside = outside.present()
 
     def wait(self) -> int:
         """Returns the time of waking up [ns of CLOCK_MONOTONIC]."""
-        now = time.monotonic_ns()
+        now = self._outside.monotonic_ns()
         if not self._deadline:
             self._deadline = now
         self._deadline += self.period
         if now < self._deadline:
-            time.sleep((self._deadline - now) * 1e-9)
-            now = time.monotonic_ns()
+            self._outside.sleep((self._deadline - now) * 1e-9)
+            now = self._outside.monotonic_ns()
         self.late = now - self._deadline
         self.lateness.add(self.late)
         if self.late > self.period:

@@ -5,13 +5,13 @@ It is read at the arm's rate and spoken to at its own: `cycle` is a whole number
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from adapters import outside
 from adapters import settings as all_settings
 from adapters.device import DeviceError, LifeCycle, SafeStop, State
 from adapters.histogram import Histogram
@@ -37,6 +37,7 @@ class ZenohBase:
     def __init__(self, name: str, options: LinkOptions) -> None:
         self.name, self.options = name, options
         self.state = State(name)
+        self._outside = outside.present()
         ports = [
             *all_settings.ports(all_settings.BASE),
             Port(name="position_setpoint", size=3, causality="input", units=("m",) * 3),
@@ -91,16 +92,16 @@ class ZenohBase:
         self._age_limit = round(float(v["age_limit"][0]) * 1e9)
         self._session = open_session(o.connect, o.listen, self.name)
         self._link = OdometryLink(self._session, o, o.setpoint_topic, o.measured_topic)
-        end = time.monotonic() + float(v["configure_timeout"][0])
+        end = self._outside.monotonic() + float(v["configure_timeout"][0])
         while not self._take():
-            if time.monotonic() > end:
+            if self._outside.monotonic() > end:
                 counts = self._link.counts
                 why = f"; samples came but were refused: {counts.last_fault}" if counts.last_fault else ""
                 raise DeviceError(
                     f"{self.name} sends nothing on topic {o.measured_topic} by way of {', '.join(o.connect)} within "
                     f"{v['configure_timeout'][0]:g} s{why}: is the base robot (or `freeflyer facility`) running there?"
                 )
-            time.sleep(0.001)
+            self._outside.sleep(0.001)
         others = self._link.other_publishers(o.setpoint_topic)
         if others:
             raise DeviceError(
@@ -171,9 +172,9 @@ class ZenohBase:
         self._publish(v["base_position"].copy(), v["base_orientation"].copy(), np.zeros(6))
         if self._refuse_another_controller() is None:
             return
-        end = time.monotonic() + float(v["configure_timeout"][0])
+        end = self._outside.monotonic() + float(v["configure_timeout"][0])
         while self._refuse_another_controller() != self._link.gid:
-            if time.monotonic() > end:
+            if self._outside.monotonic() > end:
                 raise DeviceError(
                     f"{self.name} does not take set points of {self.options.setpoint_topic}, although they are where it stands: "
                     f"it hears no or other messages, or refuses them"
@@ -182,7 +183,7 @@ class ZenohBase:
                 return
             self._take()
             self._publish(v["base_position"].copy(), v["base_orientation"].copy(), np.zeros(6))
-            time.sleep(cycle)
+            self._outside.sleep(cycle)
 
     def _approach(self, start: tuple[Array, Array], meanwhile: Callable[[], bool]) -> None:
         """Set points from the measured pose to the start, no faster than `approach_speed`."""
@@ -209,8 +210,8 @@ class ZenohBase:
             pacer.wait()
             self._take()
             reason = self.limits.measured(v["base_position"], v["base_orientation"], (position, orientation))
-            if time.monotonic_ns() - self._arrived > self._age_limit:
-                reason = f"no measurement for {(time.monotonic_ns() - self._arrived) * 1e-9:.3g} s"
+            if self._outside.monotonic_ns() - self._arrived > self._age_limit:
+                reason = f"no measurement for {(self._outside.monotonic_ns() - self._arrived) * 1e-9:.3g} s"
             if reason:
                 raise DeviceError(f"{self.name}: the approach to the start pose was given up: {reason}")
             if meanwhile():
@@ -235,7 +236,7 @@ class ZenohBase:
             self.monitor.observe(lost=False)
         if self._steps % self._ratio and not reason:
             return
-        age = time.monotonic_ns() - self._arrived
+        age = self._outside.monotonic_ns() - self._arrived
         if age > self._late:
             self._silent += 1
             reason = self.monitor.observe(lost=True) or reason
@@ -312,11 +313,11 @@ class ZenohBase:
 
     def _newest(self) -> None:
         """The next sample, so that nothing is decided on an old one."""
-        end = time.monotonic() + float(self.values["configure_timeout"][0])
+        end = self._outside.monotonic() + float(self.values["configure_timeout"][0])
         while not self._take():
-            if time.monotonic() > end:
+            if self._outside.monotonic() > end:
                 raise DeviceError(f"{self.name} sends nothing any more on topic {self.options.measured_topic}")
-            time.sleep(0.0005)
+            self._outside.sleep(0.0005)
 
     def _take(self) -> bool:
         assert self._link is not None
@@ -330,7 +331,7 @@ class ZenohBase:
         v["base_velocity"][:] = twist_rotated(orientation, odometry.velocity)
         self._arrived, self._sequence = received.arrived, received.attachment.sequence
         if self.state.now is LifeCycle.active:
-            self.age.add(max(0, time.time_ns() - received.attachment.stamp))
+            self.age.add(max(0, self._outside.time_ns() - received.attachment.stamp))
         return True
 
     def _publish(self, position: Array, orientation: Array, velocity: Array) -> None:

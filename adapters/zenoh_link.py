@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -12,16 +11,17 @@ from typing import Any
 import numpy as np
 import zenoh
 
-from adapters import rmw_zenoh, ros_messages
+from adapters import outside, rmw_zenoh, ros_messages
 from adapters.device import DeviceError
 from adapters.link_options import LinkOptions
 from adapters.pose import twist_rotated
 from adapters.rmw_zenoh import Attachment, AttachmentError
 from adapters.ros_messages import MessageError, Odometry, OdometryWriter
+from adapters.sealed_odometry import checksum, is_intact, is_sealable, is_sealed, sealed
 from cosim.component import Array
 
 
-def open_session(connect: Sequence[str], listen: Sequence[str], subject: str) -> zenoh.Session:
+def open_session(connect: Sequence[str], listen: Sequence[str], subject: str) -> Any:
     """A peer. DeviceError if the endpoints cannot be used."""
     config = zenoh.Config()
     for key, value in {
@@ -40,7 +40,7 @@ def open_session(connect: Sequence[str], listen: Sequence[str], subject: str) ->
         except zenoh.ZError as error:
             raise DeviceError(f"{subject}: Zenoh refuses {key} = {value!r}: {_said(error)}") from error
     try:
-        return zenoh.open(config)
+        return outside.present().session(config)
     except zenoh.ZError as error:
         raise DeviceError(
             f"{subject}: a Zenoh session (listening on {', '.join(listen)}, connecting to {', '.join(connect) or 'nobody'}) cannot be "
@@ -53,10 +53,15 @@ def _said(error: Exception) -> str:
     return " ".join(str(error).split(" at ")[0].split())[:200]
 
 
+LARGEST = 1e4
+"""Of a position [m] or a velocity [m/s, rad/s] in a facility; what is beyond is none."""
+
+
 def is_usable(odometry: Odometry) -> bool:
-    """Finite numbers, and an orientation that is one."""
-    finite = np.isfinite(odometry.position).all() and np.isfinite(odometry.velocity).all()
-    return bool(finite) and 0.98 < float(odometry.orientation @ odometry.orientation) < 1.02
+    """Numbers that can be a pose and a twist, and an orientation that is one."""
+    # In this order NaN fails the comparison.
+    possible = (np.abs(odometry.position) < LARGEST).all() and (np.abs(odometry.velocity) < LARGEST).all()
+    return bool(possible) and 0.98 < float(odometry.orientation @ odometry.orientation) < 1.02
 
 
 @dataclass
@@ -95,6 +100,7 @@ class OdometryLink:
 
     def __post_init__(self) -> None:
         o = self.options
+        self._outside = outside.present()
         self._session_id = str(self.session.zid())
         keys = {t: rmw_zenoh.topic_key(o.domain, t, ros_messages.TYPE_NAME, ros_messages.TYPE_HASH) for t in self._topics}
         try:
@@ -105,6 +111,8 @@ class OdometryLink:
         self._sequence = 0
         self._source: bytes | None = None
         self._last: Attachment | None = None
+        self._is_sealed = False
+        """Whether the source's samples have a checksum; then all of them have."""
         self._told = ""
         self._obedience: Any = None
 
@@ -157,14 +165,31 @@ class OdometryLink:
 
     def publish(self, position: Array, orientation: Array, velocity: Array) -> None:
         """Pose of B in I and twist in I (which goes out in B)."""
-        stamp = time.time_ns()
+        stamp = self._outside.time_ns()
         self._sequence += 1
-        payload = self._writer.write(stamp, position, orientation, twist_rotated(orientation, velocity, back=True))
+        twist = twist_rotated(orientation, velocity, back=True)
+        while True:
+            attachment = Attachment(self._sequence, stamp, self._gid).pack()
+            payload = self._writer.write(stamp, position, orientation, twist)
+            if is_sealable(checksum(payload, attachment)):
+                break
+            stamp += 1
+        self.put(sealed(payload, attachment), attachment)
+
+    def put(self, payload: bytes, attachment: bytes) -> None:
+        """A sample into the session; one that it does not take is counted."""
         try:
-            self._publisher.put(payload, attachment=Attachment(self._sequence, stamp, self._gid).pack())
+            self._publisher.put(payload, attachment=attachment)
         except zenoh.ZError as error:
             self.counts.failed += 1
             self.counts.last_fault = _said(error)
+
+    def take(self) -> tuple[bytes, bytes] | None:
+        """Payload and attachment of the freshest sample since the last call; never waits."""
+        sample = self._subscriber.try_recv()
+        if sample is None:
+            return None
+        return sample.payload.to_bytes(), b"" if sample.attachment is None else sample.attachment.to_bytes()
 
     def obeyed(self) -> str | None:
         """Whose set points the base robot takes: a GID, NOBODY, or None from one that does not tell."""
@@ -192,12 +217,17 @@ class OdometryLink:
 
         The first such sample's publisher is the only one that is listened to from then on.
         """
-        sample = self._subscriber.try_recv()
+        sample = self.take()
         if sample is None:
             return None
+        payload, raw = sample
+        if (is_sealed(payload) or self._is_sealed) and not is_intact(payload, raw):
+            self.counts.malformed += 1
+            self.counts.last_fault = "a sample that does not fit its checksum"
+            return None
         try:
-            attachment = rmw_zenoh.read_attachment(b"" if sample.attachment is None else sample.attachment.to_bytes())
-            odometry = ros_messages.read(sample.payload.to_bytes())
+            attachment = rmw_zenoh.read_attachment(raw)
+            odometry = ros_messages.read(payload)
         except (AttachmentError, MessageError) as error:
             self.counts.malformed += 1
             self.counts.last_fault = str(error)
@@ -217,13 +247,14 @@ class OdometryLink:
             return None
         if last is not None:
             self.counts.skipped += attachment.sequence - last.sequence - 1
-        self._source, self._last = attachment.gid, attachment
+        self._source, self._last, self._is_sealed = attachment.gid, attachment, is_sealed(payload)
         self.counts.accepted += 1
-        return Received(odometry, attachment, time.monotonic_ns())
+        return Received(odometry, attachment, self._outside.monotonic_ns())
 
     def forget_source(self) -> None:
         """Listen to whoever publishes next."""
         self._source = self._last = None
+        self._is_sealed = False
 
     def close(self) -> None:
         for token in (*self._tokens, *([self._obedience] if self._obedience is not None else [])):

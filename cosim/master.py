@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import time
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -111,36 +111,47 @@ class Master:
         self.slaves[name].write()
 
     def run(self, progress: Progress | None = None, pace: Pace | None = None) -> Outcome:
-        schedule = self.schedule
         outcome = self.outcome()
         begin = time.perf_counter()
-        k, whole = 0, True
         with interrupts() as interrupted:
-            try:
-                for k in range(schedule.ticks + 1):
-                    outcome.cause = pace.begin(k) if pace else None
-                    if outcome.cause:
-                        break
-                    outcome.interrupted = bool(interrupted) and k < schedule.ticks
-                    cause = self._instant(k, outcome, last=outcome.interrupted or k == schedule.ticks)
-                    if cause:
-                        outcome.diverged, outcome.cause = True, cause
-                        break
-                    if outcome.interrupted:
-                        outcome.cause = "interrupted by the user"
-                        break
-                    if progress and k % 1000 == 0:
-                        progress(seconds(k * schedule.tick))
-                    if pace:
-                        pace.end(k)
-            except StepFailed as error:
-                if pace is None:
-                    self.refuse_at_start(k, error)
-                outcome.stopped_by(error)
-                whole = False
+            for _ in self.instants(outcome, interrupted, progress, pace):
+                pass
         outcome.wall = time.perf_counter() - begin
-        self.finish(outcome, k, whole=whole)
         return outcome
+
+    def instants(
+        self, outcome: Outcome, interrupted: Sequence[float] = (), progress: Progress | None = None, pace: Pace | None = None
+    ) -> Iterator[None]:
+        """One instant after another, for who has other things to do between them; `outcome` is whole once there are no more.
+
+        The run ends where `interrupted` is no longer empty.
+        """
+        schedule = self.schedule
+        k, whole = 0, True
+        try:
+            for k in range(schedule.ticks + 1):
+                outcome.cause = pace.begin(k) if pace else None
+                if outcome.cause:
+                    break
+                outcome.interrupted = bool(interrupted) and k < schedule.ticks
+                cause = self._instant(k, outcome, last=outcome.interrupted or k == schedule.ticks)
+                if cause:
+                    outcome.diverged, outcome.cause = True, cause
+                    break
+                if outcome.interrupted:
+                    outcome.cause = "interrupted by the user"
+                    break
+                if progress and k % 1000 == 0:
+                    progress(seconds(k * schedule.tick))
+                if pace:
+                    pace.end(k)
+                yield
+        except StepFailed as error:
+            if pace is None:
+                self.refuse_at_start(k, error)
+            outcome.stopped_by(error)
+            whole = False
+        self.finish(outcome, k, whole=whole)
 
     def outcome(self) -> Outcome:
         return Outcome(record=self.record, simulated=0.0, wall=0.0, steps=dict.fromkeys(self.graph.components, 0))

@@ -43,9 +43,13 @@ class ArmLogic:
         """Number of the last state frame."""
         self.echoed = 0
         self.torque = np.zeros(joints)
+        self.effort = np.full(joints, np.inf)
+        """Joint torques (n) [N m] beyond which a command is not used."""
         self.braked = True
         self.lost = 0
         self.strangers = 0
+        self.excessive = 0
+        """Commands beyond `effort`."""
         self.total_lost = 0
         self.was_active = False
         self.events: list[tuple[int, str]] = []
@@ -98,6 +102,9 @@ class ArmLogic:
             self.controller = command.controller
             self._note(f"obeys controller {self.controller}")
         self._quiet = 0
+        if not (np.abs(command.torque) <= self.effort).all():  # in this order NaN fails
+            self.excessive += 1
+            return
         age = (self.cycle - command.answered) % self.cycles
         if command.mode is Mode.reset and self.life.now in (LifeCycle.safe_stop, LifeCycle.fault) and self.braked:
             self._to(LifeCycle.inactive, "reset")
@@ -118,6 +125,8 @@ class ArmLogic:
 
     def fail(self, reason: str) -> None:
         """The arm itself has failed: brakes, and fault."""
+        if self.life.now is LifeCycle.fault:
+            return
         self._to(LifeCycle.fault, reason)
         self._brake()
 

@@ -10,7 +10,8 @@ from cosim.component import Array
 
 
 class BaseLogic:
-    """Called every `period` [s]; `watchdog` [calls]: how long set points may stay away before the base holds; `jump` [m, rad]: how far the first may be."""
+    """Called every `period` [s]; `watchdog` [calls]: how long set points may stay away before the base holds; `jump` [m, rad]: how far the first
+    may be from the robot, and each other one from the one before."""
 
     def __init__(self, *, period: float, watchdog: int, silence: int, jump: tuple[float, float]) -> None:
         self.period, self.watchdog, self.silence, self.jump = period, watchdog, silence, jump
@@ -38,7 +39,12 @@ class BaseLogic:
         if not finite or not 0.98 < float(orientation @ orientation) < 1.02:
             self.refused += 1
             return False
-        if self.life.now is not LifeCycle.active:
+        if self.life.now is LifeCycle.active:
+            step = distance(position, orientation, self.position, self.orientation)
+            if any(gap > most for gap, most in zip(step, self.jump, strict=True)):
+                self.refused += 1
+                return False
+        else:
             far = distance(position, orientation, *pose)
             if any(gap > most for gap, most in zip(far, self.jump, strict=True)):
                 if not self.refused:

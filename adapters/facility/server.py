@@ -6,13 +6,15 @@ the wire. Its time is its own cycle count: a process that was held up goes on wh
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
 from adapters.device import SIMULATED, DeviceError
+from adapters.facility import faults
 from adapters.facility import settings as facility_settings
 from adapters.facility.settings import FacilitySettings
 from adapters.facility.virtual_device import VirtualDevice
@@ -21,6 +23,7 @@ from cosim import assemble, graph, parameters, schedule
 from cosim.clock import SECOND, seconds
 from cosim.component import Array, Component, PythonComponent
 from cosim.graph import Connection, split
+from cosim.interrupts import interrupts
 from cosim.master import Master, Outcome
 from cosim.near import did_you_mean
 from cosim.scenario import Scenario
@@ -51,14 +54,13 @@ class _Outgoing(PythonComponent):
 
 
 class _Pace:
-    """Real time, and the end of a session."""
+    """What the devices' own controllers have to tell, and the end of a session."""
 
-    def __init__(self, pacer: Pacer, devices: list[VirtualDevice[Any]], say: Callable[[str], None]) -> None:
-        self.pacer, self.devices, self.say = pacer, devices, say
+    def __init__(self, devices: list[VirtualDevice[Any]], say: Callable[[str], None]) -> None:
+        self.devices, self.say = devices, say
         self._told = [0] * len(devices)
 
     def begin(self, k: int) -> str | None:
-        self.pacer.wait()
         if k % 10 == 0:
             self.tell()
             # Every device that took part must have lost its controller; one that did not take part does not hold the others up.
@@ -94,11 +96,14 @@ class Facility:
         self.pacer = Pacer(self.period)
         self.devices: list[VirtualDevice[Any]] = []
         self.history: list[dict[str, Any]] = []
+        self.outcome: Outcome | None = None
+        """Of the last session."""
+        factories = {spec.name: _factory(spec.name, spec.kind) for spec in played}
+        self.settings = _with_drawn_faults(self.settings, factories)
         try:
             for spec in played:
-                self.devices.append(
-                    _virtual(spec.name, spec.kind, spec.options, scenario.directory, self.settings, self.period)
-                )
+                make = factories[spec.name]
+                self.devices.append(make(spec.name, spec.options, scenario.directory, self.settings, seconds(self.period)))
             with self._models():
                 pass  # what cannot be put together is refused now, and not when somebody connects
         except BaseException:
@@ -106,21 +111,30 @@ class Facility:
             raise
 
     def run(self, say: Callable[[str], None]) -> Outcome:
-        """Until Ctrl-C or SIGTERM, or until a model fails; the last session's outcome."""
+        """In real time, until Ctrl-C or SIGTERM, or until a model fails; the last session's outcome."""
+        with interrupts() as asked:
+            for _ in self.cycles(say, asked):
+                self.pacer.wait()
+        assert self.outcome is not None
+        return self.outcome
+
+    def cycles(self, say: Callable[[str], None], asked: Sequence[float] = ()) -> Generator[None, None, None]:
+        """One cycle after another, session after session, for who has the time in hand; until something is in `asked`."""
         while True:
-            outcome = self._session(say)
+            outcome = self.outcome = yield from self._session(say, asked)
             if outcome.failed or outcome.diverged:
                 say(f"the model failed: {outcome.cause}")
             if outcome.interrupted or outcome.failed or outcome.diverged:
-                return outcome
+                return
             say("the controller has gone; the robots return to their start poses")
 
-    def _session(self, say: Callable[[str], None]) -> Outcome:
+    def _session(self, say: Callable[[str], None], asked: Sequence[float]) -> Generator[None, None, Outcome]:
         with self._models() as (master, values):
             for device in self.devices:
                 device.begin_session(values[device.name])
-            pace = _Pace(self.pacer, self.devices, say)
-            outcome = master.run(pace=pace)
+            pace = _Pace(self.devices, say)
+            outcome = master.outcome()
+            yield from master.instants(outcome, asked, pace=pace)
             pace.tell()
             self.history.append({
                 "ended": outcome.cause or "interrupted",
@@ -186,6 +200,7 @@ class Facility:
         histograms = {name: h.summary() for device in self.devices for name, h in device.histograms().items()}
         return {
             "scenario": self.scenario.name,
+            "faults": [fault.said() for fault in self.settings.faults],
             "sessions": self.history,
             "own_overruns": self.pacer.overruns,
             "devices": {device.name: dict(device.report()) for device in self.devices},
@@ -209,11 +224,18 @@ def _cycle(scenario: Scenario) -> int:
     return min(steps)
 
 
-def _virtual(
-    name: str, kind: str, options: Mapping[str, Any], directory: Path, settings: FacilitySettings, period: int
-) -> VirtualDevice[Any]:
+def _factory(name: str, kind: str) -> Factory:
     points = {point.name: point for point in entry_points(group="freeflyer.virtual_devices")}
     if kind not in points:
         raise DeviceError(f"device {name}: no virtual device plays the kind {kind!r}{did_you_mean(kind, points)}")
-    factory: Factory = points[kind].load()
-    return factory(name, options, directory, settings, seconds(period))
+    found: Factory = points[kind].load()
+    return found
+
+
+def _with_drawn_faults(settings: FacilitySettings, factories: Mapping[str, Factory]) -> FacilitySettings:
+    """Scheduled and random faults in one list, checked against what the devices can play."""
+    kinds: dict[str, tuple[str, ...]] = {name: getattr(factory, "fault_kinds", ()) for name, factory in factories.items()}
+    drawn = () if settings.random_faults is None else faults.draw(settings.random_faults, kinds)
+    everything = (*settings.faults, *drawn)
+    faults.check(everything, kinds)
+    return replace(settings, faults=everything)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
 from adapters.device import DeviceError
+from adapters.facility import faults
+from adapters.facility.faults import Fault, RandomFaults
 from cosim.near import did_you_mean
 
 
@@ -30,18 +32,29 @@ class FacilitySettings:
     ramp_down_time_s: float = 0.25
     ramp_down_damping: float = 5.0
     """[N m s/rad]"""
+    seed: int = 1
+    """Of everything random in the faults."""
+    faults: tuple[Fault, ...] = ()
+    random_faults: RandomFaults | None = None
+
+    def faults_of(self, device: str) -> tuple[Fault, ...]:
+        return tuple(fault for fault in self.faults if fault.device == device)
 
 
 def read(raw: Mapping[str, Any]) -> FacilitySettings:
     """DeviceError for a key or value that is none."""
     known = {f.name: f for f in fields(FacilitySettings)}
+    readers: Mapping[str, Callable[[Any], Any]] = {"faults": faults.read, "random_faults": faults.read_random}
     for key, value in raw.items():
         if key not in known:
             raise DeviceError(f"[facility] {key} is not known{did_you_mean(key, known)}")
+        if key in readers:
+            continue
         whole = isinstance(known[key].default, int)
         fits = isinstance(value, int) if whole else isinstance(value, int | float)
         if isinstance(value, bool) or not fits or not 0 < value < 1e6:
             raise DeviceError(
                 f"[facility] {key} is {value!r}; a {'whole ' if whole else ''}number greater than zero is expected"
             )
-    return FacilitySettings(**raw)
+    values: dict[str, Any] = {key: readers[key](value) if key in readers else value for key, value in raw.items()}
+    return FacilitySettings(**values)

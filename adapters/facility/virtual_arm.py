@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -10,11 +9,13 @@ from typing import Any
 import can
 import numpy as np
 
-from adapters import arm_options
+from adapters import arm_options, outside
 from adapters.arm_frames import LIMIT_ROLES, ArmFrames, Mode
 from adapters.arm_link import Receiver, Sender, open_bus
 from adapters.device import DeviceError, LifeCycle
 from adapters.facility.arm_logic import ArmLogic, Command
+from adapters.facility.can_faults import FAULT_KINDS, CanTamper, FaultyBus
+from adapters.facility.link_faults import LinkFaults
 from adapters.facility.settings import FacilitySettings
 from adapters.facility.virtual_device import VirtualDevice
 from adapters.histogram import Histogram
@@ -27,8 +28,11 @@ SENSED = ("joint_position", "joint_velocity", "joint_torque")
 class VirtualArm(VirtualDevice[ArmLogic]):
     """`receive` at the begin of a cycle, then the model's step, then `send`."""
 
+    fault_kinds = FAULT_KINDS
+
     def __init__(self, name: str, raw: Mapping[str, Any], directory: Path, settings: FacilitySettings, period: float) -> None:
         self.name, self.settings, self.period = name, settings, period
+        self._outside = outside.present()
         self.options = arm_options.options_from(name, raw, directory)
         n = self.options.joints
         self.frames = ArmFrames(self.options.frames, n)
@@ -51,7 +55,11 @@ class VirtualArm(VirtualDevice[ArmLogic]):
         self._sent_at = 0.0
         self.logic = self._new_logic()
         seen = [self.frames.command]
-        self._bus = open_bus(self.options.interface, self.options.channel, self.frames.is_fd, seen, self.options.bus)
+        self.faults = LinkFaults(
+            settings.faults_of(name), period, settings.seed, CanTamper(ArmFrames(self.options.frames, n), period)
+        )
+        bus = open_bus(self.options.interface, self.options.channel, self.frames.is_fd, seen, self.options.bus)
+        self._bus = FaultyBus(bus, self.faults)
         self._receiver = Receiver(self.frames.command)
         self._sender = Sender(self._bus, self.frames.state)
         self._describer = None if self.frames.description is None else Sender(self._bus, self.frames.description)
@@ -74,9 +82,26 @@ class VirtualArm(VirtualDevice[ArmLogic]):
         self._before = self._totals()
         self.logic = self._new_logic()
         self.logic.cycle = cycle
+        if "joint_effort_limit" in self._limits:
+            steps = [0.5 * f.resolution for f in self.frames.command.fields["joint_torque_command"]]
+            self.logic.effort = np.array(self._limits["joint_effort_limit"]) + steps
         self._velocity[:] = 0.0
+        self.begin_faults(self.faults, self._bus)
 
     def receive(self, values: Mapping[str, Array]) -> None:
+        if self.begin_cycle():
+            self.logic.begin(self._commands(), self._velocity)
+        values["joint_torque_command"][:] = self.logic.torque
+        values["brake"][0] = float(self.logic.braked)
+
+    def power_off(self) -> None:
+        self.logic.fail("without power")
+
+    def fail(self) -> None:
+        self.logic.fail("a drive has failed")
+
+    def _commands(self) -> list[Command]:
+        """What came since the last state frame."""
         commands = []
         while (message := self._next()) is not None:
             numbers = self._receiver.take(message)
@@ -94,9 +119,7 @@ class VirtualArm(VirtualDevice[ArmLogic]):
             trip = message.timestamp - self._sent_at
             if answered == self.logic.cycle and 0.0 <= trip < 1.0 and self.logic.life.now is LifeCycle.active:
                 self.round_trip.add(int(trip * 1e9))
-        self.logic.begin(commands, self._velocity)
-        values["joint_torque_command"][:] = self.logic.torque
-        values["brake"][0] = float(self.logic.braked)
+        return commands
 
     def _next(self) -> can.Message | None:
         try:
@@ -107,7 +130,10 @@ class VirtualArm(VirtualDevice[ArmLogic]):
     def send(self, values: Mapping[str, Array]) -> None:
         logic = self.logic
         self._velocity[:] = values["joint_velocity"]
-        self._sent_at = time.time()
+        self._bus.flush()
+        if self._bus.silent:
+            return
+        self._sent_at = self._outside.time_ns() * 1e-9
         self._sender.send({
             "cycle": (float(logic.cycle),),
             "echoed_cycle": (float(logic.echoed),),
@@ -136,6 +162,7 @@ class VirtualArm(VirtualDevice[ArmLogic]):
         return {
             "commands_late_or_lost": self._before.get("commands_late_or_lost", 0.0) + self.logic.total_lost,
             "commands_of_strangers": self._before.get("commands_of_strangers", 0.0) + self.logic.strangers,
+            "commands_beyond_limits": self._before.get("commands_beyond_limits", 0.0) + self.logic.excessive,
         }
 
     def histograms(self) -> Mapping[str, Histogram]:

@@ -11,17 +11,21 @@ import numpy as np
 from adapters import link_options
 from adapters.device import LifeCycle
 from adapters.facility.base_logic import BaseLogic
+from adapters.facility.link_faults import LinkFaults
 from adapters.facility.settings import FacilitySettings
 from adapters.facility.virtual_device import VirtualDevice
+from adapters.facility.zenoh_faults import FAULT_KINDS, FaultyOdometryLink, ZenohTamper
 from adapters.pose import twist_rotated
 from adapters.ros_messages import Odometry
 from adapters.zenoh_base import TWIST
-from adapters.zenoh_link import OdometryLink, is_usable, open_session
+from adapters.zenoh_link import is_usable, open_session
 from cosim.component import Array, Port
 
 
 class VirtualBase(VirtualDevice[BaseLogic]):
     """`receive` at the begin of a cycle, then the model's step, then `send`. It listens where the host connects to."""
+
+    fault_kinds = FAULT_KINDS
 
     def __init__(self, name: str, raw: Mapping[str, Any], directory: Path, settings: FacilitySettings, period: float) -> None:
         self.name, self.settings, self.period = name, settings, period
@@ -40,7 +44,9 @@ class VirtualBase(VirtualDevice[BaseLogic]):
         self._pose = (np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))
         self._calls = 0
         self._session: Any = open_session([], o.connect, name)
-        self._link = OdometryLink(self._session, o, o.measured_topic, o.setpoint_topic)
+        self.faults = LinkFaults(settings.faults_of(name), period, settings.seed, ZenohTamper())
+        self._link = FaultyOdometryLink(self._session, o, o.measured_topic, o.setpoint_topic)
+        self._link.faults = self.faults
 
     def _new_logic(self) -> BaseLogic:
         s = self.settings
@@ -54,18 +60,23 @@ class VirtualBase(VirtualDevice[BaseLogic]):
     def begin_session(self, parameters: Mapping[str, Array]) -> None:
         """The model's start pose, which is held until set points come."""
         self.logic = self._new_logic()
+        self.begin_faults(self.faults, self._link)
         self._link.forget_source()
         self._link.tell_obeyed()
         self._pose = (parameters["true_position"].copy(), parameters["true_orientation"].copy())
         self.logic.hold(*self._pose)
 
     def receive(self, values: Mapping[str, Array]) -> None:
-        if self._link.receive(self._take) is not None:
-            self._link.tell_obeyed()
-        self.logic.tick()
+        if self.begin_cycle():
+            if self._link.receive(self._take) is not None:
+                self._link.tell_obeyed()
+            self.logic.tick()
         values["position_setpoint"][:] = self.logic.position
         values["orientation_setpoint"][:] = self.logic.orientation
         values["velocity_setpoint"][:] = self.logic.velocity
+
+    def power_off(self) -> None:
+        self.logic.hold(*self._pose)
 
     def _take(self, odometry: Odometry) -> bool:
         """Only a publisher whose set point is followed is listened to."""
@@ -77,7 +88,10 @@ class VirtualBase(VirtualDevice[BaseLogic]):
     def send(self, values: Mapping[str, Array]) -> None:
         position, orientation = values["base_position"], values["base_orientation"]
         self._pose = (position.copy(), orientation.copy())
+        self._link.flush()
         self._calls += 1
+        if self._link.silent:
+            return
         if self._calls % self.settings.measure_every == 0:
             self._link.publish(position, orientation, values["base_velocity"])
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import Generic, Protocol, TypeVar
+from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
+from adapters.facility.link_faults import LinkFaults
 from adapters.histogram import Histogram
 from cosim.component import Array, Port
 
@@ -21,6 +22,11 @@ class Logic(Protocol):
     def session_is_over(self) -> bool: ...
 
 
+class LinkEnd(Protocol):
+    silent: bool
+    """The device neither sends nor receives."""
+
+
 L = TypeVar("L", bound=Logic)
 
 
@@ -28,11 +34,44 @@ class VirtualDevice(ABC, Generic[L]):
     """`receive` at the begin of a cycle, then the model's step, then `send`; `begin_session` before the first."""
 
     name: str
+    fault_kinds: ClassVar[tuple[str, ...]] = ()
+    """Those of `adapters.facility.faults.KINDS` that it can play."""
     logic: L
     commands: tuple[Port, ...]
     """What comes over the wire for the model's inputs."""
     measurements: tuple[Port, ...]
     """What goes over the wire of the model's outputs."""
+
+    # Faults of the whole device
+
+    def begin_faults(self, faults: LinkFaults[Any], end: LinkEnd) -> None:
+        """With a session: none acts yet, and `end`, the device's end of the link, is open."""
+        self._faults, self._end = faults, end
+        self._cycles = 0
+        self._active_since: int | None = None
+        faults.reset()
+        end.silent = False
+
+    def begin_cycle(self) -> bool:
+        """First in a cycle; whether the device's own controller works in it."""
+        faults = self._faults
+        self._cycles += 1
+        if self._active_since is None and self.logic.was_active:
+            self._active_since = self._cycles
+        faults.begin_cycle(None if self._active_since is None else self._cycles - self._active_since)
+        dead, hung = faults.acts("dead"), faults.acts("hung")
+        if dead:
+            self.power_off()
+        elif faults.acts("device_fault"):
+            self.fail()
+        self._end.silent = dead or hung
+        return not hung
+
+    def power_off(self) -> None:
+        """What remains of a device without power: its brakes."""
+
+    def fail(self) -> None:
+        """The device finds a fault in itself."""
 
     @abstractmethod
     def begin_session(self, parameters: Mapping[str, Array]) -> None:

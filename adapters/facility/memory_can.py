@@ -1,0 +1,48 @@
+"""A CAN bus within one process, in virtual time: who waits for a frame lets the time pass until there is one."""
+
+from __future__ import annotations
+
+import copy
+from collections import deque
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import can
+
+LONGEST = 10_000
+"""Frames that a node holds unread; then it loses new ones, as a controller does."""
+
+
+class Time(Protocol):
+    def time_ns(self) -> int: ...
+
+    def pass_until(self, duration: float, happened: Callable[[], bool]) -> bool: ...
+
+
+class MemoryBus(can.BusABC):
+    """One node; `nodes` are all of its channel. Frames come at the instant at which they were sent, in order."""
+
+    def __init__(self, channel: str, nodes: list[MemoryBus], time: Time, can_filters: Any = None) -> None:
+        self.channel_info = f"channel {channel!r} in virtual time"
+        self._nodes, self._time = nodes, time
+        self._queue: deque[can.Message] = deque()
+        nodes.append(self)
+        super().__init__(channel=channel, can_filters=can_filters)
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        for node in self._nodes:
+            if node is not self and node._matches_filters(msg) and len(node._queue) < LONGEST:
+                frame = copy.copy(msg)
+                frame.timestamp = self._time.time_ns() * 1e-9
+                node._queue.append(frame)
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """`timeout` [s] of virtual time; None is no time at all."""
+        if not self._queue and timeout:
+            self._time.pass_until(timeout, lambda: bool(self._queue))
+        return self._queue.popleft() if self._queue else None
+
+    def shutdown(self) -> None:
+        if self in self._nodes:
+            self._nodes.remove(self)
+        super().shutdown()

@@ -1,0 +1,115 @@
+"""Zenoh sessions within one process, in virtual time: what the links use of a session, and no more."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import zenoh
+
+_numbers = itertools.count(1)
+
+
+class Net:
+    """Everybody's subscribers and tokens."""
+
+    def __init__(self) -> None:
+        self.subscribers: list[_Subscriber] = []
+        self.tokens: dict[int, str] = {}
+
+
+@dataclass(frozen=True)
+class _Bytes:
+    data: bytes
+
+    def to_bytes(self) -> bytes:
+        return self.data
+
+
+@dataclass(frozen=True)
+class _Sample:
+    key_expr: str
+    payload: _Bytes
+    attachment: _Bytes | None
+
+
+@dataclass(frozen=True)
+class _Reply:
+    ok: _Sample
+
+
+class _Subscriber:
+    """The freshest sample only, as RingChannel(1) has it."""
+
+    def __init__(self, net: Net, key: str) -> None:
+        self.key, self._net = key, net
+        self.sample: _Sample | None = None
+        net.subscribers.append(self)
+
+    def try_recv(self) -> _Sample | None:
+        sample, self.sample = self.sample, None
+        return sample
+
+    def undeclare(self) -> None:
+        if self in self._net.subscribers:
+            self._net.subscribers.remove(self)
+
+
+class _Publisher:
+    def __init__(self, net: Net, key: str) -> None:
+        self.key, self._net = key, net
+
+    def put(self, payload: bytes, *, attachment: bytes) -> None:
+        for subscriber in self._net.subscribers:
+            if subscriber.key == self.key:
+                subscriber.sample = _Sample(self.key, _Bytes(payload), _Bytes(attachment))
+
+    def undeclare(self) -> None:
+        pass
+
+
+class _Token:
+    def __init__(self, net: Net, key: str) -> None:
+        self._net, self._number = net, next(_numbers)
+        net.tokens[self._number] = key
+
+    def undeclare(self) -> None:
+        self._net.tokens.pop(self._number, None)
+
+
+class _Liveliness:
+    def __init__(self, net: Net) -> None:
+        self._net = net
+
+    def declare_token(self, key: str) -> _Token:
+        return _Token(self._net, key)
+
+    def get(self, key: str, timeout: float) -> Iterator[_Reply]:
+        wanted = zenoh.KeyExpr(key)
+        for token in list(self._net.tokens.values()):
+            if wanted.intersects(zenoh.KeyExpr(token)):
+                yield _Reply(_Sample(token, _Bytes(b""), None))
+
+
+class MemorySession:
+    """See `zenoh.Session`; endpoints mean nothing here: everybody meets everybody of the same `Net`."""
+
+    def __init__(self, net: Net) -> None:
+        self._net, self._number = net, next(_numbers)
+
+    def zid(self) -> str:
+        return f"{self._number:032x}"
+
+    def declare_subscriber(self, key: str, handler: object) -> _Subscriber:
+        return _Subscriber(self._net, key)
+
+    def declare_publisher(self, key: str, **how: Any) -> _Publisher:
+        return _Publisher(self._net, key)
+
+    def liveliness(self) -> _Liveliness:
+        return _Liveliness(self._net)
+
+    def close(self) -> None:
+        pass
