@@ -26,6 +26,8 @@ from cosim.component import Array, Port
 
 PATIENCE = 1.75
 """A cycle counts as lost when the last sample is so many cycles old; jitter below that is none."""
+DRIFT = 1e-3
+"""More than two clocks that are set now and then run apart: [s/s]."""
 TWIST = ("m/s",) * 3 + ("rad/s",) * 3
 
 
@@ -58,6 +60,8 @@ class ZenohBase:
         self._steps = 0
         self._sequence = 0
         self._silent = 0
+        self._quickest: int | None = None
+        self._delay = 0
         self._sent: tuple[Array, Array] | None = None
         self._offset = (np.zeros(3), np.zeros(3))
 
@@ -161,6 +165,7 @@ class ZenohBase:
             (measured * Rotation.from_quat(start[1]).inv()).as_rotvec(),
         )
         self._link.counts = Counts()
+        self._link.watch_obedience()
         self._publish(v["base_position"].copy(), v["base_orientation"].copy(), np.zeros(6))
         self._sequence = 0
         self.state.to(LifeCycle.active)
@@ -236,12 +241,15 @@ class ZenohBase:
             self.monitor.observe(lost=False)
         if self._steps % self._ratio and not reason:
             return
-        age = self._outside.monotonic_ns() - self._arrived
-        if age > self._late:
+        silence = self._outside.monotonic_ns() - self._arrived
+        if silence > self._late:
             self._silent += 1
             reason = self.monitor.observe(lost=True) or reason
+        age = silence + self._delay
         if age > self._age_limit:
             reason = reason or f"the last measurement is {age * 1e-9:.4g} s old, its limit is {self._age_limit * 1e-9:g} s"
+        if self._link is not None and self._link.is_deserted():
+            reason = reason or "the base robot does not take set points any more; it holds its place"
         if self._sent is not None:
             reason = reason or self.limits.measured(self.values["base_position"], self.values["base_orientation"], self._sent)
         if reason:
@@ -329,10 +337,21 @@ class ZenohBase:
         v["base_position"][:] = odometry.position
         v["base_orientation"][:] = orientation
         v["base_velocity"][:] = twist_rotated(orientation, odometry.velocity)
+        self._note_delay(received)
         self._arrived, self._sequence = received.arrived, received.attachment.sequence
         if self.state.now is LifeCycle.active:
             self.age.add(max(0, self._outside.time_ns() - received.attachment.stamp))
         return True
+
+    def _note_delay(self, received: Received) -> None:
+        """How much later the sample came than the quickest before it: clocks that differ tell no more. They may drift apart, too,
+        so that what is quick is forgotten slowly.
+        """
+        way = received.arrived - received.attachment.stamp
+        if self._arrived and self._quickest is not None:
+            self._quickest += int(DRIFT * (received.arrived - self._arrived))
+        self._quickest = way if self._quickest is None else min(self._quickest, way)
+        self._delay = way - self._quickest
 
     def _publish(self, position: Array, orientation: Array, velocity: Array) -> None:
         assert self._link is not None

@@ -115,6 +115,7 @@ class OdometryLink:
         """Whether the source's samples have a checksum; then all of them have."""
         self._told = ""
         self._obedience: Any = None
+        self._obeyed_tokens: Any = None
 
     def _declare(self, keys: Mapping[str, str]) -> None:
         self._subscriber = self.session.declare_subscriber(keys[self.in_topic], zenoh.handlers.RingChannel(1))
@@ -202,9 +203,19 @@ class OdometryLink:
         # While the token changes there may be two; somebody's name says more than nobody's.
         return next((whom for whom in found if whom != rmw_zenoh.NOBODY), found[0] if found else None)
 
-    def tell_obeyed(self) -> None:
-        """Declare whose set points are taken, if that has changed: the source in use."""
-        whom = rmw_zenoh.NOBODY if self._source is None else self._source.hex()
+    def watch_obedience(self) -> None:
+        """From now on `is_deserted` tells whether the base robot has ceased to obey."""
+        key = rmw_zenoh.obedience_token(self.options.domain, self.options.setpoint_topic, self.gid)
+        self._obeyed_tokens = self.session.liveliness().declare_subscriber(key, zenoh.handlers.RingChannel(1))
+
+    def is_deserted(self) -> bool:
+        """Whether the base's word that it obeys this publisher has been withdrawn since the last call; never waits."""
+        news = None if self._obeyed_tokens is None else self._obeyed_tokens.try_recv()
+        return news is not None and news.kind == zenoh.SampleKind.DELETE
+
+    def tell_obeyed(self, active: bool) -> None:
+        """Declare whose set points are taken, if that has changed: the source in use, while the base robot is `active`."""
+        whom = self._source.hex() if active and self._source is not None else rmw_zenoh.NOBODY
         if whom != self._told:
             before, self._told = self._obedience, whom
             key = rmw_zenoh.obedience_token(self.options.domain, self.options.setpoint_topic, whom)
@@ -237,9 +248,11 @@ class OdometryLink:
             self.counts.last_fault = f"a sample from {attachment.gid.hex()}, {self._source.hex()} is in use"
             return None
         last = self._last
-        if last is not None and (attachment.sequence <= last.sequence or attachment.stamp < last.stamp):
+        if last is not None and (attachment.sequence <= last.sequence or attachment.stamp <= last.stamp):
             self.counts.stale += 1
-            self.counts.last_fault = f"sequence number {attachment.sequence} after {last.sequence}"
+            self.counts.last_fault = (
+                f"sequence number {attachment.sequence} after {last.sequence}, its stamp {(attachment.stamp - last.stamp) * 1e-9:.6g} s later"
+            )
             return None
         if not judge(odometry):
             self.counts.malformed += 1
@@ -260,6 +273,7 @@ class OdometryLink:
         for token in (*self._tokens, *([self._obedience] if self._obedience is not None else [])):
             with contextlib.suppress(zenoh.ZError):
                 token.undeclare()
-        for declared in (self._publisher, self._subscriber):
+        watched = [] if self._obeyed_tokens is None else [self._obeyed_tokens]
+        for declared in (self._publisher, self._subscriber, *watched):
             with contextlib.suppress(zenoh.ZError):
                 declared.undeclare()

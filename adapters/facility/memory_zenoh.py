@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import zenoh
@@ -17,6 +17,7 @@ class Net:
 
     def __init__(self) -> None:
         self.subscribers: list[_Subscriber] = []
+        self.token_subscribers: list[_Subscriber] = []
         self.tokens: dict[int, str] = {}
 
 
@@ -33,6 +34,7 @@ class _Sample:
     key_expr: str
     payload: _Bytes
     attachment: _Bytes | None
+    kind: Any = field(default_factory=lambda: zenoh.SampleKind.PUT)
 
 
 @dataclass(frozen=True)
@@ -43,18 +45,18 @@ class _Reply:
 class _Subscriber:
     """The freshest sample only, as RingChannel(1) has it."""
 
-    def __init__(self, net: Net, key: str) -> None:
-        self.key, self._net = key, net
+    def __init__(self, everybody: list[_Subscriber], key: str) -> None:
+        self.key, self._everybody = key, everybody
         self.sample: _Sample | None = None
-        net.subscribers.append(self)
+        everybody.append(self)
 
     def try_recv(self) -> _Sample | None:
         sample, self.sample = self.sample, None
         return sample
 
     def undeclare(self) -> None:
-        if self in self._net.subscribers:
-            self._net.subscribers.remove(self)
+        if self in self._everybody:
+            self._everybody.remove(self)
 
 
 class _Publisher:
@@ -72,11 +74,18 @@ class _Publisher:
 
 class _Token:
     def __init__(self, net: Net, key: str) -> None:
-        self._net, self._number = net, next(_numbers)
+        self._net, self._number, self._key = net, next(_numbers), key
         net.tokens[self._number] = key
+        self._tell(zenoh.SampleKind.PUT)
 
     def undeclare(self) -> None:
-        self._net.tokens.pop(self._number, None)
+        if self._net.tokens.pop(self._number, None):
+            self._tell(zenoh.SampleKind.DELETE)
+
+    def _tell(self, kind: zenoh.SampleKind) -> None:
+        for subscriber in self._net.token_subscribers:
+            if subscriber.key == self._key:
+                subscriber.sample = _Sample(self._key, _Bytes(b""), None, kind)
 
 
 class _Liveliness:
@@ -85,6 +94,9 @@ class _Liveliness:
 
     def declare_token(self, key: str) -> _Token:
         return _Token(self._net, key)
+
+    def declare_subscriber(self, key: str, handler: object) -> _Subscriber:
+        return _Subscriber(self._net.token_subscribers, key)
 
     def get(self, key: str, timeout: float) -> Iterator[_Reply]:
         wanted = zenoh.KeyExpr(key)
@@ -103,7 +115,7 @@ class MemorySession:
         return f"{self._number:032x}"
 
     def declare_subscriber(self, key: str, handler: object) -> _Subscriber:
-        return _Subscriber(self._net, key)
+        return _Subscriber(self._net.subscribers, key)
 
     def declare_publisher(self, key: str, **how: Any) -> _Publisher:
         return _Publisher(self._net, key)

@@ -62,15 +62,15 @@ class VirtualBase(VirtualDevice[BaseLogic]):
         self.logic = self._new_logic()
         self.begin_faults(self.faults, self._link)
         self._link.forget_source()
-        self._link.tell_obeyed()
+        self._link.tell_obeyed(False)
         self._pose = (parameters["true_position"].copy(), parameters["true_orientation"].copy())
         self.logic.hold(*self._pose)
 
     def receive(self, values: Mapping[str, Array]) -> None:
         if self.begin_cycle():
-            if self._link.receive(self._take) is not None:
-                self._link.tell_obeyed()
+            self._link.receive(self._take)
             self.logic.tick()
+            self._link.tell_obeyed(self.logic.life.now is LifeCycle.active)
         values["position_setpoint"][:] = self.logic.position
         values["orientation_setpoint"][:] = self.logic.orientation
         values["velocity_setpoint"][:] = self.logic.velocity

@@ -59,7 +59,8 @@ class VirtualTime(Outside):
         """Let `duration` [s] pass, or less if something has `happened`."""
         if self._is_stepping:
             raise RuntimeError("the facility itself waits for something in virtual time; it would wait for ever")
-        end = self._now + round(duration * 1e9)
+        # At least something, or who waits for a remainder would wait for ever.
+        end = self._now + max(1, round(duration * 1e9))
         while self._facility is not None and self._next <= end:
             self._now = self._next
             self._next += self._period

@@ -1,0 +1,254 @@
+"""One run of both ends of the facility in virtual time, with faults, and everything that must hold whatever they do."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from dataclasses import replace as replaced
+from typing import Any
+
+import can
+import numpy as np
+import pytest
+
+from adapters import hil, ros_messages
+from adapters.arm_frames import ArmFrames, FrameMapping, Mode
+from adapters.device import LifeCycle
+from adapters.facility.accelerated import accelerated
+from adapters.facility.faults import Fault
+from adapters.facility.virtual_arm import VirtualArm
+from adapters.facility.virtual_base import VirtualBase
+from adapters.hil import LoopReport
+from adapters.pose import distance, twist_rotated
+from cosim import scenario
+from cosim.component import Array
+from cosim.experiment import Result
+from cosim.scenario import Scenario
+
+JOINTS = 6
+ARM, BASE = "arm_drive", "base_robot"
+PROGRAM_ERROR = re.compile(r"\.py, line \d+\)")
+"""How an exception that nobody expected is told (`cosim.master.told`)."""
+AFTERWARDS = 1.6
+"""[s] after the controllers have gone: the devices' own watchdogs and ramps, and then forgetting the controller."""
+
+
+def shipped(stop: float, *overrides: str) -> Scenario:
+    return scenario.load("facility", [f"stop_s={stop}", *overrides])
+
+
+def with_faults(base: Scenario, faults: Sequence[dict[str, Any]] = (), **facility: Any) -> Scenario:
+    return replaced(base, facility={**base.facility, "faults": list(faults), **facility})
+
+
+class _SetPoints:
+    """A subscriber that keeps everything."""
+
+    def __init__(self, key: str) -> None:
+        self.key, self.payloads = key, []
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name == "sample":
+            self.payloads.append(value.payload.to_bytes())
+        else:
+            super().__setattr__(name, value)
+
+
+@dataclass
+class Observed:
+    """`stopped_at`, `active_at` in seconds of virtual time."""
+
+    scenario: Scenario
+    faults: tuple[Fault, ...] = ()
+    result: Result | None = None
+    report: LoopReport | None = None
+    error: str = ""
+    """Why it was not even activated."""
+    stopped_at: float = np.nan
+    active_at: dict[str, float] = field(default_factory=dict)
+    safe_at: dict[str, float] = field(default_factory=dict)
+    """When a device went to a stop by itself."""
+    true_states: list[bytes] = field(default_factory=list)
+    true_samples: list[bytes] = field(default_factory=list)
+    commands: list[can.Message] = field(default_factory=list)
+    setpoints: list[bytes] = field(default_factory=list)
+    applied: list[tuple[LifeCycle, bool, Array]] = field(default_factory=list)
+    """Of the arm in every cycle: state, brakes, torque."""
+    followed: list[tuple[Array, Array]] = field(default_factory=list)
+    """Set points that the base robot was given in every cycle."""
+    devices: dict[str, Any] = field(default_factory=dict)
+    events: dict[str, list[str]] = field(default_factory=dict)
+    acted: dict[str, int] = field(default_factory=dict)
+    at_the_end: dict[str, LifeCycle] = field(default_factory=dict)
+    braked_at_the_end: bool = False
+
+    @property
+    def stop(self) -> str:
+        return self.error or (self.report.stop if self.report else "")
+
+    @property
+    def went_on(self) -> bool:
+        return self.result is not None and self.result.as_expected
+
+    def since(self, device: str, begin: float, moment: float) -> float:
+        """[s] from a fault's begin (counted from the device's activation) until a moment."""
+        return moment - (self.active_at[device] + begin)
+
+
+def run(chosen: Scenario) -> Observed:
+    """Raises nothing that the loop or the facility should have caught."""
+    seen = Observed(scenario=chosen)
+    frames = ArmFrames(FrameMapping(), JOINTS)
+    stop = hil.stop
+    with accelerated(chosen) as both:
+        clock = both.time
+        facility, now = both.facility, clock.monotonic
+        seen.faults = facility.settings.faults
+        arm, base = facility.devices
+        assert isinstance(arm, VirtualArm)
+        assert isinstance(base, VirtualBase)
+        listener = clock.bus(channel=arm.options.channel)
+        taken = _SetPoints(base._link._subscriber.key)
+        clock._net.subscribers.append(taken)  # type: ignore[arg-type]
+
+        def drained() -> None:
+            while (message := listener.recv(0.0)) is not None:
+                if message.arbitration_id == frames.command.identifier:
+                    seen.commands.append(message)
+
+        def note_arm(_: Any) -> None:
+            drained()
+            logic = arm.logic
+            seen.applied.append((logic.life.now, logic.braked, logic.torque.copy()))
+            _note_state(seen, ARM, logic.life.now, now())
+
+        def note_base(_: Any) -> None:
+            seen.followed.append((base.logic.position.copy(), base.logic.orientation.copy()))
+            _note_state(seen, BASE, base.logic.life.now, now())
+
+        _spy(arm, "receive", after=note_arm)
+        _spy(base, "receive", after=note_base)
+        _spy(arm._bus, "send", before=lambda message: seen.true_states.append(bytes(message.data)))
+        _spy(base._link, "put", before=lambda payload, attachment: seen.true_samples.append(payload))
+
+        def noted_stop(*arguments: Any, **keywords: Any) -> str:
+            seen.stopped_at = now()
+            return stop(*arguments, **keywords)
+
+        hil.stop = noted_stop
+        try:
+            seen.result, seen.report = hil.run(chosen, real_time=False, say=lambda text: None)
+        except hil.CosimError as error:
+            seen.error = str(error)
+        finally:
+            hil.stop = stop
+        logics = arm.logic, base.logic
+        clock.sleep(AFTERWARDS)
+        drained()
+        listener.shutdown()
+        assert facility.outcome is None or not facility.outcome.failed, facility.outcome
+        seen.setpoints = taken.payloads
+        seen.devices = {name: dict(counts) for name, counts in facility.report()["devices"].items()}
+        seen.events = {
+            device.name: [event for session in facility.history for _, event in session["events"][device.name]]
+            + [event for _, event in device.events]
+            for device in facility.devices
+        }
+        seen.acted = {kind: count for device in facility.devices for kind, count in device.faults.acted.items()}
+        seen.at_the_end = {ARM: logics[0].life.now, BASE: logics[1].life.now}
+        seen.braked_at_the_end = logics[0].braked
+    return seen
+
+
+def _note_state(seen: Observed, name: str, state: LifeCycle, now: float) -> None:
+    if state is LifeCycle.active:
+        seen.active_at.setdefault(name, now)
+    elif state in (LifeCycle.safe_stop, LifeCycle.fault):
+        seen.safe_at.setdefault(name, now)
+
+
+def _spy(subject: Any, name: str, *, before: Callable[..., None] | None = None, after: Callable[..., None] | None = None) -> None:
+    original = getattr(subject, name)
+
+    def spied(*arguments: Any) -> Any:
+        if before:
+            before(*arguments)
+        result = original(*arguments)
+        if after:
+            after(*arguments)
+        return result
+
+    setattr(subject, name, spied)
+
+
+def assert_safe(seen: Observed) -> None:
+    """What holds whatever the faults were."""
+    assert not PROGRAM_ERROR.search(seen.stop), seen.stop
+    assert "no transition" not in seen.stop
+    frames = ArmFrames(FrameMapping(), JOINTS)
+    _assert_nothing_corrupted_was_used(seen, frames)
+    _assert_commands_within_limits(seen, frames)
+    for name, state in seen.at_the_end.items():
+        # One that hangs for ever does nothing any more.
+        hangs = any(f.kind == "hung" and f.device == name and f.duration_s > AFTERWARDS for f in seen.faults)
+        assert state is not LifeCycle.active or hangs, name
+        assert name != ARM or seen.braked_at_the_end or hangs
+
+
+def _assert_nothing_corrupted_was_used(seen: Observed, frames: ArmFrames) -> None:
+    """Every value that either side has used is one that the other side has sent."""
+    states = [frames.state.unpack(data) for data in seen.true_states]
+    commands = {tuple(frames.command.unpack(m.data)["joint_torque_command"]) for m in seen.commands} | {(0.0,) * JOINTS}
+    for life, braked, torque in seen.applied:
+        assert not (braked and torque.any())
+        assert life is LifeCycle.active or life is LifeCycle.safe_stop or braked
+        if life is LifeCycle.active:
+            assert tuple(torque) in commands
+    sent = [ros_messages.read(payload) for payload in seen.setpoints]
+    places = {tuple(s.position) for s in sent}
+    start = seen.followed[0]
+    for position, _ in seen.followed:
+        # A base without power stays where it is.
+        assert tuple(position) in places or position == pytest.approx(start[0], abs=0.05)
+    if seen.result is None:
+        return
+    record = seen.result.outcome.record
+    for name in ("joint_position", "joint_velocity", "joint_torque"):
+        known = {tuple(state[name]) for state in states}
+        assert {tuple(row) for row in record[f"{ARM}.{name}"]} <= known, name
+    samples = [ros_messages.read(payload) for payload in seen.true_samples]
+    for name, values in {
+        "base_position": {tuple(s.position) for s in samples},
+        "base_orientation": {tuple(s.orientation) for s in samples},
+        "base_velocity": {tuple(twist_rotated(s.orientation, s.velocity)) for s in samples},
+    }.items():
+        assert {tuple(row) for row in record[f"{BASE}.{name}"]} <= values, name
+
+
+def _assert_commands_within_limits(seen: Observed, frames: ArmFrames) -> None:
+    effort, change, resolution = 10.0, 1.0, 0.01
+    effort = float(np.max([f.most for f in ()], initial=effort))
+    before = np.zeros(JOINTS)
+    for message in seen.commands:
+        numbers = frames.command.unpack(message.data)
+        torque = np.array(numbers["joint_torque_command"])
+        assert np.isfinite(torque).all()
+        assert (np.abs(torque) <= effort + resolution).all()
+        if frames.mode(numbers["mode"][0]) is Mode.torque:
+            assert (np.abs(torque - before) <= change + 2 * resolution).all()
+        else:
+            assert not torque.any()
+        before = torque
+    last: ros_messages.Odometry | None = None
+    for payload in seen.setpoints:
+        s = ros_messages.read(payload)
+        assert np.isfinite([*s.position, *s.orientation, *s.velocity]).all()
+        assert (np.abs(s.position) <= 0.5).all()
+        assert np.linalg.norm(s.velocity[:3]) <= 0.2
+        assert np.linalg.norm(s.velocity[3:]) <= 0.5
+        if last is not None:
+            step = distance(s.position, s.orientation, last.position, last.orientation)
+            assert step[0] <= 0.002
+            assert step[1] <= 0.005
+        last = s
