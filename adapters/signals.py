@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -63,10 +64,17 @@ def occupied_bits(signal: Any) -> set[int]:
     return {8 * (k // 8) + 7 - k % 8 for k in range(from_top, from_top + signal.length)}
 
 
+@functools.lru_cache(maxsize=16)
+def _loaded(path: Path, changed: int, size: int) -> Any:
+    """Both ends of a link, and each of its frames, ask for the same file."""
+    return cantools.database.load_file(path, strict=True)
+
+
 def load(path: Path) -> Any:
     """A cantools database; DeviceError with one sentence for a file that is none."""
     try:
-        return cantools.database.load_file(path, strict=True)
+        status = path.stat()
+        return _loaded(path, status.st_mtime_ns, status.st_size)
     except OSError as error:
         raise DeviceError(f"DBC {path} cannot be read: {error.strerror or error}") from error
     except Exception as error:  # cantools has several kinds for a malformed file, and passes on its parser's

@@ -250,9 +250,7 @@ class OdometryLink:
         last = self._last
         if last is not None and (attachment.sequence <= last.sequence or attachment.stamp <= last.stamp):
             self.counts.stale += 1
-            self.counts.last_fault = (
-                f"sequence number {attachment.sequence} after {last.sequence}, its stamp {(attachment.stamp - last.stamp) * 1e-9:.6g} s later"
-            )
+            self.counts.last_fault = f"sequence number {attachment.sequence} after {last.sequence}, its stamp {(attachment.stamp - last.stamp) * 1e-9:.6g} s later"
             return None
         if not judge(odometry):
             self.counts.malformed += 1

@@ -30,8 +30,8 @@ JOINTS = 6
 ARM, BASE = "arm_drive", "base_robot"
 PROGRAM_ERROR = re.compile(r"\.py, line \d+\)")
 """How an exception that nobody expected is told (`cosim.master.told`)."""
-AFTERWARDS = 1.6
-"""[s] after the controllers have gone: the devices' own watchdogs and ramps, and then forgetting the controller."""
+AFTERWARDS = 0.9
+"""[s] after the controllers have gone: the devices' own watchdogs and ramps."""
 
 
 def shipped(stop: float, *overrides: str) -> Scenario:
@@ -80,6 +80,8 @@ class Observed:
     devices: dict[str, Any] = field(default_factory=dict)
     events: dict[str, list[str]] = field(default_factory=dict)
     acted: dict[str, int] = field(default_factory=dict)
+    effort: Array = field(default_factory=lambda: np.zeros(JOINTS))
+    """The arm's own limits (n) [N m]."""
     at_the_end: dict[str, LifeCycle] = field(default_factory=dict)
     braked_at_the_end: bool = False
 
@@ -144,6 +146,7 @@ def run(chosen: Scenario) -> Observed:
         finally:
             hil.stop = stop
         logics = arm.logic, base.logic
+        seen.effort = np.array(arm._limits["joint_effort_limit"])
         clock.sleep(AFTERWARDS)
         drained()
         listener.shutdown()
@@ -168,7 +171,9 @@ def _note_state(seen: Observed, name: str, state: LifeCycle, now: float) -> None
         seen.safe_at.setdefault(name, now)
 
 
-def _spy(subject: Any, name: str, *, before: Callable[..., None] | None = None, after: Callable[..., None] | None = None) -> None:
+def _spy(
+    subject: Any, name: str, *, before: Callable[..., None] | None = None, after: Callable[..., None] | None = None
+) -> None:
     original = getattr(subject, name)
 
     def spied(*arguments: Any) -> Any:
@@ -227,14 +232,14 @@ def _assert_nothing_corrupted_was_used(seen: Observed, frames: ArmFrames) -> Non
 
 
 def _assert_commands_within_limits(seen: Observed, frames: ArmFrames) -> None:
-    effort, change, resolution = 10.0, 1.0, 0.01
-    effort = float(np.max([f.most for f in ()], initial=effort))
+    resolution = frames.command.fields["joint_torque_command"][0].resolution
+    change = 1000.0 * 0.001  # N m in a cycle: torque_rate_limit, and the period
     before = np.zeros(JOINTS)
     for message in seen.commands:
         numbers = frames.command.unpack(message.data)
         torque = np.array(numbers["joint_torque_command"])
         assert np.isfinite(torque).all()
-        assert (np.abs(torque) <= effort + resolution).all()
+        assert (np.abs(torque) <= seen.effort + resolution).all()
         if frames.mode(numbers["mode"][0]) is Mode.torque:
             assert (np.abs(torque - before) <= change + 2 * resolution).all()
         else:

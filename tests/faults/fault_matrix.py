@@ -1,0 +1,197 @@
+"""The fault matrix: every fault, what must come of it and by when. The tests run these rows; docs/fault_matrix.md is made of them.
+
+python tests/faults/fault_matrix.py > docs/fault_matrix.md
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+ARM, BASE = "arm_drive", "base_robot"
+TO_CONTROLLER, TO_DEVICE, BOTH = "to_controller", "to_device", "both"
+BEGIN = 0.1
+"""[s] after activation."""
+
+ARM_WATCHDOG = "the arm went to safe_stop by itself"
+ARM_SILENT = "20 cycles in a row were lost"
+BASE_SILENT = "2 cycles in a row were lost|3 cycles within 0.2 s were lost"
+BASE_WATCHDOG = "the base robot does not take set points any more"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """One fault and its stated reaction. `stop`: what the reason must say (a regular expression), or None: the loop goes on.
+
+    `within` [s] from the fault's begin: until the controllers have decided to stop, and until the device itself is safe, where it
+    decides by itself. `counted`: counters of which one or more must not be zero.
+    """
+
+    device: str
+    direction: str = BOTH
+    kind: str
+    how: dict[str, Any] = field(default_factory=dict)
+    reaction: str
+    stop: str | None = None
+    within: float | None = None
+    device_within: float | None = None
+    counted: tuple[str, ...] = ()
+    lasts: float = 0.4
+    """How long the run goes on after the fault's begin, if nothing stops it [s]."""
+    seed: int = 1
+
+    @property
+    def name(self) -> str:
+        how = "-".join(f"{key}={value:g}" for key, value in self.how.items())
+        return "-".join(part for part in (self.device, self.kind, self.direction, how) if part)
+
+    @property
+    def fault(self) -> dict[str, Any]:
+        return {"kind": self.kind, "device": self.device, "direction": self.direction, "begin_s": BEGIN, **self.how}
+
+
+def _arm_rows() -> Iterator[Row]:
+    lost_answers = "late answers: the arm's watchdog after 4 cycles; the controller after 20, or when the arm says so"
+    refused = "refused by E2E, as if lost: "
+    for share, direction, row in (
+        (0.01, TO_CONTROLLER, {"reaction": "held over, counted", "lasts": 2.0}),
+        (0.05, TO_CONTROLLER, {"reaction": "held over, counted", "lasts": 2.0}),
+        (0.2, TO_CONTROLLER, {"reaction": "4 cycles without an answer come at random, some 0.8 s on average; then the arm's watchdog",
+                              "stop": ARM_WATCHDOG, "within": 5.0, "lasts": 6.0}),
+        (0.01, TO_DEVICE, {"reaction": "the last command acts on, counted", "lasts": 2.0}),
+        (0.05, TO_DEVICE, {"reaction": "the last command acts on, counted", "lasts": 2.0}),
+        (0.2, TO_DEVICE, {"reaction": "as to the controller: some 0.8 s on average, then the arm's watchdog",
+                          "stop": ARM_WATCHDOG, "within": 5.0, "lasts": 6.0}),
+    ):  # fmt: skip
+        counted = ("cycles_lost",) if direction == TO_CONTROLLER else ("commands_late_or_lost",)
+        yield Row(device=ARM, direction=direction, kind="loss", how={"probability": share}, counted=counted, **row)  # type: ignore[arg-type]
+    for kind, how in (("cut", {}), ("flipped_bits", {"bits": 1}), ("flipped_bits", {"bits": 8}), ("wrong_data_id", {}), ("frozen_counter", {}),
+                      ("stale_stamp", {})):  # fmt: skip
+        prefix = "" if kind == "cut" else refused
+        yield Row(device=ARM, direction=TO_CONTROLLER, kind=kind, how=how, stop=ARM_SILENT, within=0.0225, device_within=0.0065,
+                  reaction=prefix + lost_answers, counted=("cycles_lost",))  # fmt: skip
+        yield Row(device=ARM, direction=TO_DEVICE, kind=kind, how=how, stop=ARM_WATCHDOG, within=0.006, device_within=0.005,
+                  reaction=prefix + "the arm's watchdog after 4 cycles, which it says", counted=("commands_late_or_lost",))  # fmt: skip
+    yield Row(
+        device=ARM,
+        direction=BOTH,
+        kind="cut",
+        how={"duration_s": 0.002},
+        reaction="held over, counted",
+        counted=("cycles_lost",),
+    )
+    yield Row(device=ARM, direction=BOTH, kind="cut", how={"duration_s": 0.015}, stop=ARM_WATCHDOG, within=0.018, device_within=0.0055,
+              reaction="the arm's watchdog after 4 cycles; the controller learns of it when the link is back")  # fmt: skip
+    for direction in (TO_CONTROLLER, TO_DEVICE):
+        yield Row(device=ARM, direction=direction, kind="delay", how={"delay_s": 0.002}, reaction="late answers are used and counted",
+                  counted=("commands_late_or_lost",))  # fmt: skip
+        yield Row(device=ARM, direction=direction, kind="delay", how={"delay_s": 0.01}, stop=f"{ARM_WATCHDOG}|{ARM_SILENT}", within=0.016,
+                  device_within=0.0065, reaction="answers that are 4 cycles late are none: the arm's watchdog")  # fmt: skip
+        yield Row(device=ARM, direction=direction, kind="jitter", how={"delay_s": 0.003}, reaction="late answers are used and counted",
+                  counted=("commands_late_or_lost",))  # fmt: skip
+        yield Row(device=ARM, direction=direction, kind="duplication", reaction="the second is refused by E2E, counted",
+                  counted=("state_frames_rejected",) if direction == TO_CONTROLLER else ("commands_rejected",))  # fmt: skip
+        yield Row(device=ARM, direction=direction, kind="reordering", how={"probability": 0.1}, reaction="the late one is refused, counted",
+                  counted=("state_frames_rejected", "commands_rejected"))  # fmt: skip
+    yield Row(device=ARM, direction=TO_CONTROLLER, kind="out_of_range", how={"probability": 0.05}, stop="its range is", within=0.1,
+              reaction="a joint beyond its range is no error of the link: stop on the first")  # fmt: skip
+    yield Row(device=ARM, direction=TO_DEVICE, kind="out_of_range", stop=ARM_WATCHDOG, within=0.006, device_within=0.005,
+              reaction="a torque beyond the arm's limits is not used, as if lost", counted=("commands_beyond_limits",))  # fmt: skip
+    for jump in (1.0, -1.0):
+        yield Row(device=ARM, direction=TO_CONTROLLER, kind="clock_jump", how={"jump_s": jump}, stop=ARM_SILENT, within=0.0225, device_within=0.0065,
+                  reaction="cycle numbers ahead are lost cycles: stop at once" if jump > 0 else "cycle numbers of the past are refused: " + lost_answers)  # fmt: skip
+    yield Row(device=ARM, direction=TO_DEVICE, kind="clock_jump", stop=ARM_WATCHDOG, within=0.006, device_within=0.005,
+              reaction="answers to cycles that never were are none: the arm's watchdog")  # fmt: skip
+    yield Row(device=ARM, kind="bus_off", stop=ARM_SILENT, within=0.0225, device_within=0.0055, reaction=lost_answers)
+    yield Row(device=ARM, kind="hung", stop=ARM_SILENT, within=0.0225,
+              reaction="the controller after 20 cycles, and it says that the arm has not confirmed to be at rest: its last torque acts on; "
+                       "a real arm needs a watchdog below its controller")  # fmt: skip
+    yield Row(device=ARM, kind="hung", how={"duration_s": 0.01}, counted=("cycles_lost",),
+              reaction="held over: less than 20 cycles, in which its own time stood still, too")  # fmt: skip
+    yield Row(
+        device=ARM,
+        kind="dead",
+        stop=ARM_SILENT,
+        within=0.0225,
+        device_within=0.0015,
+        reaction="brakes without power; the controller after 20 cycles",
+    )
+    yield Row(device=ARM, kind="device_fault", stop="the arm went to fault by itself", within=0.0025, device_within=0.0015,
+              reaction="brakes; the controller stops on the arm's word")  # fmt: skip
+
+
+def _base_rows() -> Iterator[Row]:
+    for share, direction, row in (
+        (0.01, TO_CONTROLLER, {"reaction": "two in a row, or three within 0.2 s: some 4.5 s on average", "stop": BASE_SILENT, "within": 15.0, "lasts": 15.0, "seed": 3}),
+        (0.05, TO_CONTROLLER, {"reaction": "two in a row, or three within 0.2 s: some 0.2 s on average", "stop": BASE_SILENT, "within": 2.0, "lasts": 2.1}),
+        (0.2, TO_CONTROLLER, {"reaction": "two in a row, or three within 0.2 s: within some cycles", "stop": BASE_SILENT, "within": 0.5, "lasts": 0.6}),
+        (0.01, TO_DEVICE, {"reaction": "the base follows the next one", "counted": ("setpoints_skipped",), "lasts": 2.0}),
+        (0.05, TO_DEVICE, {"reaction": "the base follows the next one", "counted": ("setpoints_skipped",), "lasts": 2.0}),
+        (0.2, TO_DEVICE, {"reaction": "the base follows the next one; five in a row (its watchdog) come once in 15 s on average",
+                          "counted": ("setpoints_skipped",), "lasts": 1.0}),
+    ):  # fmt: skip
+        yield Row(device=BASE, direction=direction, kind="loss", how={"probability": share}, **row)  # type: ignore[arg-type]
+    for kind, how in (("cut", {}), ("flipped_bits", {"bits": 1}), ("flipped_bits", {"bits": 8}), ("wrong_data_id", {}), ("frozen_counter", {}),
+                      ("stale_stamp", {}), ("not_a_number", {}), ("out_of_range", {})):  # fmt: skip
+        prefix = "" if kind == "cut" else "refused, as if lost: "
+        yield Row(device=BASE, direction=TO_CONTROLLER, kind=kind, how=how, stop=BASE_SILENT, within=0.02,
+                  reaction=prefix + "two cycles in a row")  # fmt: skip
+        yield Row(device=BASE, direction=TO_DEVICE, kind=kind, how=how, stop=BASE_WATCHDOG, within=0.028, device_within=0.026,
+                  reaction=prefix + "the base's watchdog after 20 ms, which it says; a base that does not say it: following error")  # fmt: skip
+    yield Row(
+        device=BASE,
+        kind="cut",
+        how={"duration_s": 0.004},
+        reaction="one cycle is lost, held over and counted",
+        counted=("cycles_lost", "samples_skipped"),
+    )
+    yield Row(
+        device=BASE,
+        direction=TO_CONTROLLER,
+        kind="delay",
+        how={"delay_s": 0.003},
+        reaction="older measurements; watched is their age",
+    )
+    yield Row(device=BASE, direction=TO_CONTROLLER, kind="delay", how={"delay_s": 0.05}, stop=f"old, its limit is 0.02 s|{BASE_SILENT}", within=0.03,
+              reaction="lost cycles while they stay away; measurements later than the quickest by the age limit are too old")  # fmt: skip
+    yield Row(
+        device=BASE,
+        direction=TO_DEVICE,
+        kind="delay",
+        how={"delay_s": 0.01},
+        reaction="the base follows later; watched is the following error",
+    )
+    yield Row(device=BASE, direction=TO_DEVICE, kind="delay", how={"delay_s": 0.05}, stop=BASE_WATCHDOG, within=0.03, device_within=0.026,
+              reaction="the base's watchdog after 20 ms")  # fmt: skip
+    for direction in (TO_CONTROLLER, TO_DEVICE):
+        yield Row(device=BASE, direction=direction, kind="jitter", how={"delay_s": 0.003}, reaction="the freshest is used")
+        yield Row(
+            device=BASE, direction=direction, kind="duplication", reaction="the second is refused or overwrites the first"
+        )
+    yield Row(device=BASE, direction=TO_CONTROLLER, kind="reordering", stop=BASE_SILENT, within=0.06,
+              reaction="only the freshest is kept, and that is the older one: every other cycle is lost")  # fmt: skip
+    yield Row(
+        device=BASE,
+        direction=TO_DEVICE,
+        kind="reordering",
+        reaction="every other set point is followed",
+        counted=("setpoints_refused", "setpoints_skipped"),
+    )
+    yield Row(
+        device=BASE, direction=TO_CONTROLLER, kind="clock_jump", how={"jump_s": 3600.0}, reaction="stamps need only go on: none"
+    )
+    yield Row(device=BASE, direction=TO_CONTROLLER, kind="clock_jump", how={"jump_s": -3600.0}, stop=BASE_SILENT, within=0.02,
+              reaction="stamps of the past are refused, as if lost: two cycles in a row")  # fmt: skip
+    yield Row(device=BASE, direction=TO_CONTROLLER, kind="clock_jump", how={"jump_s": 3600.0, "duration_s": 0.1}, stop=BASE_SILENT, within=0.12,
+              reaction="back again, stamps are of the past: two cycles in a row")  # fmt: skip
+    yield Row(
+        device=BASE, direction=TO_DEVICE, kind="clock_jump", how={"jump_s": 3600.0}, reaction="stamps need only go on: none"
+    )
+    yield Row(device=BASE, direction=TO_DEVICE, kind="clock_jump", how={"jump_s": -3600.0}, stop=BASE_WATCHDOG, within=0.028, device_within=0.026,
+              reaction="stamps of the past are refused: the base's watchdog after 20 ms")  # fmt: skip
+    yield Row(device=BASE, kind="hung", stop=BASE_SILENT, within=0.02, reaction="two cycles in a row")
+    yield Row(device=BASE, kind="dead", stop=BASE_SILENT, within=0.02, reaction="it stands; two cycles in a row")
+
+
+ROWS = (*_arm_rows(), *_base_rows())
