@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Mapping
-from contextlib import closing
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 from rich.console import Console
@@ -14,12 +14,17 @@ from rich.table import Table
 
 from adapters import hil, pacing
 from adapters.facility import settings as facility_settings
+from adapters.facility.accelerated import accelerated
 from adapters.facility.server import Facility
 from cosim import experiment, scenario
 from cosim.cli import complain, folder, result_table, verdict
 from cosim.errors import DONE, STOPPED
 from cosim.interrupts import interrupts
 from cosim.record import check_writable, write_text
+from cosim.scenario import Scenario
+
+AFTERWARDS = 1.0
+"""[s] of virtual time in which the devices come to rest after the controllers have gone."""
 
 
 class HilCommand:
@@ -28,8 +33,14 @@ class HilCommand:
     def configure(self, parser: argparse.ArgumentParser) -> None:
         _common(parser)
         parser.add_argument("--out", type=folder, metavar="DIR", help="default: freeflyer_out/hil_SCENARIO")
-        parser.add_argument(
+        how = parser.add_mutually_exclusive_group()
+        how.add_argument(
             "--simulated", action="store_true", help="every device is its model in this process, at wall-clock rate"
+        )
+        how.add_argument(
+            "--accelerated",
+            action="store_true",
+            help="with a virtual facility, its links and their faults in this process, in virtual time: as fast as can be computed",
         )
         parser.add_argument(
             "--view",
@@ -44,14 +55,19 @@ class HilCommand:
         directory = arguments.out or Path("freeflyer_out") / f"hil_{chosen.name}"
         check_writable(directory)
         view = console.is_terminal if arguments.view is None else arguments.view
-        result, report = hil.run(
-            chosen,
-            real_time=arguments.real_time,
-            simulated=arguments.simulated,
-            view=view,
-            fmi=arguments.fmi,
-            say=lambda text: console.print(text, soft_wrap=True),
-        )
+
+        def say(text: str) -> None:
+            console.print(text, soft_wrap=True)
+
+        with _facility_beside(chosen, arguments, say):
+            result, report = hil.run(
+                chosen,
+                real_time=arguments.real_time and not arguments.accelerated,
+                simulated=arguments.simulated,
+                view=view and not arguments.accelerated,
+                fmi=arguments.fmi,
+                say=say,
+            )
         experiment.write(result, directory)
         console.print(result_table(result))
         console.print(times_table(report.times))
@@ -84,6 +100,7 @@ class FacilityCommand:
                 say(
                     f"the facility of scenario {chosen.name} is there: {', '.join(d.name for d in facility.devices)}; Ctrl-C ends it"
                 )
+                say_faults(facility, say)
                 with pacing.no_collection():
                     outcome = facility.run(say)
         finally:
@@ -96,6 +113,23 @@ class FacilityCommand:
         if outcome.failed or outcome.diverged:
             return complain(f"the facility's model failed: {outcome.cause}", STOPPED)
         return DONE
+
+
+@contextmanager
+def _facility_beside(chosen: Scenario, arguments: argparse.Namespace, say: Callable[[str], None]) -> Iterator[None]:
+    """Where `--accelerated` asks for it: in this process, on one virtual time with the loop."""
+    if not arguments.accelerated:
+        yield
+        return
+    with accelerated(chosen, arguments.fmi, say) as both:
+        say_faults(both.facility, say)
+        yield
+        both.time.sleep(AFTERWARDS)
+
+
+def say_faults(facility: Facility, say: Callable[[str], None]) -> None:
+    for fault in facility.settings.faults:
+        say(f"fault: {fault.said()}")
 
 
 def _common(parser: argparse.ArgumentParser) -> None:
