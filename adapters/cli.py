@@ -16,6 +16,7 @@ from adapters import hil, pacing
 from adapters.facility import settings as facility_settings
 from adapters.facility.accelerated import accelerated
 from adapters.facility.server import Facility
+from adapters.link_notices import notices
 from cosim import experiment, scenario
 from cosim.cli import complain, folder, result_table, verdict
 from cosim.errors import DONE, STOPPED
@@ -54,6 +55,9 @@ class HilCommand:
         facility_settings.read(chosen.facility)  # its mistakes are told on both sides
         directory = arguments.out or Path("freeflyer_out") / f"hil_{chosen.name}"
         check_writable(directory)
+        if not arguments.simulated:
+            for notice in notices(chosen, as_robot=False):
+                console.print(notice, soft_wrap=True)
         view = console.is_terminal if arguments.view is None else arguments.view
 
         def say(text: str) -> None:
@@ -92,6 +96,8 @@ class FacilityCommand:
         def say(text: str) -> None:
             console.print(f"{time.strftime('%H:%M:%S')}  {text}", soft_wrap=True)
 
+        for notice in notices(chosen, as_robot=True):
+            say(notice)
         try:
             pacing.prepare_links(arguments.real_time)
             facility = Facility(chosen, arguments.fmi)

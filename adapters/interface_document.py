@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
+from pathlib import Path
 
-from adapters import rmw_zenoh, ros_messages, settings
+from adapters import access_control, rmw_zenoh, ros_messages, settings
 from adapters.arm_frames import MESSAGES, SHIPPED_DBC, ArmFrames, FrameMapping, Mode
 from adapters.bus_load import bus_load, frame_time
 from adapters.device import TRANSITIONS, LifeCycle
+from adapters.facility import can_faults, zenoh_faults
+from adapters.facility.faults import DIRECTIONS, KINDS, Fault, RandomFaults
 from adapters.facility.settings import FacilitySettings
 from adapters.link_options import LinkOptions
 from adapters.settings import Setting
@@ -98,21 +101,49 @@ def _zenoh() -> Iterator[str]:
     yield (
         f"\nEvery sample has rmw_zenoh's attachment of {rmw_zenoh.ATTACHMENT.size} bytes: sequence number (int64), source time stamp "
         "(int64, ns since the epoch), then 16 as a length, then the publisher's GID (16 bytes); little-endian. A sample is used if its "
-        "attachment is whole, its GID that of the first sample, its sequence number greater and its stamp not less than the last one's. "
+        "attachment is whole, its GID that of the first sample, its sequence number and its stamp greater than the last one's. "
         "Only the freshest sample is kept (RingChannel(1)). Priority REAL_TIME, express, congestion control DROP. Publishers and "
         "subscriptions announce themselves by rmw_zenoh's liveliness tokens (best effort, keep last 1)."
     )
     yield (
+        "\nNeither CDR nor rmw_zenoh has a checksum, so this project's senders put one into the two bytes of options of CDR's encapsulation "
+        "header, which receivers ignore: the CRC-16 of E2E profile 5 (polynomial 0x1021, initial value 0xFFFF) over the first two bytes of the "
+        "message, its bytes from the fifth on, and the attachment; most significant byte first. Its two lowest bits, in which later versions "
+        "of CDR count padding, are zero: the sender moves its time stamp on by nanoseconds until they are. A publisher whose first sample has "
+        "options other than zero is held to it; a plain ROS 2 node's are zero, and nothing is checked."
+    )
+    yield (
         "\nOdometry does not say whether a set point is taken. So a base robot may tell it by a liveliness token of this project, "
         f"`{rmw_zenoh.obedience_token(o.domain, o.setpoint_topic, 'GID')}` with the GID (hexadecimal) of the publisher that it obeys, or "
-        f"`{rmw_zenoh.NOBODY}`: the controller then is refused where another is obeyed, and activates the arm only once the base has taken its "
-        "set points. The virtual base robot does; without such a token (a plain ROS node) the limits on following error and age watch."
+        f"`{rmw_zenoh.NOBODY}`: the controller then is refused where another is obeyed, activates the arm only once the base has taken its "
+        "set points, and stops when the token is withdrawn. The virtual base robot does; without such a token (a plain ROS node) the limits on following error and age watch."
     )
     yield (
         f"\nSessions are peers that listen on {', '.join(f'`{e}`' for e in o.listen)} (the controller) and {', '.join(f'`{e}`' for e in o.connect)} "
         "(the virtual base robot, where the controller connects to) unless the scenario says otherwise. Multicast scouting and gossip "
-        "are off: nobody is found who is not named."
+        "are off: nobody is found who is not named. Off loopback they are TLS or QUIC with certificates of both sides ([security](security.md))."
     )
+    yield from _access_control(replace(o, certificates=Path()))
+
+
+def _access_control(o: LinkOptions) -> Iterator[str]:
+    yield (
+        f"\n### Access control\n\nWith certificates, Zenoh's access control on both ends denies everything but this (here with the default names: "
+        f"controller `{o.controller}`, who is the only commander, and robot `{o.robot}`). A base robot, or a router before it, that is "
+        f"not this project's needs the rules of its end. It may tell whom it lets command by tokens "
+        f"`{rmw_zenoh.commander_token(o.domain, o.setpoint_topic, 'NAME')}`."
+    )
+    yield "\n| on the end of | certificates | flow | messages | key expressions |\n|---|---|---|---|---|"
+    for end, protection in (("base robot", access_control.robots_end(o)), ("controller", access_control.controllers_end(o))):
+        assert protection is not None
+        access = protection.access
+        names = {s["id"]: ", ".join(s.get("cert_common_names", ["every valid one"])) for s in access["subjects"]}
+        who = {
+            rule: names[subject] for policy in access["policies"] for subject in policy["subjects"] for rule in policy["rules"]
+        }
+        for rule in access["rules"]:
+            keys = ", ".join(f"`{key}`" for key in rule["key_exprs"])
+            yield f"| {end} | {who[rule['id']]} | {rule['flows'][0]} | {', '.join(rule['messages'])} | {keys} |"
 
 
 def _life_cycle() -> Iterator[str]:
@@ -160,7 +191,35 @@ def _facility() -> Iterator[str]:
     yield "| setting | default |\n|---|---|"
     names: Sequence[str] = [f.name for f in fields(FacilitySettings)]
     for name in names:
-        yield f"| `{name}` | {getattr(FacilitySettings(), name):g} |"
+        default = getattr(FacilitySettings(), name)
+        if isinstance(default, int | float):
+            yield f"| `{name}` | {default:g} |"
+    yield from _faults()
+
+
+def _faults() -> Iterator[str]:
+    yield "\n### Faults\n"
+    yield (
+        "`[[facility.faults]]` puts them on schedule, `[facility.random_faults]` ("
+        + _defaults(RandomFaults())
+        + ") draws them. "
+        "Every fault has `device` and `kind`, and may have `direction` ("
+        + ", ".join(DIRECTIONS)
+        + "; both unless given), `begin_s` "
+        "(counted from the device's first activation in a session; without it the fault acts from the begin, activation included), "
+        "`duration_s`, and what its kind takes. Times are whole cycles of the facility. Reactions: [fault matrix](fault_matrix.md).\n"
+    )
+    yield "| kind | what happens | takes | arm | base robot |\n|---|---|---|---|---|"
+    for name, kind in KINDS.items():
+        takes = ", ".join(f"`{key}` ({getattr(Fault(kind=name, device=''), key):g})" for key in kind.takes)
+        played = ("yes" if name in kinds else "" for kinds in (can_faults.FAULT_KINDS, zenoh_faults.FAULT_KINDS))
+        yield f"| `{name}` | {kind.description} | {takes} | {' | '.join(played)} |"
+
+
+def _defaults(settings: RandomFaults) -> str:
+    return ", ".join(
+        f"`{f.name} = {list(v) if isinstance(v := getattr(settings, f.name), tuple) else v}`" for f in fields(settings)
+    )
 
 
 if __name__ == "__main__":

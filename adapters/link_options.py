@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from adapters import rmw_zenoh
+from adapters.certificates import AUTHORITY, NAME
 from adapters.device import DeviceError
+from adapters.endpoint import Endpoint
 from adapters.options import checked, known_keys
 
 LONGEST_FRAME = 200
@@ -17,7 +19,11 @@ LONGEST_FRAME = 200
 
 @dataclass(frozen=True, kw_only=True)
 class LinkOptions:
-    """Endpoints as Zenoh writes them. Nothing is found by multicast or gossip: who is not named here is not met."""
+    """Endpoints as Zenoh writes them. Nothing is found by multicast or gossip: who is not named here is not met.
+
+    With `certificates` both ends prove who they are, by the files of their names in that folder. Without them nothing leaves this
+    machine, unless the scenario itself says `insecure`.
+    """
 
     connect: Sequence[str] = ("tcp/127.0.0.1:7447",)
     listen: Sequence[str] = ("tcp/127.0.0.1:0",)
@@ -27,6 +33,15 @@ class LinkOptions:
     frame: str = "inertial"
     child_frame: str = "base"
     node: str = "freeflyer"
+    certificates: Path | None = None
+    """What `freeflyer certificates` has made: ca.pem, and a certificate and key for each name."""
+    controller: str = "controller"
+    """The name on the controllers' certificate."""
+    robot: str = "base_robot"
+    """The name on the base robot's certificate; by default the device's."""
+    commanders: Sequence[str] = ("controller",)
+    """Whom the base robot lets command; by default the controller."""
+    insecure: bool = False
 
 
 def check(options: LinkOptions, subject: str) -> None:
@@ -39,6 +54,20 @@ def check(options: LinkOptions, subject: str) -> None:
             )
     if not options.listen:
         raise DeviceError(f"{subject}: listen is empty, and Zenoh would listen on every interface; name an endpoint")
+    for text in (*options.connect, *options.listen):
+        _check_endpoint(Endpoint(text), options, subject)
+    if options.certificates is not None and options.insecure:
+        raise DeviceError(f"{subject}: insecure = true and certificates exclude each other; leave one of them out")
+    for key, names in (("controller", [options.controller]), ("robot", [options.robot]), ("commanders", options.commanders)):
+        for name in names:
+            if not isinstance(name, str) or not NAME.fullmatch(name) or name == AUTHORITY:
+                raise DeviceError(
+                    f"{subject}: {key} is {name!r}; the name of a certificate is expected: up to 64 letters, digits, '_', '.' and '-'"
+                )
+    if not options.commanders:
+        raise DeviceError(f"{subject}: commanders is empty, and nobody could command; the name of a certificate is expected")
+    if options.robot in options.commanders:
+        raise DeviceError(f"{subject}: {options.robot!r} is both robot and commander; a certificate for each is expected")
     for key in ("setpoint_topic", "measured_topic"):
         topic = getattr(options, key)
         if not isinstance(topic, str) or not rmw_zenoh.TOPIC.fullmatch(topic):
@@ -59,13 +88,46 @@ def check(options: LinkOptions, subject: str) -> None:
         raise DeviceError(f"{subject}: domain is {options.domain!r}; a ROS domain from 0 to 232 is expected")
 
 
+def _check_endpoint(endpoint: Endpoint, options: LinkOptions, subject: str) -> None:
+    """Nothing crosses a machine's border without certificates, unless the scenario says so itself."""
+    where, how = (
+        f"{subject}: endpoint {endpoint.text}",
+        "make certificates with `freeflyer certificates DIR`, name them by certificates = 'DIR'",
+    )
+    if not endpoint.is_complete:
+        raise DeviceError(f"{where} is not whole; PROTOCOL/HOST:PORT is expected, such as tls/192.0.2.10:7447")
+    if endpoint.says_its_own_tls:
+        raise DeviceError(f"{where} brings TLS settings of its own, past those of the device; leave out what follows '#'")
+    if options.certificates is not None and not endpoint.is_encrypted:
+        raise DeviceError(f"{where} is not encrypted, but the device has certificates; tls/{endpoint.address} is expected")
+    if options.certificates is None and endpoint.is_encrypted:
+        raise DeviceError(f"{where} is encrypted, but no certificates are named; {how}")
+    if options.certificates is None and endpoint.is_every_interface:
+        raise DeviceError(f"{where} is every interface of this machine, which nobody may listen on without certificates; {how}")
+    if not (options.certificates or options.insecure or endpoint.is_within_this_machine):
+        raise DeviceError(
+            f"{where} leaves this machine without encryption, and whoever reaches it could command the robot; {how} "
+            f"and write tls/{endpoint.address} (or say insecure = true)"
+        )
+
+
 def options_from(name: str, raw: Mapping[str, Any], directory: Path) -> LinkOptions:
-    """The device's table as options; DeviceError for a key or value that is none."""
+    """The device's table as options; DeviceError for a key or value that is none. Paths are relative to the scenario's `directory`."""
     defaults = LinkOptions()
     known_keys(name, raw, list(LinkOptions.__dataclass_fields__))
+    folder = checked(name, raw, "certificates", str, "")
+    insecure = raw.get("insecure", defaults.insecure)
+    if not isinstance(insecure, bool):
+        raise DeviceError(f"device {name}: insecure is {insecure!r}; true or false is expected")
+    controller = checked(name, raw, "controller", str, defaults.controller)
     options = LinkOptions(
         connect=checked(name, raw, "connect", list, list(defaults.connect)),
-        listen=checked(name, raw, "listen", list, list(defaults.listen)),
+        listen=checked(name, raw, "listen", list, ["tls/127.0.0.1:0"] if folder else list(defaults.listen)),
+        certificates=directory / Path(folder).expanduser() if folder else None,
+        controller=controller,
+        robot=checked(name, raw, "robot", str, name),
+        commanders=checked(name, raw, "commanders", list, [controller]),
+        insecure=insecure,
         domain=checked(name, raw, "domain", int, defaults.domain),
         **{
             key: checked(name, raw, key, str, getattr(defaults, key))

@@ -67,6 +67,11 @@ def obedience_token(domain: int, topic: str, whom: str) -> str:
     return f"freeflyer/obeys/{domain}/{mangled(topic.strip('/'))}/{whom}"
 
 
+def commander_token(domain: int, topic: str, name: str) -> str:
+    """Our own addition: the key of the token by which a base robot tells that it lets a certificate of this name command."""
+    return f"freeflyer/commanders/{domain}/{mangled(topic.strip('/'))}/{name}"
+
+
 def session_of(token: str) -> str:
     """Whose token it is: the Zenoh id of its session."""
     return token.split("/")[2] if token.count("/") > 2 else token

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from adapters import outside
+from adapters import access_control, commanders, link_diagnosis, outside
 from adapters import settings as all_settings
 from adapters.device import DeviceError, LifeCycle, SafeStop, State
 from adapters.histogram import Histogram
@@ -21,7 +21,8 @@ from adapters.pacing import Pacer
 from adapters.pose import distance, twist_rotated
 from adapters.quality import QualityMonitor
 from adapters.rmw_zenoh import NOBODY
-from adapters.zenoh_link import Counts, OdometryLink, Received, is_usable, open_session
+from adapters.zenoh_link import Counts, OdometryLink, Received, is_usable
+from adapters.zenoh_session import open_session
 from cosim.component import Array, Port
 
 PATIENCE = 1.75
@@ -94,18 +95,21 @@ class ZenohBase:
         )
         self._late = round(PATIENCE * cycle * 1e9)
         self._age_limit = round(float(v["age_limit"][0]) * 1e9)
-        self._session = open_session(o.connect, o.listen, self.name)
+        self._session = open_session(o.connect, o.listen, self.name, access_control.controllers_end(o))
         self._link = OdometryLink(self._session, o, o.setpoint_topic, o.measured_topic)
         end = self._outside.monotonic() + float(v["configure_timeout"][0])
         while not self._take():
             if self._outside.monotonic() > end:
                 counts = self._link.counts
                 why = f"; samples came but were refused: {counts.last_fault}" if counts.last_fault else ""
+                why = why or link_diagnosis.why_silent(self._session, o)
                 raise DeviceError(
                     f"{self.name} sends nothing on topic {o.measured_topic} by way of {', '.join(o.connect)} within "
-                    f"{v['configure_timeout'][0]:g} s{why}: is the base robot (or `freeflyer facility`) running there?"
+                    f"{v['configure_timeout'][0]:g} s{why}"
                 )
             self._outside.sleep(0.001)
+        if refused := commanders.refusal(self._session, o, self.name):
+            raise DeviceError(refused)
         others = self._link.other_publishers(o.setpoint_topic)
         if others:
             raise DeviceError(
@@ -181,7 +185,8 @@ class ZenohBase:
         while self._refuse_another_controller() != self._link.gid:
             if self._outside.monotonic() > end:
                 raise DeviceError(
-                    f"{self.name} does not take set points of {self.options.setpoint_topic}, although they are where it stands: "
+                    commanders.refusal(self._session, self.options, self.name)
+                    or f"{self.name} does not take set points of {self.options.setpoint_topic}, although they are where it stands: "
                     f"it hears no or other messages, or refuses them"
                 )
             if meanwhile():

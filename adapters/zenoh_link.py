@@ -1,10 +1,9 @@
-"""A Zenoh session that listens where it is told to and nowhere else, and one topic out and one in over it, freshest only."""
+"""One topic out and one in over a Zenoh session, freshest only."""
 
 from __future__ import annotations
 
 import contextlib
-import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -18,40 +17,8 @@ from adapters.pose import twist_rotated
 from adapters.rmw_zenoh import Attachment, AttachmentError
 from adapters.ros_messages import MessageError, Odometry, OdometryWriter
 from adapters.sealed_odometry import checksum, is_intact, is_sealable, is_sealed, sealed
+from adapters.zenoh_session import said
 from cosim.component import Array
-
-
-def open_session(connect: Sequence[str], listen: Sequence[str], subject: str) -> Any:
-    """A peer. DeviceError if the endpoints cannot be used."""
-    config = zenoh.Config()
-    for key, value in {
-        "mode": "peer",
-        "connect/endpoints": list(connect),
-        "connect/timeout_ms": 2000,
-        "connect/exit_on_failure": False,
-        "listen/endpoints": list(listen),
-        "listen/exit_on_failure": True,
-        "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": False,
-        "transport/shared_memory/enabled": False,
-    }.items():
-        try:
-            config.insert_json5(key, json.dumps(value))
-        except zenoh.ZError as error:
-            raise DeviceError(f"{subject}: Zenoh refuses {key} = {value!r}: {_said(error)}") from error
-    try:
-        return outside.present().session(config)
-    except zenoh.ZError as error:
-        raise DeviceError(
-            f"{subject}: a Zenoh session (listening on {', '.join(listen)}, connecting to {', '.join(connect) or 'nobody'}) cannot be "
-            f"opened: {_said(error)}"
-        ) from error
-
-
-def _said(error: Exception) -> str:
-    """Zenoh's reason without its source lines."""
-    return " ".join(str(error).split(" at ")[0].split())[:200]
-
 
 LARGEST = 1e4
 """Of a position [m] or a velocity [m/s, rad/s] in a facility; what is beyond is none."""
@@ -106,7 +73,7 @@ class OdometryLink:
         try:
             self._declare(keys)
         except zenoh.ZError as error:
-            raise DeviceError(f"Zenoh refuses a topic: {_said(error)}") from error
+            raise DeviceError(f"Zenoh refuses a topic: {said(error)}") from error
         self._writer = OdometryWriter(o.frame, o.child_frame)
         self._sequence = 0
         self._source: bytes | None = None
@@ -183,7 +150,7 @@ class OdometryLink:
             self._publisher.put(payload, attachment=attachment)
         except zenoh.ZError as error:
             self.counts.failed += 1
-            self.counts.last_fault = _said(error)
+            self.counts.last_fault = said(error)
 
     def take(self) -> tuple[bytes, bytes] | None:
         """Payload and attachment of the freshest sample since the last call; never waits."""

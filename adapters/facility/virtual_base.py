@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from adapters import link_options
+from adapters import access_control, commanders, link_options
 from adapters.device import LifeCycle
 from adapters.facility.base_logic import BaseLogic
 from adapters.facility.link_faults import LinkFaults
@@ -18,7 +18,8 @@ from adapters.facility.zenoh_faults import FAULT_KINDS, FaultyOdometryLink, Zeno
 from adapters.pose import twist_rotated
 from adapters.ros_messages import Odometry
 from adapters.zenoh_base import TWIST
-from adapters.zenoh_link import is_usable, open_session
+from adapters.zenoh_link import is_usable
+from adapters.zenoh_session import open_session
 from cosim.component import Array, Port
 
 
@@ -43,7 +44,8 @@ class VirtualBase(VirtualDevice[BaseLogic]):
         self.logic = self._new_logic()
         self._pose = (np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))
         self._calls = 0
-        self._session: Any = open_session([], o.connect, name)
+        self._session: Any = open_session([], o.connect, name, access_control.robots_end(o))
+        self._commanders = commanders.announce(self._session, o)
         self.faults = LinkFaults(settings.faults_of(name), period, settings.seed, ZenohTamper())
         self._link = FaultyOdometryLink(self._session, o, o.measured_topic, o.setpoint_topic)
         self._link.faults = self.faults

@@ -21,7 +21,8 @@ from adapters.arm_link import Receiver, open_bus
 from adapters.device import LifeCycle
 from adapters.link_options import LinkOptions
 from adapters.local_can import directory
-from adapters.zenoh_link import OdometryLink, open_session
+from adapters.zenoh_link import OdometryLink
+from adapters.zenoh_session import open_session
 from cosim import experiment, real_time, scenario
 from cosim.assemble import find_fmu
 

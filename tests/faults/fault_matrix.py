@@ -51,6 +51,16 @@ class Row:
         return {"kind": self.kind, "device": self.device, "direction": self.direction, "begin_s": BEGIN, **self.how}
 
 
+@dataclass(frozen=True, kw_only=True)
+class ProcessRow:
+    """What happens to a whole process or its disk; `test` is where it is tested, FILE::FUNCTION."""
+
+    what: str
+    reaction: str
+    within: str
+    test: str
+
+
 def _arm_rows() -> Iterator[Row]:
     lost_answers = "late answers: the arm's watchdog after 4 cycles; the controller after 20, or when the arm says so"
     refused = "refused by E2E, as if lost: "
@@ -195,3 +205,83 @@ def _base_rows() -> Iterator[Row]:
 
 
 ROWS = (*_arm_rows(), *_base_rows())
+
+_FACILITY, _RECORDING = "tests/facility/test_process_faults.py", "tests/recording/test_recorder.py"
+PROCESS_ROWS = (
+    ProcessRow(what="SIGKILL of the controllers", reaction="the arm's own watchdog: damped ramp-down, brakes; the base holds its place",
+               within="5 cycles; base 20 ms", test="tests/facility/test_real_time.py::test_the_arm_is_safe_within_five_cycles_of_its_controllers_death_and_the_base_holds"),
+    ProcessRow(what="SIGSTOP of the controllers", reaction="as SIGKILL; continued, they find the arm in safe stop and end", within="5 cycles; base 20 ms",
+               test=f"{_FACILITY}::test_controllers_that_are_stopped_find_the_arm_safe_when_they_go_on"),
+    ProcessRow(what="controller overrun: one cycle takes 50 ms", reaction="the arm's own watchdog, which the controllers learn from its next frame",
+               within="5 cycles", test=f"{_FACILITY}::test_an_overrun_of_the_controllers_is_stopped_by_the_arms_watchdog"),
+    ProcessRow(what="SIGKILL of the facility", reaction="20 lost cycles; says that the arm has not confirmed to be at rest", within="21.5 ms",
+               test="tests/facility/test_real_time.py::test_the_controller_stops_in_order_when_the_facility_dies"),
+    ProcessRow(what="SIGSTOP of the facility", reaction="the same; when it goes on, it brakes by its watchdog", within="21.5 ms",
+               test=f"{_FACILITY}::test_a_facility_that_is_stopped_stops_the_controllers_and_brakes_when_it_goes_on"),
+    ProcessRow(what="20 % loss both ways over real sockets", reaction="the arm's own watchdog; nothing that was changed or lost is used",
+               within="some 90 cycles on average", test=f"{_FACILITY}::test_loss_and_corruption_over_real_sockets_are_never_used"),
+)  # fmt: skip
+
+
+def _document() -> Iterator[str]:
+    from test_fault_matrix import observed, reaction_times
+
+    yield "# Fault matrix"
+    yield ""
+    yield "*Made by `python tests/faults/fault_matrix.py`, which runs every row; do not edit.*"
+    yield ""
+    yield from _INTRODUCTION.strip().splitlines()
+    for device, title in ((ARM, "The arm on CAN"), (BASE, "The base robot on Zenoh")):
+        yield from ("", f"## {title}", "")
+        yield "| fault | direction | reaction | ends the loop | within | found | the device itself within | found |"
+        yield "|---|---|---|---|---|---|---|---|"
+        for row in (row for row in ROWS if row.device == device):
+            decided, by_itself = reaction_times(row, observed(row))
+            *cells, device_within = stated(row).split("|")
+            found = _ms(decided) if row.stop else ""
+            yield "| " + " | ".join([*cells, found, device_within, _ms(by_itself) if row.device_within else ""]) + " |"
+    yield from ("", "## Processes and disks", "")
+    yield "Real processes over real sockets."
+    yield ""
+    yield "| what happens | reaction | within | test |"
+    yield "|---|---|---|---|"
+    for process in PROCESS_ROWS:
+        yield f"| {process.what} | {process.reaction} | {process.within} | `{process.test}` |"
+
+
+_INTRODUCTION = """
+What the facility's links, devices and processes may do, what then happens, and by when. Every row is a test with a seed
+(`tests/faults/test_fault_matrix.py`): the shipped `facility` with every rule at its default, both ends in virtual time
+(`freeflyer hil --accelerated`), where the same frames, samples, limits, monitors and state machines give the same instants every time.
+*Within* is what the test demands, *found* what this run gave, from the fault's begin on. In every row, too: no value that the other side has
+not sent is used, no command is beyond its limits or NaN, no state is illegal, and at the end the arm is braked and the base holds its place.
+
+A stop is a reaction. After it the controllers ramp the torque down (0.25 s), the arm brakes, and the base holds; an arm that does not
+hear them does so by itself. Faults begin 0.1 s after activation and last to the end, unless a duration is named.
+"""
+
+
+def stated(row: Row) -> str:
+    """What the row states, its cells joined by |."""
+    ends = "stops" if row.stop else "goes on"
+    return "|".join([_said(row), row.direction.replace("_", " "), row.reaction, ends, _ms(row.within), _ms(row.device_within)])
+
+
+def _ms(time: float | None) -> str:
+    return "" if time is None else f"{1e3 * time:.4g} ms"
+
+
+def _said(row: Row) -> str:
+    how = {
+        "probability": "{:.0%}",
+        "bits": "{:g} bit each",
+        "delay_s": "{:g} s",
+        "duration_s": "for {:g} s",
+        "jump_s": "by {:+g} s",
+    }
+    return " ".join([row.kind.replace("_", " "), *(how[key].format(value) for key, value in row.how.items())])
+
+
+if __name__ == "__main__":
+    for line in _document():
+        print(line, flush=True)

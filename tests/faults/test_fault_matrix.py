@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 import pytest
 from fault_bench import ARM, Observed, assert_safe, run, shipped, with_faults
-from fault_matrix import BEGIN, ROWS, Row
+from fault_matrix import BEGIN, PROCESS_ROWS, ROWS, Row, stated
 
 
 def observed(row: Row) -> Observed:
@@ -50,3 +51,26 @@ def test_without_a_fault_nothing_is_counted() -> None:
     assert seen.report.devices["base_robot"]["cycles_lost"] == 0
     assert seen.report.devices["base_robot"]["samples_refused"] == 0
     assert not seen.acted
+
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_every_row_about_processes_names_a_test_that_is_there() -> None:
+    for row in PROCESS_ROWS:
+        file, _, function = row.test.partition("::")
+        assert f"def {function}(" in (ROOT / file).read_text(), row.test
+
+
+def test_the_document_has_every_row_with_its_reaction_and_its_time() -> None:
+    """The figures found are of the run that made it."""
+    said = (ROOT / "docs" / "fault_matrix.md").read_text()
+    expected = [stated(row) for row in ROWS]
+    found = [
+        "|".join([*cells[1:6], cells[7]])
+        for line in said.splitlines()
+        if len(cells := [cell.strip() for cell in line.split("|")]) == 10 and cells[1] not in ("fault", "---")
+    ]
+    assert found == expected, "run python tests/faults/fault_matrix.py > docs/fault_matrix.md"
+    for process in PROCESS_ROWS:
+        assert f"| {process.what} | {process.reaction} | {process.within} | `{process.test}` |" in said

@@ -15,7 +15,8 @@ from adapters.link_options import LinkOptions
 from adapters.rmw_zenoh import Attachment
 from adapters.ros_messages import Odometry, OdometryWriter
 from adapters.zenoh_base import ZenohBase
-from adapters.zenoh_link import OdometryLink, is_usable, open_session
+from adapters.zenoh_link import OdometryLink, is_usable
+from adapters.zenoh_session import open_session
 
 IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
 STILL = np.zeros(6)

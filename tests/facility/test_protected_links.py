@@ -1,0 +1,138 @@
+"""`freeflyer facility` and `freeflyer hil` with certificates, as processes; who has no right to command is told why."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import signal
+from collections.abc import Callable, Iterator
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+from commands import said
+from processes import BASE_ALONE, PATIENT_FACILITY, PATIENT_LOOP, Process, Rig, events, free_port, rig
+
+from adapters.certificate_authority import HOSTS, CertificateAuthority
+from adapters.certificates import Identity
+
+
+def scenario(folder: Path, text: str) -> str:
+    path = folder / "protected.toml"
+    path.write_text(text)
+    return str(path)
+
+
+def certificates(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, error = said(
+        capsys, "certificates", str(folder), "--name", "controller", "--name", "base_robot", "--observer", "observer"
+    )
+    assert code == 0, error
+
+
+def test_both_ends_run_the_experiment_over_tls(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    certificates(tmp_path / "certs", capsys)
+    path = scenario(tmp_path, 'extends = "facility"\n[devices.base_robot]\ncertificates = "certs"\n')
+    with rig(tmp_path, path) as bench:
+        bench.endpoint = f"tls/127.0.0.1:{free_port()}"
+        facility = bench.facility(*PATIENT_FACILITY)
+        assert "base_robot: TLS with certificate 'base_robot', valid until" in facility.text
+        loop = bench.hil(*PATIENT_LOOP, "stop_s=1.0")
+        assert loop.finish() == 0, loop.text
+        assert "base_robot: TLS with certificate 'controller', valid until" in loop.text
+        report = bench.facility_report(facility)
+    assert bench.summary()["steps"]["arm_drive"] == 1000
+    assert "inactive -> active: set points came" in events(report, "base_robot")
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Rig, Process]]:
+    """One protected facility whose base alone is on a link; nobody of these tests may move it."""
+    folder = tmp_path_factory.mktemp("protected")
+    for name in ("certs", "rogue"):
+        (folder / name).mkdir()
+        authority = CertificateAuthority.new(folder / name)
+        for owner, listens in (("controller", True), ("base_robot", True), ("observer", False)):
+            authority.issue(Identity(folder / name, owner), days=1, hosts=HOSTS, may_listen=listens)
+    shutil.copytree(folder / "certs", folder / "expired")
+    known = CertificateAuthority.read(folder / "certs")
+    long_ago = datetime.now(UTC) - timedelta(days=9)
+    known.issue(Identity(folder / "expired", "controller"), days=2, hosts=HOSTS, may_listen=True, begin=long_ago)
+    path = scenario(folder, BASE_ALONE + '[devices.base_robot]\ncertificates = "certs"\n')
+    with rig(folder, path) as made:
+        made.endpoint = f"tls/127.0.0.1:{free_port()}"
+        facility = made.start(
+            "facility", path, "--set", f'devices.base_robot.connect=["{made.endpoint}"]', "--out", str(folder / "facility")
+        )
+        facility.wait_for("is there")
+        yield made, facility
+        report = made.facility_report(facility)
+        assert not events(report, "base_robot"), "somebody was obeyed"
+
+
+Refused = Callable[..., str]
+
+
+@pytest.fixture
+def refused(bench: tuple[Rig, Process], capsys: pytest.CaptureFixture[str]) -> Refused:
+    """What `freeflyer hil` says when it is refused, in one sentence."""
+    made, _ = bench
+
+    def sentence(*settings: str, endpoint: str | None = None) -> str:
+        sets = [
+            f'devices.base_robot.connect=["{endpoint or made.endpoint}"]',
+            "devices.base_robot.parameters.configure_timeout=1.0",
+            *settings,
+        ]
+        words = [word for setting in sets for word in ("--set", setting)]
+        out = str(made.folder / "hil")
+        code, error = said(capsys, "hil", made.scenario, *words, "--no-view", "--no-real-time", "--out", out)
+        assert code == 2, error
+        return error
+
+    return sentence
+
+
+def test_no_certificate_is_said(refused: Refused, bench: tuple[Rig, Process]) -> None:
+    found = refused('devices.base_robot.certificates=""')
+    assert "is encrypted, but no certificates are named; make certificates with `freeflyer certificates DIR`" in found
+    plain = bench[0].endpoint.replace("tls/", "tcp/")
+    found = refused('devices.base_robot.certificates=""', endpoint=plain)
+    assert re.search(
+        r"sends nothing .* within 1 s: TLS is spoken on tcp/127.0.0.1:\d+: `certificates` and tls/127.0.0.1:\d+ are expected",
+        found,
+    )
+
+
+def test_a_rogue_authority_is_said(refused: Refused, bench: tuple[Rig, Process]) -> None:
+    found = refused('devices.base_robot.certificates="rogue"')
+    assert "'base_robot', was signed by another authority than ours" in found
+
+
+def test_an_expired_certificate_is_said(refused: Refused, bench: tuple[Rig, Process]) -> None:
+    found = refused('devices.base_robot.certificates="expired"')
+    assert re.search(r"controller.pem expired on .* UTC; `freeflyer certificates .* --renew controller` makes a new one", found)
+
+
+def test_a_valid_certificate_without_the_right_to_command_is_said(refused: Refused, bench: tuple[Rig, Process]) -> None:
+    found = refused('devices.base_robot.controller="observer"')
+    assert "base_robot does not let certificate 'observer' command, only controller" in found
+
+
+def test_a_facility_whose_certificate_cannot_do_does_not_start(
+    bench: tuple[Rig, Process], capsys: pytest.CaptureFixture[str]
+) -> None:
+    made, _ = bench
+    code, error = said(capsys, "facility", made.scenario, "--set", 'devices.base_robot.connect=["tls/127.0.0.3:0"]')
+    assert code == 2
+    assert "is for localhost, 127.0.0.1, ::1, not for 127.0.0.3, so nobody would accept it there" in error
+
+
+def test_an_open_link_is_warned_of(tmp_path: Path) -> None:
+    """An address of TEST-NET-1, which no machine has: the warning comes, and then the link cannot be opened."""
+    path = scenario(tmp_path, BASE_ALONE + "[devices.base_robot]\ninsecure = true\n")
+    with rig(tmp_path, path) as made:
+        process = made.start("facility", path, "--set", 'devices.base_robot.connect=["tcp/192.0.2.10:7447"]')
+        process.wait_for("WARNING: tcp/192.0.2.10:7447 is not encrypted, and whoever reaches it can command the robot")
+        process.send(signal.SIGINT)
+        process.finish()

@@ -1,0 +1,397 @@
+"""The folder of certificates: what the command makes, what other people's TLS says of it, and what is refused before anything opens."""
+
+from __future__ import annotations
+
+import ipaddress
+import os
+import shutil
+import ssl
+import stat
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+from commands import said
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from lab import Lab
+
+from adapters import certificates, link_options
+from adapters.access_control import robots_end
+from adapters.certificate_authority import HOSTS, CertificateAuthority
+from adapters.certificates import Identity
+from adapters.device import DeviceError
+from adapters.link_notices import notices
+from adapters.zenoh_session import open_session
+from cosim import scenario
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Lab:
+    return Lab(tmp_path_factory.mktemp("lab"))
+
+
+@pytest.fixture
+def folder(lab: Lab, tmp_path: Path) -> Path:
+    """A copy, to be spoiled."""
+    return Path(shutil.copytree(lab.good, tmp_path / "certificates"))
+
+
+# What the command makes
+
+
+def made(capsys: pytest.CaptureFixture[str], directory: Path, *arguments: str) -> str:
+    code, error = said(capsys, "certificates", str(directory), *arguments)
+    assert (code, error) == (0, "")
+    return error
+
+
+def handshake(server: Identity, client: Identity, host: str) -> None:
+    """Python's own TLS, by OpenSSL, with every strictness it has, from memory to memory; ssl.SSLError if one refuses the other."""
+    contexts = []
+    for purpose, who in ((ssl.PROTOCOL_TLS_SERVER, server), (ssl.PROTOCOL_TLS_CLIENT, client)):
+        context = ssl.SSLContext(purpose)
+        context.verify_flags |= ssl.VERIFY_X509_STRICT
+        context.load_cert_chain(who.certificate, who.key)
+        context.load_verify_locations(who.authority)
+        context.verify_mode = ssl.CERT_REQUIRED
+        contexts.append(context)
+    up, down = ssl.MemoryBIO(), ssl.MemoryBIO()
+    ends = [
+        contexts[0].wrap_bio(up, down, server_side=True),
+        contexts[1].wrap_bio(down, up, server_hostname=host),
+    ]
+    waiting = list(ends)
+    for _ in range(10):
+        for end in list(waiting):
+            try:
+                end.do_handshake()
+                waiting.remove(end)
+            except ssl.SSLWantReadError:
+                pass
+    assert not waiting
+
+
+def test_openssl_takes_what_is_made_on_both_sides_and_an_observer_only_as_a_client(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made(
+        capsys,
+        tmp_path / "c",
+        "--name",
+        "controller",
+        "--name",
+        "arm",
+        "--observer",
+        "watcher",
+        "--host",
+        "192.0.2.10",
+        "--host",
+        "lab.example",
+    )
+    ends = {name: Identity(tmp_path / "c", name) for name in ("controller", "arm", "watcher")}
+    for host in ("127.0.0.1", "::1", "localhost", "192.0.2.10", "lab.example"):
+        handshake(ends["arm"], ends["controller"], host)
+        handshake(ends["arm"], ends["watcher"], host)
+    with pytest.raises(ssl.SSLCertVerificationError, match="IP address mismatch"):
+        handshake(ends["arm"], ends["controller"], "192.0.2.11")
+    with pytest.raises(ssl.SSLCertVerificationError, match=r"(unsuitable|unsupported) certificate purpose"):
+        handshake(ends["watcher"], ends["controller"], "127.0.0.1")
+
+
+def test_keys_are_the_users_own_and_the_folder_is_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = os.umask(0)
+    try:
+        made(capsys, tmp_path / "c")
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "c").stat().st_mode) == 0o700
+    keys = sorted((tmp_path / "c").glob("*.key"))
+    assert [path.stem for path in keys] == ["base_robot", "ca", "controller"]
+    assert {stat.S_IMODE(path.stat().st_mode) for path in keys} == {0o600}
+    assert sorted(path.suffix for path in (tmp_path / "c").iterdir()) == [".key"] * 3 + [".pem"] * 3
+
+
+def test_it_adds_to_an_authority_and_overwrites_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    directory = tmp_path / "c"
+    made(capsys, directory)
+    before = {path: path.read_bytes() for path in directory.iterdir()}
+    made(capsys, directory, "--observer", "watcher")
+    assert {path: path.read_bytes() for path in before} == before
+    handshake(Identity(directory, "base_robot"), Identity(directory, "watcher"), "localhost")
+    code, error = said(capsys, "certificates", str(directory), "--name", "new", "--name", "controller")
+    assert code == 2
+    assert "controller.pem is there already, and is not overwritten; --renew controller makes a new one" in error
+    assert not (directory / "new.pem").exists()
+
+
+def test_renewing_keeps_hosts_and_uses_and_makes_a_new_key(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    directory = tmp_path / "c"
+    made(
+        capsys,
+        directory,
+        "--name",
+        "base_robot",
+        "--name",
+        "controller",
+        "--observer",
+        "watcher",
+        "--host",
+        "192.0.2.10",
+        "--days",
+        "1",
+    )
+    before = (directory / "base_robot.key").read_bytes()
+    made(capsys, directory, "--renew", "base_robot", "--renew", "watcher", "--host", "192.0.2.11", "--days", "100")
+    assert (directory / "base_robot.key").read_bytes() != before
+    for host in ("192.0.2.10", "192.0.2.11", "localhost"):
+        handshake(Identity(directory, "base_robot"), Identity(directory, "watcher"), host)
+    with pytest.raises(ssl.SSLCertVerificationError):
+        handshake(Identity(directory, "watcher"), Identity(directory, "controller"), "192.0.2.11")
+    found = certificates.check(Identity(directory, "base_robot"), "x")
+    assert timedelta(days=99) < found.not_valid_after_utc - datetime.now(UTC) < timedelta(days=101)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["--name", "a/b"], "'a/b' is no name for a certificate"),
+        (["--name", "ca"], "and not 'ca'"),
+        (["--name", ""], "'' is no name"),
+        (["--name", "x" * 65], "up to 64 letters"),
+        (["--name", "a", "--observer", "a"], "'a' is named more than once"),
+        (["--host", "a b"], "neither a host name nor an address"),
+        (["--host", "300.1.1.1"], "neither a host name nor an address"),
+        (["--host=-x"], "neither a host name nor an address"),
+        (["--days", "0"], "more than 0 and at most 3650 days"),
+        (["--days", "nan"], "more than 0"),
+        (["--days", "1e9"], "at most 3650"),
+        (["--days", "soon"], "invalid float value"),
+        (["--renew", "controler"], "there is no"),
+    ],
+)
+def test_a_mistake_is_one_sentence_and_makes_no_file(
+    arguments: list[str], sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    try:
+        code, error = said(capsys, "certificates", str(tmp_path / "c"), *arguments)
+    except SystemExit as end:  # the parser's own
+        code, error = int(str(end.code)), capsys.readouterr().err
+    assert code == 2
+    assert sentence in error
+    assert not (tmp_path / "c").exists()
+
+
+def test_a_spoiled_authority_signs_nothing(folder: Path, lab: Lab, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def refused(directory: Path, sentence: str) -> None:
+        code, error = said(capsys, "certificates", str(directory), "--name", "new")
+        assert code == 2
+        assert sentence in error
+        assert not (directory / "new.pem").exists()
+
+    file = tmp_path / "file"
+    file.write_text("")
+    refused(file, "is a file; a directory is expected")
+    shutil.copy(lab.rogue / "ca.key", folder / "ca.key")
+    refused(folder, "is not the key of")
+    (folder / "ca.key").write_text("nonsense")
+    refused(folder, "are no certificate and key in PEM")
+    (folder / "ca.key").unlink()
+    refused(folder, "ca.key is not there, so that nothing can be signed")
+    (folder / "ca.pem").unlink()
+    shutil.copy(lab.rogue / "ca.key", folder / "ca.key")
+    refused(folder, "is there without its certificate, and is not overwritten")
+
+
+# What is refused before a session is opened
+
+
+def spoil_key_of_another(folder: Path, lab: Lab) -> None:
+    shutil.copy(folder / "controller.key", folder / "base_robot.key")
+
+
+def spoil_mode(folder: Path, lab: Lab) -> None:
+    (folder / "base_robot.key").chmod(0o640)
+
+
+def spoil_authority(folder: Path, lab: Lab) -> None:
+    shutil.copy(lab.rogue / "ca.pem", folder / "ca.pem")
+
+
+def spoil_age(folder: Path, lab: Lab) -> None:
+    for suffix in ("pem", "key"):
+        shutil.copy(lab.expired / f"base_robot.{suffix}", folder / f"base_robot.{suffix}")
+
+
+def spoil_youth(folder: Path, lab: Lab) -> None:
+    later = datetime.now(UTC) + timedelta(days=2)
+    lab.authority.issue(Identity(folder, "base_robot"), days=1, hosts=HOSTS, may_listen=True, begin=later)
+
+
+def spoil_use(folder: Path, lab: Lab) -> None:
+    lab.authority.issue(Identity(folder, "base_robot"), days=1, hosts=HOSTS, may_listen=False)
+
+
+def spoil_host(folder: Path, lab: Lab) -> None:
+    lab.authority.issue(Identity(folder, "base_robot"), days=1, hosts=["192.0.2.10"], may_listen=True)
+
+
+def spoil_name(folder: Path, lab: Lab) -> None:
+    for suffix in ("pem", "key"):
+        shutil.copy(folder / f"controller.{suffix}", folder / f"base_robot.{suffix}")
+
+
+def spoil_forged_issuer(folder: Path, lab: Lab) -> None:
+    """By another authority that bears the same name: only the signature tells."""
+    forger = CertificateAuthority.read(lab.rogue)
+    forger.certificate = CertificateAuthority.read(folder).certificate
+    forger.issue(Identity(folder, "base_robot"), days=1, hosts=HOSTS, may_listen=True)
+
+
+def without(name: str) -> Callable[[Path, Lab], None]:
+    return lambda folder, lab: (folder / name).unlink()
+
+
+def with_text(name: str, text: str) -> Callable[[Path, Lab], None]:
+    return lambda folder, lab: (folder / name).write_text(text) and None  # type: ignore[func-returns-value]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "sentence"),
+    [
+        (shutil.rmtree, "there is no folder of certificates"),
+        (without("ca.pem"), "ca.pem; the authority's certificate is expected beside the others"),
+        (without("base_robot.pem"), "there is no file .*base_robot.pem"),
+        (
+            without("base_robot.key"),
+            "there is no file .*base_robot.key; `freeflyer certificates .* --name base_robot` makes one",
+        ),
+        (with_text("base_robot.pem", "x"), "base_robot.pem is no certificate in PEM"),
+        (with_text("ca.pem", ""), "ca.pem is no certificate in PEM"),
+        (with_text("base_robot.key", "x"), "base_robot.key is no private key in PEM"),
+        (spoil_key_of_another, "base_robot.key does not belong to certificate .*base_robot.pem"),
+        (spoil_mode, r"base_robot.key can be used by others \(mode 0640\); `chmod 600 .*base_robot.key` keeps it to you"),
+        (spoil_authority, "was not signed by the authority of .*ca.pem"),
+        (spoil_forged_issuer, "was not signed by the authority of .*ca.pem"),
+        (spoil_age, "base_robot.pem expired on .* UTC; `freeflyer certificates .* --renew base_robot` makes a new one"),
+        (spoil_youth, "is not valid before .* UTC, and this machine's clock says"),
+        (spoil_use, r"is not for listening \(its extended key usage lacks serverAuth\)"),
+        (spoil_host, "is for 192.0.2.10, not for 127.0.0.1, so nobody would accept it there; .* --host 127.0.0.1`"),
+        (spoil_name, "is that of 'controller', but access goes by names, and 'base_robot' is expected"),
+    ],
+)
+def test_files_that_cannot_do_are_refused_in_one_sentence_and_nothing_opens(
+    spoil: Callable[..., object], sentence: str, folder: Path, lab: Lab
+) -> None:
+    spoil(folder) if spoil is shutil.rmtree else spoil(folder, lab)
+    options = lab.options(folder, 0)
+    with pytest.raises(DeviceError, match=sentence) as caught:
+        open_session([], options.connect, "base", robots_end(options))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_key_under_a_passphrase_is_refused(folder: Path) -> None:
+    from cryptography.hazmat.primitives.serialization import (
+        BestAvailableEncryption,
+        Encoding,
+        PrivateFormat,
+        load_pem_private_key,
+    )
+
+    path = folder / "controller.key"
+    key = load_pem_private_key(path.read_bytes(), None)
+    path.write_bytes(key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, BestAvailableEncryption(b"word")))
+    with pytest.raises(DeviceError, match="is under a passphrase"):
+        certificates.check(Identity(folder, "controller"), "base")
+
+
+# What a scenario may say of a link
+
+FAR = "tcp/192.0.2.10:7447"
+
+
+@pytest.mark.parametrize(
+    ("table", "sentence"),
+    [
+        ({"connect": [FAR]}, "leaves this machine without encryption, and whoever reaches it could command the robot; make certificates with "
+         "`freeflyer certificates DIR`, name them by certificates = 'DIR' and write tls/192.0.2.10:7447 (or say insecure = true)"),
+        ({"listen": ["tcp/192.0.2.1:0"]}, "leaves this machine without encryption"),
+        ({"connect": ["tcp/lab.example:7447"]}, "leaves this machine without encryption"),
+        ({"connect": ["udp/192.0.2.10:7447"]}, "leaves this machine without encryption"),
+        ({"connect": ["ws/192.0.2.10:7447"]}, "leaves this machine without encryption"),
+        ({"connect": ["tcp/[2001:db8::1]:7447"]}, "leaves this machine without encryption"),
+        ({"listen": ["tcp/0.0.0.0:0"]}, "every interface"),
+        ({"listen": ["tcp/[::]:0"]}, "every interface"),
+        ({"listen": ["tcp/0.0.0.0:0"], "insecure": True}, "every interface of this machine, which nobody may listen on without certificates"),
+        ({"connect": ["tls/127.0.0.1:7447"]}, "is encrypted, but no certificates are named"),
+        ({"connect": ["quic/192.0.2.10:7447"], "insecure": True}, "is encrypted, but no certificates are named"),
+        ({"connect": ["tcp/127.0.0.1:7447"], "certificates": "c"}, "is not encrypted, but the device has certificates; tls/127.0.0.1:7447"),
+        ({"connect": ["tls/x:1"], "listen": ["tcp/127.0.0.1:0"], "certificates": "c"}, "is not encrypted, but the device has"),
+        ({"connect": ["tls/x:1#verify_name_on_connect=false"], "certificates": "c"}, "brings TLS settings of its own"),
+        ({"connect": ["tls/x:1"], "certificates": "c", "insecure": True}, "exclude each other"),
+        ({"connect": ["tls/x:1"], "certificates": "c", "controller": "a*"}, "controller is 'a*'; the name of a certificate is expected"),
+        ({"connect": ["tls/x:1"], "certificates": "c", "commanders": ["x", 3]}, "commanders is 3; the name of a certificate"),
+        ({"connect": ["tls/x:1"], "certificates": "c", "commanders": []}, "commanders is empty"),
+        ({"connect": ["tls/x:1"], "certificates": "c", "robot": "controller"}, "is both robot and commander"),
+        ({"connect": ["tls/192.0.2.10"], "certificates": "c"}, "is not whole; PROTOCOL/HOST:PORT is expected"),
+        ({"connect": ["tcp/[::1]"]}, "is not whole"),
+        ({"connect": ["tcp/:7447"]}, "is not whole"),
+        ({"insecure": "yes"}, "insecure is 'yes'; true or false is expected"),
+        ({"certificates": 3}, "certificates is 3; a text is expected"),
+        ({"certificate": "c"}, "did you mean 'certificates'"),
+    ],
+)  # fmt: skip
+def test_a_link_that_would_not_be_protected_is_refused(table: dict[str, object], sentence: str) -> None:
+    with pytest.raises(DeviceError) as caught:
+        link_options.options_from("base", table, Path("/scenario"))
+    assert sentence in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        {},
+        {"connect": ["tcp/127.1.2.3:7447", "tcp/[::1]:7447", "tcp/localhost:7447", "unixsock-stream//tmp/x"]},
+        {"connect": [FAR], "insecure": True},
+        {"connect": ["tls/192.0.2.10:7447"], "certificates": "c"},
+        {"connect": ["tls/0.0.0.0:7447"], "certificates": "c"},
+    ],
+)
+def test_a_link_within_the_machine_or_protected_or_knowingly_open_is_taken(table: dict[str, object]) -> None:
+    options = link_options.options_from("base", table, Path("/scenario"))
+    assert options.certificates == (Path("/scenario/c") if "certificates" in table else None)
+    assert (options.robot, list(options.commanders)) == ("base", ["controller"])
+    assert options.listen[0].startswith("tls/" if "certificates" in table else "tcp/")
+
+
+@given(address=st.ip_addresses(), protocol=st.sampled_from(["tcp", "udp", "ws", "anything"]), port=st.integers(0, 65535))
+def test_no_address_beyond_loopback_is_taken_without_certificates(
+    address: ipaddress.IPv4Address | ipaddress.IPv6Address, protocol: str, port: int
+) -> None:
+    inner = getattr(address, "ipv4_mapped", None) or address
+    assume(not inner.is_loopback)
+    host = f"[{address}]" if address.version == 6 else str(address)
+    for key in ("connect", "listen"):
+        with pytest.raises(DeviceError):
+            link_options.options_from("base", {key: [f"{protocol}/{host}:{port}"]}, Path())
+
+
+def test_a_scenario_tells_how_its_link_is_protected_and_warns_before_a_certificate_ends(lab: Lab, tmp_path: Path) -> None:
+    lab.authority.issue(Identity(tmp_path, "controller"), days=5.5, hosts=HOSTS, may_listen=True)
+
+    def told(text: str, *, as_robot: bool) -> list[str]:
+        path = tmp_path / "own.toml"
+        path.write_text('extends = "facility"\n[devices.base_robot]\n' + text)
+        return list(notices(scenario.load(str(path), []), as_robot=as_robot))
+
+    assert told("", as_robot=False) == []
+    first, second = told('connect = ["tls/192.0.2.10:1"]\ncertificates = "."', as_robot=False)
+    assert first.startswith("base_robot: TLS with certificate 'controller', valid until 20")
+    assert "WARNING: certificate 'controller' expires in 5 days, and ends its links then; `freeflyer certificates" in second
+    everywhere = told(f'connect = ["tls/0.0.0.0:1"]\ncertificates = "{lab.good}"', as_robot=True)
+    assert everywhere[0] == "base_robot: tls/0.0.0.0:1 listens on every interface of this machine"
+    far = told('connect = ["tcp/192.0.2.10:1"]\ninsecure = true', as_robot=False)
+    assert far == [
+        "base_robot: WARNING: tcp/192.0.2.10:1 is not encrypted, and whoever reaches it can command the robot (insecure = true)"
+    ]
