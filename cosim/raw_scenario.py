@@ -27,8 +27,8 @@ def merged(base: Raw, change: Raw) -> Raw:
             result[key] = [*result[key], *value]
             continue
         if key == "devices" and isinstance(value, dict) and isinstance(result.get(key), dict):
-            # A device of another kind has nothing in common with the one it replaces.
-            kept = {name: table for name, table in result[key].items() if not _other_kind(table, value.get(name))}
+            # A device of another kind has nothing in common with the one it replaces, but its place in the order.
+            kept = {name: {} if _other_kind(table, value.get(name)) else table for name, table in result[key].items()}
             result[key] = merged(kept, value)
             continue
         both_tables = isinstance(value, dict) and isinstance(result.get(key), dict) and "value" not in value

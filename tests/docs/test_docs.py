@@ -32,5 +32,5 @@ def test_links_and_commands_in_the_documents_exist(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     for target in re.findall(r"\]\(([^)#:]+)\)", text):
         assert (path.parent / target).exists(), target
-    for name in re.findall(r"freeflyer (?:run|hil|facility) ([a-z_]+)", text):
+    for name in re.findall(r"freeflyer (?:run|hil|facility) ([a-z_0-9]+)", text):
         assert name in scenario.shipped(), name

@@ -1,0 +1,457 @@
+"""The host's device against virtual drives, in virtual time: configuring, activating, losing, stopping."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import can
+import numpy as np
+import pytest
+from pumped import TICKS, Pair, pair
+
+from adapters.cia402 import objects
+from adapters.cia402.state_machine import DriveState
+from adapters.device import DeviceError, LifeCycle, SafeStop
+
+STATES = DriveState
+
+
+def refused(bench: Pair, sentence: str) -> None:
+    with pytest.raises(DeviceError, match=re.escape(sentence)):
+        bench.host.configure()
+    assert all(drive.braked for drive in bench.logics)
+
+
+def stopped(bench: Pair, sentence: str, cycles: int = 40) -> None:
+    with pytest.raises(SafeStop, match=re.escape(sentence)):
+        bench.cycles(cycles, 0.0, 0.0)
+
+
+def ramped_down(bench: Pair) -> int:
+    """Cycles until the device was done."""
+    for k in range(1000):
+        if bench.host.ramp_down(k * bench.host.cycle):
+            return k
+    raise AssertionError("the ramp-down has no end")
+
+
+def test_activation_is_bumpless_and_the_arm_then_obeys(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pair(monkeypatch) as bench:
+        bench.activated()
+        assert [drive.state for drive in bench.logics] == [STATES.operation_enabled] * 2
+        assert all((torque == 0.0).all() for torque in bench.joints.torques)
+        assert bench.host.state.now is LifeCycle.active
+        for _ in range(10):
+            bench.cycle(5.0, -2.0)
+        bench.host.read()
+        np.testing.assert_allclose(bench.host.values["joint_torque"], [5.0, -2.0], atol=0.05)
+        # Nine cycles of 4 ms after the SYNC from which the first target acted, at 1 kg m^2.
+        np.testing.assert_allclose(bench.host.values["joint_velocity"], [0.18, -0.072], atol=1e-3)
+        np.testing.assert_allclose(bench.host.values["joint_velocity"], bench.joints.velocity, atol=0.02)
+
+
+def test_what_the_host_wrote_is_what_the_profile_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pair(monkeypatch) as bench:
+        bench.host.configure()
+        for node, drive in zip((3, 7), bench.drives, strict=True):
+            stored = {(i, s): data.hex() for i, subs in drive.node.data_store.items() for s, data in subs.items()}
+            # Numbers little-endian; a mapping entry is object, sub-index, bits; bit 30 of a COB-ID: no remote frames.
+            assert stored[0x6060, 0] == "0a"
+            assert (stored[0x60C2, 1], stored[0x60C2, 2]) == ("04", "fd")
+            assert stored[0x1006, 0] == (4000).to_bytes(4, "little").hex()
+            assert stored[0x1016, 1] == (127 << 16 | 50).to_bytes(4, "little").hex()
+            assert stored[0x1017, 0] == "1400"
+            assert stored[0x605A, 0] == "0200"
+            assert [stored[0x1600, k] for k in range(3)] == ["02", "10004060", "10007160"]
+            assert [stored[0x1A00, k] for k in range(4)] == ["03", "10004160", "10007760", "20006460"]
+            assert [stored[0x1A01, k] for k in range(2)] == ["01", "20006c60"]
+            assert (stored[0x1400, 1], stored[0x1400, 2]) == ((0x4000_0200 + node).to_bytes(4, "little").hex(), "01")
+            assert (stored[0x1800, 1], stored[0x1801, 1]) == tuple(
+                (0x4000_0000 + base + node).to_bytes(4, "little").hex() for base in (0x180, 0x280)
+            )
+
+
+FURTHER_PDO = """
+[1802]
+ParameterName=TPDO communication parameter 3
+ObjectType=0x9
+SubNumber=3
+
+[1802sub0]
+ParameterName=Highest sub-index supported
+ObjectType=0x7
+DataType=0x0005
+AccessType=const
+DefaultValue=2
+PDOMapping=0
+
+[1802sub1]
+ParameterName=COB-ID
+ObjectType=0x7
+DataType=0x0007
+AccessType={access}
+DefaultValue=$NODEID+0x380
+PDOMapping=0
+
+[1802sub2]
+ParameterName=Transmission type
+ObjectType=0x7
+DataType=0x0005
+AccessType=rw
+DefaultValue=1
+PDOMapping=0
+
+[1A02]
+ParameterName=TPDO mapping parameter 3
+ObjectType=0x9
+SubNumber=2
+
+[1A02sub0]
+ParameterName=Number of mapped objects
+ObjectType=0x7
+DataType=0x0005
+AccessType=rw
+DefaultValue=1
+PDOMapping=0
+
+[1A02sub1]
+ParameterName=Mapped object 1
+ObjectType=0x7
+DataType=0x0007
+AccessType=rw
+DefaultValue=0x60410010
+PDOMapping=0
+"""
+
+
+def test_further_pdos_of_a_drives_own_eds_are_switched_off(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    own = tmp_path / "own.eds"
+    own.write_text(objects.SHIPPED_EDS.read_text(encoding="utf-8") + FURTHER_PDO.format(access="rw"))
+    with pair(monkeypatch, drives={"eds": str(own)}, eds=str(own)) as bench:
+        assert not bench.drives[0].node.get_data(0x1802, 1)[3] & 0x80
+        bench.activated()
+        assert bench.drives[0].node.get_data(0x1802, 1)[3] & 0x80
+    own.write_text(objects.SHIPPED_EDS.read_text(encoding="utf-8") + FURTHER_PDO.format(access="ro"))
+    with pair(monkeypatch, drives={"eds": str(own)}, eds=str(own)) as bench:
+        refused(bench, "drive of joint 1 (node 3) does not switch off its further PDO (1802h): SDO abort, Code 0x06010002")
+
+
+def test_a_torque_acts_from_the_sync_after_the_one_that_it_answers(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pair(monkeypatch) as bench:
+        bench.activated()
+        for _ in range(3):
+            bench.cycle(0.0, 0.0)
+        bench.host.read()
+        bench.host.values["joint_torque_command"][:] = (10.0, 0.0)
+        begun = len(bench.joints.torques)
+        bench.host.write()
+        for _ in range(3):
+            bench.cycle(10.0, 0.0)
+        acted = [bool(torque[0]) for torque in bench.joints.torques[begun:]]
+        first = acted.index(True)
+        assert 0 < first < TICKS
+        assert all(acted[first:])
+
+
+def test_without_tpdo2_the_speed_is_estimated_from_positions(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pair(monkeypatch, velocity="estimated") as bench:
+        bench.activated()
+        assert bench.drives[0].node.get_data(0x1801, 1)[3] & 0x80  # not valid
+        sent: list[int] = []
+        send = bench.drive_end.send
+
+        def watched(message: can.Message) -> None:
+            sent.append(message.arbitration_id)
+            send(message)
+
+        monkeypatch.setattr(bench.drive_end, "send", watched)
+        for _ in range(30):
+            bench.cycle(2.0, -2.0)
+        assert 0x183 in sent
+        assert 0x283 not in sent
+        # A resolution of 2 pi / 409600 in 4 ms, and what the speed changed since.
+        np.testing.assert_allclose(bench.host.values["joint_velocity"], bench.joints.velocity, atol=0.03)
+        assert bench.host.bus_load < 0.25
+
+
+@pytest.mark.parametrize(
+    ("drives", "host", "sentence"),
+    [
+        ({"rated_torque": [0.5, 0.25]}, {}, "drive of joint 2 (node 7): its rated torque (6076h) is 0.25 N m, but the scenario's is 0.2 N m"),
+        ({"gear_ratio": 50}, {}, "drive of joint 1 (node 3): its gear ratio (6091h:01) is 50, but the scenario's is 100"),
+        ({"encoder_resolution": 8192}, {}, "its encoder resolution (608Fh:01) is 8192 increments, but the scenario's is 4096 increments"),
+        ({}, {"joint_effort_limit": (200.0, 40.0)}, "its max torque (6072h) is 150 N m at the joint, but the scenario's robot may be given 200 N m"),
+        ({"node_ids": [3, 8]}, {}, "drive of joint 2 (node 7) does not give device type (1000h): no answer within 0.3 s; is the drive"),
+    ],
+    ids=["rated torque", "gear", "encoder", "max torque", "missing"],
+)  # fmt: skip
+def test_another_drive_is_refused_with_both_numbers(
+    monkeypatch: pytest.MonkeyPatch, drives: dict[str, Any], host: dict[str, Any], sentence: str
+) -> None:
+    with pair(monkeypatch, drives=drives, **host) as bench:
+        refused(bench, sentence)
+
+
+@pytest.mark.parametrize(
+    ("entry", "value", "sentence"),
+    [
+        (
+            objects.DEVICE_TYPE,
+            0x0003_0191,
+            "is of device profile 401 (1000h is 0x00030191); a drive of profile 402 is expected",
+        ),
+        (objects.SUPPORTED_MODES, 0x1FF, "has no cyclic synchronous torque mode"),
+        (objects.GEAR_SHAFT_TURNS, 0, "its driving shaft revolutions (6091h:02) is 0"),
+    ],
+)
+def test_a_device_that_is_no_such_drive_is_refused(
+    monkeypatch: pytest.MonkeyPatch, entry: objects.Entry, value: int, sentence: str
+) -> None:
+    with pair(monkeypatch) as bench:
+        bench.drives[1].set(entry, value)
+        refused(bench, sentence)
+
+
+def test_an_sdo_abort_is_said_with_drive_object_and_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pair(monkeypatch) as bench:
+        bench.drives[0].node.object_dictionary[0x605A].access_type = "ro"
+        refused(
+            bench, "drive of joint 1 (node 3) does not take 2 for quick stop option code (605Ah): SDO abort, Code 0x06010002"
+        )
+
+
+def test_an_arm_that_stands_elsewhere_is_refused_with_both_poses(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pair(monkeypatch, start_joint_position=(0.0, 0.5)) as bench:
+        bench.host.configure()
+        with pytest.raises(DeviceError, match=r"joint 2 is at 0\.0000 rad, the scenario starts at 0\.5000 rad"):
+            bench.host.check_start()
+
+
+def test_before_any_device_is_activated_the_drives_are_on_and_braked_and_giving_up_switches_them_off(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with pair(monkeypatch) as bench:
+        bench.host.configure()
+        bench.host.check_start()
+        assert [drive.state for drive in bench.logics] == [STATES.switched_on] * 2
+        assert bench.joints.virtual.logic.braked
+        for _ in range(10):
+            bench.host.stay()
+        assert [drive.state for drive in bench.logics] == [STATES.switched_on] * 2
+        bench.host.deactivate()
+        bench.joints.tick()
+        assert [drive.state for drive in bench.logics] == [STATES.switch_on_disabled] * 2
+        assert [drive.node.nmt.state for drive in bench.drives] == ["PRE-OPERATIONAL"] * 2
+    with pair(monkeypatch) as bench:
+        bench.host.configure()
+        monkeypatch.setattr(bench.logics[1], "obey", lambda word: bench.logics[1].fail(0x4310))
+        with pytest.raises(
+            DeviceError, match=re.escape("drive of joint 2 (node 7) does not come to Switched on: it is in Fault")
+        ):
+            bench.host.check_start()
+
+
+def test_a_drive_that_does_not_become_enabled_is_named_with_its_state_and_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pair(monkeypatch) as bench:
+        bench.host.configure()
+        monkeypatch.setattr(bench.logics[1], "obey", lambda word: bench.logics[1].fail(0x4310))
+        with pytest.raises(
+            DeviceError, match=re.escape("drive of joint 2 (node 7) does not come to Operation enabled: it is in Fault")
+        ) as caught:
+            bench.host.activate(lambda: False)
+        assert "its error code (603Fh) is 0x4310 (the drive is too hot)" in str(caught.value)
+        bench.host.deactivate()
+        for _ in range(TICKS):
+            bench.joints.tick()
+        assert bench.joints.virtual.logic.braked
+
+
+def test_a_fault_of_before_is_reset_by_activation(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pair(monkeypatch) as bench:
+        bench.joints.virtual.fail(1)
+        assert bench.logics[0].state is STATES.fault
+        bench.activated()
+        assert bench.logics[0].state is STATES.operation_enabled
+
+
+def test_a_fault_is_reset_by_an_edge_even_if_the_bit_was_left_set(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pair(monkeypatch) as bench:
+        bench.joints.virtual.fail(1)
+        bench.logics[0].obey(0x80)  # resets it
+        bench.joints.virtual.fail(1)
+        bench.activated()
+        assert bench.logics[0].state is STATES.operation_enabled
+
+
+def test_a_drive_that_faults_stops_the_loop_in_its_own_words_and_the_others_are_ramped_down(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with pair(monkeypatch) as bench:
+        bench.activated()
+        for _ in range(20):
+            bench.cycle(8.0, -4.0)
+        bench.joints.virtual.fail(2, 0x2310)
+        stopped(bench, "drive of joint 2 (node 7) left Operation enabled by itself: it is in Fault reaction active")
+        ramped_down(bench)
+        assert bench.host.at_rest
+        assert bench.logics[0].state is STATES.switch_on_disabled
+        assert bench.logics[1].state is STATES.fault
+        assert bench.host.report()["emergencies"] == 1.0
+        assert bench.joints.velocity.tolist() == [0.0, 0.0]
+
+
+def test_an_emergency_stops_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pair(monkeypatch) as bench:
+        bench.activated()
+        bench.drives[0].node.emcy.send(0x3210, 1)
+        stopped(
+            bench, "drive of joint 1 (node 3) sent an emergency: it is in Operation enabled (statusword 0x1237, EMCY 0x3210 ("
+        )
+
+
+def test_a_drive_whose_heartbeat_is_missing_stops_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pair(monkeypatch) as bench:
+        bench.activated()
+        bench.drive_end.dropped.add(0x707)
+        stopped(bench, "drive of joint 2 (node 7) has sent no heartbeat for")
+
+
+def test_lost_tpdos_are_counted_survived_and_too_many_of_them_stop(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pair(monkeypatch) as bench:
+        bench.activated()
+        for k in range(20):
+            bench.drive_end.dropped = {0x187} if k % 5 in (1, 2) else set()
+            bench.cycle(1.0, 1.0)
+        assert bench.host.report()["cycles_lost"] == 8.0
+        assert bench.host.report()["longest_loss_cycles"] == 2.0
+        bench.drive_end.dropped = {0x187}
+        stopped(bench, "5 cycles in a row were lost, 5 are one too many (TPDOs of arm, cycles of 0.004 s); silent is node 7")
+
+
+def test_one_lost_speed_is_a_lost_cycle_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pair(monkeypatch) as bench:
+        bench.activated()
+        bench.drive_end.dropped = {0x283}
+        bench.cycle(0.0, 0.0)
+        assert bench.host.report()["cycles_lost"] == 1.0
+
+
+def test_without_the_host_every_drive_stops_by_itself_and_the_session_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pair(monkeypatch) as bench:
+        bench.activated()
+        for _ in range(20):
+            bench.cycle(8.0, -4.0)
+        assert abs(bench.joints.velocity).min() > 0.1
+        ticks = 0
+        while not bench.joints.virtual.logic.braked:
+            bench.joints.tick()
+            ticks += 1
+            assert ticks < 4 * TICKS + 500 + 2  # the watchdog's four cycles, then twice the ramp-down time at most
+        assert {drive.error for drive in bench.logics} <= {objects.SYNC_LOST, objects.HEARTBEAT_LOST}
+        assert {drive.state for drive in bench.logics} == {STATES.fault}
+        for _ in range(1100):
+            bench.joints.tick()
+        assert bench.joints.virtual.session_is_over
+
+
+def test_syncs_without_targets_stop_the_drives_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pair(monkeypatch) as bench:
+        bench.activated()
+        bench.host_end.dropped = {0x203, 0x207}
+        stopped(bench, "left Operation enabled by itself")
+        assert bench.logics[0].error == objects.RPDO_LOST
+
+
+def test_a_host_whose_heartbeat_ends_is_left_by_the_drives(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pair(monkeypatch) as bench:
+        bench.activated()
+        bench.host_end.dropped = {0x700 + 127}
+        stopped(bench, "left Operation enabled by itself")
+        assert bench.logics[0].error == objects.HEARTBEAT_LOST
+
+
+def test_a_second_controller_is_refused_while_the_first_sends_sync_or_holds_a_drive(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pair(monkeypatch) as bench:
+        bench.host_end.waiting.append(can.Message(arbitration_id=0x80, is_extended_id=False))
+        refused(bench, "another controller sends SYNC")
+    with pair(monkeypatch) as bench:
+        for logic in bench.logics:
+            for word in (0x06, 0x07, 0x0F):
+                logic.obey(word)
+        with pytest.raises(
+            DeviceError, match=re.escape("(node 3) is in Operation enabled already: another controller drives it")
+        ):
+            bench.host.configure()
+        bench.host.deactivate()
+        for _ in range(3):
+            bench.joints.tick()
+        assert not bench.joints.virtual.logic.braked  # the first one's drives were left alone
+
+
+def test_a_strange_sync_stops_a_running_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pair(monkeypatch) as bench:
+        bench.activated()
+        bench.host_end.waiting.append(can.Message(arbitration_id=0x80, is_extended_id=False))
+        stopped(bench, "another controller sends SYNC", cycles=1)
+
+
+def test_the_graded_stop_ends_with_brakes_and_silent_drives_are_not_called_at_rest(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pair(monkeypatch) as bench:
+        bench.activated()
+        for _ in range(20):
+            bench.cycle(8.0, -4.0)
+        ramped_down(bench)
+        assert bench.host.at_rest
+        assert bench.joints.virtual.logic.braked
+        bench.host.deactivate()
+        assert bench.host.state.now is LifeCycle.inactive
+    with pair(monkeypatch) as bench:
+        bench.activated()
+        bench.joints.stalled = True
+        ramped_down(bench)
+        assert not bench.host.at_rest
+
+
+def test_limits_clip_and_stop_as_for_every_arm(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pair(monkeypatch, joint_velocity_limit=(0.05, 0.05)) as bench:
+        bench.activated()
+        with pytest.raises(SafeStop, match=r"joint 1 moves at .* rad/s, its limit is 0\.05 rad/s"):
+            bench.cycles(50, 1000.0, 0.0)
+        assert bench.host.report()["joint_effort_limit_acted"] > 0
+        assert max(torque[0] for torque in bench.joints.torques) <= 100.0
+    with pair(monkeypatch) as bench:
+        bench.activated()
+        bench.host.read()
+        bench.host.values["joint_torque_command"][:] = np.nan
+        with pytest.raises(SafeStop, match="finite numbers are expected"):
+            bench.host.write()
+
+
+def test_one_target_goes_out_for_each_sync_however_often_write_is_called(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pair(monkeypatch) as bench:
+        bench.activated()
+        before = bench.host.report()["cycles_with_targets_sent"]
+        bench.host.read()
+        for _ in range(4):
+            bench.host.write()
+        assert bench.host.report()["cycles_with_targets_sent"] == before + 1
+
+
+def test_the_device_can_be_activated_anew_after_a_stop(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pair(monkeypatch) as bench:
+        bench.activated()
+        ramped_down(bench)
+        bench.host.deactivate()
+    with pair(monkeypatch) as bench:
+        bench.activated()
+        bench.host.on_error("tried")
+        assert bench.host.state.now is LifeCycle.safe_stop
+        bench.joints.tick()
+        # Commanded, with its SYNC: no watchdog had to.
+        assert {drive.state for drive in bench.logics} == {STATES.switch_on_disabled}
+        bench.host.deactivate()
+        for _ in range(300):
+            bench.joints.tick()
+        assert bench.joints.virtual.logic.braked
