@@ -13,7 +13,7 @@ from typing import Any
 
 from adapters.device import DeviceError, LifeCycle
 from adapters.e2e import HEADER_BYTES
-from adapters.signals import Field, field_of, load, message_of, occupied_bits
+from adapters.signals import Field, field_of, load, message_of, occupied_bits, only
 from cosim.near import did_you_mean
 
 SHIPPED_DBC = Path(__file__).parent / "arm.dbc"
@@ -125,7 +125,8 @@ class Frame:
         if self.data_id is not None:
             _check_header(message, self.subject, set(bound), mapping.e2e_offset)
         self.cycle_ms = float(message.cycle_time or 0)
-        self._values: dict[str, float] = {signal.name: signal.offset for signal in message.signals}
+        self._codec = only(message, set(bound))
+        self._values: dict[str, float] = {signal.name: signal.offset for signal in self._codec.signals}
 
     def __contains__(self, role: str) -> bool:
         return role in self.fields
@@ -136,11 +137,11 @@ class Frame:
         for role, given in numbers.items():
             for f, value in zip(self.fields.get(role, ()), given, strict=False):
                 values[f.name] = min(max(value, f.least), f.most) / f.factor
-        return bytearray(self.message.encode(values, strict=False))
+        return bytearray(self._codec.encode(values, strict=False))
 
     def unpack(self, data: bytes | bytearray) -> dict[str, list[float]]:
         """Values in SI, by role."""
-        values = self.message.decode(bytes(data), decode_choices=False)
+        values = self._codec.decode(bytes(data), decode_choices=False)
         return {role: [f.factor * values[f.name] for f in fields] for role, fields in self.fields.items()}
 
 

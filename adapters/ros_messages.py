@@ -64,7 +64,7 @@ class OdometryWriter:
 
 
 def read(data: bytes) -> Odometry:
-    """Any Odometry, of either byte order. MessageError if the bytes are none."""
+    """Any Odometry, of either byte order; its numbers as they came, finite or not. MessageError if the bytes are none."""
     if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
         raise MessageError(f"the encapsulation is {data[:4].hex()}; CDR (00 00 or 00 01) is expected")
     order = "<" if data[1] else ">"
@@ -78,8 +78,8 @@ def read(data: bytes) -> Odometry:
         if not 1 <= length <= LONGEST_NAME or place + 4 + length > len(data):
             raise MessageError(f"a frame name has {length} bytes; 1 to {LONGEST_NAME} are expected")
         text = data[place + 4 : place + 4 + length]
-        if text[-1] != 0:
-            raise MessageError("a frame name does not end with a zero byte")
+        if text.find(0) != length - 1:
+            raise MessageError("a frame name does not end with its first zero byte")
         try:
             names.append(text[:-1].decode())
         except UnicodeDecodeError as error:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+import math
+import re
+from collections.abc import Mapping, Set
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,9 +13,19 @@ from typing import Any
 import cantools
 
 from adapters.device import DeviceError
+from cosim.bounded_file import content
 from cosim.near import did_you_mean
 from cosim.units import factor
 
+LARGEST = 4 << 20
+"""Bytes of a DBC. What whole cars have is below 3 MB."""
+LARGEST_MESSAGE = 1785
+"""Bytes, in any DBC: of a message in several frames by SAE J1939."""
+MOST_BITS = 53
+MOST_VALUES = 100_000
+WORD = re.compile(r'"(?:\\"|[^"])*"|//[^\n]*|[A-Za-z0-9_.+-]+|\S')
+ENCODING = "cp1252"
+"""Of a DBC, as its tools write it."""
 SPELLINGS = {"Nm": "N.m", "°": "deg", "°/s": "deg/s", "degrees": "deg"}
 """Units as DBCs spell them, and as FMI does."""
 
@@ -39,11 +51,27 @@ def field_of(message: Any, name: str, unit: str | None, path: Path) -> Field:
         raise DeviceError(f"DBC {path}: signal {name} of {message.name} is a floating-point one; a scaled integer is expected")
     if signal.is_multiplexer or signal.multiplexer_ids:
         raise DeviceError(f"DBC {path}: signal {name} of {message.name} is multiplexed; one that is always there is expected")
+    scale, offset = float(signal.scale), float(signal.offset)
+    if not (scale and math.isfinite(scale) and math.isfinite(offset)):
+        raise DeviceError(
+            f"DBC {path}: signal {name} of {message.name} has the factor {scale:g} and the offset {offset:g}; finite numbers, and a factor "
+            f"other than zero, are expected"
+        )
     conversion = _conversion(signal, unit, path)
+    if signal.start < 0:
+        raise DeviceError(f"DBC {path}: signal {name} of {message.name} begins at bit {signal.start}; 0 or more is expected")
     bits = int(signal.length)
+    if bits > MOST_BITS:
+        raise DeviceError(
+            f"DBC {path}: signal {name} of {message.name} has {bits} bits; at most {MOST_BITS}, as a double has, are expected"
+        )
     raw = (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if signal.is_signed else (0, (1 << bits) - 1)
-    least, most = sorted(conversion * (float(signal.scale) * number + float(signal.offset)) for number in raw)
-    return Field(name=name, factor=conversion, least=least, most=most, resolution=abs(conversion * float(signal.scale)))
+    least, most = sorted(conversion * (scale * number + offset) for number in raw)
+    if not (math.isfinite(least) and math.isfinite(most)):
+        raise DeviceError(
+            f"DBC {path}: signal {name} of {message.name} holds {least:g} to {most:g}; finite numbers are expected"
+        )
+    return Field(name=name, factor=conversion, least=least, most=most, resolution=abs(conversion * scale))
 
 
 def _conversion(signal: Any, unit: str | None, path: Path) -> float:
@@ -65,16 +93,55 @@ def occupied_bits(signal: Any) -> set[int]:
 
 
 @functools.lru_cache(maxsize=16)
-def _loaded(path: Path, changed: int, size: int) -> Any:
+def _parsed(text: str) -> Any:
     """Both ends of a link, and each of its frames, ask for the same file."""
-    return cantools.database.load_file(path, strict=True)
+    _check_sizes(text)
+    return cantools.database.load_string(text, database_format="dbc", strict=True)
+
+
+def only(message: Any, names: Set[str]) -> Any:
+    """The same frame with these signals alone: what else a sender puts into it (a multiplexer's value that stands for nothing) can
+    neither fail nor be needed.
+    """
+    return cantools.database.Message(
+        frame_id=message.frame_id,
+        name=message.name,
+        length=message.length,
+        signals=[signal for signal in message.signals if signal.name in names],
+        is_extended_frame=message.is_extended_frame,
+        is_fd=message.is_fd,
+    )
+
+
+def _check_sizes(text: str) -> None:
+    """ValueError for a DBC with sizes that no message has: cantools makes lists of as many bits, and of as many multiplexer values."""
+    words = [word for word in WORD.findall(text) if not word.startswith(('"', "//"))]
+    sizes, values = [], 0
+    for i, word in enumerate(words):
+        if word == "BO_" and words[i + 3 : i + 4] == [":"]:  # BO_ identifier name : bytes
+            sizes += words[i + 4 : i + 5]
+        elif word == "|" and words[i + 2 : i + 3] == ["@"]:  # start | bits @
+            sizes += [words[i - 1], *words[i + 1 : i + 2]]
+        elif word == "SG_MUL_VAL_":  # SG_MUL_VAL_ identifier signal multiplexer first-last, ... ;
+            listed = words[i + 4 : words.index(";", i) if ";" in words[i : i + 2000] else i + 2000]
+            ends = [int(number[:12]) for number in re.findall(r"\d+", " ".join(listed))]
+            values += sum(max(last - first, 0) + 1 for first, last in zip(ends[::2], ends[1::2], strict=False))
+    for size in sizes:
+        if size.isdigit() and (len(size) > 6 or int(size) > 8 * LARGEST_MESSAGE):
+            raise ValueError(f"a message or signal of {size[:20]} bytes or bits; at most {LARGEST_MESSAGE} bytes are expected")
+    if values > MOST_VALUES:
+        raise ValueError(f"more than {MOST_VALUES} multiplexer values")
 
 
 def load(path: Path) -> Any:
-    """A cantools database; DeviceError with one sentence for a file that is none."""
+    """A cantools database; DeviceError with one sentence for a file that is none.
+
+    Other formats that cantools knows by a file's name are not for us, nor is the cache of pickled databases that it can be told of.
+    """
+    if path.suffix.lower() != ".dbc":
+        raise DeviceError(f"DBC {path}: a file whose name ends in .dbc is expected")
     try:
-        status = path.stat()
-        return _loaded(path, status.st_mtime_ns, status.st_size)
+        return _parsed(content(path, LARGEST).decode(ENCODING))
     except OSError as error:
         raise DeviceError(f"DBC {path} cannot be read: {error.strerror or error}") from error
     except Exception as error:  # cantools has several kinds for a malformed file, and passes on its parser's

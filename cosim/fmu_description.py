@@ -6,19 +6,25 @@ Arrays of FMI 2.0 (`name[1]` ... `name[n]`) appear as one port, as they do in FM
 from __future__ import annotations
 
 import functools
+import io
+import math
 import re
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
-from xml.etree import ElementTree
 
-import numpy as np
 from fmpy.model_description import ModelDescription, ModelVariable, read_model_description
 
+from cosim import archive
+from cosim.archive import Archive, ArchiveError
 from cosim.component import Port
 from cosim.errors import ComponentError
 
+DESCRIPTION = "modelDescription.xml"
+MOST_NUMBERS = 1 << 22
+"""Elements of all variables of an FMU."""
 ELEMENT = re.compile(r"^(?P<name>.+)\[(?P<index>\d+)\]$")
 REAL = ("Real", "Float64")
 UNITS_ANNOTATION = "org.freeflyer-cosim.units"
@@ -50,62 +56,70 @@ def _once_a_file(read: Callable[[Path], Read]) -> Callable[[Path], Read]:
     return once
 
 
-@_once_a_file
-def describe(path: Path) -> ModelDescription:
-    """The FMU's model description; ComponentError with one sentence for a file that is no usable FMU."""
+@contextmanager
+def opened(path: Path) -> Iterator[Archive]:
+    """The FMU's archive, checked; ComponentError with one sentence for whatever is wrong with it, then or while it is read."""
     if not path.is_file():
         raise ComponentError(f"FMU {path} " + ("is not a file" if path.exists() else "does not exist"))
+    if not zipfile.is_zipfile(path):
+        raise ComponentError(f"{path} is not an FMU: it is no zip archive")
     try:
-        with zipfile.ZipFile(path) as archive:
-            names = archive.namelist()
-            if "modelDescription.xml" not in names:
-                raise ComponentError(f"{path} is not an FMU: it contains no modelDescription.xml")
-            unsafe = [name for name in names if name.startswith(("/", "\\")) or ".." in Path(name).parts]
-            if unsafe:
-                raise ComponentError(f"FMU {path} is refused: its entry {unsafe[0]!r} points outside the archive")
-        version = _version(path)
+        with archive.opened(path) as found:
+            if DESCRIPTION not in found.names:
+                raise ComponentError(f"{path} is not an FMU: it contains no {DESCRIPTION}")
+            yield found
+    except ArchiveError as error:
+        raise ComponentError(f"FMU {path} is refused: {error}") from error
+
+
+@_once_a_file
+def describe(path: Path) -> ModelDescription:
+    """The FMU's model description; ComponentError with one sentence for a file that is no usable FMU.
+
+    Nothing of the FMU is run. FMPy, whose parser leaves entities and document types to lxml's version, sees the checked text alone.
+    """
+    try:
+        with opened(path) as found:
+            root, text = found.xml(DESCRIPTION)
+        version = root.get("fmiVersion", "unknown")
         if not version.startswith(("2.", "3.")):
             raise ComponentError(f"FMU {path} is of FMI version {version}; FMI 2.0 and FMI 3.0 are supported")
-        return read_model_description(str(path))
+        return read_model_description(_alone(text))
     except OSError as error:
         raise ComponentError(f"FMU {path} cannot be read: {error.strerror}") from error
-    except zipfile.BadZipFile as error:
-        raise ComponentError(f"{path} is not an FMU: it is no zip archive") from error
     except ComponentError:
         raise
     except Exception as error:  # FMPy raises plain Exception for an invalid description
-        raise ComponentError(f"FMU {path} has an invalid modelDescription.xml: {sentence(error)}") from error
+        raise ComponentError(f"FMU {path} has an invalid {DESCRIPTION}: {sentence(error)}") from error
 
 
-def _version(path: Path) -> str:
-    with zipfile.ZipFile(path) as archive:
-        root = ElementTree.fromstring(archive.read("modelDescription.xml"))
-    return root.get("fmiVersion", "unknown")
+def _alone(text: bytes) -> io.BytesIO:
+    """An archive with nothing but the description, as FMPy takes it."""
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w") as made:
+        made.writestr(DESCRIPTION, text)
+    return file
 
 
 @_once_a_file
 def annotated_units(path: Path) -> dict[str, tuple[str, ...]]:
     """Units element by element, which our FMI 3.0 FMUs give in an annotation (FMI 3.0 itself has one unit for an array)."""
-    with zipfile.ZipFile(path) as archive:
-        root = ElementTree.fromstring(archive.read("modelDescription.xml"))
-    found = {}
+    with opened(path) as found:
+        root, _ = found.xml(DESCRIPTION)
+    units = {}
     for variable in root.iterfind("ModelVariables/*"):
         for annotation in variable.iterfind("Annotations/Annotation"):
             if annotation.get("type") == UNITS_ANNOTATION and annotation.text:
-                found[variable.get("name", "")] = tuple(annotation.text.split())
-    return found
+                units[variable.get("name", "")] = tuple(annotation.text.split())
+    return units
 
 
 @_once_a_file
 def terminals_of(path: Path) -> dict[str, dict[str, str]]:
     """Terminal -> member -> variable, from FMI 3.0's terminalsAndIcons.xml; our FMI 2.0 FMUs have the same in an annotation."""
-    with zipfile.ZipFile(path) as archive:
+    with opened(path) as found:
         inside = "terminalsAndIcons/terminalsAndIcons.xml"
-        name = inside if inside in archive.namelist() else "modelDescription.xml"
-        try:
-            root = ElementTree.fromstring(archive.read(name))
-        except ElementTree.ParseError as error:
-            raise ComponentError(f"FMU {path} has an invalid {name}: {error}") from error
+        root, _ = found.xml(inside if inside in found.names else DESCRIPTION)
     return {
         terminal.get("name", ""): {
             member.get("memberName", ""): member.get("variableName", "")
@@ -118,13 +132,19 @@ def terminals_of(path: Path) -> dict[str, dict[str, str]]:
 @_once_a_file
 def ports_in(path: Path) -> tuple[dict[str, Port], dict[str, list[ModelVariable]]]:
     """`ports_of` a file, with its annotated units."""
-    return ports_of(describe(path), annotated_units(path))
+    try:
+        return ports_of(describe(path), annotated_units(path))
+    except (ValueError, OverflowError) as error:
+        raise ComponentError(f"FMU {path} has an invalid {DESCRIPTION}: {sentence(error)}") from error
 
 
 def ports_of(
     description: ModelDescription, annotated: Mapping[str, tuple[str, ...]]
 ) -> tuple[dict[str, Port], dict[str, list[ModelVariable]]]:
-    """Ports by name, and for each the model variables that make it up, in order."""
+    """Ports by name, and for each the model variables that make it up, in order. ValueError for numbers that are none, or too many."""
+    numbers = sum(map(_size, description.modelVariables))
+    if numbers > MOST_NUMBERS:
+        raise ValueError(f"its variables have {numbers} elements; {MOST_NUMBERS} are allowed")
     groups: dict[str, list[ModelVariable]] = {}
     for variable in description.modelVariables:
         match = ELEMENT.match(variable.name)
@@ -136,7 +156,7 @@ def ports_of(
     ports = {}
     for name, group in groups.items():
         first = group[0]
-        sizes = [int(np.prod(v.shape)) if v.shape else _dimension(v) for v in group]
+        sizes = [_size(variable) for variable in group]
         units: list[str | None] = []
         for variable, size in zip(group, sizes, strict=True):
             units += [variable.unit or (variable.declaredType.unit if variable.declaredType else None)] * size
@@ -167,11 +187,9 @@ def ports_of(
     return ports, groups
 
 
-def _dimension(variable: ModelVariable) -> int:
-    size = 1
-    for dimension in variable.dimensions:
-        size *= int(dimension.start or 1)
-    return size
+def _size(variable: ModelVariable) -> int:
+    dimensions = variable.shape or [dimension.start or 1 for dimension in variable.dimensions]
+    return math.prod(map(int, dimensions))
 
 
 def _start(variable: ModelVariable) -> list[float]:

@@ -28,7 +28,10 @@ class Origin:
     @classmethod
     def from_json(cls, text: bytes | str) -> Origin:
         """ValueError for anything that `to_json` has not written."""
-        raw = json.loads(text)
+        try:
+            raw = json.loads(text)
+        except RecursionError as error:
+            raise ValueError("its JSON is nested too deeply") from error
         kinds: dict[str, type] = {"scenario": str, "exchange": str, "steps": dict, "parameters": dict, "sources": dict}
         if not isinstance(raw, dict) or raw.keys() != kinds.keys():
             raise ValueError(f"{', '.join(kinds)} are expected in it")
@@ -39,4 +42,6 @@ class Origin:
         for key, kind in inner.items():
             if not all(isinstance(value, kind) for value in raw[key].values()):
                 raise ValueError(f"{key} does not fit")
+        if not all(0 < step < 1 << 63 for step in raw["steps"].values()):
+            raise ValueError("steps are not all above zero")
         return cls(**raw)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Sequence
 from typing import Any
 
+from cosim import toml_file
 from cosim.errors import ScenarioError
 from cosim.near import did_you_mean
 
@@ -42,6 +42,7 @@ def _other_kind(table: object, change: object) -> bool:
 
 def _left_out(base: Raw, names: Any) -> Raw:
     known = base.get("components", {})
+    known = known if isinstance(known, dict) else {}
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise ScenarioError(f"without is {names!r}; a list of components' names is expected")
     for name in names:
@@ -90,7 +91,7 @@ def override(raw: Raw, text: str) -> None:
 def assign(raw: Raw, target: str, value: Any, where: str) -> None:
     """Give a target of `--set` its value; None is none. `where` begins what is said of a mistake."""
     component, dot, parameter = target.partition(".")
-    components = raw.get("components", {})
+    components = _inner(raw, "components", where)
     if value is not None and component in ("devices", "facility", "record"):
         _assign_in_table(raw, where, target.split("."), value)
         return
@@ -104,32 +105,38 @@ def assign(raw: Raw, target: str, value: Any, where: str) -> None:
         return
     if component not in components:
         raise ScenarioError(f"{where}: there is no component {component!r}{did_you_mean(component, components)}")
-    table = components[component]
+    table = _inner(components, component, where)
     if parameter == "step_s":
         table["step_s"] = value
     else:
-        table.setdefault("parameters", {})[parameter] = value
+        _inner(table, "parameters", where)[parameter] = value
+
+
+def _inner(table: Raw, key: str, where: str) -> Raw:
+    found = table.setdefault(key, {})
+    if not isinstance(found, dict):
+        raise ScenarioError(f"{where}: {key!r} is no table, so that nothing can be set in it")
+    return found
 
 
 def _assign_in_table(raw: Raw, where: str, keys: Sequence[str], value: Any) -> None:
     """devices.NAME.KEY, facility.KEY and so on; a key may have further parts."""
-    if keys[0] == "devices" and (len(keys) < 3 or keys[1] not in raw.get("devices", {})):
-        names = ", ".join(raw.get("devices", {})) or "(none)"
+    devices = raw.get("devices", {})
+    if keys[0] == "devices" and (len(keys) < 3 or not isinstance(devices, dict) or keys[1] not in devices):
+        names = ", ".join(devices) if isinstance(devices, dict) and devices else "(none)"
         raise ScenarioError(f"{where}: devices.NAME.KEY=VALUE is expected, NAME one of: {names}")
-    if not all(keys) or len(keys) < 2:
+    if not all(keys) or not 2 <= len(keys) <= toml_file.DEEPEST:
         raise ScenarioError(f"{where}: {keys[0]}.KEY=VALUE is expected")
     table = raw
     for key in keys[:-1]:
-        table = table.setdefault(key, {})
-        if not isinstance(table, dict):
-            raise ScenarioError(f"{where}: {key!r} is no table, so that nothing can be set in it")
+        table = _inner(table, key, where)
     table[keys[-1]] = value
 
 
 def parse_value(text: str) -> Any:
     try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+        return toml_file.parsed(f"value = {text}")["value"]
+    except ValueError:
         pass
     number, _, unit = text.partition(" ")
     try:

@@ -21,6 +21,9 @@ from cosim.component import Array
 from cosim.errors import BAD_INPUT, CosimError, OutputError
 from cosim.origin import KEY, Origin
 
+MOST_NUMBERS = 1 << 30
+"""Of a record that is read; as doubles, they are 8 GiB."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Signal:
@@ -89,8 +92,14 @@ class Record:
 
     @classmethod
     def read(cls, path: Path) -> Record:
-        """What `write` has written; OSError if it cannot be read, ValueError if its origin is damaged."""
-        table = parquet.read_table(path)
+        """What `write` has written; OSError or pyarrow.ArrowException if it cannot be read, ValueError, TypeError or LookupError if it
+        is something else. Nothing in it is run.
+        """
+        with parquet.ParquetFile(path) as file:
+            rows, columns = file.metadata.num_rows, file.metadata.num_columns
+            if not 0 < columns * max(rows, 1) <= MOST_NUMBERS:  # a few bytes of Parquet can stand for any number of rows
+                raise ValueError(f"it has {rows} rows of {columns} columns; {MOST_NUMBERS} numbers at most are expected")
+            table = file.read()
         elements: dict[str, list[str]] = {}
         for column in table.column_names[1:]:
             elements.setdefault(column.partition("[")[0], []).append(column)

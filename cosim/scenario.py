@@ -7,13 +7,17 @@ which takes over what another component has.
 
 from __future__ import annotations
 
+import datetime
+import json
 import math
-import tomllib
+import os
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+from cosim import toml_file
 from cosim.clock import nanoseconds
 from cosim.errors import ScenarioError
 from cosim.graph import Connection, Exchange
@@ -23,6 +27,7 @@ from cosim.raw_scenario import Raw, merged, override
 from cosim.units import converted, factor
 
 SHIPPED = Path(__file__).parent / "scenarios"
+BARE_KEY = re.compile(r"[A-Za-z0-9_-]+", re.ASCII)
 Step = int | str
 """Nanoseconds, or "=PARAMETER" (of the same component, in seconds)."""
 
@@ -110,7 +115,8 @@ def find(name: str, beside: Path | None = None) -> Path:
     if name.lower().endswith(".ssp"):
         raise ScenarioError(f"{name} is an SSP file; a scenario is expected here (`freeflyer run` takes both)")
     if name.endswith(".toml"):
-        raise ScenarioError(f"scenario file {name} does not exist")
+        there = any(map(os.path.lexists, candidates))
+        raise ScenarioError(f"scenario file {name} " + ("is no regular file" if there else "does not exist"))
     raise ScenarioError(f"there is no scenario {name!r}: neither a shipped one nor a .toml file{did_you_mean(name, shipped())}")
 
 
@@ -118,10 +124,10 @@ def _read(path: Path, seen: tuple[Path, ...]) -> Raw:
     if path in seen:
         raise ScenarioError(f"scenario {path} extends itself, by way of {' -> '.join(p.name for p in seen)}")
     try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        raw = toml_file.read(path)
     except OSError as error:
         raise ScenarioError(f"scenario {path} cannot be read: {error.strerror}") from error
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except ValueError as error:
         raise ScenarioError(f"scenario {path} is not valid TOML: {error}") from error
     parent = raw.pop("extends", None)
     if parent is None:
@@ -177,6 +183,7 @@ class _Reader:
         if not components:
             raise self.fail("it has no components; at least one [components.NAME] is expected")
         devices = tuple(self.device(name, device, raw["components"]) for name, device in self.table(raw, "devices").items())
+        energies = self.table(raw, "observed_energy")
         errors = {name: self.measure(name, pair) for name, pair in self.table(raw, "errors").items()}
         return Scenario(
             name=self.path.stem,
@@ -195,7 +202,7 @@ class _Reader:
             connections=tuple(self.connections(raw, "connections", False)) + tuple(self.connections(raw, "delayed", True)),
             limits=tuple(self.limit(item) for item in self.array(raw, "limits")),
             errors=errors,
-            observed_energy={name: str(signal) for name, signal in self.table(raw, "observed_energy").items()},
+            observed_energy={name: self.text(energies, name, "") for name in energies},
             source=to_toml(raw),
         )
 
@@ -215,7 +222,7 @@ class _Reader:
         step = rest.pop("step_s")
         if not isinstance(kind, str) or not isinstance(parameters, dict):
             raise self.fail(f"component {name}: 'kind' must be a name and 'parameters' a table")
-        if isinstance(step, dict) and step.get("unit") and isinstance(step.get("value"), int | float):
+        if isinstance(step, dict) and isinstance(step.get("unit"), str) and isinstance(step.get("value"), int | float):
             try:
                 step = converted(step["value"], factor(step["unit"], "s"))
             except ValueError as error:
@@ -239,13 +246,15 @@ class _Reader:
 
     def connections(self, raw: Raw, key: str, delayed: bool) -> Iterable[Connection]:
         for text in self.array(raw, key):
-            if "<->" in str(text):
-                left, _, right = (part.strip() for part in str(text).partition("<->"))
+            if not isinstance(text, str):
+                raise self.fail(f"{key}: {text!r}; a text with '->' is expected")
+            if "<->" in text:
+                left, _, right = (part.strip() for part in text.partition("<->"))
                 if "." not in left or "." not in right:
                     raise self.fail(f"{key}: {text!r}; 'COMPONENT.TERMINAL <-> COMPONENT.TERMINAL' is expected")
                 yield Connection(source=left, target=right, delayed=delayed, of_terminals=True)
                 continue
-            source, arrow, targets = str(text).partition("->")
+            source, arrow, targets = text.partition("->")
             for target in targets.split(","):
                 if not arrow or "." not in source or "." not in target:
                     raise self.fail(f"{key}: {text!r}; 'COMPONENT.OUTPUT -> COMPONENT.INPUT, ...' is expected")
@@ -284,11 +293,16 @@ class _Reader:
 
     def measure(self, name: str, pair: object) -> Measure:
         kinds = ("position", "orientation")
-        if not name.endswith(kinds) or not isinstance(pair, list) or len(pair) != 2:
+        if (
+            not name.endswith(kinds)
+            or not isinstance(pair, list)
+            or len(pair) != 2
+            or not all(isinstance(s, str) for s in pair)
+        ):
             raise self.fail(
                 f"errors.{name}: a name ending in 'position' or 'orientation' with [actual, desired] signals is expected"
             )
-        return Measure(actual=str(pair[0]), desired=str(pair[1]))
+        return Measure(actual=pair[0], desired=pair[1])
 
     # One key at a time
 
@@ -323,27 +337,36 @@ class _Reader:
 
 
 def to_toml(raw: Raw) -> str:
-    """The merged scenario as TOML again, for the report."""
+    """The merged scenario as TOML again, for the report: a file with this text is the same scenario."""
     lines: list[str] = []
 
     def emit(table: Raw, prefix: str) -> None:
         plain = {k: v for k, v in table.items() if not isinstance(v, dict)}
-        if prefix and plain:
+        if prefix and (plain or not table):
             lines.append(f"\n[{prefix}]")
-        lines.extend(f"{key} = {literal(value)}" for key, value in plain.items())
+        lines.extend(f"{_key(key)} = {literal(value)}" for key, value in plain.items())
         for key, value in table.items():
             if isinstance(value, dict):
-                emit(value, f"{prefix}.{key}" if prefix else key)
+                emit(value, f"{prefix}.{_key(key)}" if prefix else _key(key))
 
     emit(raw, "")
     return "\n".join(lines).strip() + "\n"
+
+
+def _key(name: str) -> str:
+    return name if BARE_KEY.fullmatch(name) else _text(name)
+
+
+def _text(value: str) -> str:
+    # JSON's escapes are TOML's, apart from DEL, which JSON lets pass.
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def literal(value: object) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
+        return _text(value)
     if isinstance(value, list):
         items = [literal(item) for item in value]
         return (
@@ -352,5 +375,7 @@ def literal(value: object) -> str:
             else "[\n" + "".join(f"  {item},\n" for item in items) + "]"
         )
     if isinstance(value, dict):
-        return "{ " + ", ".join(f"{key} = {literal(item)}" for key, item in value.items()) + " }"
+        return "{ " + ", ".join(f"{_key(key)} = {literal(item)}" for key, item in value.items()) + " }"
+    if isinstance(value, datetime.date | datetime.time):
+        return value.isoformat()
     return repr(value)

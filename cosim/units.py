@@ -10,6 +10,13 @@ from typing import Any
 import pint
 
 DIMENSIONLESS = "1"
+LONGEST = 80
+"""Characters of a unit; pint's time grows with their square."""
+_POWER = r"(?:\*\*|\^)"
+_EXPONENT = r"\s*(?:[-+]?\d{1,2}(?:\.\d{1,3})?(?![\d.eE_])|\(\s*[-+]?\d{1,2}\s*(?:/\s*\d{1,2}\s*)?\))"
+_ENDLESS = re.compile(rf"{_POWER}(?!{_EXPONENT})|{_POWER}{_EXPONENT}\s*{_POWER}|(?:\)\s*{_POWER}.*){{3}}", re.DOTALL)
+"""Powers that pint, which computes with whole numbers, could be at for ever: 9**99999999, 9**9**9, ((9**9)**9)**9."""
+_SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹", "0123456789")
 
 
 @lru_cache(maxsize=1)
@@ -19,8 +26,11 @@ def registry() -> Any:
 
 @lru_cache(maxsize=256)
 def unit(text: str) -> Any:
-    """The unit that an FMI unit string names. Raises ValueError for one that nobody knows."""
-    spelled = re.sub(r"(?<=[A-Za-z])(-?\d+)", r"**\1", text.replace(".", "*"))
+    """The unit that an FMI unit string names, whoever wrote it. Raises ValueError for one that nobody knows."""
+    spelled = re.sub(r"[⁰¹²³⁴⁵⁶⁷⁸⁹]+", lambda run: f"**{run[0].translate(_SUPERSCRIPTS)}", text)
+    spelled = re.sub(r"(?<=[A-Za-z])(-?\d+)", r"**\1", spelled.replace(".", "*"))
+    if len(text) > LONGEST or _ENDLESS.search(spelled):
+        raise ValueError(f"unit {text[:LONGEST]!r} is not known")
     try:
         return registry().parse_units("" if text == DIMENSIONLESS else spelled)
     except Exception as error:  # pint raises a dozen kinds for a malformed text

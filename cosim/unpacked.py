@@ -8,9 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import fmpy
-
-from cosim.fmu_description import OWN_TOOL, describe, same_file
+from cosim.fmu_description import OWN_TOOL, describe, opened, same_file
 
 Version = tuple[Path, tuple[int, ...]]
 _free: dict[Version, list[Path]] = {}
@@ -35,14 +33,17 @@ def kept_in(place: Path) -> Iterator[None]:
 
 
 def take(path: Path) -> Path:
-    """A folder with the FMU's contents, which nobody else uses. OSError if it cannot be written."""
+    """A folder with the FMU's contents, which nobody else uses; nothing of it is run. OSError if it cannot be written, ComponentError
+    if the FMU is refused.
+    """
     again = _place is not None and describe(path).generationTool == OWN_TOOL
     version = (path, same_file(path))
     folder = _kept(version) if again else None
     if folder is None:
         folder = Path(tempfile.mkdtemp(prefix="freeflyer-", dir=_place))
         try:
-            fmpy.extract(str(path), str(folder))
+            with opened(path) as archive:
+                archive.extract_all(folder)
         except BaseException:
             remove(folder)
             raise

@@ -237,7 +237,7 @@ class VirtualCia402(VirtualDevice[DriveGroup]):
             drive.logic = logic
             drive.node.nmt._state = INITIALISING
 
-    def fail(self, joint: int, code: int = 0x2310) -> None:
+    def fail(self, joint: int = 1, code: int = 0x2310) -> None:
         """A fault on demand: joint from 1, error code of CiA 402."""
         self.logic.drives[joint - 1].fail(code)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -102,6 +103,8 @@ def find(record: Record) -> RecordedLoop:
     loop = _Finder(record, origin).loop()
     if loop.time.size < 2:
         raise RecordError(f"the record of {origin.scenario} has {loop.time.size} finite rows; at least 2 are needed")
+    if not (np.diff(loop.time) >= 1e-9).all():
+        raise RecordError(f"the record of {origin.scenario} has times that do not increase by a nanosecond from row to row")
     return loop
 
 
@@ -156,6 +159,7 @@ class _Finder:
             orientation=np.tile(turn, (self.record.rows, 1)),
             velocity=np.zeros((self.record.rows, 6)),
         )
+        self.end_before(~np.isfinite(self.record.time))
         laws = [
             self.law(name, measured, self.parameter(manipulator, energy, 6))
             for name, measured, energy in (
@@ -245,7 +249,10 @@ class _Finder:
 
     def parameter(self, component: str, name: str, size: int) -> Array:
         value: Any = self.origin.parameters.get(component, {}).get(name)
-        numbers = np.array(value, dtype=float) if isinstance(value, list) else np.zeros(0)
+        plain = isinstance(value, list) and all(
+            isinstance(item, int | float) and abs(item) <= sys.float_info.max for item in value
+        )
+        numbers = np.array(value, dtype=float) if plain else np.zeros(0)
         if numbers.shape != (size,):
             self.missing.append(f"parameter {component}.{name}")
             return np.zeros(size)

@@ -1,24 +1,18 @@
-"""The zip archive of an SSP file, from anybody: nothing leaves its directory, nothing swells, no XML fetches anything."""
+"""The zip archive of an SSP file, from anybody: its entries as XML and as files."""
 
 from __future__ import annotations
 
-import lzma
-import shutil
-import zipfile
-import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from urllib.parse import unquote, urlsplit
 from xml.etree import ElementTree
 
+from cosim import archive
+from cosim.archive import Archive, ArchiveError
 from cosim.errors import ScenarioError
 from cosim.near import did_you_mean
 from cosim.ssp.names import tag
-
-LARGEST_TEXT = 64 << 20
-LARGEST_FMU = 2 << 30
-LARGEST_PACKAGE = 8 << 30
 
 Element = ElementTree.Element
 
@@ -30,26 +24,15 @@ def opened(path: Path, directory: Path) -> Iterator[Package]:
     if not path.is_file():
         raise package.fail("it is not a file" if path.exists() else "it does not exist")
     try:
-        with zipfile.ZipFile(path) as archive:
-            package.enter(archive)
+        with archive.opened(path) as found:
+            package.enter(found)
             yield package
+    except ArchiveError as error:
+        raise package.fail(str(error)) from error
     except OSError as error:
         raise package.fail(f"it cannot be unpacked into {directory}: {error.strerror or error}") from error
     except RecursionError as error:
         raise package.fail("its systems are nested too deeply") from error
-    except (zipfile.BadZipFile, zlib.error, lzma.LZMAError, RuntimeError, EOFError) as error:
-        raise package.fail(f"it is no usable zip archive ({error})") from error
-
-
-class _Refusing(ElementTree.TreeBuilder):
-    """Builds no tree of a file with a document type: nothing in it is fetched or expanded."""
-
-    def doctype(self, name: str, public: str | None, system: str | None) -> None:
-        raise ValueError("it declares a document type")
-
-
-def parser() -> ElementTree.XMLParser:
-    return ElementTree.XMLParser(target=_Refusing())
 
 
 class Package:
@@ -60,35 +43,16 @@ class Package:
     def fail(self, message: str) -> ScenarioError:
         return ScenarioError(f"SSP file {self.path}: {message}")
 
-    def enter(self, archive: zipfile.ZipFile) -> None:
-        self._archive = archive
-        self._check_entries()
+    def enter(self, found: Archive) -> None:
+        self._archive = found
 
-    def _check_entries(self) -> None:
-        entries = self._archive.infolist()
-        for entry in entries:
-            if entry.filename.startswith(("/", "\\")) or ".." in PurePosixPath(entry.filename.replace("\\", "/")).parts:
-                raise self.fail(f"it is refused: its entry {entry.filename!r} points outside the archive")
-        if sum(entry.file_size for entry in entries) > LARGEST_PACKAGE:
-            raise self.fail(f"it is refused: it unpacks to more than {LARGEST_PACKAGE >> 30} GiB")
-
-    def _entry(self, name: str, largest: int) -> zipfile.ZipInfo:
-        try:
-            entry = self._archive.getinfo(name)
-        except KeyError:
-            raise self.fail(f"it contains no {name}{did_you_mean(name, self._archive.namelist())}") from None
-        if entry.file_size > largest:
-            raise self.fail(f"its entry {name} is refused: it has {entry.file_size >> 20} MiB, {largest >> 20} are allowed")
-        return entry
+    def _require(self, name: str) -> None:
+        if name not in self._archive.names:
+            raise self.fail(f"it contains no {name}{did_you_mean(name, self._archive.names)}")
 
     def xml(self, name: str, wanted: str) -> Element:
-        data = self._archive.read(self._entry(name, LARGEST_TEXT))
-        try:
-            root = ElementTree.fromstring(data, parser())
-        except ValueError as error:  # a document type, or an encoding that the parser cannot take
-            raise self.fail(f"{name} is refused: {error}") from error
-        except (ElementTree.ParseError, LookupError) as error:
-            raise self.fail(f"{name} is not well-formed XML: {error}") from error
+        self._require(name)
+        root, _ = self._archive.xml(name)
         if root.tag != tag(wanted):
             raise self.fail(f"{name} has the root {root.tag}; {tag(wanted)} is expected")
         return root
@@ -108,9 +72,9 @@ class Package:
 
     def unpack(self, name: str) -> Path:
         if name not in self._unpacked:
-            entry, target = self._entry(name, LARGEST_FMU), self.directory / name
+            self._require(name)
+            target = self.directory / name
             target.parent.mkdir(parents=True, exist_ok=True)
-            with self._archive.open(entry) as packed, target.open("wb") as file:
-                shutil.copyfileobj(packed, file)
+            self._archive.extract(name, target)
             self._unpacked[name] = target
         return self._unpacked[name]

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import re
-import tomllib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,6 +17,7 @@ from xml.etree import ElementTree
 
 from fmpy.model_description import ModelDescription
 
+from cosim import toml_file
 from cosim.component import Port
 from cosim.fmu_description import describe, ports_of
 from cosim.near import did_you_mean
@@ -287,8 +287,8 @@ class _System:
             raw["exchange"] = "parallel"  # as other tools that read SSP have it: loops need no order then
         else:
             try:
-                raw |= {key: value for key, value in tomllib.loads(settings.text or "").items() if key in SETTINGS}
-            except tomllib.TOMLDecodeError as error:
+                raw |= {key: value for key, value in toml_file.parsed(settings.text or "").items() if key in SETTINGS}
+            except ValueError as error:
                 raise self.fail(f"its annotation {ANNOTATION} is not valid TOML: {error}") from error
         if "stopTime" in times:
             raw["stop_s"] = self._number(times["stopTime"], "the stop time")

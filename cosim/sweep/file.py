@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
 
+from cosim import toml_file
 from cosim.errors import ScenarioError
 from cosim.near import did_you_mean
 from cosim.raw_scenario import Raw, parse_value
@@ -50,10 +50,10 @@ def read(name: str, settings: Sequence[str] = ()) -> Sweep:
     """A shipped sweep by name, or a TOML file by path; `settings` are added to the file's own. Raises ScenarioError."""
     path = _find(name)
     try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        raw = toml_file.read(path)
     except OSError as error:
         raise ScenarioError(f"sweep {path} cannot be read: {error.strerror}") from error
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except ValueError as error:
         raise ScenarioError(f"sweep {path} is not valid TOML: {error}") from error
     try:
         return _sweep(raw, path, settings)

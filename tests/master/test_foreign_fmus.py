@@ -229,7 +229,7 @@ FMI_2 = """<?xml version="1.0" encoding="UTF-8"?>
         (FMI_1, (), "is of FMI version 1.0; FMI 2.0 and FMI 3.0 are supported"),
         (FMI_1.replace("'1.0'", "'4.0'"), (), "is of FMI version 4.0; FMI 2.0 and FMI 3.0 are supported"),
         (FMI_1.replace("fmiVersion='1.0'", ""), (), "is of FMI version unknown; FMI 2.0 and FMI 3.0 are supported"),
-        (FMI_2[:200], (), "has an invalid modelDescription.xml"),
+        (FMI_2[:200], (), "its modelDescription.xml is not well-formed XML"),
         (FMI_2.replace("KIND", "ModelExchange"), (), "of component x offers no co-simulation; only such FMUs can be stepped"),
         (
             FMI_2.replace("KIND", "CoSimulation"),

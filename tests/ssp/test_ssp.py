@@ -11,9 +11,9 @@ import pytest
 from commands import said
 from lxml import etree
 
+from cosim import archive as archives
 from cosim import assemble, cli, experiment, scenario
 from cosim.errors import CosimError
-from cosim.ssp import package as ssp_package
 from cosim.ssp import read as ssp_read
 from cosim.ssp import write as ssp_write
 
@@ -128,7 +128,7 @@ WRONG = [
         "<!DOCTYPE a><ssd:SystemStructureDescription ",
         "refused: it declares a document type",
     ),
-    ("encoding='UTF-8'", "encoding='utf-7'", "SystemStructure.ssd is refused: "),
+    ("encoding='UTF-8'", "encoding='utf-7'", "SystemStructure.ssd is not well-formed XML: "),
     ("<ssd:System ", "<", "is not well-formed XML"),
     ('stopTime="0.6"', 'stopTime="soon"', "the stop time is 'soon'; a number is expected"),
     ('stopTime="0.6"', 'stopTime="inf"', "the stop time is 'inf'; a number is expected"),
@@ -207,11 +207,11 @@ def test_an_archive_is_refused_that_leaves_its_directory_or_swells(
     bomb = tmp_path / "bomb.ssp"
     with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr(SSD, b" " * (70 << 20))
-    assert "70 MiB, 64 are allowed" in refusal(bomb)
+    assert "70 MiB; 64 MiB are allowed" in refusal(bomb)
     bomb.write_bytes(bomb.read_bytes().replace(struct.pack("<I", 70 << 20), struct.pack("<I", 1000)))  # a header that lies
     assert "SSP file" in refusal(bomb)
-    monkeypatch.setattr(ssp_package, "LARGEST_FMU", 1 << 10)
-    assert "MiB" in refusal(packed)
+    monkeypatch.setattr(archives, "LARGEST", 1 << 10)
+    assert "1 KiB are allowed" in refusal(packed)
     assert not list(tmp_path.parent.glob("evil"))
 
 
