@@ -19,7 +19,7 @@ from adapters.facility.server import Facility
 from adapters.link_notices import notices
 from cosim import experiment, scenario
 from cosim.cli import complain, folder, result_table, verdict
-from cosim.errors import DONE, STOPPED
+from cosim.errors import BAD_INPUT, DONE, STOPPED
 from cosim.interrupts import interrupts
 from cosim.record import check_writable, write_text
 from cosim.scenario import Scenario
@@ -44,6 +44,11 @@ class HilCommand:
             help="with a virtual facility, its links and their faults in this process, in virtual time: as fast as can be computed",
         )
         parser.add_argument(
+            "--check",
+            action="store_true",
+            help="configure every device, show what it measures and whether it could be activated, and end: nothing moves",
+        )
+        parser.add_argument(
             "--view",
             action=argparse.BooleanOptionalAction,
             default=None,
@@ -53,6 +58,8 @@ class HilCommand:
     def execute(self, arguments: argparse.Namespace, console: Console) -> int:
         chosen = scenario.load(arguments.scenario, arguments.overrides)
         facility_settings.read(chosen.facility)  # its mistakes are told on both sides
+        if arguments.check:
+            return _check(chosen, arguments, console)
         directory = arguments.out or Path("freeflyer_out") / f"hil_{chosen.name}"
         check_writable(directory)
         if not arguments.simulated:
@@ -119,6 +126,27 @@ class FacilityCommand:
         if outcome.failed or outcome.diverged:
             return complain(f"the facility's model failed: {outcome.cause}", STOPPED)
         return DONE
+
+
+def _check(chosen: Scenario, arguments: argparse.Namespace, console: Console) -> int:
+    """What `--check` shows; BAD_INPUT if a device could not be activated as it stands."""
+    with _facility_beside(chosen, arguments, lambda text: None):
+        found = hil.look(chosen, simulated=arguments.simulated, fmi=arguments.fmi)
+    for name, looked in found.items():
+        table = Table(title=f"{name} measures", title_justify="left")
+        for column in ("", "unit", "value"):
+            table.add_column(column)
+        for variable, values in looked.measured.items():
+            units = list(dict.fromkeys(unit or "" for unit in looked.units[variable]))
+            table.add_row(variable.replace("_", " "), ", ".join(units), "  ".join(f"{value:.5g}" for value in values))
+        console.print(table)
+    refusals = [looked.refusal for looked in found.values() if looked.refusal]
+    for refusal in refusals:
+        complain(refusal, BAD_INPUT)
+    if refusals:
+        return BAD_INPUT
+    console.print("Every device answers as the scenario expects, and could be activated. Nothing was.", soft_wrap=True)
+    return DONE
 
 
 @contextmanager

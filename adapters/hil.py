@@ -21,6 +21,7 @@ from adapters.pacing import Pacer
 from cosim import metrics
 from cosim.assemble import assembled, make
 from cosim.clock import seconds
+from cosim.component import Array
 from cosim.errors import CosimError, StepFailed
 from cosim.experiment import Result, origin
 from cosim.graph import Connection, split
@@ -233,6 +234,37 @@ def run(
             return _run(scenario, master, values, real_time, view, asked, say)
     finally:
         pacing.leave_real_time()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Looked:
+    """What a device measures before anything is activated; `refusal`: why it could not be activated now, or None."""
+
+    measured: Mapping[str, Array]
+    units: Mapping[str, tuple[str | None, ...]]
+    refusal: str | None
+
+
+def look(scenario: Scenario, *, simulated: bool = False, fmi: int | None = None) -> dict[str, Looked]:
+    """Configure every device, read it, ask whether it may be activated, and leave it as it was found. Raises CosimError."""
+    scenario = with_devices(scenario, simulated=simulated, fmi=fmi)
+    found = {}
+    with assembled(scenario, fmi) as (master, _):
+        for component in master.graph.components.values():
+            if not isinstance(component, DeviceComponent):
+                continue
+            device, refusal = component.device, None
+            try:
+                device.check_start()
+            except DeviceError as error:
+                refusal = str(error)
+            outputs = [port for port in device.ports.values() if port.causality == "output"]
+            found[device.name] = Looked(
+                measured={port.name: device.values[port.name].copy() for port in outputs},
+                units={port.name: port.units for port in outputs},
+                refusal=refusal,
+            )
+    return found
 
 
 def _run(

@@ -55,7 +55,9 @@ def soak(folder: Path, seconds: float) -> None:
     growth = settled.max(axis=0) - settled[0]
     arm, base = (summary["real_time"]["devices"][name] for name in ("arm_drive", "base_robot"))
     theirs, robot = (report["devices"][name] for name in ("arm_drive", "base_robot"))
-    print(f"\n{seconds:g} s: loop {settled[0, 0]:.1f} MB and {growth[0]:+.2f}, facility {settled[0, 1]:.1f} MB and {growth[1]:+.2f}")
+    print(
+        f"\n{seconds:g} s: loop {settled[0, 0]:.1f} MB and {growth[0]:+.2f}, facility {settled[0, 1]:.1f} MB and {growth[1]:+.2f}"
+    )
     print(f"arm, here {dict(arm)}\narm, there {dict(theirs)}\nbase, here {dict(base)}\nbase, there {dict(robot)}")
     assert (growth < ALLOWED).all(), growth
 

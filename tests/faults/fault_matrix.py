@@ -78,7 +78,7 @@ def _arm_rows() -> Iterator[Row]:
         yield Row(device=ARM, direction=direction, kind="loss", how={"probability": share}, counted=counted, **row)  # type: ignore[arg-type]
     for kind, how in (("cut", {}), ("flipped_bits", {"bits": 1}), ("flipped_bits", {"bits": 8}), ("wrong_data_id", {}), ("frozen_counter", {}),
                       ("stale_stamp", {})):  # fmt: skip
-        prefix = "" if kind == "cut" else refused
+        prefix = "" if kind == "cut" else refused.replace("by E2E", "for its number") if kind == "stale_stamp" else refused
         yield Row(device=ARM, direction=TO_CONTROLLER, kind=kind, how=how, stop=ARM_SILENT, within=0.0225, device_within=0.0065,
                   reaction=prefix + lost_answers, counted=("cycles_lost",))  # fmt: skip
         yield Row(device=ARM, direction=TO_DEVICE, kind=kind, how=how, stop=ARM_WATCHDOG, within=0.006, device_within=0.005,
@@ -268,7 +268,9 @@ def stated(row: Row) -> str:
 
 
 def _ms(time: float | None) -> str:
-    return "" if time is None else f"{1e3 * time:.4g} ms"
+    if time is None:
+        return ""
+    return f"{time:.3g} s" if time >= 1.0 else f"{1e3 * time:.4g} ms"
 
 
 def _said(row: Row) -> str:

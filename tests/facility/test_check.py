@@ -1,0 +1,48 @@
+"""`freeflyer hil --check` and `--accelerated`, as a user calls them; both ends in one process."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pandas
+import pytest
+
+from cosim.cli import main
+
+
+def test_a_check_shows_what_devices_measure_and_moves_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["hil", "facility", "--check", "--accelerated"]) == 0
+    said = capsys.readouterr().out
+    assert "arm_drive measures" in said
+    assert "0  0.1  -1.6  0  -1.4  0" in said  # the posture of the scenario
+    assert "could be activated. Nothing was." in said
+    assert "active" not in said.replace("activated", "")
+
+
+def test_a_check_says_why_a_device_could_not_be_activated(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["hil", "facility", "--check", "--accelerated", "--set", "base_robot.true_position=[0.1, 0, 0.08]"]) == 2
+    both = capsys.readouterr()
+    assert "0.0600 m and 0.000 deg apart, 0.005 m and 0.573 deg are allowed" in both.err
+    assert "Traceback" not in both.err
+
+
+def test_accelerated_is_the_same_experiment_with_the_faults_of_its_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "cut.toml"
+    path.write_text('extends = "facility"\nstop_s = 1.0\n[[facility.faults]]\ndevice = "arm_drive"\nkind = "cut"\nbegin_s = 0.5\n')
+    assert main(["hil", str(path), "--accelerated", "--out", str(tmp_path / "out")]) == 3
+    both = capsys.readouterr()
+    assert "fault: cut of arm_drive, both: 0.5 s after activation" in both.out
+    assert "active -> safe_stop: no command for 4 cycles" in both.out
+    assert "20 cycles in a row were lost" in both.err
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["simulated_s"] == pytest.approx(0.52, abs=0.005)
+    record = pandas.read_parquet(tmp_path / "out" / "record.parquet")
+    assert record["time"].iloc[-1] == pytest.approx(0.51, abs=0.011)
+
+
+def test_simulated_and_accelerated_exclude_each_other(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["hil", "facility", "--simulated", "--accelerated"])
+    assert ended.value.code == 2
+    assert "not allowed with" in capsys.readouterr().err
