@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.table import Table
@@ -17,6 +18,9 @@ from adapters.facility import settings as facility_settings
 from adapters.facility.accelerated import accelerated
 from adapters.facility.server import Facility
 from adapters.link_notices import notices
+from adapters.recording.can_log import FORMATS
+from adapters.recording.rescue import rescue
+from adapters.recording.tap import Recording
 from cosim import experiment, scenario
 from cosim.cli import complain, folder, result_table, verdict
 from cosim.errors import BAD_INPUT, DONE, STOPPED
@@ -54,6 +58,13 @@ class HilCommand:
             default=None,
             help="live view of the loop (default: if the output is a terminal)",
         )
+        parser.add_argument(
+            "--record",
+            action=argparse.BooleanOptionalAction,
+            default=True,
+            help="recording.mcap and the CAN log (default: yes); flight_recording.mcap, the last 2 s, is written in any case",
+        )
+        parser.add_argument("--can-log", choices=FORMATS, default=FORMATS[0], help=f"format of it (default: {FORMATS[0]})")
 
     def execute(self, arguments: argparse.Namespace, console: Console) -> int:
         chosen = scenario.load(arguments.scenario, arguments.overrides)
@@ -70,6 +81,11 @@ class HilCommand:
         def say(text: str) -> None:
             console.print(text, soft_wrap=True)
 
+        for sentence in rescue():
+            say(sentence)
+        recording = Recording(
+            directory=directory, everything=arguments.record, can=not arguments.accelerated, can_format=arguments.can_log
+        )
         with _facility_beside(chosen, arguments, say):
             result, report = hil.run(
                 chosen,
@@ -77,6 +93,7 @@ class HilCommand:
                 simulated=arguments.simulated,
                 view=view and not arguments.accelerated,
                 fmi=arguments.fmi,
+                recording=recording,
                 say=say,
             )
         experiment.write(result, directory)
@@ -85,6 +102,8 @@ class HilCommand:
         console.print(counts_table(report.devices))
         console.print(f"Stop: {report.stop}", soft_wrap=True)
         console.print(f"Results in {directory}: record.parquet, summary.json", soft_wrap=True)
+        for sentence in recording_told(report.recording or {}):
+            console.print(sentence, soft_wrap=True)
         return verdict(result)
 
 
@@ -183,6 +202,15 @@ def _common(parser: argparse.ArgumentParser) -> None:
         default=True,
         help="ask for SCHED_FIFO and locked memory (default: yes)",
     )
+
+
+def recording_told(recording: Mapping[str, Any]) -> list[str]:
+    """What was recorded where, and what is missing, as the result's `recording` has it."""
+    paths = [recording.get("recording"), *recording.get("can", ()), recording.get("flight")]
+    said = [f"Recorded: {', '.join(path for path in paths if path)}"] if any(paths) else []
+    if recording.get("rows_lost"):
+        said.append(f"The recorder was held up: {recording['rows_lost']} instants are missing in the recording")
+    return [*said, *(f"Missing: {sentence}" for sentence in recording.get("missing", ()))]
 
 
 def times_table(times: Mapping[str, Mapping[str, float]]) -> Table:

@@ -18,6 +18,7 @@ from adapters.device_component import DeviceComponent
 from adapters.histogram import Histogram
 from adapters.live_view import STATE, LiveValues
 from adapters.pacing import Pacer
+from adapters.recording.tap import Recording, Tap
 from cosim import metrics
 from cosim.assemble import assembled, make
 from cosim.clock import seconds
@@ -46,6 +47,8 @@ class LoopReport:
     devices: Mapping[str, Mapping[str, float]]
     stop: str
     """Why the loop ended, and how the devices were left."""
+    recording: Mapping[str, Any] | None = None
+    """Where it was recorded, and what is missing there."""
 
     def summary(self) -> dict[str, Any]:
         return {
@@ -53,6 +56,7 @@ class LoopReport:
             "times": {name: dict(times) for name, times in self.times.items()},
             "devices": {name: dict(counts) for name, counts in self.devices.items()},
             "stop": self.stop,
+            "recording": self.recording,
         }
 
 
@@ -136,6 +140,7 @@ class _Pace:
         self.devices = devices
         self._in_order = sorted(devices, key=lambda device: not device.is_clock)
         self.view: LiveValues | None = None
+        self.tap: Tap | None = None
         self._clock = clocks[0] if clocks else None
         self._woken = 0
         self._master, self._energies, self._errors = watched, energies, errors
@@ -165,6 +170,8 @@ class _Pace:
             self._master.hand_over(device.name)
             _guarded(device, device.write)
         woken = self._clock.woken if self._clock is not None else self._woken
+        if self.tap is not None:
+            self.tap.write(k)
         self.compute.add(self._outside.monotonic_ns() - woken)
         if self.view is not None and k % VIEW_EVERY == 0:
             self.view.write(self.numbers(k))
@@ -223,6 +230,7 @@ def run(
     simulated: bool = False,
     view: bool = False,
     fmi: int | None = None,
+    recording: Recording | None = None,
     say: Any = print,
 ) -> tuple[Result, LoopReport]:
     """Configure, activate, run, stop. Raises CosimError before anything moves; afterwards everything is in the result."""
@@ -231,7 +239,7 @@ def run(
     try:
         # Until something is active, Ctrl-C is an ordinary exception, which closes what was opened.
         with assembled(scenario, fmi) as (master, values), interrupts() as asked:
-            return _run(scenario, master, values, real_time, view, asked, say)
+            return _run(scenario, master, values, real_time, view, recording, asked, say)
     finally:
         pacing.leave_real_time()
 
@@ -268,7 +276,14 @@ def look(scenario: Scenario, *, simulated: bool = False, fmi: int | None = None)
 
 
 def _run(
-    scenario: Scenario, master: Master, values: Values, real_time: bool, view: bool, asked: list[float], say: Any
+    scenario: Scenario,
+    master: Master,
+    values: Values,
+    real_time: bool,
+    view: bool,
+    recording: Recording | None,
+    asked: list[float],
+    say: Any,
 ) -> tuple[Result, LoopReport]:
     metrics.check(scenario, master.graph.components)
     devices = [c.device for c in master.graph.components.values() if isinstance(c, DeviceComponent)]
@@ -280,31 +295,38 @@ def _run(
     live = None
     errors = _present_errors(scenario, master, values)
     pace = _Pace(devices, master, list(scenario.observed_energy.values()), errors, lambda: bool(asked))
+    pacing.leave_real_time()  # or viewer and recorder would inherit the priority of the links
     if view:
         live = pace.view = LiveValues(f"{scenario.title} (Ctrl-C stops it in order)", pace.names)
-        pacing.leave_real_time()  # or the viewer would inherit the priority of the links
         live.show()
+    reason, end, left, recorded = "the loop could not be activated", None, "", None
     try:
+        if recording is not None:
+            pace.tap = Tap(recording, scenario, master, values, devices)
         granted = pacing.enter_real_time(real_time)
         say("Real time: " + ", ".join(granted))
-        reason, orderly = "the loop could not be activated", False
+        orderly = False
         with pacing.no_collection():
             try:
                 outcome = master.run(pace=pace)
                 outcome.interrupted = outcome.interrupted or outcome.cause == INTERRUPTED
                 reason = outcome.cause or "the scenario is over"
                 orderly = outcome.interrupted or outcome.cause is None
+                end = round(outcome.simulated * 1e9 / period)
             finally:
                 left = stop(devices, period, reason, orderly=orderly)
     finally:
         if live is not None:
             live.close()
-    pacing.leave_real_time()
+        pacing.leave_real_time()
+        if pace.tap is not None:
+            recorded = pace.tap.close(f"{reason}; {left}", end)
     report = LoopReport(
         granted=granted,
         times={name: histogram.summary() for name, histogram in pace.times.items()},
         devices={device.name: device.report() for device in devices},
         stop=f"{reason}; {left}",
+        recording=recorded,
     )
     return _result(scenario, master, values, outcome, report), report
 

@@ -25,7 +25,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """A file's tests stay on one process; all that run in real time share one, so that two loops never fight for the cores."""
     for item in items:
-        group = "real time" if item.path.parent.name == "facility" else str(item.path)
+        group = "real time" if item.path.parent.name in ("facility", "recording") else str(item.path)
         item.add_marker(pytest.mark.xdist_group(group))
 
 

@@ -27,9 +27,13 @@ def test_a_check_says_why_a_device_could_not_be_activated(capsys: pytest.Capture
     assert "Traceback" not in both.err
 
 
-def test_accelerated_is_the_same_experiment_with_the_faults_of_its_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_accelerated_is_the_same_experiment_with_the_faults_of_its_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / "cut.toml"
-    path.write_text('extends = "facility"\nstop_s = 1.0\n[[facility.faults]]\ndevice = "arm_drive"\nkind = "cut"\nbegin_s = 0.5\n')
+    path.write_text(
+        'extends = "facility"\nstop_s = 1.0\n[[facility.faults]]\ndevice = "arm_drive"\nkind = "cut"\nbegin_s = 0.5\n'
+    )
     assert main(["hil", str(path), "--accelerated", "--out", str(tmp_path / "out")]) == 3
     both = capsys.readouterr()
     assert "fault: cut of arm_drive, both: 0.5 s after activation" in both.out

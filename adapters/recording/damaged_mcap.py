@@ -1,0 +1,343 @@
+"""Reads MCAP files that end anywhere, or are damaged in between, or hostile: whole records are handed on, and nothing else.
+
+Messages come from chunks whose checksum is right. A message outside of chunks has no checksum, and is only taken from a file that
+has no chunk. After a damaged place the next whole chunk is looked for. Memory is bounded by the largest chunk, time by the file's
+size: what chunks unpack to, and what is read in vain, have allowances.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from io import BytesIO
+from typing import BinaryIO, TypeVar
+
+import lz4.frame
+import zstandard
+from mcap.data_stream import ReadDataStream, RecordBuilder
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Metadata, Schema, Statistics
+
+MAGIC = b"\x89MCAP0\r\n"
+HEAD = struct.Struct("<BQ")
+CHUNK = struct.Struct("<QQQII")
+"""Begin, end, unpacked size, checksum, and the length of the compression's name."""
+MESSAGE = struct.Struct("<HIQQ")
+FOOTER_SIZE = 20
+LARGEST = 16 * 2**20
+"""Bytes of a record, or of what a chunk unpacks to."""
+UNPACKED, UNPACKED_A_BYTE = 4 * 2**20, 200
+"""Allowance of bytes that a file's chunks may unpack to together: so many, and so many for each byte of the file."""
+MOST_DEFINITIONS = 2**16 - 1
+"""Schemas, and channels: a writer counts them from one, in two bytes."""
+MOST_OTHERS = 100_000
+"""Metadata and attachments together, whose index a writer keeps in memory."""
+WORK, WORK_A_BYTE = 4 * 2**20, 8
+DEFINITIONS = 64 * 2**20
+"""Bytes of all schemas and channels."""
+NEXT_CHUNK = re.compile(rb"\x06[\s\S]{4}\x00{4}")
+FIRST_WINDOW, WINDOW = 2**12, 2**20
+BROKEN = (McapError, struct.error, ValueError, OverflowError, EOFError, RuntimeError, MemoryError, zstandard.ZstdError)
+
+R = TypeVar("R", Schema, Channel, Metadata, Attachment, Statistics)
+
+
+@dataclass(frozen=True)
+class WholeMessage:
+    channel: Channel
+    schema: Schema | None
+    sequence: int
+    log_time: int
+    publish_time: int
+    data: bytes
+
+
+Whole = WholeMessage | Metadata | Attachment
+
+
+@dataclass(kw_only=True)
+class Damage:
+    """`is_whole`: the file ends as it should, and nothing was skipped. `expected`: messages by the file's own statistics."""
+
+    is_whole: bool = False
+    places: int = 0
+    skipped: int = 0
+    """Bytes."""
+    undefined: int = 0
+    """Messages whose channel or schema is nowhere in the file."""
+    expected: int | None = None
+    exhausted: bool = False
+    """Whether reading was given up because the file asks for too much."""
+
+
+@dataclass
+class DamagedMcap:
+    """`records` once; `damage` is complete afterwards."""
+
+    file: BinaryIO
+    damage: Damage = field(default_factory=Damage)
+
+    def __post_init__(self) -> None:
+        self.size = self.file.seek(0, 2)
+        self.begins_well = self._read(0, len(MAGIC)) == MAGIC
+        self._unpack_left = UNPACKED + UNPACKED_A_BYTE * self.size
+        self._work_left = WORK + WORK_A_BYTE * self.size
+        self._schemas: dict[int, Schema] = {}
+        self._channels: dict[int, Channel] = {}
+        self._checked: set[tuple[int, int]] = set()
+        self._definition_bytes = 0
+        self._ended = False
+        self._others = 0
+        self._chunks = 0
+
+    def records(self) -> Iterator[Whole]:
+        self._take_summary()
+        damage, place = self.damage, len(MAGIC) if self.begins_well else 0
+        if not self.begins_well:
+            place = self._skip(0, 0)
+        loose_begin = place
+        while place < self.size and not self._ended:
+            length = self._length(place)
+            taken: list[Whole] | Iterator[Whole] | None = None
+            if length is not None:
+                taken = self._taken(place, length)
+            if taken is None:
+                place = self._skip(place, length)
+                continue
+            yield from taken
+            place += HEAD.size + (length or 0)
+        damage.is_whole = self.begins_well and self._ended and not damage.places and not damage.undefined
+        if not self._chunks:
+            yield from self._outside_chunks(loose_begin)
+
+    # One record
+
+    def _read(self, place: int, size: int) -> bytes:
+        self.file.seek(place)
+        return self.file.read(size)
+
+    def _length(self, place: int) -> int | None:
+        """Of a record that may begin there; None if none can."""
+        head = self._read(place, HEAD.size)
+        if len(head) < HEAD.size:
+            return None
+        opcode, length = HEAD.unpack(head)
+        if opcode == 0 or length > min(self.size - place - HEAD.size, LARGEST):
+            return None
+        if opcode == Opcode.CHUNK and not self._is_chunk(place, length):
+            return None
+        if opcode > Opcode.DATA_END and opcode < 0x80:
+            return None
+        return int(length)
+
+    def _is_chunk(self, place: int, length: int) -> bool:
+        """Whether the lengths inside a chunk's head agree with its own."""
+        body = self._read(place + HEAD.size, CHUNK.size + 12)
+        if len(body) < CHUNK.size + 8:
+            return False
+        name = CHUNK.unpack_from(body)[4]
+        if name not in (0, 3, 4) or len(body) < CHUNK.size + name + 8:
+            return False
+        (data,) = struct.unpack_from("<Q", body, CHUNK.size + name)
+        return bool(length == CHUNK.size + name + 8 + data)
+
+    def _taken(self, place: int, length: int) -> list[Whole] | Iterator[Whole] | None:
+        """What is to be handed on; None for a record that is not whole."""
+        self._work_left -= length
+        if self._work_left < 0:
+            self.damage.exhausted = True
+            return None
+        opcode = self._read(place, 1)[0]
+        if (
+            opcode in (Opcode.CHUNK_INDEX, Opcode.SUMMARY_OFFSET, Opcode.METADATA_INDEX, Opcode.ATTACHMENT_INDEX)
+            or opcode >= 0x80
+        ):
+            return []
+        if opcode == Opcode.FOOTER:
+            self._ended = self._footer(place, length)
+            return [] if self._ended else None
+        if opcode in (Opcode.METADATA, Opcode.ATTACHMENT):
+            self._others += 1
+            if self._others > MOST_OTHERS:
+                self.damage.exhausted = True
+                return None
+        body = self._read(place + HEAD.size, length)
+        match opcode:
+            case Opcode.CHUNK:
+                return self._chunk(body)
+            case Opcode.SCHEMA | Opcode.CHANNEL:
+                return [] if self._define(opcode, body) else None
+            case Opcode.MESSAGE:
+                return [] if length >= MESSAGE.size else None
+            case Opcode.METADATA:
+                metadata = _parsed(Metadata, body)
+                return None if metadata is None else [metadata]
+            case Opcode.ATTACHMENT:
+                attachment = _parsed(Attachment, body)
+                return None if attachment is None else [attachment]
+            case Opcode.STATISTICS:
+                statistics = _parsed(Statistics, body)
+                if statistics is None:
+                    return None
+                self.damage.expected = statistics.message_count
+                return []
+            case Opcode.MESSAGE_INDEX:
+                fits = length >= 6 and struct.unpack_from("<I", body, 2)[0] == length - 6
+                return [] if fits else None
+            case _:  # header, end of data
+                return []
+
+    def _footer(self, place: int, length: int) -> bool:
+        end = place + HEAD.size + length
+        return length == FOOTER_SIZE and end + len(MAGIC) == self.size and self._read(end, len(MAGIC)) == MAGIC
+
+    def _define(self, opcode: int, body: bytes, *, checked: bool = False) -> bool:
+        """The first of a number counts, as the format knows no second one; but one under a checksum is believed before others."""
+        schema = _parsed(Schema, body) if opcode == Opcode.SCHEMA else None
+        channel = _parsed(Channel, body) if opcode == Opcode.CHANNEL else None
+        for record, known in ((schema, self._schemas), (channel, self._channels)):
+            if record is None or (record.id in known and (not checked or (opcode, record.id) in self._checked)):
+                continue
+            self._definition_bytes += len(body)
+            if self._definition_bytes > DEFINITIONS or len(known) >= MOST_DEFINITIONS:
+                self.damage.exhausted = True
+                return False
+            known[record.id] = record  # type: ignore[assignment]
+            if checked:
+                self._checked.add((opcode, record.id))
+        return channel is not None or (schema is not None and schema.id != 0)
+
+    # Chunks
+
+    def _chunk(self, body: bytes) -> Iterator[Whole] | None:
+        _, _, size, checksum, name = CHUNK.unpack_from(body)
+        compression, packed = body[CHUNK.size : CHUNK.size + name], body[CHUNK.size + name + 8 :]
+        if size > LARGEST or size > self._unpack_left:
+            self.damage.exhausted = self.damage.exhausted or size <= LARGEST
+            return None
+        self._unpack_left -= size
+        try:
+            data = _unpacked(compression, packed, size)
+        except BROKEN:
+            return None
+        if len(data) != size or (checksum and zlib.crc32(data) != checksum):
+            return None
+        end = 0
+        for opcode, first, end in _inside(data):
+            if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE) or (
+                opcode == Opcode.MESSAGE and end - first < MESSAGE.size
+            ):
+                return None
+        if end != len(data):
+            return None
+        self._chunks += 1
+        return self._of_chunk(data)
+
+    def _of_chunk(self, data: bytes) -> Iterator[Whole]:
+        for opcode, first, last in _inside(data):
+            if opcode == Opcode.MESSAGE:
+                message = self._message(data[first:last])
+                if message is not None:
+                    yield message
+            else:
+                self._define(opcode, data[first:last], checked=True)
+
+    def _message(self, body: bytes) -> WholeMessage | None:
+        number, sequence, log_time, publish_time = MESSAGE.unpack_from(body)
+        channel = self._channels.get(number)
+        schema = None if channel is None else self._schemas.get(channel.schema_id)
+        if channel is None or (schema is None and channel.schema_id):
+            self.damage.undefined += 1
+            return None
+        return WholeMessage(channel, schema, sequence, log_time, publish_time, body[MESSAGE.size :])
+
+    def _outside_chunks(self, place: int) -> Iterator[Whole]:
+        """Messages of a file that was written without chunks, up to its first damaged place."""
+        while place < self.size:
+            length = self._length(place)
+            if length is None:
+                return
+            if self._read(place, 1)[0] == Opcode.MESSAGE and length >= MESSAGE.size:
+                message = self._message(self._read(place + HEAD.size, length))
+                if message is not None:
+                    yield message
+            place += HEAD.size + length
+
+    # Damaged places
+
+    def _skip(self, place: int, length: int | None) -> int:
+        """Behind what cannot be read: the next record if the length was right, else the next whole chunk's head, or the end."""
+        self.damage.places += 1
+        following = self.size
+        if not self.damage.exhausted:
+            behind = place + HEAD.size + (length or 0)
+            if length is not None and place and behind < self.size and self._length(behind) is not None:
+                following = behind
+            else:
+                following = self._next_chunk(place + 1)
+        self.damage.skipped += following - place
+        return following
+
+    def _next_chunk(self, place: int) -> int:
+        size = FIRST_WINDOW  # small at first: many damaged places may follow each other closely
+        while place < self.size:
+            window = self._read(place, size + HEAD.size - 1)
+            for found in NEXT_CHUNK.finditer(window):
+                start = place + found.start()
+                if self._length(start) is not None:
+                    return start
+            place, size = place + size, min(2 * size, WINDOW)
+        return self.size
+
+    def _take_summary(self) -> None:
+        """Schemas and channels that a whole file repeats at its end, in case the first ones are damaged."""
+        footer = self._read(max(0, self.size - len(MAGIC) - FOOTER_SIZE - HEAD.size), HEAD.size + FOOTER_SIZE)
+        if len(footer) < HEAD.size + FOOTER_SIZE or footer[0] != Opcode.FOOTER:
+            return
+        (place,) = struct.unpack_from("<Q", footer, HEAD.size)
+        while len(MAGIC) <= place < self.size and (length := self._length(place)) is not None:
+            opcode = self._read(place, 1)[0]
+            if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL) or not self._define(opcode, self._read(place + HEAD.size, length)):
+                return
+            place += HEAD.size + length
+
+
+def _inside(data: bytes) -> Iterator[tuple[int, int, int]]:
+    """Opcode, begin and end of the records' bodies, as long as they are whole."""
+    place, size = 0, len(data)
+    while place + HEAD.size <= size:
+        opcode, length = HEAD.unpack_from(data, place)
+        place += HEAD.size
+        if length > size - place:
+            return
+        yield opcode, place, place + length
+        place += length
+
+
+def _unpacked(compression: bytes, packed: bytes, size: int) -> bytes:
+    """At most one byte more than `size`, whatever the packed data claim."""
+    if compression == b"":
+        return packed
+    if compression == b"lz4":
+        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size + 1))
+    if compression == b"zstd":
+        unpacker = zstandard.ZstdDecompressor(max_window_size=2 * LARGEST)
+        with unpacker.stream_reader(BytesIO(packed)) as stream:
+            return stream.read(size + 1)
+    raise ValueError("an unknown compression")
+
+
+def _parsed(kind: type[R], body: bytes) -> R | None:
+    """A record by mcap's own reader, if it would write the same bytes again; fields of later versions may follow."""
+    try:
+        record: R = kind.read(ReadDataStream(BytesIO(body)))
+        builder = RecordBuilder()
+        record.write(builder)
+        data: bytes = builder.end()[HEAD.size :]  # type: ignore[no-untyped-call]
+    except BROKEN:
+        return None
+    return record if body[: len(data)] == data else None

@@ -1,0 +1,208 @@
+"""Makes whole files of what a killed recorder, a full disk or a bad disk has left: beside the original, which is not touched."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import BinaryIO
+
+from mcap.records import Attachment, Metadata
+from mcap.writer import CompressionType, Writer
+
+from adapters.recording.damaged_blf import copy_frames
+from adapters.recording.damaged_mcap import Damage, DamagedMcap, WholeMessage
+from adapters.recording.rescue import save_ring
+from adapters.recording.ring import RingReader, folder, is_left_behind
+from cosim.errors import CosimError, RecordError
+from cosim.record import write_whole
+
+RECOVERED = "freeflyer.recovered"
+SUFFIXES = (".mcap", ".blf", ".ring")
+CHUNK = 256 * 1024
+EARLIEST, LATEST = 0, 2**63
+Progress = Callable[[int, int], None]
+"""Called with the bytes done, and all of them."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recovered:
+    """`kept`: messages or frames from `begin` to `end` [ns since the epoch]; `path` is None where nothing had to be written."""
+
+    source: Path
+    path: Path | None
+    kept: int
+    begin: int | None
+    end: int | None
+    lost: str
+
+    @property
+    def sentence(self) -> str:
+        if self.path is None:
+            return f"{self.source} is whole: {self._kept}; nothing was written"
+        return f"{self.path}: kept {self._kept}; {self.lost or 'nothing was lost'}"
+
+    @property
+    def _kept(self) -> str:
+        if self.begin is None or self.end is None:
+            return f"{self.kept} messages"
+        first = time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime(self.begin // 1_000_000_000))
+        rest = self.begin % 1_000_000_000 // 1_000_000
+        return f"{self.kept} messages of {(self.end - self.begin) * 1e-9:.3f} s from {first}.{rest:03d} UTC"
+
+
+def recover(path: Path, out: Path | None = None, progress: Progress | None = None) -> Recovered:
+    """A recording, a CAN log or a ring. RecordError for a file that is none, OutputError if the result cannot be written."""
+    suffix = path.suffix.lower()
+    if suffix == ".ring":
+        if out is not None:
+            raise RecordError(f"--out {out}: a ring goes into the directory of its run")
+        saved = save_ring(path)
+        return _told(path, saved)
+    if suffix not in SUFFIXES:
+        raise RecordError(f"{path} is neither a recording (.mcap) nor a CAN log (.blf) nor a ring (.ring), by its name")
+    target = out or path.with_name(f"{path.stem}_recovered{path.suffix}")
+    with _opened(path) as file:
+        if target.exists() and os.path.samefile(target, path):
+            raise RecordError(f"--out {target} is the damaged file itself, which is not touched; another name is expected")
+        found: list[Recovered] = []
+        copy = _copy_frames if suffix == ".blf" else _copy_messages
+        if out is None:
+            checked = copy(path, file, None, progress)
+            if checked.path is None:
+                return checked
+        write_whole(target, lambda partial: found.append(copy(path, file, partial, progress)))
+    done = found[0]
+    return Recovered(source=path, path=target, kept=done.kept, begin=done.begin, end=done.end, lost=done.lost)
+
+
+def unfinished(directory: Path) -> Iterator[Path]:
+    """What `recover` can do something for in a run's directory, and rings of that run that were left behind."""
+    try:
+        names = sorted(path for path in directory.iterdir() if path.suffix.lower() in SUFFIXES)
+        rings = sorted(folder().glob("*.ring"))
+    except OSError as error:
+        raise RecordError(f"{directory} cannot be read: {error.strerror}") from error
+    yield from (path for path in names if "_recovered" not in path.stem)
+    for path in rings:
+        try:
+            if is_left_behind(path) and _directory_of(path) == directory.absolute():
+                yield path
+        except CosimError:
+            continue
+
+
+def _directory_of(path: Path) -> Path:
+    ring = RingReader(path)
+    ring.close()
+    return Path(ring.head.directory)
+
+
+def _told(ring: Path, saved: Path | None) -> Recovered:
+    if saved is None:
+        return Recovered(source=ring, path=None, kept=0, begin=None, end=None, lost="")
+    with _opened(saved) as file:
+        copied = _copy_messages(saved, file, None, None)
+    return Recovered(source=ring, path=saved, kept=copied.kept, begin=copied.begin, end=copied.end, lost="")
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[BinaryIO]:
+    try:
+        with path.open("rb") as file:
+            if not path.is_file():
+                raise RecordError(f"{path} is no ordinary file")
+            yield file
+    except OSError as error:
+        raise RecordError(f"{path} cannot be read: {error.strerror or error}") from error
+
+
+def _copy_messages(path: Path, file: BinaryIO, partial: Path | None, progress: Progress | None) -> Recovered:
+    """Every whole message, record by record, into a new file; without `partial`, only looked at."""
+    source = DamagedMcap(file)
+    kept, begin, end, others = 0, LATEST, EARLIEST, 0
+    output = None if partial is None else _Output(partial)
+    try:
+        for record in source.records():
+            if isinstance(record, WholeMessage):
+                kept += 1
+                begin, end = min(begin, record.log_time), max(end, record.log_time)
+                if progress is not None and kept % 10_000 == 0:
+                    progress(file.tell(), source.size)
+            else:
+                others += 1
+            if output is not None:
+                output.add(record)
+        damage = source.damage
+        if not kept and not others and not source.begins_well:
+            raise RecordError(f"{path} is no MCAP recording: it does not begin as one, and has no whole chunk")
+        lost = _lost(damage, kept)
+        if output is not None:
+            output.finish(path, kept, lost)
+    finally:
+        if output is not None:
+            output.close()
+    span = (begin, end) if kept else (None, None)
+    whole = damage.is_whole and not lost and partial is None
+    return Recovered(source=path, path=None if whole else path, kept=kept, begin=span[0], end=span[1], lost=lost)
+
+
+def _lost(damage: Damage, kept: int) -> str:
+    parts = []
+    if damage.expected is not None and damage.expected > kept:
+        parts.append(f"{damage.expected - kept} of {damage.expected} messages lost")
+    if damage.skipped:
+        parts.append(f"{damage.skipped} bytes in {damage.places} place{'s' * (damage.places > 1)} could not be read")
+    if damage.undefined:
+        parts.append(f"{damage.undefined} messages lost whose definition is nowhere in the file")
+    if damage.exhausted:
+        parts.append("reading was given up: the file asks for more memory or time than one of its size may")
+    if not parts and not damage.is_whole:
+        parts.append("the end was missing: index and summary are new")
+    return ", ".join(parts)
+
+
+class _Output:
+    def __init__(self, path: Path) -> None:
+        self._stream = path.open("wb")
+        self._writer = Writer(self._stream, chunk_size=CHUNK, compression=CompressionType.ZSTD)
+        self._writer.start(profile="ros2", library=f"freeflyer-cosim {version('freeflyer-cosim')}; mcap {version('mcap')}")
+        self._schemas: dict[int, int] = {0: 0}
+        self._channels: dict[int, int] = {}
+
+    def add(self, record: WholeMessage | Metadata | Attachment) -> None:
+        if isinstance(record, Metadata):
+            self._writer.add_metadata(record.name, record.metadata)
+        elif isinstance(record, Attachment):
+            self._writer.add_attachment(record.create_time, record.log_time, record.name, record.media_type, record.data)
+        else:
+            channel, schema = record.channel, record.schema
+            if channel.id not in self._channels:
+                if schema is not None and schema.id not in self._schemas:
+                    number = self._writer.register_schema(schema.name, schema.encoding, schema.data)
+                    self._schemas[schema.id] = number
+                self._channels[channel.id] = self._writer.register_channel(
+                    channel.topic, channel.message_encoding, self._schemas[channel.schema_id], channel.metadata
+                )
+            self._writer.add_message(
+                self._channels[channel.id], record.log_time, record.data, record.publish_time, record.sequence
+            )
+
+    def finish(self, source: Path, kept: int, lost: str) -> None:
+        self._writer.add_metadata(RECOVERED, {"from": source.name, "kept": str(kept), "lost": lost or "nothing"})
+        self._writer.finish()  # type: ignore[no-untyped-call]
+        self._stream.flush()
+        os.fsync(self._stream.fileno())
+
+    def close(self) -> None:
+        self._stream.close()
+
+
+def _copy_frames(path: Path, file: BinaryIO, partial: Path | None, progress: Progress | None) -> Recovered:
+    kept, begin, end, lost, whole = copy_frames(path, file, partial)
+    is_there = whole and partial is None
+    return Recovered(source=path, path=None if is_there else path, kept=kept, begin=begin, end=end, lost=lost)

@@ -1,0 +1,85 @@
+"""The CAN channel's log: every frame, by python-can's own readers, also of a log that nobody has finished."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import can
+import pytest
+
+from adapters.device import DeviceError
+from adapters.local_can import LocalBus
+from adapters.recording.can_log import FORMATS, CanLog
+from adapters.recording.run_head import CanChannel
+from adapters.recording.tap import can_channels
+
+FRAMES = 200
+READERS: dict[str, Callable[[Path], Any]] = {"blf": can.BLFReader, "asc": lambda path: can.ASCReader(path, base="hex")}
+
+
+def channel(name: str) -> CanChannel:
+    return CanChannel(name="arm", interface="local", channel=name, is_fd=True)
+
+
+def sent(i: int) -> can.Message:
+    """Every kind of frame that an arm's channel may have."""
+    if i % 3 == 0:
+        return can.Message(arbitration_id=0x100 + i, is_extended_id=False, data=bytes([i % 256] * 8))
+    return can.Message(
+        arbitration_id=0x181, is_extended_id=i % 2 == 0, is_fd=True, bitrate_switch=True, data=bytes([i % 256] * 64)
+    )
+
+
+@pytest.mark.parametrize("form", FORMATS)
+@pytest.mark.parametrize("killed", [False, True], ids=["closed", "killed"])
+def test_a_log_has_every_frame_in_order(form: str, killed: bool, tmp_path: Path, runtime: Path) -> None:
+    path, copy = tmp_path / f"can.{form}", tmp_path / f"copy.{form}"
+    log = CanLog(channel("log"), path)
+    with LocalBus("log", fd=True) as node:
+        for first in range(0, FRAMES, 50):
+            for i in range(first, first + 50):
+                node.send(sent(i))
+            log.take()
+    shutil.copy(path, copy)  # what is on disk if the logger dies now
+    log.close()
+    frames = list(READERS[form](copy if killed else path))
+    assert log.frames == len(frames) == FRAMES
+    for i, frame in enumerate(frames):
+        expected = sent(i)
+        assert (frame.arbitration_id, frame.is_extended_id, frame.is_fd) == (
+            expected.arbitration_id, expected.is_extended_id, expected.is_fd
+        )  # fmt: skip
+        assert bytes(frame.data) == bytes(expected.data)
+
+
+def test_the_times_of_a_killed_log_are_those_of_the_frames(tmp_path: Path, runtime: Path) -> None:
+    path = tmp_path / "can.blf"
+    log = CanLog(channel("times"), path)
+    with LocalBus("times", fd=True) as node, LocalBus("times", fd=True) as other:
+        for i in range(50):
+            node.send(sent(i))
+        log.take()
+        heard = [other.recv(1.0) for _ in range(50)]
+    for ours, theirs in zip(can.BLFReader(path), heard, strict=True):
+        assert theirs is not None
+        assert ours.timestamp == pytest.approx(theirs.timestamp, abs=2e-3)  # one kernel's stamps of two sockets
+    log.close()
+
+
+def test_a_channel_that_cannot_be_opened_is_one_sentence(tmp_path: Path, runtime: Path) -> None:
+    with pytest.raises(DeviceError, match="cannot be opened"):
+        CanLog(channel("no/such"), tmp_path / "can.blf")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_channels_are_those_of_the_devices_options_each_once() -> None:
+    def device(name: str, options: object) -> Any:
+        return SimpleNamespace(name=name, options=options, frames=SimpleNamespace(is_fd=True))
+
+    shared = SimpleNamespace(interface="socketcan", channel="can0", bus={"bitrate": 1_000_000})
+    found = can_channels([device("a", shared), device("b", shared), device("c", None), SimpleNamespace(name="d")])  # type: ignore[list-item]
+    assert found == [CanChannel(name="a", interface="socketcan", channel="can0", is_fd=True, bus={"bitrate": 1_000_000})]

@@ -1,0 +1,266 @@
+"""Recordings of loops in real time: complete, and no trouble for the loop whatever happens to disk or recorder."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import resource
+import shutil
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from loops import head
+from mcap.reader import make_reader
+
+from adapters import hil
+from adapters.recording import read
+from adapters.recording.recorder import Recorder
+from adapters.recording.recording_file import FLIGHT_SECONDS
+from adapters.recording.recover import recover
+from adapters.recording.ring import RingReader, RingWriter
+from adapters.recording.tap import Recording, Tap
+from cosim import scenario
+from cosim.errors import OutputError
+
+STOP = 3.0
+EXTENDS = 'extends = "facility"\n'
+
+
+def run(folder: Path, text: str = "", stop: float = STOP, **options: Any) -> tuple[Any, dict[str, Any]]:
+    path = folder / "changed.toml"
+    path.write_text(EXTENDS + text)
+    chosen = scenario.load(str(path), [f"stop_s={stop}"])
+    out = folder / "out"
+    out.mkdir(exist_ok=True)
+    result, report = hil.run(chosen, simulated=True, recording=Recording(directory=out, **options), say=lambda text: None)
+    assert report.recording is not None
+    return result, dict(report.recording)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Any, dict[str, Any], Path]]:
+    folder = tmp_path_factory.mktemp("whole")
+    result, recording = run(folder)
+    return result, recording, folder / "out"
+
+
+def test_a_recording_has_every_instant_and_the_runs_own_record_to_the_bit(whole: tuple[Any, dict[str, Any], Path]) -> None:
+    result, recording, out = whole
+    assert recording["missing"] == []
+    assert recording["rows_lost"] == 0
+    frame = read(out / "recording.mcap")
+    assert frame["instant"].tolist() == list(range(round(STOP * 1000) + 1))
+    assert (frame["wall_ns"].astype(np.int64).diff().dropna() > 0).all()
+    record = result.outcome.record
+    every = frame.iloc[::10]
+    assert np.array_equal(every["time"], record.time)
+    for one in record.signals.values():
+        assert np.array_equal(every[one.columns].to_numpy(), record[one.name].reshape(len(every), -1)), one.name
+    units = record.units
+    assert all(frame.attrs["units"][column] == unit for column, unit in units.items())
+    assert (frame["arm_drive: state"] == 2.0).all()
+
+
+def test_the_flight_recording_has_the_last_two_seconds_of_every_signal(whole: tuple[Any, dict[str, Any], Path]) -> None:
+    _, recording, out = whole
+    frame, flight = read(out / "recording.mcap"), read(recording["flight"])
+    assert flight["monotonic_ns"].iloc[-1] - flight["monotonic_ns"].iloc[0] == pytest.approx(FLIGHT_SECONDS * 1e9, rel=0.05)
+    assert np.array_equal(flight.to_numpy(), frame[flight.columns].tail(len(flight)).to_numpy())
+    assert flight.attrs["stop"]["reason"].startswith("the scenario is over; all devices were brought to rest")
+    assert flight.attrs["stop"]["rows lost by the recorder"] == "0"
+
+
+def test_messages_of_ros_are_made_of_the_scenarios_signals(whole: tuple[Any, dict[str, Any], Path]) -> None:
+    _, _, out = whole
+    with (out / "recording.mcap").open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    found = {channel.topic: summary.schemas[channel.schema_id].name for channel in summary.channels.values()}
+    expected = {
+        "/arm_drive/joint_states": "sensor_msgs/msg/JointState",  # measured
+        "/manipulator_controller/joint_states": "sensor_msgs/msg/JointState",  # commanded
+        "/base_robot/base/odometry": "nav_msgs/msg/Odometry",  # measured
+        "/satellite/base/odometry": "nav_msgs/msg/Odometry",  # set point
+        "/hand_kinematics/end_effector/pose": "geometry_msgs/msg/PoseStamped",
+        "/hand_kinematics/end_effector/twist": "geometry_msgs/msg/TwistStamped",
+        "/reference_trajectory/pose": "geometry_msgs/msg/PoseStamped",
+        "/reference_trajectory/twist": "geometry_msgs/msg/TwistStamped",
+        "/base_controller/base/wrench": "geometry_msgs/msg/WrenchStamped",
+    }
+    assert expected.items() <= found.items()
+
+
+def test_only_the_chosen_signals_are_recorded_but_the_last_seconds_have_all(tmp_path: Path, runtime: Path) -> None:
+    run(tmp_path, '[record]\nsignals = ["satellite.*"]\n', stop=0.2)
+    chosen, flight = read(tmp_path / "out" / "recording.mcap"), read(tmp_path / "out" / "flight_recording.mcap")
+    assert "satellite.base_acceleration[1]" in chosen
+    assert "base_robot.base_position[1]" in chosen  # an error needs it
+    assert "base_controller.base_wrench[1]" not in chosen
+    assert "base_controller.base_wrench[1]" in flight
+    assert len(chosen) == len(flight) == 201
+
+
+def test_a_limit_is_in_the_last_row_and_in_the_reason(tmp_path: Path, runtime: Path) -> None:
+    limit = '[[limits]]\nsignal = "base_controller.base_wrench"\nmaximum = 0.05\ncause = "the force is too large [N]"\n'
+    result, recording = run(tmp_path, limit)
+    flight = read(recording["flight"])
+    assert flight.attrs["stop"]["reason"].startswith("the force is too large [N]: base_controller.base_wrench is")
+    wrench = np.abs(flight[[f"base_controller.base_wrench[{i + 1}]" for i in range(6)]].to_numpy()).max(axis=1)
+    assert wrench[-1] > 0.05
+    assert (wrench[:-1] <= 0.05).all()
+    assert flight["time"].iloc[-1] == pytest.approx(result.outcome.simulated)
+
+
+def test_without_a_recording_there_is_still_the_flight_recording(tmp_path: Path, runtime: Path) -> None:
+    _, recording = run(tmp_path, stop=0.2, everything=False)
+    assert recording["recording"] is None
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["flight_recording.mcap"]
+    assert list(runtime.rglob("*.ring")) == []
+
+
+def test_an_unfinished_recording_of_an_earlier_run_is_not_written_over(tmp_path: Path, runtime: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "recording.mcap").write_bytes(b"\x89MCAP0\r\n and no end")
+    run(tmp_path, stop=0.1)
+    aside = [path for path in out.iterdir() if path.name.startswith("recording_")]
+    assert [path.read_bytes() for path in aside] == [b"\x89MCAP0\r\n and no end"]
+    run(tmp_path, stop=0.1)  # the one before was whole, and is written over as other results are
+    assert len([path for path in out.iterdir() if path.name.startswith("recording_")]) == 1
+
+
+@contextlib.contextmanager
+def while_it_runs(monkeypatch: pytest.MonkeyPatch, acts: dict[int, Callable[[Tap], object]]) -> Iterator[None]:
+    """Calls `acts[k](tap)` at instant k."""
+    original = Tap.write
+
+    def write(self: Tap, k: int) -> None:
+        original(self, k)
+        if k in acts:
+            acts[k](self)
+
+    monkeypatch.setattr(Tap, "write", write)
+    yield
+
+
+def signalled(number: int) -> Callable[[Tap], None]:
+    def act(tap: Tap) -> None:
+        assert tap.recorder is not None
+        os.kill(tap.recorder, number)
+
+    return act
+
+
+def test_a_vanished_directory_is_told_and_the_loop_goes_on(
+    tmp_path: Path, runtime: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with while_it_runs(monkeypatch, {300: lambda tap: shutil.rmtree(tmp_path / "out")}):
+        result, recording = run(tmp_path, stop=0.8)
+    assert result.as_expected
+    assert result.outcome.simulated == 0.8
+    assert "the recording is not whole: No such file or directory" in recording["missing"]
+    said = [line for line in capfd.readouterr().err.splitlines() if "the loop goes on" in line]
+    assert len(said) == 1
+    # The directory is made again for the last seconds.
+    assert read(recording["flight"])["instant"].iloc[-1] == 800
+
+
+@pytest.mark.parametrize("for_all", [False, True], ids=["for the recorder", "for the loop too"])
+def test_a_full_disk_is_told_once_and_what_was_written_is_kept(
+    for_all: bool, tmp_path: Path, runtime: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """The recorder's files may not grow beyond half a megabyte."""
+
+    def fill(tap: Tap) -> None:
+        assert tap.recorder is not None
+        resource.prlimit(tap.recorder, resource.RLIMIT_FSIZE, (500_000, resource.RLIM_INFINITY))
+
+    def full(*arguments: object) -> None:
+        raise OutputError("no room")
+
+    if for_all:
+        monkeypatch.setattr("adapters.recording.tap.save_flight", full)
+    with while_it_runs(monkeypatch, {50: fill}):
+        result, recording = run(tmp_path, stop=1.0)
+    assert result.as_expected
+    assert [text for text in recording["missing"] if "the recording is not whole: File too large" in text]
+    said = [line for line in capfd.readouterr().err.splitlines() if "the recording has stopped" in line]
+    assert len(said) == 1
+    frame = read(tmp_path / "out" / "recording.mcap")
+    assert frame["instant"].tolist() == list(range(len(frame)))
+    assert 100 < len(frame) < 1000
+    rings = list(runtime.rglob("*.ring"))
+    if not for_all:
+        flight = read(recording["flight"])
+        assert flight["instant"].tolist() == list(range(1001))
+        assert flight.attrs["stop"]["written by"] == "the loop, without its recorder"
+        assert rings == []
+        return
+    # They wait in memory, and the result says how to save them.
+    assert recording["flight"] is None
+    (ring,) = rings
+    assert f"`freeflyer recover {ring}`" in " ".join(recording["missing"])
+    assert recover(ring).path is not None
+    assert list(runtime.rglob("*.ring")) == []
+
+
+def test_a_recorder_that_is_held_up_loses_nothing_and_holds_nobody_up(
+    tmp_path: Path, runtime: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It stands still until the loop is nearly over: a loop that waited for it would not come so far."""
+    with while_it_runs(monkeypatch, {200: signalled(signal.SIGSTOP), 990: signalled(signal.SIGCONT)}):
+        result, recording = run(tmp_path, stop=1.0)
+    assert result.as_expected
+    assert recording["rows_lost"] == 0
+    assert read(tmp_path / "out" / "recording.mcap")["instant"].tolist() == list(range(1001))
+
+
+def test_a_recorder_that_is_held_up_for_longer_than_the_ring_counts_what_it_missed(
+    tmp_path: Path, runtime: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("adapters.recording.ring.SECONDS", 0.3)
+    with while_it_runs(monkeypatch, {200: signalled(signal.SIGSTOP), 990: signalled(signal.SIGCONT)}):
+        result, recording = run(tmp_path, stop=1.0)
+    assert result.as_expected
+    frame = read(tmp_path / "out" / "recording.mcap")
+    assert recording["rows_lost"] > 300
+    assert len(frame) + recording["rows_lost"] == 1001
+    assert frame.attrs["stop"]["rows lost by the recorder"] == str(recording["rows_lost"])
+
+
+def test_a_recorder_that_cannot_start_is_a_sentence_and_the_loop_writes_its_last_seconds(
+    tmp_path: Path, runtime: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.executable", "/bin/false")
+    result, recording = run(tmp_path, stop=0.3)
+    assert result.as_expected
+    assert any("recorder has not started" in text for text in recording["missing"])
+    flight = read(recording["flight"])
+    assert flight["instant"].tolist() == list(range(301))
+    assert flight.attrs["stop"]["written by"] == "the loop, without its recorder"
+    assert list(runtime.rglob("*.ring")) == []
+
+
+def test_where_the_directory_cannot_be_written_the_last_seconds_go_elsewhere(
+    tmp_path: Path, runtime: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(elsewhere))
+    (tmp_path / "file").write_text("")
+    ring = RingWriter(head(tmp_path / "file" / "out"))
+    for k in range(10):
+        ring.write(k, np.zeros(ring.width))
+    said: list[str] = []
+    recorder = Recorder(RingReader(ring.path), said.append)
+    recorder.step()
+    written = recorder.finish()
+    assert written.recording is None
+    assert len(said) == 1
+    assert written.flight is not None
+    assert Path(written.flight).is_relative_to(elsewhere)
+    assert len(read(written.flight)) == 10
