@@ -9,12 +9,14 @@ from adapters.arm_frames import LIMIT_ROLES, Frame
 from adapters.device import DeviceError
 from cosim.component import Array
 
+MAY_BE_NARROWER = ("joint_velocity_limit", "joint_effort_limit")
 UNITS = {setting.name: setting.unit for setting in all_settings.ARM}
 
 
 def compare(where: str, frame: Frame, described: Mapping[str, list[float]], expected: Mapping[str, Array], joints: int) -> None:
     """DeviceError, with both numbers, where they differ by more than the frame's resolution.
 
+    Joint ranges tell one arm from another. Speeds and torques may be less here than the arm's own: who wants to be careful narrows them.
     `described`: the frame's values by role [SI]; `expected`: settings of `adapters.settings.ARM`, joint by joint.
     """
     count, period = int(described["joint_count"][0]), float(expected["period"][0])
@@ -25,7 +27,8 @@ def compare(where: str, frame: Frame, described: Mapping[str, list[float]], expe
     for role in LIMIT_ROLES:
         for j, (theirs, ours) in enumerate(zip(described.get(role, ()), expected[role], strict=False)):
             f = frame.fields[role][j]
-            if abs(theirs - min(max(float(ours), f.least), f.most)) > f.resolution:
+            beyond = min(max(float(ours), f.least), f.most) - theirs
+            if (beyond if role in MAY_BE_NARROWER else abs(beyond)) > f.resolution:
                 raise DeviceError(
                     f"{where}: its {role.replace('_', ' ')} of joint {j + 1} is {theirs:g} {UNITS[role]}, but the scenario's robot has "
                     f"{float(ours):g} {UNITS[role]}; it is another arm, or one of the two is set wrongly"

@@ -7,7 +7,7 @@ ramp-down under the arm's own clock, then brakes. The arm's state frame is the c
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -306,7 +306,7 @@ def _run(
         granted = pacing.enter_real_time(real_time)
         say("Real time: " + ", ".join(granted))
         orderly = False
-        with pacing.no_collection():
+        with pacing.no_collection() if real_time else nullcontext():
             try:
                 outcome = master.run(pace=pace)
                 outcome.interrupted = outcome.interrupted or outcome.cause == INTERRUPTED

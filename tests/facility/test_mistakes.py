@@ -180,6 +180,10 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Rig, Proce
             r"its joint effort limit of joint 6 is 38 N.m, but the scenario's robot has 40 N.m",
         ),
         (
+            "devices.arm_drive.parameters.joint_velocity_limit=3.0",
+            r"its joint velocity limit of joint 1 is 1.92 rad/s, but the scenario's robot has 3 rad/s",
+        ),
+        (
             "manipulator_controller.joint_upper_limit=2.5",
             r"its joint upper limit of joint 1 is 2.967 rad, but the scenario's robot has 2.5 rad",
         ),

@@ -428,3 +428,20 @@ def test_a_claim_is_kept_while_others_take_their_time(link: tuple[CanArm, Script
     command = there.take()
     assert command is not None
     assert (command["mode"][0], command["controller"][0]) == (Mode.idle, arm.controller)
+
+
+@pytest.mark.parametrize(("ours", "refused"), [(1.0, False), (0.5, False), (1.1, True)])
+def test_speeds_and_torques_may_be_narrower_than_the_arms_own_but_not_wider(
+    link: tuple[CanArm, ScriptedArm], ours: float, refused: bool
+) -> None:
+    arm, there = link
+    there.serve()
+    for name in ("joint_effort_limit", "joint_velocity_limit"):
+        arm.values[name][:] = ours
+    if refused:
+        with pytest.raises(
+            DeviceError, match=r"its joint velocity limit of joint 1 is 1 rad/s, .* robot has 1\.1 rad/s"
+        ):
+            arm.configure()
+    else:
+        arm.configure()
