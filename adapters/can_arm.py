@@ -167,7 +167,7 @@ class CanArm:
 
     def stay(self) -> None:
         """While other devices take their time: the arm is not to forget who has claimed it."""
-        if self.state.now is LifeCycle.inactive:
+        if self.state.now is LifeCycle.inactive and not self._released:
             self._wait(0.0)
             self._send(Mode.idle, np.zeros(self.options.joints))
 
@@ -193,6 +193,8 @@ class CanArm:
             self._send(Mode.reset if stopped else Mode.torque, self._last_torque)
             if not self._wait(end - self._outside.monotonic()) or self._outside.monotonic() > end:
                 raise DeviceError(f"{self._where} does not become active; its state is {self._state_said}")
+            if meanwhile():
+                return  # the loop ends before its first instant, and deactivation brakes
         self._released = True
         self._send(Mode.torque, self._last_torque)
         self.state.to(LifeCycle.active)

@@ -9,6 +9,10 @@ import pytest
 from fault_bench import ARM, Observed, assert_safe, run, shipped, with_faults
 from fault_matrix import BEGIN, PROCESS_ROWS, ROWS, Row, stated
 
+from adapters.arm_frames import Mode
+from adapters.device import LifeCycle
+from adapters.facility.arm_logic import ArmLogic, Command
+
 
 def observed(row: Row) -> Observed:
     return run(with_faults(shipped(BEGIN + row.lasts), [row.fault], seed=row.seed))
@@ -74,3 +78,24 @@ def test_the_document_has_every_row_with_its_reaction_and_its_time() -> None:
     assert found == expected, "run python tests/faults/fault_matrix.py > docs/fault_matrix.md"
     for process in PROCESS_ROWS:
         assert f"| {process.what} | {process.reaction} | {process.within} | `{process.test}` |" in said
+
+
+def test_an_arm_that_takes_half_a_second_to_become_active_costs_the_base_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Brakes are slow to open; meanwhile the base, which is active already, goes on hearing its set point."""
+    obey = ArmLogic._obey
+    asked: list[int] = []
+
+    def slow(self: ArmLogic, command: Command) -> None:
+        if command.mode is Mode.torque and self.life.now is LifeCycle.inactive:
+            asked.append(self.cycle)
+            if self.cycle < asked[0] + 500:
+                return
+        obey(self, command)
+
+    monkeypatch.setattr(ArmLogic, "_obey", slow)
+    seen = run(shipped(0.2))
+    assert len(asked) > 400
+    assert seen.went_on, seen.stop
+    assert not [event for event in seen.events["base_robot"] if "safe_stop" in event and "no set point" in event][1:]
+    assert seen.active_at[ARM] - seen.active_at["base_robot"] > 0.45
+    assert seen.safe_at["base_robot"] > seen.stopped_at

@@ -439,9 +439,7 @@ def test_speeds_and_torques_may_be_narrower_than_the_arms_own_but_not_wider(
     for name in ("joint_effort_limit", "joint_velocity_limit"):
         arm.values[name][:] = ours
     if refused:
-        with pytest.raises(
-            DeviceError, match=r"its joint velocity limit of joint 1 is 1 rad/s, .* robot has 1\.1 rad/s"
-        ):
+        with pytest.raises(DeviceError, match=r"its joint velocity limit of joint 1 is 1 rad/s, .* robot has 1\.1 rad/s"):
             arm.configure()
     else:
         arm.configure()
