@@ -39,15 +39,8 @@ class CanArm:
         self._outside = outside.present()
         n = options.joints
         self.frames = ArmFrames(options.frames, n)
-        ports = [
-            *all_settings.ports(all_settings.ARM, n),
-            Port(name="joint_torque_command", size=n, causality="input", units=("N.m",) * n),
-            Port(name="joint_position", size=n, causality="output", units=("rad",) * n, sampled=True),
-            Port(name="joint_velocity", size=n, causality="output", units=("rad/s",) * n, sampled=True),
-            Port(name="joint_torque", size=n, causality="output", units=("N.m",) * n, sampled=True),
-        ]
-        self.ports: Mapping[str, Port] = {port.name: port for port in ports}
-        self.values: Mapping[str, Array] = {port.name: np.array(port.start or (0.0,) * port.size) for port in ports}
+        self.ports: Mapping[str, Port] = all_settings.arm_ports(n, all_settings.ARM)
+        self.values: Mapping[str, Array] = {p.name: np.array(p.start or (0.0,) * p.size) for p in self.ports.values()}
         self.controller = 1 + secrets.randbelow(self.frames.controllers)
         self.wake_up, self.answer = Histogram(), Histogram()
         self.late_commands = 0

@@ -68,6 +68,19 @@ def ports(settings: Sequence[Setting], joints: int = 0) -> list[Port]:
     return [setting.port(joints) for setting in settings]
 
 
+def arm_ports(joints: int, settings: Sequence[Setting]) -> dict[str, Port]:
+    """Of every arm: its settings, what it is told, and what it measures."""
+    units = {"joint_position": "rad", "joint_velocity": "rad/s", "joint_torque": "N.m"}
+    signals = [
+        Port(name="joint_torque_command", size=joints, causality="input", units=("N.m",) * joints),
+        *(
+            Port(name=name, size=joints, causality="output", units=(unit,) * joints, sampled=True)
+            for name, unit in units.items()
+        ),
+    ]
+    return {port.name: port for port in (*ports(settings, joints), *signals)}
+
+
 ARM = (
     Setting(name="period", most=1.0, default=(0.001,), unit="s", description="Cycle of the arm's state frames, and its communication step"),
     Setting(name="joint_effort_limit", default=(10.0,), per_joint=True, unit="N.m", effect="clips",

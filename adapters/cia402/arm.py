@@ -48,15 +48,8 @@ class Cia402Arm:
         self.name, self.options = name, options
         self.state = State(name)
         n = options.joints
-        ports = [
-            *all_settings.ports(DRIVES, n),
-            Port(name="joint_torque_command", size=n, causality="input", units=("N.m",) * n),
-            Port(name="joint_position", size=n, causality="output", units=("rad",) * n, sampled=True),
-            Port(name="joint_velocity", size=n, causality="output", units=("rad/s",) * n, sampled=True),
-            Port(name="joint_torque", size=n, causality="output", units=("N.m",) * n, sampled=True),
-        ]
-        self.ports: Mapping[str, Port] = {port.name: port for port in ports}
-        self.values: Mapping[str, Array] = {port.name: np.array(port.start or (0.0,) * port.size) for port in ports}
+        self.ports: Mapping[str, Port] = all_settings.arm_ports(n, DRIVES)
+        self.values: Mapping[str, Array] = {p.name: np.array(p.start or (0.0,) * p.size) for p in self.ports.values()}
         self.scaling = Scaling(options.motors)
         self.answers, self.targets = Histogram(), Histogram()
         self.drives: list[RemoteDrive] = []

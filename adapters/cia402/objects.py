@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -9,9 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import canopen
+from canopen.objectdictionary.eds import import_eds
 
 from adapters.device import DeviceError
+from cosim.bounded_file import content
 
+LARGEST_EDS = 4 * 2**20
+"""Bytes; a drive's is some 100 KiB."""
 SHIPPED_EDS = Path(__file__).with_name("drive.eds")
 CYCLIC_SYNCHRONOUS_TORQUE = 10
 SUPPORTS_TORQUE = 1 << 9
@@ -97,7 +102,11 @@ def error_text(code: int) -> str:
 def dictionary(path: Path, node_id: int) -> Any:
     """A canopen ObjectDictionary from an EDS or DCF file; DeviceError if it cannot be read or lacks what the profile needs."""
     try:
-        found = canopen.import_od(str(path), node_id)
+        if path.suffix.lower() not in (".eds", ".dcf"):
+            raise DeviceError(f"EDS {path}: a file whose name ends in .eds or .dcf is expected")
+        found = import_eds(io.StringIO(content(path, LARGEST_EDS).decode(errors="replace")), node_id)  # type: ignore[no-untyped-call]
+    except DeviceError:
+        raise
     except OSError as error:
         raise DeviceError(f"EDS {path} cannot be read: {error.strerror or error}") from error
     except Exception as error:  # the library passes on its parser's, of several kinds
