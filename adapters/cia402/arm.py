@@ -7,11 +7,11 @@ and waits for the TPDOs that every drive answers with; `write` sends the targets
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from adapters import outside
 from adapters import settings as all_settings
 from adapters.arm_link import open_bus
 from adapters.cia402 import load, objects, process_data
@@ -47,6 +47,7 @@ class Cia402Arm:
     def __init__(self, name: str, options: DriveOptions) -> None:
         self.name, self.options = name, options
         self.state = State(name)
+        self._outside = outside.present()
         n = options.joints
         self.ports: Mapping[str, Port] = all_settings.arm_ports(n, DRIVES)
         self.values: Mapping[str, Array] = {p.name: np.array(p.start or (0.0,) * p.size) for p in self.ports.values()}
@@ -123,8 +124,8 @@ class Cia402Arm:
     def _listen(self) -> None:
         """A bus has one SYNC producer. CANopen has no other word for a second controller."""
         assert self._network is not None
-        end = time.monotonic() + max(LISTEN, 3 * self.cycle, 1.5 * self.options.heartbeat)
-        while (left := end - time.monotonic()) > 0.0:
+        end = self._outside.monotonic() + max(LISTEN, 3 * self.cycle, 1.5 * self.options.heartbeat)
+        while (left := end - self._outside.monotonic()) > 0.0:
             self._network.poll(left)
             self._refuse_another_controller()
 
@@ -140,14 +141,14 @@ class Cia402Arm:
             )
 
     def _first_measurement(self) -> None:
-        end = time.monotonic() + float(self.values["configure_timeout"][0])
+        end = self._outside.monotonic() + float(self.values["configure_timeout"][0])
         while True:
             self._exchange(max(ANSWER_SHARE * self.cycle, 0.05))
             self._refuse_another_controller()
             silent = [drive for drive in self.drives if not drive.fresh]
             if not silent:
                 return
-            if time.monotonic() > end:
+            if self._outside.monotonic() > end:
                 raise DeviceError(
                     f"{silent[0].where} does not answer SYNC with its TPDOs; are its PDOs mapped, and is it operational?"
                 )
@@ -195,7 +196,7 @@ class Cia402Arm:
         """One step of every drive's state machine in every cycle, until all are there. DeviceError names the one that is not."""
         zero = np.zeros(self.options.joints)
         pacer = Pacer(round(self.cycle * 1e9))
-        end = time.monotonic() + float(self.values["configure_timeout"][0])
+        end = self._outside.monotonic() + float(self.values["configure_timeout"][0])
         self._powered = self._walking = True
         try:
             while not all(drive.state is goal for drive in self.drives):
@@ -206,7 +207,7 @@ class Cia402Arm:
                 self._exchange(ANSWER_SHARE * self.cycle)
                 self._refuse_another_controller()
                 meanwhile()  # too short to be given up half-way
-                if time.monotonic() > end:
+                if self._outside.monotonic() > end:
                     late = next(d for d in self.drives if d.state is not goal)
                     raise DeviceError(
                         f"{late.where} does not come to {goal.value}: it is in {late.says}{self._error_code(late)}"
@@ -264,7 +265,7 @@ class Cia402Arm:
         for drive in self.drives:
             drive.expect()
         network.sync.transmit()
-        self._synced = time.monotonic_ns()
+        self._synced = self._outside.monotonic_ns()
         every = max(1, round(self.options.heartbeat / self.cycle))
         if self._is_host and self._cycles % every == 0:
             network.send_message(process_data.HEARTBEAT + self.options.host_node_id, OPERATIONAL)
@@ -272,12 +273,12 @@ class Cia402Arm:
         end = self._synced * 1e-9 + timeout
         missing = list(self.drives)
         while missing:
-            left = end - time.monotonic()
+            left = end - self._outside.monotonic()
             if not network.poll(max(left, 0.0)) and left <= 0.0:
                 break
             missing = [drive for drive in missing if not drive.fresh]
         if not missing and self.state.now is LifeCycle.active:
-            self.answers.add(time.monotonic_ns() - self._synced)
+            self.answers.add(self._outside.monotonic_ns() - self._synced)
         self._take()
 
     def _take(self) -> None:
@@ -304,7 +305,7 @@ class Cia402Arm:
         if reason:
             raise SafeStop(self.name, reason)
         self._send_targets(torque)
-        self.targets.add(time.monotonic_ns() - self._synced)
+        self.targets.add(self._outside.monotonic_ns() - self._synced)
         self._targets_due = False
         self._last_torque = torque
 

@@ -7,7 +7,6 @@ while they wait; heartbeats are counted in cycles by who sends them.
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 import can
@@ -15,11 +14,14 @@ import canopen
 from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoCommunicationError
 
+from adapters import outside
+
 
 class PolledNetwork(canopen.Network):
     """Over a bus that is open already; `disconnect` closes it."""
 
-    def __init__(self, bus: can.BusABC) -> None:
+    def __init__(self, bus: Any) -> None:
+        """`bus`: with python-can's `send`, `recv` and `shutdown`."""
         super().__init__(bus)
         self.failed = 0
         """Frames that the interface did not take: lost ones, as any other."""
@@ -67,9 +69,9 @@ class PolledSdo(SdoClient):
     network: PolledNetwork
 
     def read_response(self) -> Any:
-        end = time.monotonic() + self.RESPONSE_TIMEOUT
+        end = outside.present().monotonic() + self.RESPONSE_TIMEOUT
         while self.responses.empty():
-            left = end - time.monotonic()
+            left = end - outside.present().monotonic()
             if left <= 0.0:
                 raise SdoCommunicationError("no answer")
             self.network.poll(left)

@@ -11,10 +11,11 @@ from e2e.p05 import e2e_p05_protect
 
 from adapters.arm_frames import ArmFrames, Frame
 from adapters.facility.faults import Fault
-from adapters.facility.link_faults import LinkFaults, Way
+from adapters.facility.link_faults import TAMPERING, LinkFaults, Way
 
 FAULT_KINDS = ("loss", "delay", "jitter", "duplication", "reordering", "flipped_bits", "wrong_data_id", "stale_stamp",
                "frozen_counter", "out_of_range", "clock_jump", "cut", "bus_off", "hung", "dead", "device_fault")  # fmt: skip
+OF_DRIVES = tuple(kind for kind in FAULT_KINDS if kind not in TAMPERING)
 STAMPS = {"to_controller": ("cycle",), "to_device": ("answered_cycle",)}
 """The roles that say when a frame was made, by way."""
 EXTREME = {"to_controller": "joint_position", "to_device": "joint_torque_command"}
@@ -87,8 +88,17 @@ def _protected(data: bytearray, data_id: int, offset: int) -> bytearray:
     return data
 
 
+class Untouched:
+    """A tamper for frames whose content is left alone: classic CAN's own checksum finds what a cable does, and drives have no more."""
+
+    def changed(self, fault: Fault, way: Way, packet: can.Message, memory: dict[str, Any], lot: random.Random) -> None:
+        return None
+
+
 class FaultyBus:
     """What a virtual arm's end of the link uses of a bus, with faults in between; `recv` never waits."""
+
+    state = can.BusState.ACTIVE
 
     def __init__(self, bus: can.BusABC, faults: LinkFaults[can.Message]) -> None:
         self.bus, self.faults = bus, faults

@@ -90,6 +90,10 @@ class DriveLogic:
             self._begin_stop()
         self.state = S.fault if self.braked else S.fault_reaction_active
 
+    def power_off(self) -> None:
+        """Without power there is no torque, and the brake is engaged."""
+        self.torque, self.state = 0.0, S.switch_on_disabled
+
     def advance(self, velocity: float) -> None:
         """One tick; `velocity` [rad/s] of the joint."""
         self._since_sync += 1

@@ -7,7 +7,6 @@ the measurements of the last cycle into the TPDOs, which go out at once, and the
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ import canopen
 import numpy as np
 from canopen.sdo.exceptions import SdoAbortedError, SdoError
 
+from adapters import outside
 from adapters.arm_link import open_bus
 from adapters.cia402 import objects, process_data
 from adapters.cia402.network import PolledNetwork
@@ -23,7 +23,9 @@ from adapters.cia402.objects import Entry
 from adapters.cia402.options import DriveOptions, options_from
 from adapters.cia402.scaling import Scaling
 from adapters.cia402.state_machine import statusword_of
+from adapters.facility.can_faults import OF_DRIVES, FaultyBus, Untouched
 from adapters.facility.drive_logic import DriveGroup, DriveLogic
+from adapters.facility.link_faults import LinkFaults
 from adapters.facility.settings import FacilitySettings
 from adapters.facility.virtual_device import VirtualDevice
 from adapters.histogram import Histogram
@@ -192,8 +194,11 @@ class VirtualDrive:
 class VirtualCia402(VirtualDevice[DriveGroup]):
     """`receive` at the begin of a cycle, then the model's step, then `send`."""
 
+    fault_kinds = OF_DRIVES
+
     def __init__(self, name: str, raw: Mapping[str, Any], directory: Path, settings: FacilitySettings, period: float) -> None:
         self.name, self.settings, self.period = name, settings, period
+        self._outside = outside.present()
         self.options = o = options_from(name, raw, directory)
         n = o.joints
         self.scaling = Scaling(o.motors)
@@ -208,8 +213,11 @@ class VirtualCia402(VirtualDevice[DriveGroup]):
         """From the kernel's stamp on a SYNC until all TPDOs were handed over."""
         self._velocity = np.zeros(n)
         self.logic = self._new_logic()
-        network = PolledNetwork(open_bus(o.interface, o.channel, False, [], {"bitrate": int(o.bitrate), **o.bus}))
-        self._network = network
+        self.faults = LinkFaults(settings.faults_of(name), period, settings.seed, Untouched())
+        bus = open_bus(o.interface, o.channel, False, [], {"bitrate": int(o.bitrate), **o.bus})
+        self._bus = FaultyBus(bus, self.faults)
+        self.begin_faults(self.faults, self._bus)
+        network = self._network = PolledNetwork(self._bus)
         try:
             self.drives = [
                 VirtualDrive(node, joint, o, logic, network)
@@ -232,6 +240,7 @@ class VirtualCia402(VirtualDevice[DriveGroup]):
     def begin_session(self, parameters: Mapping[str, Array]) -> None:
         """The robot is back at its start pose, and the drives are switched off and on: they boot."""
         self.logic = self._new_logic()
+        self.begin_faults(self.faults, self._bus)
         self._velocity[:] = 0.0
         for drive, logic in zip(self.drives, self.logic.drives, strict=True):
             drive.logic = logic
@@ -241,9 +250,14 @@ class VirtualCia402(VirtualDevice[DriveGroup]):
         """A fault on demand: joint from 1, error code of CiA 402."""
         self.logic.drives[joint - 1].fail(code)
 
+    def power_off(self) -> None:
+        for drive in self.logic.drives:
+            drive.power_off()
+
     def receive(self, values: Mapping[str, Array]) -> None:
-        self._network.drain()
-        self.logic.advance(self._velocity)
+        if self.begin_cycle():
+            self._network.drain()
+            self.logic.advance(self._velocity)
         values["joint_torque_command"][:] = self.logic.torque
         values["brake"][0] = float(self.logic.braked)
 
@@ -251,7 +265,7 @@ class VirtualCia402(VirtualDevice[DriveGroup]):
         self.syncs += 1
         for drive in self.drives:
             drive.on_sync()
-        late = time.time() - timestamp
+        late = self._outside.time_ns() * 1e-9 - timestamp
         if 0.0 <= late < 1.0:
             self.answers.add(int(1e9 * late))
 
@@ -261,6 +275,9 @@ class VirtualCia402(VirtualDevice[DriveGroup]):
 
     def send(self, values: Mapping[str, Array]) -> None:
         self._velocity[:] = values["joint_velocity"]
+        self._bus.flush()
+        if self._bus.silent:
+            return
         s = self.scaling
         columns = zip(
             np.rint(values["joint_position"] / s.position_step).tolist(),

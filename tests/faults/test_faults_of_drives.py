@@ -1,0 +1,50 @@
+"""Faults of an arm of CiA 402 drives on classic CAN, both ends in virtual time, every rule at its default."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import pytest
+
+from adapters import hil
+from adapters.cia402.state_machine import DriveState
+from adapters.facility.accelerated import accelerated
+from adapters.facility.virtual_cia402 import VirtualCia402
+from cosim import scenario
+
+BEGIN = 0.1
+
+
+@pytest.mark.parametrize(
+    ("kind", "how", "reason"),
+    [
+        ("cut", {}, "cycles? in a row were lost"),
+        ("cut", {"direction": "to_device"}, "EMCY|left Operation enabled|fault|lost"),
+        ("cut", {"direction": "to_controller"}, "cycles? in a row were lost"),
+        ("loss", {"probability": 0.01, "direction": "to_controller"}, None),
+        ("bus_off", {}, "cycles? in a row were lost"),
+        ("hung", {}, "cycles? in a row were lost"),
+        ("dead", {}, "cycles? in a row were lost"),
+        ("device_fault", {}, "left Operation enabled by itself: it is in Fault"),
+    ],
+)
+def test_a_fault_of_the_drives_stops_the_loop_and_ends_with_brakes(kind: str, how: dict[str, object], reason: str | None) -> None:
+    chosen = scenario.load("facility_cia402", ["stop_s=0.4"])
+    fault = {"kind": kind, "device": "arm_drive", "begin_s": BEGIN, **how}
+    chosen = replace(chosen, facility={**chosen.facility, "faults": [fault]})
+    with accelerated(chosen) as both:
+        result, report = hil.run(chosen, real_time=False, say=lambda text: None)
+        arm = both.facility.devices[0]
+        assert isinstance(arm, VirtualCia402)
+        logic = arm.logic
+        both.time.sleep(0.7)
+        if reason is None:
+            assert result.as_expected, report.stop
+            assert report.devices["arm_drive"]["cycles_lost"] > 0
+        else:
+            assert re.search(reason, report.stop), report.stop
+            assert result.outcome.simulated < BEGIN + 0.15
+        if kind != "hung":
+            assert all(drive.state is not DriveState.operation_enabled for drive in logic.drives)
+            assert not logic.torque.any()
