@@ -209,10 +209,11 @@ def _faults() -> Iterator[str]:
         "(counted from the device's first activation in a session; without it the fault acts from the begin, activation included), "
         "`duration_s`, and what its kind takes. Times are whole cycles of the facility. Reactions: [fault matrix](fault_matrix.md).\n"
     )
-    yield "| kind | what happens | takes | arm | base robot |\n|---|---|---|---|---|"
+    yield "| kind | what happens | takes | `can_arm` | `zenoh_base` | `cia402_arm` |\n|---|---|---|---|---|---|"
+    played_by = can_faults.FAULT_KINDS, zenoh_faults.FAULT_KINDS, can_faults.OF_DRIVES
     for name, kind in KINDS.items():
         takes = ", ".join(f"`{key}` ({getattr(Fault(kind=name, device=''), key):g})" for key in kind.takes)
-        played = ("yes" if name in kinds else "" for kinds in (can_faults.FAULT_KINDS, zenoh_faults.FAULT_KINDS))
+        played = ("yes" if name in kinds else "" for kinds in played_by)
         yield f"| `{name}` | {kind.description} | {takes} | {' | '.join(played)} |"
 
 

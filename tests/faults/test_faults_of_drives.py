@@ -29,7 +29,9 @@ BEGIN = 0.1
         ("device_fault", {}, "left Operation enabled by itself: it is in Fault"),
     ],
 )
-def test_a_fault_of_the_drives_stops_the_loop_and_ends_with_brakes(kind: str, how: dict[str, object], reason: str | None) -> None:
+def test_a_fault_of_the_drives_stops_the_loop_and_ends_with_brakes(
+    kind: str, how: dict[str, object], reason: str | None
+) -> None:
     chosen = scenario.load("facility_cia402", ["stop_s=0.4"])
     fault = {"kind": kind, "device": "arm_drive", "begin_s": BEGIN, **how}
     chosen = replace(chosen, facility={**chosen.facility, "faults": [fault]})
