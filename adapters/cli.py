@@ -14,10 +14,10 @@ from rich.console import Console
 from rich.table import Table
 
 from adapters import hil, pacing
+from adapters.base.notices import notices
 from adapters.facility import settings as facility_settings
 from adapters.facility.accelerated import accelerated
 from adapters.facility.server import Facility
-from adapters.link_notices import notices
 from adapters.recording.can_log import FORMATS
 from adapters.recording.rescue import rescue
 from adapters.recording.tap import Recording

@@ -6,7 +6,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from adapters import arm_options, can_arm, link_options, simulated, zenoh_base
+from adapters import simulated
+from adapters.arm import can_arm
+from adapters.arm import options as arm_options
+from adapters.base import options as link_options
+from adapters.base import zenoh_base
 from adapters.device import Device
 from cosim.component import PythonComponent
 

@@ -15,9 +15,9 @@ from typing import Any
 
 import zenoh
 
-from adapters.certificate_authority import HOSTS, CertificateAuthority
-from adapters.certificates import Identity
-from adapters.link_options import LinkOptions
+from adapters.base.certificate_authority import HOSTS, CertificateAuthority
+from adapters.base.certificates import Identity
+from adapters.base.options import LinkOptions
 
 NAMES = ("controller", "base_robot", "other_robot")
 

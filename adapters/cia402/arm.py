@@ -13,7 +13,7 @@ import numpy as np
 
 from adapters import outside
 from adapters import settings as all_settings
-from adapters.arm_link import open_bus
+from adapters.arm.link import open_bus
 from adapters.cia402 import load, objects, process_data
 from adapters.cia402.network import PolledNetwork
 from adapters.cia402.options import DriveOptions

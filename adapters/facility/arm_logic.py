@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adapters.arm_frames import Mode
+from adapters.arm.frames import Mode
 from adapters.device import LifeCycle, State
 from adapters.ramp_down import RampDown
 from cosim.component import Array

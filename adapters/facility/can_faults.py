@@ -9,7 +9,7 @@ from typing import Any
 import can
 from e2e.p05 import e2e_p05_protect
 
-from adapters.arm_frames import ArmFrames, Frame
+from adapters.arm.frames import ArmFrames, Frame
 from adapters.facility.faults import Fault
 from adapters.facility.link_faults import TAMPERING, LinkFaults, Way
 

@@ -9,9 +9,10 @@ from typing import Any
 import can
 import numpy as np
 
-from adapters import arm_options, outside
-from adapters.arm_frames import LIMIT_ROLES, ArmFrames, Mode
-from adapters.arm_link import Receiver, Sender, open_bus
+from adapters import outside
+from adapters.arm import options as arm_options
+from adapters.arm.frames import LIMIT_ROLES, ArmFrames, Mode
+from adapters.arm.link import Receiver, Sender, open_bus
 from adapters.device import DeviceError, LifeCycle
 from adapters.facility.arm_logic import ArmLogic, Command
 from adapters.facility.can_faults import FAULT_KINDS, CanTamper, FaultyBus

@@ -8,7 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from adapters import access_control, commanders, link_options
+from adapters.base import access_control, commanders
+from adapters.base import options as link_options
+from adapters.base.link import is_usable
+from adapters.base.ros_messages import Odometry
+from adapters.base.session import open_session
+from adapters.base.zenoh_base import TWIST
 from adapters.device import LifeCycle
 from adapters.facility.base_logic import BaseLogic
 from adapters.facility.link_faults import LinkFaults
@@ -16,10 +21,6 @@ from adapters.facility.settings import FacilitySettings
 from adapters.facility.virtual_device import VirtualDevice
 from adapters.facility.zenoh_faults import FAULT_KINDS, FaultyOdometryLink, ZenohTamper
 from adapters.pose import twist_rotated
-from adapters.ros_messages import Odometry
-from adapters.zenoh_base import TWIST
-from adapters.zenoh_link import is_usable
-from adapters.zenoh_session import open_session
 from cosim.component import Array, Port
 
 

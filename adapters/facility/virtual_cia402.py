@@ -16,7 +16,7 @@ import numpy as np
 from canopen.sdo.exceptions import SdoAbortedError, SdoError
 
 from adapters import outside
-from adapters.arm_link import open_bus
+from adapters.arm.link import open_bus
 from adapters.cia402 import objects, process_data
 from adapters.cia402.network import PolledNetwork
 from adapters.cia402.objects import Entry

@@ -7,12 +7,12 @@ import struct
 from dataclasses import replace
 from typing import Any
 
-from adapters import rmw_zenoh
+from adapters.base import rmw_zenoh
+from adapters.base.link import OdometryLink
+from adapters.base.ros_messages import NUMBERS
+from adapters.base.sealed_odometry import sealed
 from adapters.facility.faults import Fault
 from adapters.facility.link_faults import LinkFaults, Way
-from adapters.ros_messages import NUMBERS
-from adapters.sealed_odometry import sealed
-from adapters.zenoh_link import OdometryLink
 
 FAULT_KINDS = ("loss", "delay", "jitter", "duplication", "reordering", "flipped_bits", "wrong_data_id", "stale_stamp",
                "frozen_counter", "not_a_number", "out_of_range", "clock_jump", "cut", "hung", "dead")  # fmt: skip

@@ -8,7 +8,7 @@ from typing import Any
 import can
 from can.io.blf import FILE_HEADER_SIZE
 
-from adapters.arm_link import open_bus
+from adapters.arm.link import open_bus
 from adapters.recording.run_head import CanChannel
 
 FORMATS = ("blf", "asc")

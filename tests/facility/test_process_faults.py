@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from processes import PATIENT_LOOP, Rig, events, rig
 
-from adapters.arm_frames import ArmFrames, FrameMapping
-from adapters.arm_link import Receiver, open_bus
+from adapters.arm.frames import ArmFrames, FrameMapping
+from adapters.arm.link import Receiver, open_bus
 
 BASE_PATIENT, ARM_PATIENT = PATIENT_LOOP[2:], PATIENT_LOOP[:2]
 WATCHDOG = "active -> safe_stop: no command for 4 cycles"

@@ -16,13 +16,13 @@ import pytest
 from processes import BASE_ALONE, PATIENT_FACILITY, PATIENT_LOOP, Rig, events, rig
 
 from adapters import hil
-from adapters.arm_frames import ArmFrames, FrameMapping
-from adapters.arm_link import Receiver, open_bus
+from adapters.arm.frames import ArmFrames, FrameMapping
+from adapters.arm.link import Receiver, open_bus
+from adapters.base.link import OdometryLink
+from adapters.base.options import LinkOptions
+from adapters.base.session import open_session
 from adapters.device import LifeCycle
-from adapters.link_options import LinkOptions
 from adapters.local_can import directory
-from adapters.zenoh_link import OdometryLink
-from adapters.zenoh_session import open_session
 from cosim import experiment, real_time, scenario
 from cosim.assemble import find_fmu
 

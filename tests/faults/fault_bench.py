@@ -12,8 +12,9 @@ import can
 import numpy as np
 import pytest
 
-from adapters import hil, ros_messages
-from adapters.arm_frames import ArmFrames, FrameMapping, Mode
+from adapters import hil
+from adapters.arm.frames import ArmFrames, FrameMapping, Mode
+from adapters.base import ros_messages
 from adapters.device import LifeCycle
 from adapters.facility.accelerated import accelerated
 from adapters.facility.faults import Fault

@@ -9,7 +9,7 @@ import pytest
 from fault_bench import ARM, Observed, assert_safe, run, shipped, with_faults
 from fault_matrix import BEGIN, PROCESS_ROWS, ROWS, Row, stated
 
-from adapters.arm_frames import Mode
+from adapters.arm.frames import Mode
 from adapters.device import LifeCycle
 from adapters.facility.arm_logic import ArmLogic, Command
 

@@ -17,7 +17,7 @@ import link_targets
 import mutation
 from target import Target
 
-from adapters.arm_frames import ArmFrames, FrameMapping
+from adapters.arm.frames import ArmFrames, FrameMapping
 from adapters.device import DeviceError
 from cosim.errors import ComponentError, CosimError
 from cosim.fmu_description import DESCRIPTION, MOST_NUMBERS, opened, ports_in, terminals_of

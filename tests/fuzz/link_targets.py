@@ -13,12 +13,12 @@ import mutation
 import numpy as np
 from target import Target
 
-from adapters import ros_messages
-from adapters.arm_frames import ArmFrames, Frame, FrameMapping
-from adapters.arm_link import Receiver
-from adapters.e2e import Protector
-from adapters.rmw_zenoh import ATTACHMENT, Attachment, AttachmentError, read_attachment
-from adapters.ros_messages import MessageError, OdometryWriter
+from adapters.arm.e2e import Protector
+from adapters.arm.frames import ArmFrames, Frame, FrameMapping
+from adapters.arm.link import Receiver
+from adapters.base import ros_messages
+from adapters.base.rmw_zenoh import ATTACHMENT, Attachment, AttachmentError, read_attachment
+from adapters.base.ros_messages import MessageError, OdometryWriter
 
 # A drive's own DBC: big-endian signals, an E2E header at the end, and beside what is mapped, floats, a multiplexer with values that
 # stand for nothing, and named values.

@@ -16,7 +16,8 @@ import mutation
 import toml_mutation
 from target import Target
 
-from adapters import arm_options, link_options
+from adapters.arm import options as arm_options
+from adapters.base import options as link_options
 from adapters.facility import settings as facility_settings
 from cosim import scenario
 from cosim.errors import CosimError

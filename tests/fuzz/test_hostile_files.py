@@ -12,9 +12,9 @@ import pytest
 from commands import said
 from link_targets import OWN_DBC, OWN_MAPPING
 
-from adapters.arm_frames import ArmFrames, FrameMapping
+from adapters.arm.frames import ArmFrames, FrameMapping
+from adapters.arm.signals import load
 from adapters.device import DeviceError
-from adapters.signals import load
 from cosim import bounded_file, cli, record, toml_file
 from cosim.units import factor
 

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from adapters.arm_frames import LIMIT_ROLES, ArmFrames, FrameMapping, Mode
-from adapters.arm_link import Receiver, Sender, open_bus
-from adapters.arm_options import ArmOptions
-from adapters.can_arm import CanArm
+from adapters.arm.can_arm import CanArm
+from adapters.arm.frames import LIMIT_ROLES, ArmFrames, FrameMapping, Mode
+from adapters.arm.link import Receiver, Sender, open_bus
+from adapters.arm.options import ArmOptions
 from adapters.device import DeviceError, LifeCycle, SafeStop
 from adapters.quality import QualityMonitor
 

@@ -17,13 +17,14 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from lab import Lab
 
-from adapters import certificates, link_options
-from adapters.access_control import robots_end
-from adapters.certificate_authority import HOSTS, CertificateAuthority
-from adapters.certificates import Identity
+from adapters.base import certificates
+from adapters.base import options as link_options
+from adapters.base.access_control import robots_end
+from adapters.base.certificate_authority import HOSTS, CertificateAuthority
+from adapters.base.certificates import Identity
+from adapters.base.notices import notices
+from adapters.base.session import open_session
 from adapters.device import DeviceError
-from adapters.link_notices import notices
-from adapters.zenoh_session import open_session
 from cosim import scenario
 
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adapters.arm_frames import SHIPPED_DBC, ArmFrames, FrameMapping
+from adapters.arm.frames import SHIPPED_DBC, ArmFrames, FrameMapping
 from adapters.bus_load import bus_load, frame_time
 from adapters.device import DeviceError
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adapters.arm_frames import Mode
+from adapters.arm.frames import Mode
 from adapters.device import LifeCycle
 from adapters.facility.arm_logic import ArmLogic, Command
 from adapters.facility.base_logic import BaseLogic

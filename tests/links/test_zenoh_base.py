@@ -10,13 +10,13 @@ from threading import Event, Thread
 import numpy as np
 import pytest
 
+from adapters.base.link import OdometryLink, is_usable
+from adapters.base.options import LinkOptions
+from adapters.base.rmw_zenoh import Attachment
+from adapters.base.ros_messages import Odometry, OdometryWriter
+from adapters.base.session import open_session
+from adapters.base.zenoh_base import ZenohBase
 from adapters.device import DeviceError, LifeCycle, SafeStop
-from adapters.link_options import LinkOptions
-from adapters.rmw_zenoh import Attachment
-from adapters.ros_messages import Odometry, OdometryWriter
-from adapters.zenoh_base import ZenohBase
-from adapters.zenoh_link import OdometryLink, is_usable
-from adapters.zenoh_session import open_session
 
 IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
 STILL = np.zeros(6)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from adapters import tls_handshake
-from adapters.certificates import Identity
-from adapters.endpoint import Endpoint
-from adapters.link_options import LinkOptions
+from adapters.base import tls_handshake
+from adapters.base.certificates import Identity
+from adapters.base.endpoint import Endpoint
+from adapters.base.options import LinkOptions
 
 
 def why_silent(session: Any, options: LinkOptions) -> str:

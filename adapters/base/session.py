@@ -8,10 +8,11 @@ from typing import Any
 
 import zenoh
 
-from adapters import certificates, outside
-from adapters.access_control import Protection
+from adapters import outside
+from adapters.base import certificates
+from adapters.base.access_control import Protection
+from adapters.base.endpoint import Endpoint
 from adapters.device import DeviceError
-from adapters.endpoint import Endpoint
 
 
 def open_session(connect: Sequence[str], listen: Sequence[str], subject: str, protection: Protection | None = None) -> Any:

@@ -13,7 +13,7 @@ from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, load_pem_private_key
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from adapters.certificates import AUTHORITY, Identity, general_name
+from adapters.base.certificates import AUTHORITY, Identity, general_name
 from cosim.errors import CosimError
 from cosim.record import write_whole
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from adapters.arm_frames import FrameMapping
+from adapters.arm.frames import FrameMapping
 from adapters.options import checked, known_keys
 
 

@@ -10,10 +10,10 @@ import numpy as np
 
 from adapters import outside
 from adapters import settings as all_settings
-from adapters.arm_description import compare
-from adapters.arm_frames import ArmFrames, Mode
-from adapters.arm_link import Receiver, Sender, open_bus
-from adapters.arm_options import ArmOptions
+from adapters.arm.description import compare
+from adapters.arm.frames import ArmFrames, Mode
+from adapters.arm.link import Receiver, Sender, open_bus
+from adapters.arm.options import ArmOptions
 from adapters.device import DeviceError, LifeCycle, SafeStop, State
 from adapters.histogram import Histogram
 from adapters.limits import ArmLimits

@@ -11,9 +11,9 @@ from enum import IntEnum
 from pathlib import Path
 from typing import Any
 
+from adapters.arm.e2e import HEADER_BYTES
+from adapters.arm.signals import Field, field_of, load, message_of, occupied_bits, only
 from adapters.device import DeviceError, LifeCycle
-from adapters.e2e import HEADER_BYTES
-from adapters.signals import Field, field_of, load, message_of, occupied_bits, only
 from cosim.near import did_you_mean
 
 SHIPPED_DBC = Path(__file__).parent / "arm.dbc"

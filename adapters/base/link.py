@@ -10,14 +10,15 @@ from typing import Any
 import numpy as np
 import zenoh
 
-from adapters import outside, rmw_zenoh, ros_messages
+from adapters import outside
+from adapters.base import rmw_zenoh, ros_messages
+from adapters.base.options import LinkOptions
+from adapters.base.rmw_zenoh import Attachment, AttachmentError
+from adapters.base.ros_messages import MessageError, Odometry, OdometryWriter
+from adapters.base.sealed_odometry import checksum, is_intact, is_sealable, is_sealed, sealed
+from adapters.base.session import said
 from adapters.device import DeviceError
-from adapters.link_options import LinkOptions
 from adapters.pose import twist_rotated
-from adapters.rmw_zenoh import Attachment, AttachmentError
-from adapters.ros_messages import MessageError, Odometry, OdometryWriter
-from adapters.sealed_odometry import checksum, is_intact, is_sealable, is_sealed, sealed
-from adapters.zenoh_session import said
 from cosim.component import Array
 
 LARGEST = 1e4

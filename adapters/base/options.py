@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from adapters import rmw_zenoh
-from adapters.certificates import AUTHORITY, NAME
+from adapters.base import rmw_zenoh
+from adapters.base.certificates import AUTHORITY, NAME
+from adapters.base.endpoint import Endpoint
 from adapters.device import DeviceError
-from adapters.endpoint import Endpoint
 from adapters.options import checked, known_keys
 
 LONGEST_FRAME = 200

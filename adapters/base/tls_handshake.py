@@ -8,8 +8,8 @@ from contextlib import closing
 
 from cryptography import x509
 
-from adapters.certificates import Identity, common_name, hosts_of
-from adapters.endpoint import Endpoint
+from adapters.base.certificates import Identity, common_name, hosts_of
+from adapters.base.endpoint import Endpoint
 
 PATIENCE = 2.0
 """For a connection, and for each part of a handshake [s]."""

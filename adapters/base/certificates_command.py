@@ -12,8 +12,8 @@ from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID
 from rich.console import Console
 
-from adapters.certificate_authority import HOSTS, CertificateAuthority, CertificateError
-from adapters.certificates import AUTHORITY, NAME, Identity, hosts_of, written
+from adapters.base.certificate_authority import HOSTS, CertificateAuthority, CertificateError
+from adapters.base.certificates import AUTHORITY, NAME, Identity, hosts_of, written
 from cosim.cli import folder
 from cosim.errors import DONE
 from cosim.near import did_you_mean

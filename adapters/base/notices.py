@@ -7,10 +7,10 @@ from datetime import UTC, datetime
 
 from cryptography import x509
 
-from adapters import link_options
-from adapters.certificates import Identity, remedy_of_age
-from adapters.endpoint import Endpoint
-from adapters.link_options import LinkOptions
+from adapters.base import options as link_options
+from adapters.base.certificates import Identity, remedy_of_age
+from adapters.base.endpoint import Endpoint
+from adapters.base.options import LinkOptions
 from cosim.scenario import Scenario
 
 KIND = "zenoh_base"

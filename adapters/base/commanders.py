@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from adapters import rmw_zenoh
-from adapters.link_options import LinkOptions
+from adapters.base import rmw_zenoh
+from adapters.base.options import LinkOptions
 
 
 def announce(session: Any, options: LinkOptions) -> list[Any]:

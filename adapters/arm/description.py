@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from adapters import settings as all_settings
-from adapters.arm_frames import LIMIT_ROLES, Frame
+from adapters.arm.frames import LIMIT_ROLES, Frame
 from adapters.device import DeviceError
 from cosim.component import Array
 

@@ -9,9 +9,9 @@ from typing import Any, Protocol
 import can
 
 from adapters import outside
-from adapters.arm_frames import Frame
+from adapters.arm.e2e import Checker, Protector
+from adapters.arm.frames import Frame
 from adapters.device import DeviceError
-from adapters.e2e import Checker, Protector
 from cosim.near import did_you_mean
 
 FILTERING = ("local", "socketcan")

@@ -11,18 +11,20 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from adapters import access_control, commanders, link_diagnosis, outside
+from adapters import outside
 from adapters import settings as all_settings
+from adapters.base import access_control, commanders
+from adapters.base import diagnosis as link_diagnosis
+from adapters.base.link import Counts, OdometryLink, Received, is_usable
+from adapters.base.options import LinkOptions
+from adapters.base.rmw_zenoh import NOBODY
+from adapters.base.session import open_session
 from adapters.device import DeviceError, LifeCycle, SafeStop, State
 from adapters.histogram import Histogram
 from adapters.limits import BaseLimits
-from adapters.link_options import LinkOptions
 from adapters.pacing import Pacer
 from adapters.pose import distance, twist_rotated
 from adapters.quality import QualityMonitor
-from adapters.rmw_zenoh import NOBODY
-from adapters.zenoh_link import Counts, OdometryLink, Received, is_usable
-from adapters.zenoh_session import open_session
 from cosim.component import Array, Port
 
 PATIENCE = 1.75

@@ -11,10 +11,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from adapters import rmw_zenoh, ros_messages
-from adapters.certificates import Identity
-from adapters.endpoint import ENCRYPTED
-from adapters.link_options import LinkOptions
+from adapters.base import rmw_zenoh, ros_messages
+from adapters.base.certificates import Identity
+from adapters.base.endpoint import ENCRYPTED
+from adapters.base.options import LinkOptions
 
 Rules = Mapping[str, Any]
 QUERIES = ("liveliness_query", "declare_liveliness_subscriber")
