@@ -174,12 +174,14 @@ class OdometryLink:
     def watch_obedience(self) -> None:
         """From now on `is_deserted` tells whether the base robot has ceased to obey."""
         key = rmw_zenoh.obedience_token(self.options.domain, self.options.setpoint_topic, self.gid)
-        self._obeyed_tokens = self.session.liveliness().declare_subscriber(key, zenoh.handlers.RingChannel(1))
+        self._obeyed_tokens = self.session.liveliness().declare_subscriber(key, zenoh.handlers.FifoChannel(64))
 
     def is_deserted(self) -> bool:
         """Whether the base's word that it obeys this publisher has been withdrawn since the last call; never waits."""
-        news = None if self._obeyed_tokens is None else self._obeyed_tokens.try_recv()
-        return news is not None and news.kind == zenoh.SampleKind.DELETE
+        withdrawn = False
+        while self._obeyed_tokens is not None and (news := self._obeyed_tokens.try_recv()) is not None:
+            withdrawn = withdrawn or news.kind == zenoh.SampleKind.DELETE
+        return withdrawn
 
     def tell_obeyed(self, active: bool) -> None:
         """Declare whose set points are taken, if that has changed: the source in use, while the base robot is `active`."""

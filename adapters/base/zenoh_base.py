@@ -167,6 +167,7 @@ class ZenohBase:
         v, start = self.values, self._start
         assert self._link is not None
         self._newest()
+        self._link.watch_obedience()  # before it is asked for, so that no withdrawal is missed
         self._be_obeyed(meanwhile)
         if not self._is_at_start:
             self._approach(start, meanwhile)
@@ -176,7 +177,6 @@ class ZenohBase:
             (measured * Rotation.from_quat(start[1]).inv()).as_rotvec(),
         )
         self._link.counts = Counts()
-        self._link.watch_obedience()
         self._publish(v["base_position"].copy(), v["base_orientation"].copy(), np.zeros(6))
         self._sequence = 0
         self.state.to(LifeCycle.active)

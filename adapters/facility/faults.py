@@ -48,7 +48,8 @@ KINDS: Mapping[str, Kind] = {
     "device_fault": Kind(description="the device itself says that it has failed, and brakes", whole_device=True),
 }  # fmt: skip
 
-EVERYWHERE = tuple(kind for kind in KINDS if kind not in ("not_a_number", "bus_off", "device_fault"))
+MOST = 1000
+"""Random faults of a session."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,7 +129,8 @@ def _read_one(subject: str, entry: Mapping[str, Any]) -> Fault:
             raise DeviceError(f"{subject}: {key} is not known{did_you_mean(key, known)}")
     kind = entry.get("kind")
     if not isinstance(kind, str) or kind not in KINDS:
-        raise DeviceError(f"{subject}: kind is {kind!r}{did_you_mean(str(kind), KINDS)}")
+        hint = did_you_mean(str(kind), KINDS) or f"; one of {', '.join(KINDS)} is expected"
+        raise DeviceError(f"{subject}: kind is {kind!r}{hint}" if kind is not None else f"{subject}: kind is missing{hint}")
     if not isinstance(entry.get("device"), str):
         raise DeviceError(f"{subject}: device is {entry.get('device')!r}; the name of one of [devices] is expected")
     direction = entry.get("direction", "both")
@@ -142,6 +144,8 @@ def _read_one(subject: str, entry: Mapping[str, Any]) -> Fault:
             raise DeviceError(
                 f"{subject}: {key} means nothing to {kind}; it takes {', '.join((*takes, 'begin_s', 'duration_s'))}"
             )
+    if "duration_s" in entry and "begin_s" not in entry:
+        raise DeviceError(f"{subject}: duration_s counts from begin_s, which is missing; without both the fault lasts for ever")
     if KINDS[kind].whole_device and direction != "both":
         raise DeviceError(f"{subject}: {kind} is of the whole device and has no direction; leave it out")
     return Fault(**entry)
@@ -156,13 +160,13 @@ def read_random(raw: Any) -> RandomFaults:
         if key not in known:
             raise DeviceError(f"[facility.random_faults] {key} is not known{did_you_mean(key, known)}")
         if key == "kinds":
-            if not isinstance(value, list) or not all(kind in KINDS for kind in value):
+            if not isinstance(value, list) or not all(isinstance(kind, str) and kind in KINDS for kind in value):
                 raise DeviceError(f"[facility.random_faults] kinds is {value!r}; a list of {', '.join(KINDS)} is expected")
             continue
         whole = isinstance(known[key], int)
-        least = 0 if whole else 1e-9
-        if isinstance(value, bool) or not isinstance(value, int if whole else int | float) or not least <= value <= 1e9:
-            expected = "a whole number, zero or more" if whole else "a number of seconds greater than zero"
+        least, most = (0, MOST if key == "count" else 1 << 62) if whole else (1e-9, 1e9)
+        if isinstance(value, bool) or not isinstance(value, int if whole else int | float) or not least <= value <= most:
+            expected = f"a whole number from 0 to {most}" if whole else "a number of seconds greater than zero"
             raise DeviceError(f"[facility.random_faults] {key} is {value!r}; {expected} is expected")
     return RandomFaults(**{**raw, "kinds": tuple(raw.get("kinds", ()))})
 
@@ -203,9 +207,8 @@ def check(faults: Sequence[Fault], devices: Mapping[str, Sequence[str]]) -> None
     """Whether every fault's device is there and knows its kind; DeviceError if not."""
     for fault in faults:
         if fault.device not in devices:
-            raise DeviceError(
-                f"[[facility.faults]]: device {fault.device!r} is not played here{did_you_mean(fault.device, devices)}"
-            )
+            hint = did_you_mean(fault.device, devices) or f"; one of {', '.join(devices)} is expected"
+            raise DeviceError(f"[[facility.faults]]: device {fault.device!r} is not played here{hint}")
         if fault.kind not in devices[fault.device]:
             known = ", ".join(devices[fault.device]) or "none"
             raise DeviceError(f"[[facility.faults]]: {fault.device} has no fault {fault.kind!r}; it knows {known}")

@@ -111,6 +111,17 @@ class MemorySession:
     def __init__(self, net: Net) -> None:
         self._net, self._number = net, next(_numbers)
 
+    @property
+    def info(self) -> MemorySession:
+        return self
+
+    def peers_zid(self) -> list[str]:
+        """Everybody is in this process."""
+        return ["here"]
+
+    def routers_zid(self) -> list[str]:
+        return []
+
     def zid(self) -> str:
         return f"{self._number:032x}"
 

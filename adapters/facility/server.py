@@ -7,8 +7,8 @@ the wire. Its time is its own cycle count: a process that was held up goes on wh
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
-from dataclasses import replace
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, replace
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
@@ -80,6 +80,15 @@ class _Pace:
             self._told[i] = len(events)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Prepared:
+    """Models for one session; `stack` closes them."""
+
+    stack: ExitStack
+    master: Master
+    values: dict[str, dict[str, Array]]
+
+
 class Facility:
     """Opens the links; `run` serves one session after another until it is interrupted."""
 
@@ -98,14 +107,15 @@ class Facility:
         self.history: list[dict[str, Any]] = []
         self.outcome: Outcome | None = None
         """Of the last session."""
+        self._prepared: Prepared | None = None
         factories = {spec.name: _factory(spec.name, spec.kind) for spec in played}
         self.settings = _with_drawn_faults(self.settings, factories)
         try:
             for spec in played:
                 make = factories[spec.name]
                 self.devices.append(make(spec.name, spec.options, scenario.directory, self.settings, seconds(self.period)))
-            with self._models():
-                pass  # what cannot be put together is refused now, and not when somebody connects
+            # What cannot be put together is refused now, and not when somebody connects.
+            self._prepared = self._prepare()
         except BaseException:
             self.close()
             raise
@@ -129,7 +139,9 @@ class Facility:
             say("the controller has gone; the robots return to their start poses")
 
     def _session(self, say: Callable[[str], None], asked: Sequence[float]) -> Generator[None, None, Outcome]:
-        with self._models() as (master, values):
+        prepared, self._prepared = self._prepared or self._prepare(), None
+        with prepared.stack:
+            master, values = prepared.master, prepared.values
             for device in self.devices:
                 device.begin_session(values[device.name])
             pace = _Pace(self.devices, say)
@@ -142,6 +154,11 @@ class Facility:
                 "events": {device.name: [list(event) for event in device.events] for device in self.devices},
             })  # fmt: skip
             return outcome
+
+    def _prepare(self) -> Prepared:
+        with ExitStack() as stack:
+            master, values = stack.enter_context(self._models())
+            return Prepared(stack=stack.pop_all(), master=master, values=values)
 
     @contextmanager
     def _models(self) -> Iterator[tuple[Master, dict[str, dict[str, Array]]]]:
@@ -208,6 +225,8 @@ class Facility:
         }
 
     def close(self) -> None:
+        if self._prepared is not None:
+            self._prepared.stack.close()
         for device in self.devices:
             with suppress(Exception):
                 device.close()
