@@ -206,7 +206,7 @@ def _common(parser: argparse.ArgumentParser) -> None:
 
 def recording_told(recording: Mapping[str, Any]) -> list[str]:
     """What was recorded where, and what is missing, as the result's `recording` has it."""
-    paths = [recording.get("recording"), *recording.get("can", ()), recording.get("flight")]
+    paths = [*recording.get("recording", ()), *recording.get("can", ()), recording.get("flight")]
     said = [f"Recorded: {', '.join(path for path in paths if path)}"] if any(paths) else []
     if recording.get("rows_lost"):
         said.append(f"The recorder was held up: {recording['rows_lost']} instants are missing in the recording")

@@ -8,7 +8,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import Progress
 
-from adapters.recording.recover import recover, unfinished
+from adapters.recording.recover import recover, rings_of, unfinished
 from cosim.errors import DONE, RecordError
 from cosim.interrupts import interrupts
 
@@ -33,6 +33,8 @@ class RecoverCommand:
             paths = list(unfinished(path))
             if not paths:
                 raise RecordError(f"{path} has no recording, no CAN log, and no run in it has left a ring")
+        elif path.suffix.lower() == ".mcap" and path.is_file():
+            paths = [*rings_of(path.parent), path]
         with interrupts() as asked, Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
             for one in paths:
                 task = bar.add_task(one.name)
@@ -42,6 +44,6 @@ class RecoverCommand:
                     if asked:
                         raise KeyboardInterrupt
 
-                done = recover(one, out, show)
+                done = recover(one, out if one is path else None, show)
                 console.print(done.sentence, soft_wrap=True)
         return DONE

@@ -30,8 +30,8 @@ WINDOW = 2**20
 TRIES = 100
 
 
-def copy_frames(path: Path, file: BinaryIO, partial: Path | None) -> tuple[int, int | None, int | None, str, bool]:
-    """Every frame of whole containers into a new log; without `partial`, only looked at.
+def copy_frames(path: Path, file: BinaryIO, output: BinaryIO | None) -> tuple[int, int | None, int | None, str, bool]:
+    """Every frame of whole containers into a new log; without `output`, only looked at.
 
     Gives how many, the first and last time [ns since the epoch], what was lost, and whether the file was whole.
     """
@@ -45,7 +45,7 @@ def copy_frames(path: Path, file: BinaryIO, partial: Path | None) -> tuple[int, 
     head = head[:4] + struct.pack("<L", FILE_HEADER_SIZE) + head[8:]
     log = _Log(file)
     kept, begin, end, broken = 0, None, None, 0
-    writer = None if partial is None else can.BLFWriter(partial.open("wb"))
+    writer = None if output is None else can.BLFWriter(output)
     try:
         for stretch in log.stretches(head):
             frames = _frames(stretch)
@@ -194,10 +194,23 @@ def _unpacked(data: bytes, allowance: int) -> bytes | None:
     return found if len(found) == size and unpacker.eof else None
 
 
+class _Reader(can.BLFReader):
+    """python-can goes from object to object by their sizes, and on the spot for ever where one claims to have none."""
+
+    def _parse_container(self, data: bytes) -> Iterator[can.Message]:
+        whole, place = self._tail + data, 0
+        while (place := whole.find(OBJECT, place, place + 8)) >= 0 and place + OBJ_HEADER_BASE_STRUCT.size <= len(whole):
+            size = OBJ_HEADER_BASE_STRUCT.unpack_from(whole, place)[3]
+            if size < OBJ_HEADER_BASE_STRUCT.size:
+                raise BlfError(f"an object of {size} bytes")
+            place += size
+        yield from super()._parse_container(data)
+
+
 def _frames(stretch: BinaryIO) -> Iterator[can.Message]:
     with stretch:
         try:
-            yield from can.BLFReader(stretch)
+            yield from _Reader(stretch)
         except GeneratorExit:
             raise
         except Exception as error:

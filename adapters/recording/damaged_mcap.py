@@ -94,7 +94,8 @@ class DamagedMcap:
         self._others = 0
         self._chunks = 0
 
-    def records(self) -> Iterator[Whole]:
+    def records(self, tail: int | None = None) -> Iterator[Whole]:
+        """`tail`: from the first chunk on, only what is in so many last bytes; the damage says nothing then."""
         self._take_summary()
         damage, place = self.damage, len(MAGIC) if self.begins_well else 0
         if not self.begins_well:
@@ -102,6 +103,11 @@ class DamagedMcap:
         loose_begin = place
         while place < self.size and not self._ended:
             length = self._length(place)
+            if tail is not None and length is not None and self._read(place, 1)[0] == Opcode.CHUNK:
+                begin, tail = self.size - tail, None
+                if place < begin:
+                    place = self._next_chunk(begin)
+                    continue
             taken: list[Whole] | Iterator[Whole] | None = None
             if length is not None:
                 taken = self._taken(place, length)

@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 import pandas
+from mcap.records import Metadata
 
 from adapters.recording.damaged_mcap import DamagedMcap, WholeMessage
-from adapters.recording.recording_file import RUN, STOP
+from adapters.recording.parts import parts
+from adapters.recording.recording_file import RUN, STARTED, STOP
 from adapters.recording.run_head import WIDEST
 from adapters.recording.topics import COLUMNS, LOOP
 from cosim.component import Array
@@ -22,39 +24,58 @@ FIRST = 20
 LOOP_NUMBERS = ("monotonic_ns", "instant", "time")
 """What the loop's message has before its states and counters: two integers and the time of the scenario."""
 
+Found = dict[tuple[str, str], tuple[str, str, list[int], list[bytes]]]
+"""By topic and columns: both, times and messages."""
+
 
 def read(path: str | Path) -> pandas.DataFrame:
-    """One row for each instant, one column for each element: `time` [s], the signals, the loop's states and counters, and the
+    """A file, or all parts of the recording in a run's directory.
+
+    One row for each instant, one column for each element: `time` [s], the signals, the loop's states and counters, and the
     clocks. `.attrs` has `units`, `run` and `stop` (empty where the file does not tell).
 
     Files that were not finished, or are damaged, are read as far as they are whole. RecordError for a file that is no recording
     of a loop.
     """
-    parts: dict[int, tuple[str, Any, list[int], list[bytes]]] = {}
+    path = Path(path)
+    found: Found = {}
     told: dict[str, dict[str, str]] = {RUN: {}, STOP: {}}
     try:
-        with Path(path).open("rb") as file:
-            for record in DamagedMcap(file).records():
-                if isinstance(record, WholeMessage):
-                    channel = record.channel
-                    if COLUMNS in channel.metadata:
-                        part = parts.setdefault(channel.id, (channel.topic, channel.metadata[COLUMNS], [], []))
-                        part[2].append(record.log_time)
-                        part[3].append(record.data)
-                elif hasattr(record, "metadata") and record.name in told:
-                    told[record.name] = dict(record.metadata)
+        files = parts(path) if path.is_dir() else [path]
+        if not files:
+            raise RecordError(f"{path} has no recording.mcap")
+        for file in files:
+            _take(file, found, told)
     except OSError as error:
         raise RecordError(f"{path} cannot be read: {error.strerror}") from error
     try:
-        return _joined(parts, told)
+        return _joined(found, told)
     except (ValueError, TypeError, KeyError, RecursionError, OverflowError, MemoryError) as error:
         text = " ".join(str(error).split())[:200]
         raise RecordError(f"{path}: its messages are not what a recording of a loop has: {text}") from error
 
 
-def _joined(parts: dict[int, tuple[str, Any, list[int], list[bytes]]], told: dict[str, dict[str, str]]) -> pandas.DataFrame:
+def _take(path: Path, found: Found, told: dict[str, dict[str, str]]) -> None:
+    """A file's messages; none of one that is another run's."""
+    with path.open("rb") as file:
+        for record in DamagedMcap(file).records():
+            if isinstance(record, WholeMessage):
+                channel = record.channel
+                if COLUMNS in channel.metadata:
+                    columns = channel.metadata[COLUMNS]
+                    _, _, times, data = found.setdefault((channel.topic, columns), (channel.topic, columns, [], []))
+                    times.append(record.log_time)
+                    data.append(record.data)
+            elif isinstance(record, Metadata) and record.name in told:
+                metadata = dict(record.metadata)
+                if record.name == RUN and told[RUN].get(STARTED, metadata.get(STARTED)) != metadata.get(STARTED):
+                    return
+                told[record.name] = metadata
+
+
+def _joined(found: Found, told: dict[str, dict[str, str]]) -> pandas.DataFrame:
     tables, units = [], {"time": "s"}
-    for topic, columns, times, data in sorted(parts.values(), key=lambda part: part[0] == LOOP):
+    for topic, columns, times, data in sorted(found.values(), key=lambda part: part[0] == LOOP):
         table, its_units = _table(topic, columns, times, data)
         tables.append(table)
         units.update(its_units)

@@ -20,7 +20,8 @@ from pathlib import Path
 from adapters import pacing
 from adapters.device import DeviceError
 from adapters.recording.can_log import CanLog
-from adapters.recording.recording_file import CHUNK_SECONDS, RECORDING, RecordingFile, chosen, save_flight, stop_of
+from adapters.recording.parts import PartedRecording
+from adapters.recording.recording_file import save_flight, stop_of
 from adapters.recording.ring import RingReader
 from cosim.errors import CosimError
 
@@ -37,9 +38,9 @@ GOODBYE = b"."
 
 @dataclass(kw_only=True)
 class Written:
-    """What a recorder leaves behind. `missing`: sentences about what could not be written."""
+    """What a recorder leaves behind. `missing`: sentences about what could not be written. `recording`: its parts."""
 
-    recording: str | None = None
+    recording: list[str] = field(default_factory=list)
     can: list[str] = field(default_factory=list)
     flight: str | None = None
     rows: int = 0
@@ -54,17 +55,14 @@ class Recorder:
         self.ring, self._complain = ring, complain
         self.written = Written()
         self._directory = Path(ring.head.directory)
-        self._file: RecordingFile | None = None
+        self._file: PartedRecording | None = None
         self._logs: list[CanLog] = []
         if not ring.head.records:
             return
-        path = self._directory / RECORDING
         with self._watched("the recording"):
-            self._directory.mkdir(parents=True, exist_ok=True)
-            stream = path.open("wb")
-            self._file = RecordingFile(stream, ring.head, chosen(ring.head), CHUNK_SECONDS)
-            self._path, self._identity = path, os.fstat(stream.fileno())
-            self.written.recording = str(path)
+            self._file = PartedRecording(ring.head)
+            self._parts = self._file.paths
+            self._name_parts()
         several = len(ring.head.can) > 1
         for channel in ring.head.can:
             name = f"can_{channel.name}" if several else "can"
@@ -94,8 +92,8 @@ class Recorder:
                 with self._watched("the recording"):
                     file.add(rows)
                     file.flush()
-                    self._check_there()
                     self._file = file
+                self._name_parts()
             self.written.rows += len(rows)
         self._take_frames()
         self.written.rows_lost = self.ring.lost
@@ -109,11 +107,8 @@ class Recorder:
                 continue
             log.leave()
 
-    def _check_there(self) -> None:
-        """A file whose name has gone takes everything and keeps nothing."""
-        found = os.stat(self._path)
-        if (found.st_dev, found.st_ino) != (self._identity.st_dev, self._identity.st_ino):
-            raise OSError(0, f"{self._path} has been replaced by somebody")
+    def _name_parts(self) -> None:
+        self.written.recording = [str(path) for path in self._parts]
 
     def finish(self) -> Written:
         """The loop has ended."""

@@ -6,7 +6,8 @@ import json
 import os
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import BinaryIO
@@ -29,10 +30,17 @@ FLIGHT_SECONDS = 2.0
 RECORDING, FLIGHT = "recording.mcap", "flight_recording.mcap"
 RUN, STOP = "freeflyer.run", "freeflyer.stop"
 """Metadata of a file: what was run, from the begin on; why and how it stopped, at the end."""
+STARTED = "started_ns"
 ORIGIN = "origin.json"
 MESSAGE_OVERHEAD = 31
 """Bytes of a message's record beside its data."""
 SILENT = "the controllers' process ended without a word"
+
+
+@cache
+def library() -> str:
+    """What has written a file."""
+    return f"freeflyer-cosim {version('freeflyer-cosim')}; mcap {version('mcap')}"
 
 
 class RecordingFile:
@@ -45,8 +53,8 @@ class RecordingFile:
         # mcap's writer ends a chunk by its size; every row has the same.
         self._writer = Writer(stream, chunk_size=a_row * rows - 1, compression=CompressionType.ZSTD)
         self._stream, self._number, self._repeated = stream, 0, -1
-        self._writer.start(profile="ros2", library=f"freeflyer-cosim {version('freeflyer-cosim')}; mcap {version('mcap')}")
-        run = {"scenario": head.scenario, "title": head.title, "tick_ns": str(head.tick), "started_ns": str(head.started)}
+        self._writer.start(profile="ros2", library=library())
+        run = {"scenario": head.scenario, "title": head.title, "tick_ns": str(head.tick), STARTED: str(head.started)}
         self._writer.add_metadata(RUN, {**run, **{f"version of {name}": text for name, text in head.versions.items()}})
         origin = json.dumps(head.origin).encode()
         self._writer.add_attachment(head.started, head.started, ORIGIN, "application/json", origin)
@@ -66,17 +74,21 @@ class RecordingFile:
         self._definitions = definitions.end()  # type: ignore[no-untyped-call]
         self._again = max(1, round(DEFINITIONS_EVERY * 1e9 / head.tick))
 
-    def add(self, rows: Rows) -> None:
-        """Every row's messages with the row's wall clock for their time."""
+    def add(self, rows: Rows, only: Collection[str] | None = None) -> None:
+        """Every row's messages, or those of some topics, with the row's wall clock for their time."""
         if not len(rows):
             return
         if self._number // self._again > self._repeated:
             # mcap's writer has nothing on its way to the stream between two calls, and asks the stream where it is.
             self._repeated = self._number // self._again
             self._stream.write(self._definitions)
-        messages = [topic.layout.bytes_of(rows) for topic in self._topics]
+        messages = [
+            (channel, topic.layout.bytes_of(rows))
+            for channel, topic in zip(self._channels, self._topics, strict=True)
+            if only is None or topic.name in only
+        ]
         for i, at in enumerate(rows.times[:, 0].tolist()):
-            for channel, of_rows in zip(self._channels, messages, strict=True):
+            for channel, of_rows in messages:
                 self._writer.add_message(channel, at, of_rows[i], at, self._number & 0xFFFFFFFF)
             self._number += 1
 
@@ -86,7 +98,10 @@ class RecordingFile:
 
     def finish(self, stop: Mapping[str, str]) -> None:
         """Why it stopped, index and summary."""
-        self._writer.add_metadata(STOP, dict(stop))
+        self.end(stop, STOP)
+
+    def end(self, last: Mapping[str, str], name: str) -> None:
+        self._writer.add_metadata(name, dict(last))
         self._writer.finish()  # type: ignore[no-untyped-call]
         self._stream.flush()
 
@@ -113,21 +128,31 @@ def save_flight(ring: RingReader, recorder: str, name: str = FLIGHT) -> Path | N
     rows = ring.last(FLIGHT_SECONDS)
     if not len(rows):
         return None
+    return save(Path(ring.head.directory) / name, lambda stream: write_rows(stream, ring, rows, ring.head.signals, recorder))
 
-    def write(partial: Path) -> None:
+
+def write_rows(stream: BinaryIO, ring: RingReader, rows: Rows, signals: Sequence[Signal], recorder: str) -> None:
+    """A whole file of rows that a ring has."""
+    file = RecordingFile(stream, ring.head, signals, FLIGHT_SECONDS / 4)
+    file.add(rows)
+    file.finish(stop_of(ring, recorder))
+
+
+def save(path: Path, write: Callable[[BinaryIO], object]) -> Path:
+    """Where it was written: there, or in a private directory if that cannot be. OutputError if neither can."""
+
+    def write_partial(partial: Path) -> None:
         with partial.open("wb") as stream:
-            file = RecordingFile(stream, ring.head, ring.head.signals, FLIGHT_SECONDS / 4)
-            file.add(rows)
-            file.finish(stop_of(ring, recorder))
+            write(stream)
+            stream.flush()
             os.fsync(stream.fileno())
 
-    path = Path(ring.head.directory) / name
     try:
-        write_whole(path, write)
+        write_whole(path, write_partial)
         return path
     except OutputError:
-        second = fallback() / f"{time.strftime('%Y%m%dT%H%M%S')}_{name}"
-        write_whole(second, write)
+        second = fallback() / f"{time.strftime('%Y%m%dT%H%M%S')}_{path.name}"
+        write_whole(second, write_partial)
         return second
 
 

@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import BinaryIO
 
@@ -16,7 +15,8 @@ from mcap.writer import CompressionType, Writer
 
 from adapters.recording.damaged_blf import copy_frames
 from adapters.recording.damaged_mcap import Damage, DamagedMcap, WholeMessage
-from adapters.recording.rescue import save_ring
+from adapters.recording.recording_file import library
+from adapters.recording.rescue import Saved, save_ring
 from adapters.recording.ring import RingReader, folder, is_left_behind
 from cosim.errors import CosimError, RecordError
 from cosim.record import write_whole
@@ -39,9 +39,13 @@ class Recovered:
     begin: int | None
     end: int | None
     lost: str
+    rest: Path | None = None
+    """The further part of a recording that was made of a ring."""
 
     @property
     def sentence(self) -> str:
+        if self.rest is not None:
+            return f"{self.path}: kept {self._kept}; the end of the recording was in memory still, and is in {self.rest}"
         if self.path is None:
             return f"{self.source} is whole: {self._kept}; nothing was written"
         return f"{self.path}: kept {self._kept}; {self.lost or 'nothing was lost'}"
@@ -70,25 +74,41 @@ def recover(path: Path, out: Path | None = None, progress: Progress | None = Non
         if target.exists() and os.path.samefile(target, path):
             raise RecordError(f"--out {target} is the damaged file itself, which is not touched; another name is expected")
         found: list[Recovered] = []
-        copy = _copy_frames if suffix == ".blf" else _copy_messages
         if out is None:
-            checked = copy(path, file, None, progress)
+            checked = copy_whole(path, file, None, progress)
             if checked.path is None:
                 return checked
-        write_whole(target, lambda partial: found.append(copy(path, file, partial, progress)))
+
+        def write(partial: Path) -> None:
+            with partial.open("wb") as stream:
+                found.append(copy_whole(path, file, stream, progress))
+                if not stream.closed:  # python-can closes what it has written
+                    os.fsync(stream.fileno())
+
+        write_whole(target, write)
     done = found[0]
     return Recovered(source=path, path=target, kept=done.kept, begin=done.begin, end=done.end, lost=done.lost)
+
+
+def copy_whole(path: Path, file: BinaryIO, output: BinaryIO | None, progress: Progress | None = None) -> Recovered:
+    """What is whole in a recording or, by the name, a CAN log, into `output`; without it, only looked at."""
+    copy = _copy_frames if path.suffix.lower() == ".blf" else _copy_messages
+    return copy(path, file, output, progress)
 
 
 def unfinished(directory: Path) -> Iterator[Path]:
     """What `recover` can do something for in a run's directory, and rings of that run that were left behind."""
     try:
         names = sorted(path for path in directory.iterdir() if path.suffix.lower() in SUFFIXES)
-        rings = sorted(folder().glob("*.ring"))
     except OSError as error:
         raise RecordError(f"{directory} cannot be read: {error.strerror}") from error
+    yield from rings_of(directory)
     yield from (path for path in names if "_recovered" not in path.stem)
-    for path in rings:
+
+
+def rings_of(directory: Path) -> Iterator[Path]:
+    """Of a run there whose loop and recorder have both died."""
+    for path in sorted(folder().glob("*.ring")):
         try:
             if is_left_behind(path) and _directory_of(path) == directory.absolute():
                 yield path
@@ -102,12 +122,14 @@ def _directory_of(path: Path) -> Path:
     return Path(ring.head.directory)
 
 
-def _told(ring: Path, saved: Path | None) -> Recovered:
-    if saved is None:
+def _told(ring: Path, saved: Saved) -> Recovered:
+    if saved.flight is None:
         return Recovered(source=ring, path=None, kept=0, begin=None, end=None, lost="")
-    with _opened(saved) as file:
-        copied = _copy_messages(saved, file, None, None)
-    return Recovered(source=ring, path=saved, kept=copied.kept, begin=copied.begin, end=copied.end, lost="")
+    with _opened(saved.flight) as file:
+        copied = _copy_messages(saved.flight, file, None, None)
+    return Recovered(
+        source=ring, path=saved.flight, kept=copied.kept, begin=copied.begin, end=copied.end, lost="", rest=saved.rest
+    )
 
 
 @contextmanager
@@ -121,33 +143,29 @@ def _opened(path: Path) -> Iterator[BinaryIO]:
         raise RecordError(f"{path} cannot be read: {error.strerror or error}") from error
 
 
-def _copy_messages(path: Path, file: BinaryIO, partial: Path | None, progress: Progress | None) -> Recovered:
-    """Every whole message, record by record, into a new file; without `partial`, only looked at."""
+def _copy_messages(path: Path, file: BinaryIO, stream: BinaryIO | None, progress: Progress | None) -> Recovered:
+    """Every whole message, record by record, into a new file; without `stream`, only looked at."""
     source = DamagedMcap(file)
     kept, begin, end, others = 0, LATEST, EARLIEST, 0
-    output = None if partial is None else _Output(partial)
-    try:
-        for record in source.records():
-            if isinstance(record, WholeMessage):
-                kept += 1
-                begin, end = min(begin, record.log_time), max(end, record.log_time)
-                if progress is not None and kept % 10_000 == 0:
-                    progress(file.tell(), source.size)
-            else:
-                others += 1
-            if output is not None:
-                output.add(record)
-        damage = source.damage
-        if not kept and not others and not source.begins_well:
-            raise RecordError(f"{path} is no MCAP recording: it does not begin as one, and has no whole chunk")
-        lost = _lost(damage, kept)
+    output = None if stream is None else _Output(stream)
+    for record in source.records():
+        if isinstance(record, WholeMessage):
+            kept += 1
+            begin, end = min(begin, record.log_time), max(end, record.log_time)
+            if progress is not None and kept % 10_000 == 0:
+                progress(file.tell(), source.size)
+        else:
+            others += 1
         if output is not None:
-            output.finish(path, kept, lost)
-    finally:
-        if output is not None:
-            output.close()
+            output.add(record)
+    damage = source.damage
+    if not kept and not others and not source.begins_well:
+        raise RecordError(f"{path} is no MCAP recording: it does not begin as one, and has no whole chunk")
+    lost = _lost(damage, kept)
+    if output is not None:
+        output.finish(path, kept, lost)
     span = (begin, end) if kept else (None, None)
-    whole = damage.is_whole and not lost and partial is None
+    whole = damage.is_whole and not lost and stream is None
     return Recovered(source=path, path=None if whole else path, kept=kept, begin=span[0], end=span[1], lost=lost)
 
 
@@ -167,10 +185,10 @@ def _lost(damage: Damage, kept: int) -> str:
 
 
 class _Output:
-    def __init__(self, path: Path) -> None:
-        self._stream = path.open("wb")
+    def __init__(self, stream: BinaryIO) -> None:
+        self._stream = stream
         self._writer = Writer(self._stream, chunk_size=CHUNK, compression=CompressionType.ZSTD)
-        self._writer.start(profile="ros2", library=f"freeflyer-cosim {version('freeflyer-cosim')}; mcap {version('mcap')}")
+        self._writer.start(profile="ros2", library=library())
         self._schemas: dict[int, int] = {0: 0}
         self._channels: dict[int, int] = {}
 
@@ -196,13 +214,9 @@ class _Output:
         self._writer.add_metadata(RECOVERED, {"from": source.name, "kept": str(kept), "lost": lost or "nothing"})
         self._writer.finish()  # type: ignore[no-untyped-call]
         self._stream.flush()
-        os.fsync(self._stream.fileno())
-
-    def close(self) -> None:
-        self._stream.close()
 
 
-def _copy_frames(path: Path, file: BinaryIO, partial: Path | None, progress: Progress | None) -> Recovered:
-    kept, begin, end, lost, whole = copy_frames(path, file, partial)
-    is_there = whole and partial is None
+def _copy_frames(path: Path, file: BinaryIO, stream: BinaryIO | None, progress: Progress | None) -> Recovered:
+    kept, begin, end, lost, whole = copy_frames(path, file, stream)
+    is_there = whole and stream is None
     return Recovered(source=path, path=None if is_there else path, kept=kept, begin=begin, end=end, lost=lost)

@@ -41,6 +41,8 @@ TIMES = 4
 SECONDS = 8.0
 LARGEST = 256 * 2**20
 """Bytes of all rows."""
+MOST_WRITTEN = 2**60
+"""Rows: some million years at 1 kHz; the numbers of rows stay within 64 bits with a sign."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,13 @@ class Rows:
 
     def __len__(self) -> int:
         return len(self.times)
+
+    def where(self, chosen: NDArray[np.bool_]) -> Rows:
+        return Rows(self.times[chosen], self.values[chosen])
+
+    def split(self, count: int) -> tuple[Rows, Rows]:
+        """The first ones, and the others."""
+        return Rows(self.times[:count], self.values[:count]), Rows(self.times[count:], self.values[count:])
 
     @staticmethod
     def none(width: int) -> Rows:
@@ -170,6 +179,8 @@ class RingReader:
         self.head = RunHead.from_json(self._memory[PAGE : PAGE + length])
         if self.head.width != width:
             raise RecordError(f"{self.path} is a damaged ring: its rows have {width} values, its head {self.head.width}")
+        if self.written > MOST_WRITTEN:
+            raise RecordError(f"{self.path} is a damaged ring: nobody has written {self.written} rows")
         self.rows = rows
         words = np.frombuffer(self._memory, dtype="<i8", offset=first, count=rows * (TIMES + width + 1))
         self._words = words.reshape(rows, -1)
@@ -204,6 +215,7 @@ class RingReader:
         taken = self._words[numbers % self.rows]  # a copy
         again = self._words[numbers % self.rows, 0]
         whole = (taken[:, 0] == numbers + 1) & (taken[:, -1] == numbers + 1) & (again == numbers + 1)
+        whole &= (taken[:, 1:TIMES] >= 0).all(axis=1)  # a file has no negative times
         self.lost += int((~whole).sum())
         self.next = last
         taken = taken[whole]
@@ -211,14 +223,18 @@ class RingReader:
 
     def last(self, seconds: float) -> Rows:
         """Every whole row of the last seconds before the newest one [s of the monotonic clock]."""
+        rows = self.everything()
+        if not len(rows):
+            return rows
+        return rows.where(rows.times[:, 1] >= rows.times[-1, 1] - round(seconds * 1e9))
+
+    def everything(self) -> Rows:
+        """Every whole row that is there, taken before or not."""
         at, lost = self.next, self.lost
         self.next = max(0, self.written - self.rows + 1)
         rows = self.take(self.rows)
         self.next, self.lost = at, lost
-        if not len(rows):
-            return rows
-        since = rows.times[:, 1] >= rows.times[-1, 1] - round(seconds * 1e9)
-        return Rows(rows.times[since], rows.values[since])
+        return rows
 
     def close(self) -> None:
         if self._lock >= 0:

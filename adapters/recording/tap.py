@@ -18,6 +18,7 @@ import numpy as np
 from adapters import outside
 from adapters.device import Device
 from adapters.live_view import STATE
+from adapters.recording.parts import parts, save_rest
 from adapters.recording.recorder import GOODBYE, READY, Written
 from adapters.recording.recording_file import save_flight
 from adapters.recording.rescue import set_aside
@@ -102,6 +103,7 @@ class Tap:
         width = self._now.size
         self._signals, self._states = self._line[:width], self._line[width : width + len(states)]
         self._counts = self._line[width + len(states) :]
+        self._directory = wanted.directory.absolute()
         self._missing: list[str] = []
         if wanted.everything:
             set_aside(wanted.directory, head.can, wanted.can_format)
@@ -162,6 +164,14 @@ class Tap:
         self._ring.close()
         return {**asdict(written), "missing": [*self._missing, *written.missing]}
 
+    def _add_rest(self, reader: RingReader, written: Written) -> None:
+        try:
+            save_rest(reader, "the loop, without its recorder")
+            if reader.head.records and self._directory.is_dir():
+                written.recording = [str(path) for path in parts(self._directory)]
+        except (OSError, CosimError) as error:
+            written.missing.append(f"what the ring had of the recording's end is not written: {error}")
+
     def _written(self) -> Written:
         """By the recorder; what it has not done is done here."""
         said = b""
@@ -182,7 +192,9 @@ class Tap:
         try:
             with closing(RingReader(self._ring.path)) as reader:
                 flight = save_flight(reader, "the loop, without its recorder")
-            written.flight = None if flight is None else str(flight)
+                written.flight = None if flight is None else str(flight)
+                if self._recorder is None or self._recorder.poll() is not None:
+                    self._add_rest(reader, written)
         except CosimError as error:
             written.missing.append(f"the flight recording is missing: {error}; `freeflyer recover {self._ring.path}` saves it")
             return written

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from flights import flight_of
 from processes import PATIENT_LOOP, Rig, events, rig
 
 from adapters.arm.frames import ArmFrames, FrameMapping
@@ -36,8 +37,10 @@ def test_controllers_that_are_stopped_find_the_arm_safe_when_they_go_on(bench: R
     loop.send(signal.SIGCONT)
     assert loop.finish() == 3
     # Which of the two it notices first is a matter of whose frame it reads first.
-    assert re.search("the arm went to safe_stop by itself|cycles in a row were lost|s old, its limit", loop.text), loop.text
+    reason = "the arm went to safe_stop by itself|cycles in a row were lost|s old, its limit"
+    assert re.search(reason, loop.text), loop.text
     assert "all devices were brought to rest" in " ".join(loop.said)
+    flight_of(bench.folder / "hil", reason, gap=2.0)
 
 
 def test_an_overrun_of_the_controllers_is_stopped_by_the_arms_watchdog(bench: Rig) -> None:
@@ -50,6 +53,7 @@ def test_an_overrun_of_the_controllers_is_stopped_by_the_arms_watchdog(bench: Ri
     facility.wait_for(WATCHDOG)
     assert loop.finish() == 3
     assert "the arm went to safe_stop by itself" in loop.text
+    flight_of(bench.folder / "hil", "the arm went to safe_stop by itself; ")
 
 
 def test_a_facility_that_is_stopped_stops_the_controllers_and_brakes_when_it_goes_on(bench: Rig) -> None:
@@ -58,7 +62,9 @@ def test_a_facility_that_is_stopped_stops_the_controllers_and_brakes_when_it_goe
     facility.wait_for("inactive -> active: commanded")
     facility.send(signal.SIGSTOP)
     assert loop.finish() == 3
-    assert re.search(r"arm_drive: .*(20 cycles in a row were lost|state frame is 0.0\d+ s old)", loop.text)
+    reason = r"arm_drive: .*(20 cycles in a row were lost|state frame is 0.0\d+ s old)"
+    assert re.search(reason, loop.text)
+    flight_of(bench.folder / "hil", reason)
     assert "arm_drive had not confirmed to be at rest" in " ".join(loop.said)
     facility.send(signal.SIGCONT)
     facility.wait_for("arm_drive, cycle")
@@ -93,6 +99,7 @@ def test_loss_and_corruption_over_real_sockets_are_never_used(tmp_path: Path) ->
             bus.shutdown()
         assert loop.finish() == 3
         assert "the arm went to safe_stop by itself" in loop.text
+        flight_of(bench.folder / "hil", "the arm went to safe_stop by itself")
         assert whole.rejected["wrong CRC"] > 0
         report = bench.facility_report(facility)
         assert any(WATCHDOG in event for event in events(report, "arm_drive"))

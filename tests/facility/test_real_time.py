@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from flights import WITHIN, flight_of
 from processes import BASE_ALONE, PATIENT_FACILITY, PATIENT_LOOP, Rig, events, rig
 
 from adapters import hil
@@ -93,6 +94,7 @@ def test_the_arm_is_safe_within_five_cycles_of_its_controllers_death_and_the_bas
     frames = ArmFrames(FrameMapping(), 6)
     bus = open_bus("local", bench.channel, True, [frames.state], {})
     receiver = Receiver(frames.state)
+    flight = bench.folder / "hil" / "flight_recording.mcap"
     states: list[dict[str, list[float]]] = []
     try:
         for _ in range(5):  # a shared machine may hold the loop up before it is killed
@@ -101,6 +103,8 @@ def test_the_arm_is_safe_within_five_cycles_of_its_controllers_death_and_the_bas
             time.sleep(0.3)
             while bus.recv(0.0) is not None:
                 receiver.forget()
+            flight.unlink(missing_ok=True)
+            killed = time.time()
             loop.send(signal.SIGKILL)
             line = facility.wait_for("arm_drive, cycle")
             end = time.monotonic() + 2.0
@@ -128,6 +132,9 @@ def test_the_arm_is_safe_within_five_cycles_of_its_controllers_death_and_the_bas
     facility.wait_for("it holds its place")
     report = bench.facility_report(facility)
     assert any("no set point" in event for event in events(report, "base_robot"))
+    assert flight.stat().st_mtime - killed < WITHIN
+    rows = flight_of(flight.parent, "^the controllers' process ended without a word$")
+    assert 0.0 <= killed - rows["wall_ns"].iloc[-1] * 1e-9 < 0.2
 
 
 def test_the_controller_stops_in_order_when_the_facility_dies(bench: Rig) -> None:
@@ -142,6 +149,7 @@ def test_the_controller_stops_in_order_when_the_facility_dies(bench: Rig) -> Non
     assert "arm_drive had not confirmed to be at rest, and is left to its own watchdog" in " ".join(loop.said)
     assert bench.summary()["failed"] is True
     assert bench.record().shape[0] >= 1
+    flight_of(bench.folder / "hil", r"arm_drive: .*(20 cycles in a row were lost|state frame is 0.0\d+ s old)")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -153,6 +161,7 @@ def test_ctrl_c_on_the_controller_is_an_orderly_stop(bench: Rig, number: signal.
     loop.send(number)
     assert loop.finish() == 3
     assert "interrupted by the user; all devices were brought to rest" in loop.text
+    flight_of(bench.folder / "hil", "interrupted by the user; all devices were brought to rest")
     assert bench.summary()["interrupted"] is True
     facility.wait_for("active -> inactive: brakes commanded")
 

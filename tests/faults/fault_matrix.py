@@ -206,7 +206,11 @@ def _base_rows() -> Iterator[Row]:
 
 ROWS = (*_arm_rows(), *_base_rows())
 
-_FACILITY, _RECORDING = "tests/facility/test_process_faults.py", "tests/recording/test_recorder.py"
+_FACILITY, _RUNS, _KILLED = (
+    "tests/facility/test_process_faults.py",
+    "tests/recording/test_runs.py",
+    "tests/recording/test_killed.py",
+)
 PROCESS_ROWS = (
     ProcessRow(what="SIGKILL of the controllers", reaction="the arm's own watchdog: damped ramp-down, brakes; the base holds its place",
                within="5 cycles; base 20 ms", test="tests/facility/test_real_time.py::test_the_arm_is_safe_within_five_cycles_of_its_controllers_death_and_the_base_holds"),
@@ -220,6 +224,16 @@ PROCESS_ROWS = (
                test=f"{_FACILITY}::test_a_facility_that_is_stopped_stops_the_controllers_and_brakes_when_it_goes_on"),
     ProcessRow(what="20 % loss both ways over real sockets", reaction="the arm's own watchdog; nothing that was changed or lost is used",
                within="some 90 cycles on average", test=f"{_FACILITY}::test_loss_and_corruption_over_real_sockets_are_never_used"),
+    ProcessRow(what="the disk is full while recording", reaction="told once; the loop goes on; what was written is whole, the last 2 s are written elsewhere or stay in the ring",
+               within="its next write", test=f"{_RUNS}::test_a_full_disk_is_told_once_and_what_was_written_is_kept"),
+    ProcessRow(what="the directory of the recording vanishes", reaction="told once; the loop goes on; it is made again for the last 2 s",
+               within="its next write", test=f"{_RUNS}::test_a_vanished_directory_is_told_and_the_loop_goes_on"),
+    ProcessRow(what="SIGKILL of the recorder", reaction="the loop goes on, says so at its end, and writes the last 2 s and what the recording lacks of the last 8 s",
+               within="at the stop", test=f"{_KILLED}::test_a_killed_recorder_costs_the_end_of_the_recording_and_the_loop_writes_its_last_seconds"),
+    ProcessRow(what="SIGSTOP of the recorder", reaction="the loop goes on; up to 8 s are caught up with, beyond that rows are counted as lost",
+               within="8 s", test=f"{_RUNS}::test_a_recorder_that_is_held_up_loses_nothing_and_holds_nobody_up"),
+    ProcessRow(what="SIGKILL of controllers and recorder", reaction="as SIGKILL of the controllers; the next start, or `freeflyer recover`, saves all that was not written yet",
+               within="8 s of ring", test=f"{_KILLED}::test_with_both_killed_the_next_start_saves_the_last_seconds_and_nothing_is_lost"),
 )  # fmt: skip
 
 

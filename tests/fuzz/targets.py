@@ -10,6 +10,7 @@ from collections.abc import Mapping
 import file_targets
 import link_targets
 import record_target
+import recover_target
 import scenario_target
 from target import Target
 
@@ -24,5 +25,6 @@ TARGETS: Mapping[str, Target] = {
         file_targets.SSP_TARGET,
         file_targets.DBC_TARGET,
         record_target.RECORD,
+        recover_target.RECOVER,
     )
 }

@@ -16,6 +16,7 @@ INPUTS = {
     "ssp": 600,
     "dbc": 400,
     "record": 400,
+    "recover": 3000,
 }
 """Some tens of seconds in all: a description is checked against FMI's schema, and a DBC parsed in Python, in some milliseconds each."""
 
@@ -32,7 +33,7 @@ def test_nothing_but_values_and_documented_exceptions(name: str) -> None:
 
 
 @pytest.mark.benchmark
-@pytest.mark.parametrize("name", ["can", "cdr", "attachment", "scenario"])
+@pytest.mark.parametrize("name", ["can", "cdr", "attachment", "scenario", "recover"])
 def test_a_million_inputs(name: str) -> None:
     found = run_in_processes(name, 0, 1_000_000, 2)
     print(f"\n{found}")

@@ -16,9 +16,6 @@ from adapters.recording.recover import recover, unfinished
 from adapters.recording.rescue import rescue
 from cosim import cli
 
-MOST_LOST = 0.2
-"""[s] of the recording, where nobody has lived to finish it."""
-
 
 def moment(seed: int) -> int:
     """An instant to wait for."""
@@ -69,18 +66,25 @@ def test_a_killed_recorder_costs_the_end_of_the_recording_and_the_loop_writes_it
     assert done.path is not None
     frame = read(done.path)
     assert frame["instant"].tolist() == list(range(len(frame)))
+    # The loop has added what the ring still had, which was all: it is longer than the run.
+    assert read(tmp_path)["instant"].tolist() == list(range(2001))
     print(f"recorder killed: {(at - int(frame['wall_ns'].iloc[-1])) * 1e-9:.3f} s lost")
     assert list(runtime.rglob("*.ring")) == []
 
 
-def test_with_both_killed_the_next_start_saves_the_last_seconds_and_at_most_0_2_s_are_missing_in_the_recording(
-    tmp_path: Path, runtime: Path
+@pytest.mark.parametrize("held_up", [0.0, 3.0], ids=["at once", "the recorder held up for 3 s before"])
+def test_with_both_killed_the_next_start_saves_the_last_seconds_and_nothing_is_lost(
+    held_up: float, tmp_path: Path, runtime: Path
 ) -> None:
+    """What the recorder had not written yet is in the ring, which is memory that outlives them."""
     lost = []
-    for seed in (5, 6):
+    for seed in (5,) if held_up else (6, 7):
         out = tmp_path / str(seed)
         with loop(out, runtime) as made:
             made.wait_for_rows(moment(seed))
+            if held_up:
+                os.kill(made.recorder, signal.SIGSTOP)
+                made.wait_for_rows(moment(seed) + round(held_up * 1000))
             for pid in (made.recorder, made.process.pid):
                 os.kill(pid, signal.SIGKILL)
             made.process.wait()
@@ -92,16 +96,20 @@ def test_with_both_killed_the_next_start_saves_the_last_seconds_and_at_most_0_2_
         (flight,) = map(read, flights(out))
         assert flight["wall_ns"].iloc[-1] == stamp
         assert flight["instant"].iloc[-1] == written - 1
+        assert list(runtime.rglob("*.ring")) == []
         done = recover(out / "recording.mcap")
         assert done.end is not None
         lost.append((stamp - done.end) * 1e-9)
-        assert list(runtime.rglob("*.ring")) == []
-        frame = read(out / "recording_recovered.mcap")
-        # Nothing at all is missing in both together.
-        assert flight["instant"].iloc[0] <= len(frame)
-    print(f"both killed: {', '.join(f'{each:.3f}' for each in lost)} s lost")
-    # A machine that held the recorder up at one of the moments is not what this is about.
-    assert min(lost) <= MOST_LOST
+        frame = read(out)
+        assert frame["instant"].tolist() == list(range(written))
+        assert not frame.isna().any().any()
+        assert frame.attrs["stop"]["reason"] == "the controllers' process ended without a word"
+        instants = [one["instant"].dropna() for one in (read(done.path or ""), read(out / "recording_2.mcap"))]
+        assert sum(map(len, instants)) == written  # none is twice
+    print(
+        f"both killed: the recorder had not written the last {', '.join(f'{each:.3f}' for each in lost)} s; all were in the ring"
+    )
+    assert min(lost) >= held_up
 
 
 def test_the_command_recovers_a_directory_with_all_that_was_left(
@@ -118,6 +126,7 @@ def test_the_command_recovers_a_directory_with_all_that_was_left(
     assert cli.main(["recover", str(tmp_path)]) == 0
     said = capsys.readouterr().out
     assert "recording_recovered.mcap: kept" in said
+    assert "recording_2.mcap" in said
     assert len(flights(tmp_path)) == 1
     assert cli.main(["recover", str(tmp_path)]) == 0
 

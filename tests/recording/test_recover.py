@@ -12,12 +12,13 @@ from pathlib import Path
 
 import can
 import lz4.frame
+import numpy as np
 import pytest
 import zstandard
 from commands import said
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from loops import recording
+from loops import head, recording
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.records import Chunk
@@ -28,6 +29,7 @@ from rosbags.highlevel import AnyReader
 from adapters.recording import read
 from adapters.recording.damaged_mcap import LARGEST, UNPACKED, UNPACKED_A_BYTE, DamagedMcap, WholeMessage
 from adapters.recording.recover import recover
+from adapters.recording.ring import RingWriter
 from cosim import cli
 from cosim.errors import CosimError
 
@@ -322,6 +324,29 @@ def test_a_damaged_can_log_keeps_whole_containers_and_invents_no_frame(cut: int,
     assert numbers == sorted(set(numbers))
     for frame, number in zip(frames, numbers, strict=True):
         assert frame.timestamp == pytest.approx(1.8e9 + number * 1e-3, abs=1e-6)
+
+
+@pytest.mark.parametrize("size", [0, 1, 15])
+def test_an_object_that_claims_to_have_no_size_ends_its_stretch(size: int, folder: Path) -> None:
+    """python-can's reader would read it for ever."""
+    content = struct.pack("<4sHHLL", b"LOBJ", 16, 1, size, 100) + bytes(40)
+    container = struct.pack("<4sHHLL", b"LOBJ", 16, 1, 32 + len(content), 10) + struct.pack("<H6xL4x", 0, len(content))
+    path = folder / "endless.blf"
+    path.write_bytes(blf(folder)[:144] + container + content)
+    done = recover(path, folder / "out.blf")
+    assert done.kept == 0
+    assert "could not be understood" in done.lost
+
+
+def test_a_ring_that_claims_more_rows_than_can_be_is_refused(tmp_path: Path, runtime: Path) -> None:
+    ring = RingWriter(head(tmp_path))
+    ring.write(0, np.zeros(ring.width))
+    ring.close()
+    data = bytearray(ring.path.read_bytes())
+    data[64:72] = b"\xff" * 8
+    ring.path.write_bytes(data)
+    with pytest.raises(CosimError, match="nobody has written"):
+        recover(ring.path)
 
 
 def test_messages_are_found_by_an_independent_count() -> None:

@@ -117,7 +117,7 @@ def test_a_limit_is_in_the_last_row_and_in_the_reason(tmp_path: Path, runtime: P
 
 def test_without_a_recording_there_is_still_the_flight_recording(tmp_path: Path, runtime: Path) -> None:
     _, recording = run(tmp_path, stop=0.2, everything=False)
-    assert recording["recording"] is None
+    assert recording["recording"] == []
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["flight_recording.mcap"]
     assert list(runtime.rglob("*.ring")) == []
 
@@ -259,7 +259,7 @@ def test_where_the_directory_cannot_be_written_the_last_seconds_go_elsewhere(
     recorder = Recorder(RingReader(ring.path), said.append)
     recorder.step()
     written = recorder.finish()
-    assert written.recording is None
+    assert written.recording == []
     assert len(said) == 1
     assert written.flight is not None
     assert Path(written.flight).is_relative_to(elsewhere)

@@ -1,0 +1,30 @@
+"""What every stop must leave on disk, whatever it was: the last seconds before it, with the reason."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pandas
+
+from adapters.recording import read
+from adapters.recording.recording_file import FLIGHT_SECONDS
+
+WITHIN = 5.0
+"""Seconds after the death of the controllers, on a busy machine; a loop that ends in order writes before it ends."""
+
+
+def flight_of(out: Path, reason: str, *, by: str = "the recorder", gap: float = 0.2) -> pandas.DataFrame:
+    """The flight recording, after checking its span, reason (a regular expression) and writer. `gap`: how long the loop may have
+    stood still at the time where it begins [s].
+    """
+    frame = read(out / "flight_recording.mcap")
+    assert re.search(reason, frame.attrs["stop"]["reason"]), frame.attrs["stop"]
+    assert frame.attrs["stop"]["written by"] == by
+    span = (frame["monotonic_ns"].iloc[-1] - frame["monotonic_ns"].iloc[0]) * 1e-9
+    assert span <= FLIGHT_SECONDS
+    assert frame["instant"].iloc[0] == 0 or span >= FLIGHT_SECONDS - gap
+    first = int(frame["instant"].iloc[0])
+    assert frame["instant"].tolist() == list(range(first, first + len(frame)))
+    assert {"arm_drive: state", "arm_drive.joint_position[1]", "base_robot.base_position[1]"} <= set(frame.columns)
+    return frame
