@@ -65,6 +65,7 @@ def recover(path: Path, out: Path | None = None, progress: Progress | None = Non
     if suffix == ".ring":
         if out is not None:
             raise RecordError(f"--out {out}: a ring goes into the directory of its run")
+        _refuse_a_strangers(path)
         saved = save_ring(path)
         return _told(path, saved)
     if suffix not in SUFFIXES:
@@ -88,6 +89,15 @@ def recover(path: Path, out: Path | None = None, progress: Progress | None = Non
         write_whole(target, write)
     done = found[0]
     return Recovered(source=path, path=target, kept=done.kept, begin=done.begin, end=done.end, lost=done.lost)
+
+
+def _refuse_a_strangers(path: Path) -> None:
+    """A ring says itself where its files go: somebody else's would write where he likes."""
+    if path.absolute().parent not in (folder().absolute(), _directory_of(path)):
+        raise RecordError(
+            f"ring {path} writes into {_directory_of(path)}, and lies neither there nor among your own rings; move it into {folder()} if you "
+            f"trust it"
+        )
 
 
 def copy_whole(path: Path, file: BinaryIO, output: BinaryIO | None, progress: Progress | None = None) -> Recovered:

@@ -31,7 +31,7 @@ from adapters.recording.damaged_mcap import LARGEST, UNPACKED, UNPACKED_A_BYTE, 
 from adapters.recording.recover import recover
 from adapters.recording.ring import RingWriter
 from cosim import cli
-from cosim.errors import CosimError
+from cosim.errors import CosimError, RecordError
 
 WHOLE = recording(120)
 UNFINISHED = recording(120, finished=False)
@@ -355,3 +355,16 @@ def test_messages_are_found_by_an_independent_count() -> None:
     theirs = make_reader(BytesIO(WHOLE)).iter_messages(log_time_order=False)
     assert ours == [(c.topic, m.log_time, m.data) for _, c, m in theirs]
     assert zlib.crc32(WHOLE) == zlib.crc32(recording(120))
+
+
+def test_a_ring_from_elsewhere_does_not_write_where_it_likes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("runtime", "elsewhere", "target"):
+        (tmp_path / name).mkdir(mode=0o700)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "runtime"))
+    writer = RingWriter(head(tmp_path / "target"))
+    writer.write(0, np.zeros(writer.width))
+    writer.close()
+    strange = writer.path.rename(tmp_path / "elsewhere" / writer.path.name)
+    with pytest.raises(RecordError, match="neither there nor among your own rings"):
+        recover(strange)
+    assert not list((tmp_path / "target").iterdir())
