@@ -60,6 +60,8 @@ class LinkFaults(Generic[P]):
             # One that is shorter than a cycle acts for one.
             end = (begin or 0) + max(1.0, fault.duration_s / period)
             self._all.append(_Fault(fault, begin, end, random.Random(f"{seed}/{i}/{fault.kind}"), {}))
+        # What a sender gets wrong comes before what happens on the way: nobody protects what a cable has changed.
+        self._all.sort(key=lambda one: one.fault.kind == "flipped_bits")
         self.period, self._tamper = period, tamper
         self._queues: dict[Way, deque[tuple[int, P]]] = {"to_controller": deque(), "to_device": deque()}
         self._overtaken: dict[Way, list[P]] = {"to_controller": [], "to_device": []}

@@ -105,6 +105,21 @@ def test_another_fault_does_not_change_what_the_first_one_does() -> None:
     assert alone == both
 
 
+def test_bits_are_flipped_after_everything_that_a_sender_gets_wrong() -> None:
+    class Noting:
+        order: list[str] = []
+
+        def changed(self, fault: Fault, way: str, packet: int, memory: dict[str, Any], lot: random.Random) -> int:
+            self.order.append(fault.kind)
+            return packet
+
+    noting = Noting()
+    link: LinkFaults[int] = LinkFaults([fault("flipped_bits"), fault("stale_stamp")], 0.001, 1, noting)
+    link.begin_cycle(0)
+    link.pass_on("to_device", 1)
+    assert noting.order == ["stale_stamp", "flipped_bits"]
+
+
 def test_the_same_seed_draws_the_same_faults_and_another_one_others() -> None:
     devices = {"arm_drive": ON_CAN, "base_robot": ON_ZENOH}
     drawn = [faults.draw(faults.RandomFaults(seed=seed, count=20), devices) for seed in (1, 1, 2)]
