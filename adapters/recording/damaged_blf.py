@@ -28,6 +28,8 @@ LARGEST = 16 * 2**20
 UNPACKED, UNPACKED_A_BYTE = 4 * 2**20, 200
 WINDOW = 2**20
 TRIES = 100
+LATEST = 253_402_300_799.0
+"""The end of the year 9999 [s since 1970]."""
 
 
 def copy_frames(path: Path, file: BinaryIO, output: BinaryIO | None) -> tuple[int, int | None, int | None, str, bool]:
@@ -51,6 +53,8 @@ def copy_frames(path: Path, file: BinaryIO, output: BinaryIO | None) -> tuple[in
             frames = _frames(stretch)
             try:
                 for message in frames:
+                    if not 0.0 <= message.timestamp < LATEST:
+                        raise BlfError("a time that is no date")  # python-can could not write it
                     if writer is not None:
                         writer.on_message_received(message)
                     stamp = round(message.timestamp * 1e9)
