@@ -45,6 +45,21 @@ def test_accelerated_is_the_same_experiment_with_the_faults_of_its_file(
     assert record["time"].iloc[-1] == pytest.approx(0.51, abs=0.011)
 
 
+@pytest.mark.parametrize(
+    ("device", "sentence"), [("arm_drive", "no description frame within"), ("base_robot", "sends nothing on topic")]
+)
+def test_a_link_that_is_cut_from_the_begin_is_told_and_nothing_moves(
+    device: str, sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "cut.toml"
+    path.write_text(f'extends = "facility"\n[[facility.faults]]\ndevice = "{device}"\nkind = "cut"\n')
+    assert main(["hil", str(path), "--accelerated", "--out", str(tmp_path / "out")]) == 2
+    both = capsys.readouterr()
+    assert sentence in both.err
+    assert ".py, line" not in both.err
+    assert "active ->" not in both.out
+
+
 def test_simulated_and_accelerated_exclude_each_other(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         main(["hil", "facility", "--simulated", "--accelerated"])

@@ -152,6 +152,10 @@ def test_every_kind_is_played_by_some_device() -> None:
         ({"random_faults": []}, "a table is expected"),
         ({"random_faults": {"seed": "x"}}, "seed is 'x'; a whole number"),
         ({"random_faults": {"kinds": ["x"]}}, "kinds is"),
+        ({"random_faults": {"kinds": [["loss"]]}}, "kinds is"),
+        ({"random_faults": {"count": 100_000_000}}, "count is 100000000; a whole number from 0 to 1000 is expected"),
+        ({"faults": [{"device": "a"}]}, "kind is missing; one of loss, delay"),
+        ({"faults": [{"kind": "cut", "device": "a", "duration_s": 0.1}]}, "duration_s counts from begin_s, which is missing"),
         ({"random_faults": {"cout": 1}}, "cout is not known; did you mean 'count'?"),
     ],
 )  # fmt: skip
