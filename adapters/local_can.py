@@ -25,6 +25,8 @@ from typing import Any
 
 from can import BusABC, CanInitializationError, CanOperationError, CanProtocol, Message
 
+from adapters import private_directory
+
 FRAME = struct.Struct("=IBBBB64s")
 """can_id with its flags, len, flags, two reserved bytes, data."""
 EXTENDED, REMOTE, ERROR = 0x80000000, 0x40000000, 0x20000000
@@ -44,9 +46,8 @@ def directory(channel: str) -> Path:
         )
     root = Path(os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir()) / f"freeflyer-can-{os.getuid()}"
     for path in (root, root / channel):
-        path.mkdir(mode=0o700, exist_ok=True)
-        if path.stat().st_uid != os.getuid() or path.stat().st_mode & 0o077:
-            raise CanInitializationError(f"{path} is not private to this user; it is not used")
+        if refused := private_directory.made(path):
+            raise CanInitializationError(refused)
     return root / channel
 
 

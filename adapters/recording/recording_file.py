@@ -16,6 +16,7 @@ from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, Schema
 from mcap.writer import CompressionType, Writer
 
+from adapters import private_directory
 from adapters.recording.ring import RingReader, Rows
 from adapters.recording.run_head import RunHead
 from adapters.recording.topics import topics
@@ -158,11 +159,6 @@ def save(path: Path, write: Callable[[BinaryIO], object]) -> Path:
 
 def fallback() -> Path:
     path = Path(tempfile.gettempdir()) / f"freeflyer-recordings-{os.getuid()}"
-    try:
-        path.mkdir(mode=0o700, exist_ok=True)
-        state = path.lstat()
-    except OSError as error:
-        raise OutputError(f"{path} cannot be made: {error.strerror}") from error
-    if state.st_uid != os.getuid() or state.st_mode & 0o077 or path.is_symlink():
-        raise OutputError(f"{path} is not private to this user; it is not used")
+    if refused := private_directory.made(path):
+        raise OutputError(refused)
     return path

@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters import outside
+from adapters import outside, private_directory
 from adapters.recording.run_head import RunHead
 from cosim.component import Array
 from cosim.errors import RecordError
@@ -71,13 +71,8 @@ def folder() -> Path:
     """Where rings are: private to the user. RecordError if that cannot be had."""
     chosen = os.environ.get("XDG_RUNTIME_DIR") or ("/dev/shm" if os.access("/dev/shm", os.W_OK) else tempfile.gettempdir())
     path = Path(chosen) / f"freeflyer-rings-{os.getuid()}"
-    try:
-        path.mkdir(mode=0o700, exist_ok=True)
-        state = path.lstat()
-    except OSError as error:
-        raise RecordError(f"the directory of rings {path} cannot be made: {error.strerror}") from error
-    if state.st_uid != os.getuid() or state.st_mode & 0o077 or path.is_symlink():
-        raise RecordError(f"{path} is not private to this user; it is not used")
+    if refused := private_directory.made(path):
+        raise RecordError(f"the directory of rings {refused}")
     return path
 
 

@@ -1,0 +1,18 @@
+"""Directories that only their user may enter: for sockets, rings and files that nobody else may put there or read."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+
+def made(path: Path) -> str | None:
+    """Make it (mode 0700) unless it is there; why it must not be used, in one sentence, or None."""
+    try:
+        path.mkdir(mode=0o700, exist_ok=True)
+        state = path.lstat()
+    except OSError as error:
+        return f"{path} cannot be made: {error.strerror}"
+    if path.is_symlink() or state.st_uid != os.getuid() or state.st_mode & 0o077:
+        return f"{path} is not private to this user; it is not used"
+    return None
