@@ -11,6 +11,7 @@ from typing import Any
 import can
 import numpy as np
 import pytest
+from e2e.p05 import e2e_p05_check
 
 from adapters import hil
 from adapters.arm.frames import ArmFrames, FrameMapping, Mode
@@ -262,12 +263,13 @@ def _assert_nothing_corrupted_was_used(seen: Observed, frames: ArmFrames) -> Non
 
 
 def _assert_an_unheard_arm_stops(seen: Observed, frames: ArmFrames) -> None:
-    """An arm is active only while whole commands of its controller come that answer one of its last cycles."""
-    true = {bytes(message.data) for message in seen.commands}
-    watchdog, newest = 4, -1000
+    """An arm is active only while whole commands come that answer one of its last cycles. Whole is what has the right CRC: one that
+    a faulty sender has numbered wrongly is none the less its command.
+    """
+    watchdog, newest, data_id = 4, -1000, frames.command.data_id
     for (cycle, frames_that_came), (life, _, _) in zip(seen.delivered, seen.applied, strict=True):
         for data in frames_that_came:
-            if data in true:
+            if len(data) == frames.command.size and e2e_p05_check(data, data_id):
                 newest = max(newest, int(frames.command.unpack(data)["answered_cycle"][0]))
         # `cycle` is the number of the state frame to come; the last one was the cycle before.
         hung = any(fault.kind == "hung" and fault.device == ARM for fault in seen.faults)
