@@ -5,17 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from fmu_src.block import Block
-from fmu_src.blocks.arm_drive import arm_drive
-from fmu_src.blocks.base_controller import base_controller
-from fmu_src.blocks.base_robot import base_robot
-from fmu_src.blocks.continuous_loop import continuous_loop
-from fmu_src.blocks.free_flyer import free_flyer
-from fmu_src.blocks.hand_kinematics import hand_kinematics
-from fmu_src.blocks.linear_trajectory import linear_trajectory
-from fmu_src.blocks.manipulator_controller import manipulator_controller
-from fmu_src.blocks.reference_trajectory import reference_trajectory
-from fmu_src.blocks.satellite import satellite
 from fmu_src.robot import Robot
+
+from .blocks.arm_drive import arm_drive
+from .blocks.base_controller import base_controller
+from .blocks.base_robot import base_robot
+from .blocks.continuous_loop import continuous_loop
+from .blocks.free_flyer import free_flyer
+from .blocks.hand_kinematics import hand_kinematics
+from .blocks.linear_trajectory import linear_trajectory
+from .blocks.manipulator_controller import manipulator_controller
+from .blocks.reference_trajectory import reference_trajectory
+from .blocks.satellite import satellite
 
 BLOCKS: dict[str, Callable[[Robot], Block]] = {
     block.__name__: block
