@@ -14,22 +14,22 @@ class BuildHook(BuildHookInterface):  # type: ignore[misc]
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         if self.target_name != "wheel":
             return
-        sys.path.insert(0, self.root)
+        sys.path.insert(0, str(Path(self.root) / "fmu_src"))
         try:
-            from fmu_src.export.archive import build_all
-            from fmu_src.export.compiler import compile_core, host_platform
-            from fmu_src.shipped import BLOCKS
-            from fmu_src.urdf import load_robot_file
+            from freeflyer_fmus.export.archive import build_all
+            from freeflyer_fmus.export.compiler import compile_core, host_platform
+            from freeflyer_fmus.shipped import BLOCKS
+            from freeflyer_fmus.urdf import load_robot_file
 
             robot = load_robot_file()
-            directory = Path(self.root) / "fmu_src" / "prebuilt"
+            directory = Path(self.root) / "fmu_src" / "freeflyer_fmus" / "prebuilt"
             shutil.rmtree(directory, ignore_errors=True)  # no FMU of an earlier build stays in the wheel
-            core = Path(self.root) / "cosim" / "core"
+            core = Path(self.root) / "cosim" / "freeflyer" / "core"
             compile_core(core, core / "prebuilt" / "core.so", host_platform())
             for _ in build_all([make(robot) for make in BLOCKS.values()], directory):
                 pass
         finally:
-            sys.path.remove(self.root)
+            sys.path.remove(str(Path(self.root) / "fmu_src"))
         build_data["pure_python"] = False
         build_data["tag"] = f"py3-none-{_platform_tag()}"
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from cosim import cli
+from freeflyer import cli
 
 
 def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str]:

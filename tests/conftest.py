@@ -9,9 +9,9 @@ import pytest
 from hypothesis import HealthCheck, settings
 from robots import ROBOTS
 
-from fmu_src.prebuilt_fmus import directory
-from fmu_src.robot import Robot
-from fmu_src.urdf import load_robot_file
+from freeflyer_fmus.prebuilt_fmus import directory
+from freeflyer_fmus.robot import Robot
+from freeflyer_fmus.urdf import load_robot_file
 
 settings.register_profile(
     "default", deadline=None, derandomize=True, max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture]

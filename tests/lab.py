@@ -15,9 +15,9 @@ from typing import Any
 
 import zenoh
 
-from adapters.base.certificate_authority import HOSTS, CertificateAuthority
-from adapters.base.certificates import Identity
-from adapters.base.options import LinkOptions
+from freeflyer_adapters.base.certificate_authority import HOSTS, CertificateAuthority
+from freeflyer_adapters.base.certificates import Identity
+from freeflyer_adapters.base.options import LinkOptions
 
 NAMES = ("controller", "base_robot", "other_robot")
 

@@ -12,15 +12,15 @@ from pathlib import Path
 import pytest
 from test_speed import step_times
 
-import cosim
-from cosim import experiment, scenario
-from cosim.experiment import Engine
-from fmu_src.robot import Robot
-from fmu_src.shipped import BLOCKS
+import freeflyer
+from freeflyer import experiment, scenario
+from freeflyer.experiment import Engine
+from freeflyer_fmus.robot import Robot
+from freeflyer_fmus.shipped import BLOCKS
 
 pytestmark = pytest.mark.benchmark
 HERE = Path(__file__).parent
-CORE = Path(cosim.__path__[0]) / "core"
+CORE = Path(freeflyer.__path__[0]) / "core"
 
 
 def wall(engine: Engine, *changes: str, fmi: int = 2) -> float:

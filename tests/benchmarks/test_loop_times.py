@@ -14,14 +14,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim import experiment, real_time, scenario
+from freeflyer import experiment, real_time, scenario
 
 pytestmark = pytest.mark.benchmark
 HERE = Path(__file__).parent
 ROUNDS, COUNT = 10, 2000
 PYTHON_LOOP = f"""
 import json, sys, time
-from adapters import pacing
+from freeflyer_adapters import pacing
 pacing.enter_real_time(True)
 pacer, late = pacing.Pacer(1_000_000), [0] * {COUNT}
 with pacing.no_collection():

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adapters import hil
-from adapters.recording import read
-from adapters.recording.tap import Recording, Tap
-from cosim import scenario
+from freeflyer import scenario
+from freeflyer_adapters import hil
+from freeflyer_adapters.recording import read
+from freeflyer_adapters.recording.tap import Recording, Tap
 
 pytestmark = pytest.mark.benchmark
 SECONDS = 20.0

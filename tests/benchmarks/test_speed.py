@@ -12,12 +12,12 @@ import pytest
 from fmpy import read_model_description
 from plant_peers import BASE_VELOCITY, JOINT_VELOCITY, MuJoCo, Pinocchio
 
-from fmu_src.block import Block, Variable
-from fmu_src.export.archive import build_all
-from fmu_src.export.compiler import compiler, fmi_headers, host_platform, run
-from fmu_src.export.layout import layout
-from fmu_src.robot import Array, Robot
-from fmu_src.shipped import BLOCKS
+from freeflyer_fmus.block import Block, Variable
+from freeflyer_fmus.export.archive import build_all
+from freeflyer_fmus.export.compiler import compiler, fmi_headers, host_platform, run
+from freeflyer_fmus.export.layout import layout
+from freeflyer_fmus.robot import Array, Robot
+from freeflyer_fmus.shipped import BLOCKS
 
 pytestmark = pytest.mark.benchmark
 

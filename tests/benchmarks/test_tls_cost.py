@@ -15,10 +15,10 @@ import pytest
 import zenoh
 from lab import Lab, free_port, waited
 
-from adapters.base import access_control, rmw_zenoh, ros_messages
-from adapters.base.options import LinkOptions
-from adapters.base.ros_messages import OdometryWriter
-from adapters.base.session import open_session
+from freeflyer_adapters.base import access_control, rmw_zenoh, ros_messages
+from freeflyer_adapters.base.options import LinkOptions
+from freeflyer_adapters.base.ros_messages import OdometryWriter
+from freeflyer_adapters.base.session import open_session
 
 pytestmark = pytest.mark.benchmark
 PERIOD = 0.004

@@ -13,12 +13,12 @@ import can
 import numpy as np
 import pytest
 
-from adapters.cia402 import arm as arm_module
-from adapters.cia402.arm import Cia402Arm
-from adapters.cia402.options import options_from
-from adapters.facility import virtual_cia402
-from adapters.facility.settings import FacilitySettings
-from adapters.facility.virtual_cia402 import VirtualCia402
+from freeflyer_adapters.cia402 import arm as arm_module
+from freeflyer_adapters.cia402.arm import Cia402Arm
+from freeflyer_adapters.cia402.options import options_from
+from freeflyer_adapters.facility import virtual_cia402
+from freeflyer_adapters.facility.settings import FacilitySettings
+from freeflyer_adapters.facility.virtual_cia402 import VirtualCia402
 
 TICK = 0.001
 TICKS = 4

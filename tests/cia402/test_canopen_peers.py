@@ -17,14 +17,14 @@ import pytest
 from canopen.profiles.p402 import BaseNode402
 from pumped import TABLE
 
-from adapters.cia402 import objects
-from adapters.cia402.network import PolledNetwork
-from adapters.cia402.options import options_from
-from adapters.cia402.remote_drive import RemoteDrive
-from adapters.cia402.state_machine import DriveState
-from adapters.device import DeviceError
-from adapters.facility.settings import FacilitySettings
-from adapters.facility.virtual_cia402 import VirtualCia402
+from freeflyer_adapters.cia402 import objects
+from freeflyer_adapters.cia402.network import PolledNetwork
+from freeflyer_adapters.cia402.options import options_from
+from freeflyer_adapters.cia402.remote_drive import RemoteDrive
+from freeflyer_adapters.cia402.state_machine import DriveState
+from freeflyer_adapters.device import DeviceError
+from freeflyer_adapters.facility.settings import FacilitySettings
+from freeflyer_adapters.facility.virtual_cia402 import VirtualCia402
 
 channels = itertools.count()
 

@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from pumped import TABLE, pair
 
-from adapters.cia402 import load, objects
-from adapters.cia402.options import options_from
-from adapters.cia402.process_data import ACTUAL, SPEED, TARGET
-from adapters.cia402.scaling import Motor, Scaling
-from adapters.device import DeviceError
+from freeflyer_adapters.cia402 import load, objects
+from freeflyer_adapters.cia402.options import options_from
+from freeflyer_adapters.cia402.process_data import ACTUAL, SPEED, TARGET
+from freeflyer_adapters.cia402.scaling import Motor, Scaling
+from freeflyer_adapters.device import DeviceError
 
 MOTOR = Motor(rated_torque=0.367, encoder_resolution=4096, gear_ratio=160)
 
@@ -124,7 +124,7 @@ def test_the_cycle_that_a_refusal_names_fits_and_none_shorter_does(joints: int, 
 
 def test_a_load_that_is_too_much_is_refused_before_a_bus_is_opened(monkeypatch: pytest.MonkeyPatch) -> None:
     with pair(monkeypatch, largest_load=0.1) as bench:
-        monkeypatch.setattr("adapters.cia402.arm.open_bus", lambda *a: pytest.fail("the bus was opened"))
+        monkeypatch.setattr("freeflyer_adapters.cia402.arm.open_bus", lambda *a: pytest.fail("the bus was opened"))
         with pytest.raises(DeviceError, match="2 drives at a cycle of 4 ms"):
             bench.host.configure()
 

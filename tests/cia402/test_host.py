@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from pumped import TICKS, Pair, pair
 
-from adapters.cia402 import objects
-from adapters.cia402.state_machine import DriveState
-from adapters.device import DeviceError, LifeCycle, SafeStop
+from freeflyer_adapters.cia402 import objects
+from freeflyer_adapters.cia402.state_machine import DriveState
+from freeflyer_adapters.device import DeviceError, LifeCycle, SafeStop
 
 STATES = DriveState
 

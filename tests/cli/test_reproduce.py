@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from cosim import cli
+from freeflyer import cli
 
 ERRORS = {
     "end_effector_position_error_m",

@@ -7,7 +7,7 @@ import signal
 import time
 from pathlib import Path
 
-from cosim.component import Port, PythonComponent
+from freeflyer.component import Port, PythonComponent
 
 
 def parameter(name: str) -> Port:

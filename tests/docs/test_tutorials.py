@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from robots import ur5_path
 
-from cosim import cli
+from freeflyer import cli
 
 TEXT = (Path(__file__).parents[2] / "docs" / "own_robots_and_blocks.md").read_text(encoding="utf-8")
 

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim import experiment, scenario
-from cosim.audit import ledger, recorded_loop
-from cosim.audit.ledger import Audit, Port
-from cosim.errors import RecordError
-from cosim.record import Record
+from freeflyer import experiment, scenario
+from freeflyer.audit import ledger, recorded_loop
+from freeflyer.audit.ledger import Audit, Port
+from freeflyer.errors import RecordError
+from freeflyer.record import Record
 
 EVERY_SAMPLE = "record.every_s=0.001"
 
@@ -152,7 +152,7 @@ def test_other_exchange_is_refused() -> None:
 def test_what_a_user_puts_between_controller_and_robot_is_the_work_of_others(tmp_path: Path) -> None:
     (tmp_path / "kick.py").write_text(
         "import numpy as np\n"
-        "from cosim.component import Port, PythonComponent\n"
+        "from freeflyer.component import Port, PythonComponent\n"
         "class Kick(PythonComponent):\n"
         "    def __init__(self, name):\n"
         "        unit = ('N.m',) * 6\n"

@@ -10,8 +10,8 @@ import pyarrow.parquet as parquet
 import pytest
 from commands import said
 
-from cosim import cli, experiment, scenario
-from cosim.origin import KEY
+from freeflyer import cli, experiment, scenario
+from freeflyer.origin import KEY
 
 
 @pytest.fixture(scope="module")

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from fmpy.model_description import read_model_description
 
-from cosim import scenario
-from cosim.assemble import assembled
-from cosim.errors import CosimError
-from fmu_src.robot import Robot
-from fmu_src.shipped import BLOCKS
+from freeflyer import scenario
+from freeflyer.assemble import assembled
+from freeflyer.errors import CosimError
+from freeflyer_fmus.robot import Robot
+from freeflyer_fmus.shipped import BLOCKS
 
 VERSIONS = (2, 3)
 EVERY = [(version, name) for version in VERSIONS for name in BLOCKS]

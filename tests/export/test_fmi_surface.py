@@ -22,8 +22,8 @@ from hypothesis import strategies as st
 from instances import Instance
 from scipy.integrate import DOP853
 
-from fmu_src.robot import Array, Robot
-from fmu_src.shipped import BLOCKS
+from freeflyer_fmus.robot import Array, Robot
+from freeflyer_fmus.shipped import BLOCKS
 
 VERSIONS = (2, 3)
 EVERY = [(version, name) for version in VERSIONS for name in BLOCKS]

@@ -13,11 +13,11 @@ import pytest
 from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 
-from cosim.errors import ComponentError, StepFailed
-from cosim.fmu import FmuComponent
-from fmu_src.export.archive import build
-from fmu_src.robot import Robot
-from fmu_src.shipped import BLOCKS
+from freeflyer.errors import ComponentError, StepFailed
+from freeflyer.fmu import FmuComponent
+from freeflyer_fmus.export.archive import build
+from freeflyer_fmus.robot import Robot
+from freeflyer_fmus.shipped import BLOCKS
 
 VERSIONS = ("fmi2", "fmi3")
 EVERY = [(version, name) for version in VERSIONS for name in BLOCKS]

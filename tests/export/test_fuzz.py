@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from fmu_src.export.archive import content_token
-from fmu_src.export.c_code import print_block
-from fmu_src.export.compiler import SOURCES, fmi_headers, run
-from fmu_src.robot import Robot
-from fmu_src.shipped import BLOCKS
+from freeflyer_fmus.export.archive import content_token
+from freeflyer_fmus.export.c_code import print_block
+from freeflyer_fmus.export.compiler import SOURCES, fmi_headers, run
+from freeflyer_fmus.robot import Robot
+from freeflyer_fmus.shipped import BLOCKS
 
 FUZZ = Path(__file__).parent / "fuzz.c"
 SEQUENCES = 3000  # a block

@@ -21,14 +21,14 @@ from fmpy.build import build_platform_binary
 from fmpy.validation import validate_fmu
 from lxml import etree
 
-from cosim.fmu import FmuComponent
-from fmu_src.block import Block
-from fmu_src.export.archive import build, build_all, content_token
-from fmu_src.export.c_code import print_block
-from fmu_src.export.compiler import FLAGS, PLATFORMS, Platform, compiler, fmi_headers, host_platform, run
-from fmu_src.export.layout import layout
-from fmu_src.robot import Array, Robot
-from fmu_src.shipped import BLOCKS
+from freeflyer.fmu import FmuComponent
+from freeflyer_fmus.block import Block
+from freeflyer_fmus.export.archive import build, build_all, content_token
+from freeflyer_fmus.export.c_code import print_block
+from freeflyer_fmus.export.compiler import FLAGS, PLATFORMS, Platform, compiler, fmi_headers, host_platform, run
+from freeflyer_fmus.export.layout import layout
+from freeflyer_fmus.robot import Array, Robot
+from freeflyer_fmus.shipped import BLOCKS
 
 DRIVE = Path(__file__).parent / "drive.c"
 STEPS = 200

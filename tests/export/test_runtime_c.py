@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 from casadi import SX
 
-from fmu_src.block import Block
-from fmu_src.export.archive import content_token
-from fmu_src.export.c_code import print_block
-from fmu_src.export.compiler import SOURCES, compiler, fmi_headers, host_platform, run
-from fmu_src.export.layout import layout
-from fmu_src.robot import Robot
-from fmu_src.shipped import BLOCKS
+from freeflyer_fmus.block import Block
+from freeflyer_fmus.export.archive import content_token
+from freeflyer_fmus.export.c_code import print_block
+from freeflyer_fmus.export.compiler import SOURCES, compiler, fmi_headers, host_platform, run
+from freeflyer_fmus.export.layout import layout
+from freeflyer_fmus.robot import Robot
+from freeflyer_fmus.shipped import BLOCKS
 
 DRIVER = Path(__file__).parent / "driver.c"
 

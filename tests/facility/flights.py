@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pandas
 
-from adapters.recording import read
-from adapters.recording.recording_file import FLIGHT_SECONDS
+from freeflyer_adapters.recording import read
+from freeflyer_adapters.recording.recording_file import FLIGHT_SECONDS
 
 WITHIN = 5.0
 """Seconds after the death of the controllers, on a busy machine; a loop that ends in order writes before it ends."""

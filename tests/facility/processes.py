@@ -19,7 +19,7 @@ from typing import Any
 
 import pandas
 
-COMMAND = (sys.executable, "-m", "cosim.command")
+COMMAND = (sys.executable, "-m", "freeflyer.command")
 numbers = itertools.count()
 # What a shared machine does to two processes at 1 kHz is not what these tests are about: holes of up to a second are counted, but
 # stop nobody. The rules themselves are tested without a clock (tests/links).

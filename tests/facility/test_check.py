@@ -8,7 +8,7 @@ from pathlib import Path
 import pandas
 import pytest
 
-from cosim.cli import main
+from freeflyer.cli import main
 
 
 def test_a_check_shows_what_devices_measure_and_moves_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 from processes import PATIENT_FACILITY, PATIENT_LOOP, Rig, events, rig
 
-from adapters import hil
-from adapters.device import DeviceError
-from cosim import experiment, scenario
+from freeflyer import experiment, scenario
+from freeflyer_adapters import hil
+from freeflyer_adapters.device import DeviceError
 
 SCENARIO = "facility_cia402"
 PATIENT = (*PATIENT_LOOP, "devices.arm_drive.heartbeat_s=0.4")

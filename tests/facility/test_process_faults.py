@@ -13,8 +13,8 @@ import pytest
 from flights import flight_of
 from processes import PATIENT_LOOP, Rig, events, rig
 
-from adapters.arm.frames import ArmFrames, FrameMapping
-from adapters.arm.link import Receiver, open_bus
+from freeflyer_adapters.arm.frames import ArmFrames, FrameMapping
+from freeflyer_adapters.arm.link import Receiver, open_bus
 
 BASE_PATIENT, ARM_PATIENT = PATIENT_LOOP[2:], PATIENT_LOOP[:2]
 WATCHDOG = "active -> safe_stop: no command for 4 cycles"

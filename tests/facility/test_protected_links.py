@@ -13,8 +13,8 @@ import pytest
 from commands import said
 from processes import BASE_ALONE, PATIENT_FACILITY, PATIENT_LOOP, Process, Rig, events, free_port, rig
 
-from adapters.base.certificate_authority import HOSTS, CertificateAuthority
-from adapters.base.certificates import Identity
+from freeflyer_adapters.base.certificate_authority import HOSTS, CertificateAuthority
+from freeflyer_adapters.base.certificates import Identity
 
 
 def scenario(folder: Path, text: str) -> str:

@@ -16,16 +16,16 @@ import pytest
 from flights import WITHIN, flight_of
 from processes import BASE_ALONE, PATIENT_FACILITY, PATIENT_LOOP, Rig, events, rig
 
-from adapters import hil
-from adapters.arm.frames import ArmFrames, FrameMapping
-from adapters.arm.link import Receiver, open_bus
-from adapters.base.link import OdometryLink
-from adapters.base.options import LinkOptions
-from adapters.base.session import open_session
-from adapters.device import LifeCycle
-from adapters.local_can import directory
-from cosim import experiment, real_time, scenario
-from cosim.assemble import find_fmu
+from freeflyer import experiment, real_time, scenario
+from freeflyer.assemble import find_fmu
+from freeflyer_adapters import hil
+from freeflyer_adapters.arm.frames import ArmFrames, FrameMapping
+from freeflyer_adapters.arm.link import Receiver, open_bus
+from freeflyer_adapters.base.link import OdometryLink
+from freeflyer_adapters.base.options import LinkOptions
+from freeflyer_adapters.base.session import open_session
+from freeflyer_adapters.device import LifeCycle
+from freeflyer_adapters.local_can import directory
 
 SECONDS = 4.0
 

@@ -8,8 +8,8 @@ import can
 import cantools
 from processes import PATIENT_FACILITY, PATIENT_LOOP, rig
 
-import adapters
-from adapters.recording import read
+import freeflyer_adapters
+from freeflyer_adapters.recording import read
 
 STATE, COMMAND = 0x181, 0x101
 
@@ -25,7 +25,7 @@ def test_the_can_log_has_the_frames_that_the_recordings_numbers_came_from(tmp_pa
     out = tmp_path / "hil"
     frame = read(out / "recording.mcap")
     assert frame["instant"].tolist() == list(range(2001))
-    database = cantools.database.load_file(Path(adapters.__file__).parent / "arm" / "arm.dbc")
+    database = cantools.database.load_file(Path(freeflyer_adapters.__file__).parent / "arm" / "arm.dbc")
     state = database.get_message_by_frame_id(STATE)
     frames = list(can.BLFReader(out / "can.blf"))
     logged = set()

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from adapters import hil
-from adapters.device import DeviceError
-from adapters.live_view import LiveValues
-from adapters.simulated import SimulatedDevice
-from cosim import experiment, scenario
-from cosim.scenario import Scenario
+from freeflyer import experiment, scenario
+from freeflyer.scenario import Scenario
+from freeflyer_adapters import hil
+from freeflyer_adapters.device import DeviceError
+from freeflyer_adapters.live_view import LiveValues
+from freeflyer_adapters.simulated import SimulatedDevice
 
 
 def loaded(folder: Path, text: str = "", overrides: tuple[str, ...] = ("stop_s=0.5",)) -> Scenario:

@@ -13,25 +13,25 @@ import numpy as np
 import pytest
 from e2e.p05 import e2e_p05_check
 
-from adapters import hil
-from adapters.arm.frames import ArmFrames, FrameMapping, Mode
-from adapters.base import ros_messages
-from adapters.device import LifeCycle
-from adapters.facility.accelerated import accelerated
-from adapters.facility.faults import Fault
-from adapters.facility.virtual_arm import VirtualArm
-from adapters.facility.virtual_base import VirtualBase
-from adapters.hil import LoopReport
-from adapters.pose import distance, twist_rotated
-from cosim import scenario
-from cosim.component import Array
-from cosim.experiment import Result
-from cosim.scenario import Scenario
+from freeflyer import scenario
+from freeflyer.component import Array
+from freeflyer.experiment import Result
+from freeflyer.scenario import Scenario
+from freeflyer_adapters import hil
+from freeflyer_adapters.arm.frames import ArmFrames, FrameMapping, Mode
+from freeflyer_adapters.base import ros_messages
+from freeflyer_adapters.device import LifeCycle
+from freeflyer_adapters.facility.accelerated import accelerated
+from freeflyer_adapters.facility.faults import Fault
+from freeflyer_adapters.facility.virtual_arm import VirtualArm
+from freeflyer_adapters.facility.virtual_base import VirtualBase
+from freeflyer_adapters.hil import LoopReport
+from freeflyer_adapters.pose import distance, twist_rotated
 
 JOINTS = 6
 ARM, BASE = "arm_drive", "base_robot"
 PROGRAM_ERROR = re.compile(r"\.py, line \d+\)")
-"""How an exception that nobody expected is told (`cosim.master.told`)."""
+"""How an exception that nobody expected is told (`freeflyer.master.told`)."""
 PIECE = 0.03
 """Longer than any watchdog [s]."""
 AFTERWARDS = 0.9

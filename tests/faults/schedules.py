@@ -13,7 +13,7 @@ from collections import Counter
 
 from fault_bench import Observed, assert_safe, run, shipped, with_faults
 
-from adapters.facility.link_faults import TAMPERING
+from freeflyer_adapters.facility.link_faults import TAMPERING
 
 WITHIN = 0.2
 """[s] of the loop; then it ends by itself."""

@@ -9,9 +9,9 @@ import pytest
 from fault_bench import ARM, Observed, assert_safe, run, shipped, with_faults
 from fault_matrix import BEGIN, PROCESS_ROWS, ROWS, Row, stated
 
-from adapters.arm.frames import Mode
-from adapters.device import LifeCycle
-from adapters.facility.arm_logic import ArmLogic, Command
+from freeflyer_adapters.arm.frames import Mode
+from freeflyer_adapters.device import LifeCycle
+from freeflyer_adapters.facility.arm_logic import ArmLogic, Command
 
 
 def observed(row: Row) -> Observed:

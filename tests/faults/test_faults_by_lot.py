@@ -12,7 +12,7 @@ import pytest
 from fault_bench import JOINTS, Observed
 from schedules import ending, schedule
 
-from adapters.arm.frames import ArmFrames, FrameMapping
+from freeflyer_adapters.arm.frames import ArmFrames, FrameMapping
 
 SEEDS = 100
 MANY = 10_000

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import pytest
 
-from adapters import hil
-from adapters.cia402.state_machine import DriveState
-from adapters.facility.accelerated import accelerated
-from adapters.facility.virtual_cia402 import VirtualCia402
-from cosim import scenario
+from freeflyer import scenario
+from freeflyer_adapters import hil
+from freeflyer_adapters.cia402.state_machine import DriveState
+from freeflyer_adapters.facility.accelerated import accelerated
+from freeflyer_adapters.facility.virtual_cia402 import VirtualCia402
 
 BEGIN = 0.1
 

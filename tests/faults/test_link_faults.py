@@ -10,14 +10,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adapters.base.sealed_odometry import checksum, is_intact, is_sealable, sealed
-from adapters.device import DeviceError
-from adapters.facility import faults, settings
-from adapters.facility.can_faults import FAULT_KINDS as ON_CAN
-from adapters.facility.faults import KINDS, Fault
-from adapters.facility.link_faults import LinkFaults
-from adapters.facility.zenoh_faults import FAULT_KINDS as ON_ZENOH
-from cosim import scenario
+from freeflyer import scenario
+from freeflyer_adapters.base.sealed_odometry import checksum, is_intact, is_sealable, sealed
+from freeflyer_adapters.device import DeviceError
+from freeflyer_adapters.facility import faults, settings
+from freeflyer_adapters.facility.can_faults import FAULT_KINDS as ON_CAN
+from freeflyer_adapters.facility.faults import KINDS, Fault
+from freeflyer_adapters.facility.link_faults import LinkFaults
+from freeflyer_adapters.facility.zenoh_faults import FAULT_KINDS as ON_ZENOH
 
 
 class Negating:

@@ -18,11 +18,11 @@ import pyarrow.parquet as parquet
 import toml_mutation
 from target import Target
 
-from cosim import experiment, scenario
-from cosim.audit import ledger, recorded_loop
-from cosim.audit.command import read
-from cosim.errors import CosimError
-from cosim.origin import KEY
+from freeflyer import experiment, scenario
+from freeflyer.audit import ledger, recorded_loop
+from freeflyer.audit.command import read
+from freeflyer.errors import CosimError
+from freeflyer.origin import KEY
 
 
 @cache

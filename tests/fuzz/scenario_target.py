@@ -16,12 +16,12 @@ import mutation
 import toml_mutation
 from target import Target
 
-from adapters.arm import options as arm_options
-from adapters.base import options as link_options
-from adapters.facility import settings as facility_settings
-from cosim import scenario
-from cosim.errors import CosimError
-from cosim.graph import Connection
+from freeflyer import scenario
+from freeflyer.errors import CosimError
+from freeflyer.graph import Connection
+from freeflyer_adapters.arm import options as arm_options
+from freeflyer_adapters.base import options as link_options
+from freeflyer_adapters.facility import settings as facility_settings
 
 SEEDS = [path.read_bytes() for path in sorted(scenario.SHIPPED.glob("*.toml"))]
 TABLES = [tomllib.loads(seed.decode()) for seed in SEEDS]

@@ -15,9 +15,9 @@ import pytest
 from commands import said
 from file_targets import SMALL_2, SSD
 
-from cosim import archive, unpacked
-from cosim.errors import ComponentError
-from cosim.fmu_description import DESCRIPTION, describe, ports_in
+from freeflyer import archive, unpacked
+from freeflyer.errors import ComponentError
+from freeflyer.fmu_description import DESCRIPTION, describe, ports_in
 
 Make = Callable[[zipfile.ZipFile], None]
 PREFIX, SUFFIX = SMALL_2.split(b"\n", 1)

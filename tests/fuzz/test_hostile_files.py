@@ -12,11 +12,11 @@ import pytest
 from commands import said
 from link_targets import OWN_DBC, OWN_MAPPING
 
-from adapters.arm.frames import ArmFrames, FrameMapping
-from adapters.arm.signals import load
-from adapters.device import DeviceError
-from cosim import bounded_file, cli, record, toml_file
-from cosim.units import factor
+from freeflyer import bounded_file, cli, record, toml_file
+from freeflyer.units import factor
+from freeflyer_adapters.arm.frames import ArmFrames, FrameMapping
+from freeflyer_adapters.arm.signals import load
+from freeflyer_adapters.device import DeviceError
 
 TOMLS = {
     "an array within an array, and so on": ("x = " + "[" * 20_000, "nested deeper than 40"),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cosim.fmu import FmuComponent
+from freeflyer.fmu import FmuComponent
 
 STEP = 1e-3
 

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from robots import ROBOTS
 from scipy.integrate import solve_ivp
 
-from fmu_src.blocks.continuous_loop import continuous_loop
-from fmu_src.equations import task_space, tracking_control, trajectory
-from fmu_src.equations.mechanism import State, constant_mechanism
-from fmu_src.robot import Robot
-from fmu_src.urdf import load_robot_file
+from freeflyer_fmus.blocks.continuous_loop import continuous_loop
+from freeflyer_fmus.equations import task_space, tracking_control, trajectory
+from freeflyer_fmus.equations.mechanism import State, constant_mechanism
+from freeflyer_fmus.robot import Robot
+from freeflyer_fmus.urdf import load_robot_file
 
 SX = ca.SX
 

@@ -14,11 +14,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from robots import DATA, ROBOTS, ur5_path
 
-from fmu_src.equations import dynamics, kinematics, rotation, task_space
-from fmu_src.equations.mechanism import State, constant_mechanism
-from fmu_src.oracle import disagreement
-from fmu_src.robot import Robot
-from fmu_src.urdf import ROBOTS as SHIPPED_ROBOTS
+from freeflyer_fmus.equations import dynamics, kinematics, rotation, task_space
+from freeflyer_fmus.equations.mechanism import State, constant_mechanism
+from freeflyer_fmus.oracle import disagreement
+from freeflyer_fmus.robot import Robot
+from freeflyer_fmus.urdf import ROBOTS as SHIPPED_ROBOTS
 
 SX = ca.SX
 TOLERANCE = 1e-11

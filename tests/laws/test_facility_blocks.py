@@ -9,15 +9,15 @@ import pytest
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from cosim import experiment, scenario
-from fmu_src.blocks.facility_parameters import gravity_model
-from fmu_src.equations import noise
-from fmu_src.equations.dynamics import arm_on_moving_base, forward_dynamics
-from fmu_src.equations.mechanism import State, constant_mechanism
-from fmu_src.oracle import pinocchio_model
-from fmu_src.robot import Robot
-from fmu_src.shipped import BLOCKS
-from fmu_src.twin import Twin
+from freeflyer import experiment, scenario
+from freeflyer_fmus.blocks.facility_parameters import gravity_model
+from freeflyer_fmus.equations import noise
+from freeflyer_fmus.equations.dynamics import arm_on_moving_base, forward_dynamics
+from freeflyer_fmus.equations.mechanism import State, constant_mechanism
+from freeflyer_fmus.oracle import pinocchio_model
+from freeflyer_fmus.robot import Robot
+from freeflyer_fmus.shipped import BLOCKS
+from freeflyer_fmus.twin import Twin
 
 SX = ca.SX
 GRAVITY = np.array([0.0, 0.0, -9.81])

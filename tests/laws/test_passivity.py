@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cosim import experiment, scenario
-from fmu_src.equations import passivity
+from freeflyer import experiment, scenario
+from freeflyer_fmus.equations import passivity
 
 SX = ca.SX
 T = 1e-3

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fmu_src.equations.sampled_control import mean_wrench, sampled_damping
+from freeflyer_fmus.equations.sampled_control import mean_wrench, sampled_damping
 
 SX = ca.SX
 _M, _K, _D, _T, _x, _v = (SX.sym(name, *shape) for name, shape in zip("MKDTxv", [(6, 6)] * 3 + [()] + [(6,)] * 2, strict=True))

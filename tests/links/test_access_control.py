@@ -16,15 +16,15 @@ from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
 from cryptography.hazmat.primitives.serialization import load_pem_private_key
 from lab import Lab, Wiretap, free_port, session_without_checks, waited
 
-from adapters.base import access_control, certificates, commanders, rmw_zenoh, ros_messages, tls_handshake
-from adapters.base.access_control import Protection
-from adapters.base.certificate_authority import HOSTS, CertificateAuthority
-from adapters.base.certificates import Identity
-from adapters.base.endpoint import Endpoint
-from adapters.base.link import OdometryLink, is_usable
-from adapters.base.options import LinkOptions
-from adapters.base.session import open_session
-from adapters.device import DeviceError
+from freeflyer_adapters.base import access_control, certificates, commanders, rmw_zenoh, ros_messages, tls_handshake
+from freeflyer_adapters.base.access_control import Protection
+from freeflyer_adapters.base.certificate_authority import HOSTS, CertificateAuthority
+from freeflyer_adapters.base.certificates import Identity
+from freeflyer_adapters.base.endpoint import Endpoint
+from freeflyer_adapters.base.link import OdometryLink, is_usable
+from freeflyer_adapters.base.options import LinkOptions
+from freeflyer_adapters.base.session import open_session
+from freeflyer_adapters.device import DeviceError
 
 UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 ENDS = {"controller": "controller", "robot": "base_robot"}

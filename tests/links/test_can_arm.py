@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from adapters.arm.can_arm import CanArm
-from adapters.arm.frames import LIMIT_ROLES, ArmFrames, FrameMapping, Mode
-from adapters.arm.link import Receiver, Sender, open_bus
-from adapters.arm.options import ArmOptions
-from adapters.device import DeviceError, LifeCycle, SafeStop
-from adapters.quality import QualityMonitor
+from freeflyer_adapters.arm.can_arm import CanArm
+from freeflyer_adapters.arm.frames import LIMIT_ROLES, ArmFrames, FrameMapping, Mode
+from freeflyer_adapters.arm.link import Receiver, Sender, open_bus
+from freeflyer_adapters.arm.options import ArmOptions
+from freeflyer_adapters.device import DeviceError, LifeCycle, SafeStop
+from freeflyer_adapters.quality import QualityMonitor
 
 N = 6
 numbers = itertools.count()

@@ -17,15 +17,15 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from lab import Lab
 
-from adapters.base import certificates
-from adapters.base import options as link_options
-from adapters.base.access_control import robots_end
-from adapters.base.certificate_authority import HOSTS, CertificateAuthority
-from adapters.base.certificates import Identity
-from adapters.base.notices import notices
-from adapters.base.session import open_session
-from adapters.device import DeviceError
-from cosim import scenario
+from freeflyer import scenario
+from freeflyer_adapters.base import certificates
+from freeflyer_adapters.base import options as link_options
+from freeflyer_adapters.base.access_control import robots_end
+from freeflyer_adapters.base.certificate_authority import HOSTS, CertificateAuthority
+from freeflyer_adapters.base.certificates import Identity
+from freeflyer_adapters.base.notices import notices
+from freeflyer_adapters.base.session import open_session
+from freeflyer_adapters.device import DeviceError
 
 
 @pytest.fixture(scope="module")

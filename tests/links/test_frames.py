@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adapters.arm.frames import SHIPPED_DBC, ArmFrames, FrameMapping
-from adapters.bus_load import bus_load, frame_time
-from adapters.device import DeviceError
+from freeflyer_adapters.arm.frames import SHIPPED_DBC, ArmFrames, FrameMapping
+from freeflyer_adapters.bus_load import bus_load, frame_time
+from freeflyer_adapters.device import DeviceError
 
 FRAMES = ArmFrames(FrameMapping(), 6)
 ROOM = {"joint_position": 8.0, "joint_velocity": 6.5, "joint_torque": 327.0}

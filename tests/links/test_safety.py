@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adapters import settings
-from adapters.device import TRANSITIONS, LifeCycle, State
-from adapters.limits import ArmLimits, BaseLimits
-from adapters.quality import QualityMonitor
-from adapters.ramp_down import AT_REST, RampDown
-from adapters.settings import Setting
+from freeflyer_adapters import settings
+from freeflyer_adapters.device import TRANSITIONS, LifeCycle, State
+from freeflyer_adapters.limits import ArmLimits, BaseLimits
+from freeflyer_adapters.quality import QualityMonitor
+from freeflyer_adapters.ramp_down import AT_REST, RampDown
+from freeflyer_adapters.settings import Setting
 
 N = 6
 ARM = {port.name: np.array(port.start) for port in settings.ports(settings.ARM, N)}

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adapters.arm.frames import Mode
-from adapters.device import LifeCycle
-from adapters.facility.arm_logic import ArmLogic, Command
-from adapters.facility.base_logic import BaseLogic
-from adapters.facility.settings import FacilitySettings
-from adapters.ramp_down import RampDown
+from freeflyer_adapters.arm.frames import Mode
+from freeflyer_adapters.device import LifeCycle
+from freeflyer_adapters.facility.arm_logic import ArmLogic, Command
+from freeflyer_adapters.facility.base_logic import BaseLogic
+from freeflyer_adapters.facility.settings import FacilitySettings
+from freeflyer_adapters.ramp_down import RampDown
 
 N = 6
 OURS, OTHER = 11, 22

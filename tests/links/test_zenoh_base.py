@@ -10,13 +10,13 @@ from threading import Event, Thread
 import numpy as np
 import pytest
 
-from adapters.base.link import OdometryLink, is_usable
-from adapters.base.options import LinkOptions
-from adapters.base.rmw_zenoh import Attachment
-from adapters.base.ros_messages import Odometry, OdometryWriter
-from adapters.base.session import open_session
-from adapters.base.zenoh_base import ZenohBase
-from adapters.device import DeviceError, LifeCycle, SafeStop
+from freeflyer_adapters.base.link import OdometryLink, is_usable
+from freeflyer_adapters.base.options import LinkOptions
+from freeflyer_adapters.base.rmw_zenoh import Attachment
+from freeflyer_adapters.base.ros_messages import Odometry, OdometryWriter
+from freeflyer_adapters.base.session import open_session
+from freeflyer_adapters.base.zenoh_base import ZenohBase
+from freeflyer_adapters.device import DeviceError, LifeCycle, SafeStop
 
 IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
 STILL = np.zeros(6)

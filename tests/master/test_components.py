@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim import experiment, scenario
-from cosim.record import Record
+from freeflyer import experiment, scenario
+from freeflyer.record import Record
 
 SHORT = 'extends = "multirate_passive"\nstop_s = 1.2\n'
 
@@ -44,7 +44,7 @@ def test_a_python_object_takes_an_fmus_place(tmp_path: Path, reference: Record) 
     start = {name: tuple(map(float, reference[f"reference_trajectory.{name}"][0])) for name in ("position", "orientation")}
     (tmp_path / "still.py").write_text(
         f"START = {start!r}\n"
-        "from cosim.component import Port, PythonComponent\n"
+        "from freeflyer.component import Port, PythonComponent\n"
         "class Still(PythonComponent):\n"
         "    def __init__(self, name):\n"
         "        def port(name, size, start, units):\n"

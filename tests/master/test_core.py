@@ -13,18 +13,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import cosim
-from cosim import experiment, graph, native, scenario, schedule
-from cosim.assemble import assembled
-from cosim.component import Port, PythonComponent
-from cosim.errors import ComponentError
-from cosim.experiment import Engine
-from cosim.graph import Connection
-from cosim.limits import Limit
-from cosim.master import Master, Outcome
+import freeflyer
+from freeflyer import experiment, graph, native, scenario, schedule
+from freeflyer.assemble import assembled
+from freeflyer.component import Port, PythonComponent
+from freeflyer.errors import ComponentError
+from freeflyer.experiment import Engine
+from freeflyer.graph import Connection
+from freeflyer.limits import Limit
+from freeflyer.master import Master, Outcome
 
 MS = 1_000_000
-CORE = Path(cosim.__path__[0]) / "core"
+CORE = Path(freeflyer.__path__[0]) / "core"
 
 
 def outcome(name: str, engine: Engine, *overrides: str, fmi: int = 2) -> Outcome:

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from cosim import scenario
-from cosim.clock import SECOND
-from cosim.errors import ScenarioError
+from freeflyer import scenario
+from freeflyer.clock import SECOND
+from freeflyer.errors import ScenarioError
 
 
 def loaded(folder: Path, text: str, *overrides: str) -> scenario.Scenario:

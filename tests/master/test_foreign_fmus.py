@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from commands import said
 
-from cosim import experiment, scenario
-from cosim.errors import ComponentError
-from cosim.experiment import Result
-from cosim.fmu_description import describe
+from freeflyer import experiment, scenario
+from freeflyer.errors import ComponentError
+from freeflyer.experiment import Result
+from freeflyer.fmu_description import describe
 
 pytest.importorskip("pythonfmu3")
 builder = pytest.importorskip("pythonfmu.builder")

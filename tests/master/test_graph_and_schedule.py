@@ -10,13 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cosim import clock, graph, schedule
-from cosim.component import Port, PythonComponent
-from cosim.errors import CosimError, GraphError, ScenarioError
-from cosim.graph import Connection
-from cosim.limits import Limit
-from cosim.master import Master
-from cosim.units import converted, factor, same
+from freeflyer import clock, graph, schedule
+from freeflyer.component import Port, PythonComponent
+from freeflyer.errors import CosimError, GraphError, ScenarioError
+from freeflyer.graph import Connection
+from freeflyer.limits import Limit
+from freeflyer.master import Master
+from freeflyer.units import converted, factor, same
 
 MS = 1_000_000
 

@@ -21,12 +21,12 @@ RECORDED = (
 
 
 def fmus(version: int) -> dict[str, Path]:
-    folder = Path(str(files("fmu_src"))) / "prebuilt" / f"fmi{version}"
+    folder = Path(str(files("freeflyer_fmus"))) / "prebuilt" / f"fmi{version}"
     return {name: folder / f"{name}.fmu" for name in COMPONENTS}
 
 
 def connections() -> list[Connection]:
-    text = (Path(str(files("cosim"))) / "scenarios" / "_free_flyer_loop.toml").read_text()
+    text = (Path(str(files("freeflyer"))) / "scenarios" / "_free_flyer_loop.toml").read_text()
     loop = tomllib.loads(text)
     found = []
     for line in (*loop["connections"], *loop["delayed"]):

@@ -15,9 +15,9 @@ import numpy as np
 from reference_loops import Rule
 from slaves import Array
 
-from cosim.assemble import assembled
-from cosim.graph import Exchange
-from cosim.scenario import load
+from freeflyer.assemble import assembled
+from freeflyer.graph import Exchange
+from freeflyer.scenario import load
 
 FOUR = len(closed_loop.COMPONENTS)
 CONTROLLERS_FIRST = closed_loop.COMPONENTS

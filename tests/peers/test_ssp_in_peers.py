@@ -15,9 +15,9 @@ import reference_loops
 from masters import FOUR, arguments, difference, own_master
 from reference_loops import Rule
 
-from cosim import assemble, experiment, scenario
-from cosim.ssp import read as ssp_read
-from cosim.ssp import write as ssp_write
+from freeflyer import assemble, experiment, scenario
+from freeflyer.ssp import read as ssp_read
+from freeflyer.ssp import write as ssp_write
 
 
 def exported(path: Path, base_step: float) -> Path:

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from simulated_period import POSTURE, QUIET, STATES, Array, starting_at
 
-from cosim import scenario
-from cosim.assemble import assembled
-from cosim.prediction import lifting
-from cosim.prediction.boundary import scan
-from cosim.prediction.set_point import SetPoint, at_set_point
-from cosim.prediction.task_coordinates import TaskCoordinates
+from freeflyer import scenario
+from freeflyer.assemble import assembled
+from freeflyer.prediction import lifting
+from freeflyer.prediction.boundary import scan
+from freeflyer.prediction.set_point import SetPoint, at_set_point
+from freeflyer.prediction.task_coordinates import TaskCoordinates
 
 NAME = "multirate_unstable"
 PERTURBATION = 1e-6

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from cosim import scenario, schedule
-from cosim.assemble import loaded
-from cosim.master import Master
+from freeflyer import scenario, schedule
+from freeflyer.assemble import loaded
+from freeflyer.master import Master
 
 Array = NDArray[np.float64]
 

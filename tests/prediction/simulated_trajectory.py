@@ -8,10 +8,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from simulated_period import QUIET, STATES, Array, starting_at
 
-from cosim import scenario
-from cosim.assemble import assembled
-from cosim.prediction.task_coordinates import TaskCoordinates
-from cosim.record import Record
+from freeflyer import scenario
+from freeflyer.assemble import assembled
+from freeflyer.prediction.task_coordinates import TaskCoordinates
+from freeflyer.record import Record
 
 OFF = QUIET[:2]
 """No passivity controllers; but the reference moves."""

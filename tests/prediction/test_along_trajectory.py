@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from simulated_trajectory import OFF, growth_rate
 
-from cosim import scenario
-from cosim.prediction.set_point import at_set_point
-from cosim.prediction.trajectory import Trajectory
+from freeflyer import scenario
+from freeflyer.prediction.set_point import at_set_point
+from freeflyer.prediction.trajectory import Trajectory
 
 NAME = "multirate_unstable"
 

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 from simulated_period import QUIET, Array, jacobian
 
-from cosim import scenario
-from cosim.prediction import lifting
-from cosim.prediction.lifting import Inputs, Instants, Law, Loop
-from cosim.prediction.set_point import at_set_point
+from freeflyer import scenario
+from freeflyer.prediction import lifting
+from freeflyer.prediction.lifting import Inputs, Instants, Law, Loop
+from freeflyer.prediction.set_point import at_set_point
 
 NAME = "multirate_unstable"
 ROUNDING = 2e-8

@@ -9,11 +9,11 @@ import pytest
 from simulated_boundary import compared, comparisons, side
 from simulated_period import QUIET
 
-from cosim import scenario
-from cosim.prediction import linearisation
-from cosim.prediction.boundary import Prediction, predict, scan
-from cosim.prediction.modes import DEGREES
-from cosim.prediction.set_point import at_set_point
+from freeflyer import scenario
+from freeflyer.prediction import linearisation
+from freeflyer.prediction.boundary import Prediction, predict, scan
+from freeflyer.prediction.modes import DEGREES
+from freeflyer.prediction.set_point import at_set_point
 
 NAME = "multirate_unstable"
 

@@ -13,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from adapters.recording.recording_file import RecordingFile
-from adapters.recording.ring import RingReader, Rows
-from adapters.recording.run_head import RunHead
-from cosim.errors import RecordError
-from cosim.record import Signal
+from freeflyer.errors import RecordError
+from freeflyer.record import Signal
+from freeflyer_adapters.recording.recording_file import RecordingFile
+from freeflyer_adapters.recording.ring import RingReader, Rows
+from freeflyer_adapters.recording.run_head import RunHead
 
 TICK = 1_000_000
 START = 1_800_000_000_000_000_000
@@ -77,7 +77,7 @@ class Loop:
     """`freeflyer hil facility --simulated`, and its recorder."""
 
     def __init__(self, out: Path, runtime: Path, *options: str, stop: float = 60.0) -> None:
-        command = [sys.executable, "-m", "cosim.command", "hil", "facility", "--simulated", "--no-view", "--out", str(out)]
+        command = [sys.executable, "-m", "freeflyer.command", "hil", "facility", "--simulated", "--no-view", "--out", str(out)]
         self.out, self.runtime = out, runtime
         self.process = subprocess.Popen(
             [*command, "--set", f"stop_s={stop}", *options],
@@ -103,7 +103,11 @@ class Loop:
     @property
     def recorder(self) -> int:
         children = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children").read_text().split()
-        found = [int(pid) for pid in children if b"adapters.recording.recorder" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+        found = [
+            int(pid)
+            for pid in children
+            if b"freeflyer_adapters.recording.recorder" in Path(f"/proc/{pid}/cmdline").read_bytes()
+        ]
         assert len(found) == 1
         return found[0]
 

@@ -11,11 +11,11 @@ from typing import Any
 import can
 import pytest
 
-from adapters.device import DeviceError
-from adapters.local_can import LocalBus
-from adapters.recording.can_log import FORMATS, CanLog
-from adapters.recording.run_head import CanChannel
-from adapters.recording.tap import can_channels
+from freeflyer_adapters.device import DeviceError
+from freeflyer_adapters.local_can import LocalBus
+from freeflyer_adapters.recording.can_log import FORMATS, CanLog
+from freeflyer_adapters.recording.run_head import CanChannel
+from freeflyer_adapters.recording.tap import can_channels
 
 FRAMES = 200
 READERS: dict[str, Callable[[Path], Any]] = {"blf": can.BLFReader, "asc": lambda path: can.ASCReader(path, base="hex")}

@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 from loops import Loop, loop, wait_until_gone
 
-from adapters.recording import read
-from adapters.recording.recover import recover, unfinished
-from adapters.recording.rescue import rescue
-from cosim import cli
+from freeflyer import cli
+from freeflyer_adapters.recording import read
+from freeflyer_adapters.recording.recover import recover, unfinished
+from freeflyer_adapters.recording.rescue import rescue
 
 
 def moment(seed: int) -> int:

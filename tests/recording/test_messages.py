@@ -15,9 +15,9 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import Rotation
 
-from adapters.recording import read
-from adapters.recording.ros_definitions import DEFINITIONS, field_names, full_text, message_name
-from adapters.recording.topics import topics
+from freeflyer_adapters.recording import read
+from freeflyer_adapters.recording.ros_definitions import DEFINITIONS, field_names, full_text, message_name
+from freeflyer_adapters.recording.topics import topics
 
 COUNT = 130
 

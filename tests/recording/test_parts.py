@@ -14,14 +14,14 @@ from loops import START, TICK, head, rows
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
-from adapters.cli import recording_told
-from adapters.recording import parts, read
-from adapters.recording.parts import PART_SECONDS, PartedRecording
-from adapters.recording.recorder import Recorder
-from adapters.recording.recording_file import STOP, RecordingFile
-from adapters.recording.recover import recover, unfinished
-from adapters.recording.rescue import rescue, set_aside
-from adapters.recording.ring import RingReader, RingWriter, Rows
+from freeflyer_adapters.cli import recording_told
+from freeflyer_adapters.recording import parts, read
+from freeflyer_adapters.recording.parts import PART_SECONDS, PartedRecording
+from freeflyer_adapters.recording.recorder import Recorder
+from freeflyer_adapters.recording.recording_file import STOP, RecordingFile
+from freeflyer_adapters.recording.recover import recover, unfinished
+from freeflyer_adapters.recording.rescue import rescue, set_aside
+from freeflyer_adapters.recording.ring import RingReader, RingWriter, Rows
 
 COUNT = 650
 A_PART = 0.2

@@ -26,12 +26,12 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 from rosbags.highlevel import AnyReader
 
-from adapters.recording import read
-from adapters.recording.damaged_mcap import LARGEST, UNPACKED, UNPACKED_A_BYTE, DamagedMcap, WholeMessage
-from adapters.recording.recover import recover
-from adapters.recording.ring import RingWriter
-from cosim import cli
-from cosim.errors import CosimError, RecordError
+from freeflyer import cli
+from freeflyer.errors import CosimError, RecordError
+from freeflyer_adapters.recording import read
+from freeflyer_adapters.recording.damaged_mcap import LARGEST, UNPACKED, UNPACKED_A_BYTE, DamagedMcap, WholeMessage
+from freeflyer_adapters.recording.recover import recover
+from freeflyer_adapters.recording.ring import RingWriter
 
 WHOLE = recording(120)
 UNFINISHED = recording(120, finished=False)

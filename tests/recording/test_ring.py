@@ -15,15 +15,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from loops import head
 
-from adapters.recording.ring import RingReader, RingWriter, is_left_behind, left_behind
-from cosim.errors import CosimError, RecordError
+from freeflyer.errors import CosimError, RecordError
+from freeflyer_adapters.recording.ring import RingReader, RingWriter, is_left_behind, left_behind
 
 FAST_WRITER = """
 import sys
 import numpy as np
 from pathlib import Path
 from loops import head
-from adapters.recording.ring import RingWriter
+from freeflyer_adapters.recording.ring import RingWriter
 ring = RingWriter(head(Path("/")), Path(sys.argv[1]))
 print(ring.path, flush=True)
 line = np.zeros(ring.width)

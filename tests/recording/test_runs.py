@@ -16,15 +16,15 @@ import pytest
 from loops import head
 from mcap.reader import make_reader
 
-from adapters import hil
-from adapters.recording import read
-from adapters.recording.recorder import Recorder
-from adapters.recording.recording_file import FLIGHT_SECONDS
-from adapters.recording.recover import recover
-from adapters.recording.ring import RingReader, RingWriter
-from adapters.recording.tap import Recording, Tap
-from cosim import scenario
-from cosim.errors import OutputError
+from freeflyer import scenario
+from freeflyer.errors import OutputError
+from freeflyer_adapters import hil
+from freeflyer_adapters.recording import read
+from freeflyer_adapters.recording.recorder import Recorder
+from freeflyer_adapters.recording.recording_file import FLIGHT_SECONDS
+from freeflyer_adapters.recording.recover import recover
+from freeflyer_adapters.recording.ring import RingReader, RingWriter
+from freeflyer_adapters.recording.tap import Recording, Tap
 
 STOP = 3.0
 EXTENDS = 'extends = "facility"\n'
@@ -183,7 +183,7 @@ def test_a_full_disk_is_told_once_and_what_was_written_is_kept(
         raise OutputError("no room")
 
     if for_all:
-        monkeypatch.setattr("adapters.recording.tap.save_flight", full)
+        monkeypatch.setattr("freeflyer_adapters.recording.tap.save_flight", full)
     with while_it_runs(monkeypatch, {50: fill}):
         result, recording = run(tmp_path, stop=1.0)
     assert result.as_expected
@@ -222,7 +222,7 @@ def test_a_recorder_that_is_held_up_loses_nothing_and_holds_nobody_up(
 def test_a_recorder_that_is_held_up_for_longer_than_the_ring_counts_what_it_missed(
     tmp_path: Path, runtime: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("adapters.recording.ring.SECONDS", 0.3)
+    monkeypatch.setattr("freeflyer_adapters.recording.ring.SECONDS", 0.3)
     with while_it_runs(monkeypatch, {200: signalled(signal.SIGSTOP), 990: signalled(signal.SIGCONT)}):
         result, recording = run(tmp_path, stop=1.0)
     assert result.as_expected

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim import experiment, scenario
+from freeflyer import experiment, scenario
 
 M, B = "manipulator_controller", "base_controller"
 
@@ -134,7 +134,7 @@ KICK = """
 from pathlib import Path
 
 import numpy as np
-from cosim.component import Port, PythonComponent
+from freeflyer.component import Port, PythonComponent
 
 
 class Kick(PythonComponent):

@@ -11,11 +11,11 @@ import pytest
 from commands import said
 from lxml import etree
 
-from cosim import archive as archives
-from cosim import assemble, cli, experiment, scenario
-from cosim.errors import CosimError
-from cosim.ssp import read as ssp_read
-from cosim.ssp import write as ssp_write
+from freeflyer import archive as archives
+from freeflyer import assemble, cli, experiment, scenario
+from freeflyer.errors import CosimError
+from freeflyer.ssp import read as ssp_read
+from freeflyer.ssp import write as ssp_write
 
 SSD = "SystemStructure.ssd"
 SCENARIOS = [name for name in scenario.shipped() if name != "continuous"]  # that one is the same loop with one FMU more

@@ -15,7 +15,7 @@ import pandas
 import psutil
 import pytest
 
-from cosim import cli
+from freeflyer import cli
 
 MARKING = Path(__file__).parents[1] / "data" / "marking.py"
 PATIENCE = 90.0
@@ -40,7 +40,7 @@ class MarkedSweep:
     def start(self) -> subprocess.Popen[str]:
         """As a command of its own, with two workers."""
         return subprocess.Popen(
-            [sys.executable, "-m", "cosim.command", "sweep", str(self.file), "--out", str(self.out), "--workers", "2"],
+            [sys.executable, "-m", "freeflyer.command", "sweep", str(self.file), "--out", str(self.out), "--workers", "2"],
             env=os.environ | {"MARKS": str(self.marks)},
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,

@@ -13,10 +13,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cosim.clock import nanoseconds
-from cosim.sweep import file as sweep_file
-from cosim.sweep.designs import Axis, Designs, Interval, Levels, Sample, Target
-from cosim.sweep.plan import Plan
+from freeflyer.clock import nanoseconds
+from freeflyer.sweep import file as sweep_file
+from freeflyer.sweep.designs import Axis, Designs, Interval, Levels, Sample, Target
+from freeflyer.sweep.plan import Plan
 
 numbers = st.floats(1e-3, 1e3)
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from marked_sweeps import MarkedSweep, until
 from schedulers import scheduler, worker
 
-from cosim.sweep import cluster, verdict
+from freeflyer.sweep import cluster, verdict
 
 P = '"base_controller.period"'
 
@@ -141,7 +141,7 @@ def test_a_directory_that_is_a_file_is_refused(capsys: pytest.CaptureFixture[str
 def test_a_scheduler_that_is_not_there(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, address: str
 ) -> None:
-    monkeypatch.setattr("cosim.sweep.cluster.ANSWER", 1.0)
+    monkeypatch.setattr("freeflyer.sweep.cluster.ANSWER", 1.0)
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))  # nobody listens
         where = address.format(port=free.getsockname()[1])
@@ -154,7 +154,7 @@ def test_a_scheduler_that_is_not_there(
 def test_a_scheduler_without_workers(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("cosim.sweep.cluster.ANSWER", 2.0)
+    monkeypatch.setattr("freeflyer.sweep.cluster.ANSWER", 2.0)
     with scheduler(tmp_path) as (address, _):
         code, _, error = MarkedSweep(tmp_path, count=2).run(capsys, "--scheduler", address)
     assert code == 2

@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 from matplotlib import colors
 from matplotlib import pyplot as plt
 
-from cosim import plots, scenario
-from cosim.component import Array
-from cosim.prediction.boundary import predict
-from cosim.sweep import boundary
-from cosim.sweep import file as sweep_file
-from cosim.sweep import map as stability_map
-from cosim.sweep.plan import Plan
+from freeflyer import plots, scenario
+from freeflyer.component import Array
+from freeflyer.prediction.boundary import predict
+from freeflyer.sweep import boundary
+from freeflyer.sweep import file as sweep_file
+from freeflyer.sweep import map as stability_map
+from freeflyer.sweep.plan import Plan
 
 UNITS = {"a.x": "s", "a.y": "1"}
 

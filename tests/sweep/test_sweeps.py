@@ -8,8 +8,8 @@ from pathlib import Path
 import pandas
 import pytest
 
-from cosim import cli
-from cosim.sweep import verdict
+from freeflyer import cli
+from freeflyer.sweep import verdict
 
 SWEEP = """
 title = "Two periods, two factors"

@@ -11,12 +11,12 @@ from pathlib import Path
 import psutil
 import pytest
 
-from cosim import assemble, parameters, scenario, unpacked
-from cosim.fmu import FmuComponent
-from cosim.sweep import file as sweep_file
-from cosim.sweep import task as sweep_task
-from cosim.sweep.cluster import connected
-from cosim.sweep.plan import Plan
+from freeflyer import assemble, parameters, scenario, unpacked
+from freeflyer.fmu import FmuComponent
+from freeflyer.sweep import file as sweep_file
+from freeflyer.sweep import task as sweep_task
+from freeflyer.sweep.cluster import connected
+from freeflyer.sweep.plan import Plan
 
 SWEEP = 'scenario = "multirate_passive"\nset = ["stop_s=0.01"]\n[grid]\n"robot.base_mass" = [150, 100.0]\n'
 
@@ -39,7 +39,7 @@ def test_workers_listen_on_the_loopback_only_and_have_one_blas_thread() -> None:
 
 
 def test_other_commands_do_not_wait_for_dask_and_statistics() -> None:
-    code = "import sys\nfrom cosim import cli\nfrom cosim.sweep import command\nassert not {'distributed', 'scipy.stats'} & set(sys.modules)"
+    code = "import sys\nfrom freeflyer import cli\nfrom freeflyer.sweep import command\nassert not {'distributed', 'scipy.stats'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)
 
 

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cosim.fmu import FmuComponent
-from fmu_src.prebuilt_fmus import directory
-from fmu_src.robot import Robot
-from fmu_src.shipped import BLOCKS
-from fmu_src.twin import Twin
-from fmu_src.urdf import load_robot_file
+from freeflyer.fmu import FmuComponent
+from freeflyer_fmus.prebuilt_fmus import directory
+from freeflyer_fmus.robot import Robot
+from freeflyer_fmus.shipped import BLOCKS
+from freeflyer_fmus.twin import Twin
+from freeflyer_fmus.urdf import load_robot_file
 
 STEP = 1e-3
 ROBOT = load_robot_file()
@@ -139,7 +139,7 @@ def test_two_instances_in_one_process_do_not_touch_each_other(fmus: Path, name: 
 def test_other_robots_go_the_whole_way(name: str, tmp_path: Path) -> None:
     from robots import ROBOTS
 
-    from fmu_src.export.archive import build
+    from freeflyer_fmus.export.archive import build
 
     robot: Robot = ROBOTS[name]()
     for block in ("free_flyer", "manipulator_controller", "base_controller", "reference_trajectory"):

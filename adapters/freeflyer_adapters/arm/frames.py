@@ -1,0 +1,291 @@
+"""The arm's frames: which signals of a DBC carry what. The shipped `arm.dbc` needs no mapping; a user's own needs the names.
+
+One `ArmFrames` serves both ends of the link: the host packs commands and unpacks states, the virtual arm does the opposite.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import IntEnum
+from pathlib import Path
+from typing import Any
+
+from freeflyer.near import did_you_mean
+from freeflyer_adapters.arm.e2e import HEADER_BYTES
+from freeflyer_adapters.arm.signals import Field, field_of, load, message_of, occupied_bits, only
+from freeflyer_adapters.device import DeviceError, LifeCycle
+
+SHIPPED_DBC = Path(__file__).parent / "arm.dbc"
+CYCLE_ROLES = ("cycle", "answered_cycle", "echoed_cycle")
+FEWEST_CYCLES = 64
+CAN_FD_SIZES = (*range(9), 12, 16, 20, 24, 32, 48, 64)
+
+
+class Mode(IntEnum):
+    """What a command frame asks of the arm."""
+
+    idle = 0
+    torque = 1
+    brake = 2
+    reset = 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Role:
+    """Something that a frame carries: one signal, or one for each joint."""
+
+    name: str
+    signal: str
+    unit: str | None = None
+    per_joint: bool = False
+    required: bool = False
+
+
+def _roles(*rows: tuple[str, str, str | None, bool, bool]) -> tuple[Role, ...]:
+    return tuple(Role(name=n, signal=s, unit=u, per_joint=j, required=r) for n, s, u, j, r in rows)
+
+
+ROLES: Mapping[str, tuple[Role, ...]] = {
+    "command": _roles(
+        ("answered_cycle", "AnsweredCycle", None, False, False),
+        ("controller", "Controller", None, False, False),
+        ("mode", "Mode", None, False, False),
+        ("joint_torque_command", "TorqueCommand{}", "N.m", True, True),
+    ),
+    "state": _roles(
+        ("cycle", "Cycle", None, False, True),
+        ("echoed_cycle", "EchoedCycle", None, False, False),
+        ("obeyed_controller", "Controller", None, False, False),
+        ("life_cycle", "LifeCycle", None, False, False),
+        ("brakes", "BrakesEngaged", None, False, False),
+        ("command_age", "CommandAge", None, False, False),
+        ("joint_position", "Position{}", "rad", True, True),
+        ("joint_velocity", "Velocity{}", "rad/s", True, True),
+        ("joint_torque", "Torque{}", "N.m", True, True),
+    ),
+    "description": _roles(
+        ("joint_count", "JointCount", None, False, True),
+        ("cycle_time", "CycleTime", "s", False, False),
+        ("joint_lower_limit", "LowerLimit{}", "rad", True, False),
+        ("joint_upper_limit", "UpperLimit{}", "rad", True, False),
+        ("joint_velocity_limit", "VelocityLimit{}", "rad/s", True, False),
+        ("joint_effort_limit", "TorqueLimit{}", "N.m", True, False),
+    ),
+}
+MESSAGES = {"command": "ArmCommand", "state": "ArmState", "description": "ArmDescription"}
+LIMIT_ROLES = ("joint_lower_limit", "joint_upper_limit", "joint_velocity_limit", "joint_effort_limit")
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameMapping:
+    """What a scenario says of its DBC. Empty tables stand for the shipped names.
+
+    `signals`: role -> signal name (`{}` stands for the joint's number, or a list of names); `data_ids`: frame -> E2E data ID, where
+    the DBC has no attribute E2eDataId; `mode_values`, `life_cycle_values`: the raw numbers of a DBC that has others.
+    """
+
+    dbc: Path = SHIPPED_DBC
+    messages: Mapping[str, str] = field(default_factory=dict)
+    signals: Mapping[str, Any] = field(default_factory=dict)
+    data_ids: Mapping[str, int] = field(default_factory=dict)
+    e2e_offset: int = 0
+    mode_values: Mapping[str, int] = field(default_factory=dict)
+    life_cycle_values: Mapping[str, int] = field(default_factory=dict)
+
+
+class Frame:
+    """One message with its roles bound to signals."""
+
+    def __init__(self, kind: str, mapping: FrameMapping, joints: int) -> None:
+        database = load(mapping.dbc)
+        self.message = message = message_of(database, mapping.messages.get(kind, MESSAGES[kind]), mapping.dbc)
+        self.subject = f"DBC {mapping.dbc}: message {message.name}"
+        self.identifier, self.extended = int(message.frame_id), bool(message.is_extended_frame)
+        self.size = int(message.length)
+        self.fields: dict[str, tuple[Field, ...]] = {}
+        for role in ROLES[kind]:
+            names = _names(role, mapping, joints, {signal.name for signal in message.signals})
+            if names:
+                self.fields[role.name] = tuple(field_of(message, name, role.unit, mapping.dbc) for name in names)
+        bound = [f.name for fields in self.fields.values() for f in fields]
+        twice = [name for name in bound if bound.count(name) > 1]
+        if twice:
+            raise DeviceError(
+                f"{self.subject}: signal {twice[0]} is mapped more than once; a signal for each joint and role is expected"
+            )
+        self.is_fd = bool(message.is_fd) or self.size > 8
+        if self.size not in CAN_FD_SIZES:
+            sizes = ", ".join(map(str, CAN_FD_SIZES))
+            raise DeviceError(f"{self.subject} is {self.size} bytes long, which no CAN FD frame is: one of {sizes} is expected")
+        attributes = message.dbc.attributes if message.dbc else {}
+        known = attributes.get("E2eDataId")
+        self.data_id: int | None = mapping.data_ids.get(kind, int(known.value) if known and known.value else None)
+        self.e2e_offset = mapping.e2e_offset
+        if self.data_id is not None:
+            _check_header(message, self.subject, set(bound), mapping.e2e_offset)
+        self.cycle_ms = float(message.cycle_time or 0)
+        self._codec = only(message, set(bound))
+        self._values: dict[str, float] = {signal.name: signal.offset for signal in self._codec.signals}
+
+    def __contains__(self, role: str) -> bool:
+        return role in self.fields
+
+    def pack(self, numbers: Mapping[str, Sequence[float]]) -> bytearray:
+        """Values in SI, by role, each brought within what its signal holds; a role that is left out keeps its last value."""
+        values = self._values
+        for role, given in numbers.items():
+            for f, value in zip(self.fields.get(role, ()), given, strict=False):
+                values[f.name] = min(max(value, f.least), f.most) / f.factor
+        return bytearray(self._codec.encode(values, strict=False))
+
+    def unpack(self, data: bytes | bytearray) -> dict[str, list[float]]:
+        """Values in SI, by role."""
+        values = self._codec.decode(bytes(data), decode_choices=False)
+        return {role: [f.factor * values[f.name] for f in fields] for role, fields in self.fields.items()}
+
+
+def _check_header(message: Any, subject: str, bound: set[str], offset: int) -> None:
+    """The three bytes of E2E profile 5 are within the frame, and nothing else is in them."""
+    if not 0 <= offset <= message.length - HEADER_BYTES:
+        raise DeviceError(
+            f"{subject} has {message.length} bytes; the E2E header of {HEADER_BYTES} bytes at e2e_offset = {offset} is not within them"
+        )
+    header = set(range(8 * offset, 8 * (offset + HEADER_BYTES)))
+    for signal in message.signals:
+        if signal.name in bound and header & occupied_bits(signal):
+            raise DeviceError(
+                f"{subject}: signal {signal.name} lies in the E2E header (bytes {offset} to {offset + HEADER_BYTES - 1}); choose another "
+                f"e2e_offset, or leave data_ids out for a frame without protection"
+            )
+
+
+def _names(role: Role, mapping: FrameMapping, joints: int, present: set[str]) -> list[str]:
+    given = mapping.signals.get(role.name)
+    shipped = mapping.dbc == SHIPPED_DBC
+    if given is None and not shipped and not role.required:
+        return []  # a user's own DBC has what its mapping says, and nothing by chance
+    pattern = role.signal if given is None else given
+    if not role.per_joint:
+        if not isinstance(pattern, str):
+            raise DeviceError(f"signals.{role.name} is {pattern!r}; the name of one signal is expected")
+        names = [pattern]
+    elif isinstance(pattern, str):
+        names = [pattern.replace("{}", str(i + 1)) for i in range(joints)]
+    else:
+        if not isinstance(pattern, list) or not all(isinstance(name, str) for name in pattern):
+            raise DeviceError(
+                f"signals.{role.name} is {pattern!r}; a pattern with {{}} for the joint's number, or a list of names, is expected"
+            )
+        names = list(pattern)
+        if len(names) != joints:
+            raise DeviceError(f"signals.{role.name} names {len(names)} signals; {joints} are expected, one for each joint")
+    missing = [name for name in names if name not in present]
+    if missing:
+        raise DeviceError(
+            f"DBC {mapping.dbc} lacks the signal {missing[0]!r} of signals.{role.name}{did_you_mean(missing[0], sorted(present))}"
+        )
+    return names
+
+
+def _check_values(title: str, numbers: Mapping[Any, int], fields: Sequence[Field] | None) -> None:
+    """Each its own number, which its signal can hold."""
+    for name, number in numbers.items():
+        if list(numbers.values()).count(number) > 1:
+            raise DeviceError(
+                f"{title}: {name.name} has the number {number}, and so has another; each its own is expected, also those not named"
+            )
+        if fields and not fields[0].least <= number <= fields[0].most:
+            raise DeviceError(
+                f"{title}: {name.name} has the number {number}, but its signal {fields[0].name} holds {fields[0].most:g} at most"
+            )
+
+
+def check_mapping(mapping: FrameMapping) -> None:
+    """Unknown names in the mapping's tables, before the DBC is read."""
+    roles = [role.name for rows in ROLES.values() for role in rows]
+    for table, known in (
+        (mapping.signals, roles),
+        (mapping.messages, list(ROLES)),
+        (mapping.data_ids, list(ROLES)),
+        (mapping.mode_values, [mode.name for mode in Mode]),
+        (mapping.life_cycle_values, [state.name for state in LifeCycle]),
+    ):
+        for key in table:
+            if key not in known:
+                raise DeviceError(f"{key!r} in the DBC's mapping is not known{did_you_mean(key, known)}")
+    for name, message in mapping.messages.items():
+        if not isinstance(message, str):
+            raise DeviceError(f"messages.{name} is {message!r}; the name of a message is expected")
+    for title, numbers, most in (
+        ("data_ids", mapping.data_ids, 0xFFFF),
+        ("mode_values", mapping.mode_values, 1 << 32),
+        ("life_cycle_values", mapping.life_cycle_values, 1 << 32),
+    ):
+        for name, number in numbers.items():
+            if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number <= most:
+                raise DeviceError(f"{title}.{name} is {number!r}; a whole number from 0 to {most} is expected")
+
+
+class ArmFrames:
+    """Command, state and (where the DBC has one) description."""
+
+    def __init__(self, mapping: FrameMapping, joints: int) -> None:
+        check_mapping(mapping)
+        self.mapping, self.joints = mapping, joints
+        self.command = Frame("command", mapping, joints)
+        self.state = Frame("state", mapping, joints)
+        self.description: Frame | None = None
+        if mapping.dbc == SHIPPED_DBC or "description" in mapping.messages:
+            self.description = Frame("description", mapping, joints)
+        numbers = [f.fields[r][0].most for f in (self.command, self.state) for r in CYCLE_ROLES if r in f]
+        self.cycles = int(min(numbers)) + 1
+        """Cycle numbers count modulo this: the narrowest field that holds one."""
+        if self.cycles < FEWEST_CYCLES:
+            raise DeviceError(
+                f"DBC {mapping.dbc}: a cycle number of {int(min(numbers)).bit_length()} bits is too narrow; {FEWEST_CYCLES} cycles must "
+                f"be told apart"
+            )
+        named = [f.fields[r][0].most for f, r in ((self.command, "controller"), (self.state, "obeyed_controller")) if r in f]
+        self.controllers = int(min(named, default=0xFFFF))
+        """How many controllers can be told apart."""
+        self._modes = {mode: int(mapping.mode_values.get(mode.name, mode)) for mode in Mode}
+        self._states = {int(mapping.life_cycle_values.get(state.name, state)): state for state in LifeCycle}
+        _check_values("mode_values", self._modes, self.command.fields.get("mode"))
+        _check_values("life_cycle_values", {s: r for r, s in self._states.items()}, self.state.fields.get("life_cycle"))
+        if len(self._states) < len(LifeCycle):
+            raise DeviceError(
+                "life_cycle_values: two states have the same number; each its own is expected, also those not named"
+            )
+        self._mode_of = {raw: mode for mode, raw in self._modes.items()}
+        self._state_of = {state: raw for raw, state in self._states.items()}
+
+    @property
+    def is_fd(self) -> bool:
+        return self.command.is_fd or self.state.is_fd
+
+    def mode_number(self, mode: Mode) -> int:
+        return self._modes[mode]
+
+    def mode(self, number: float) -> Mode | None:
+        return self._mode_of.get(int(number))
+
+    def life_cycle_number(self, state: LifeCycle) -> int:
+        return self._state_of[state]
+
+    def life_cycle(self, number: float) -> LifeCycle | None:
+        return self._states.get(int(number))
+
+    def check_ranges(self, needed: Mapping[str, Sequence[tuple[float, float]]]) -> None:
+        """Whether every signal can hold what the robot needs: role -> (least, largest) of each joint. DeviceError if not."""
+        for frame in (self.command, self.state):
+            for role, ranges in needed.items():
+                if role not in frame:
+                    continue
+                for f, (least, most) in zip(frame.fields[role], ranges, strict=True):
+                    if f.least > least + f.resolution or f.most < most - f.resolution:
+                        unit = next(r.unit for rows in ROLES.values() for r in rows if r.name == role)
+                        raise DeviceError(
+                            f"{frame.subject}: signal {f.name} holds {f.least:.6g} to {f.most:.6g} {unit}, but the robot needs {least:.6g} "
+                            f"to {most:.6g} {unit}; give the signal more bits or a coarser scale"
+                        )

@@ -1,0 +1,45 @@
+"""What a scenario's `[devices.NAME]` of kind "can_arm" may say besides `parameters`; both ends of the link read it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from freeflyer_adapters.arm.frames import FrameMapping
+from freeflyer_adapters.options import checked, known_keys
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArmOptions:
+    """`bus`: further arguments of python-can's interface, for example bit rates; `joints`: how many the robot has."""
+
+    interface: str = "local"
+    channel: str = "freeflyer"
+    bus: Mapping[str, Any] = field(default_factory=dict)
+    joints: int = 6
+    frames: FrameMapping = field(default_factory=FrameMapping)
+
+
+def options_from(name: str, raw: Mapping[str, Any], directory: Path) -> ArmOptions:
+    """The device's table as options; DeviceError for a key or value that is none."""
+    known_keys(name, raw, ("interface", "channel", "bus", "joints", "dbc", "messages", "signals", "data_ids", "e2e_offset",
+                           "mode_values", "life_cycle_values"))  # fmt: skip
+    dbc = checked(name, raw, "dbc", str, "")
+    mapping = FrameMapping(
+        **({"dbc": directory / dbc} if dbc else {}),
+        messages=checked(name, raw, "messages", dict, {}),
+        signals=checked(name, raw, "signals", dict, {}),
+        data_ids=checked(name, raw, "data_ids", dict, {}),
+        e2e_offset=checked(name, raw, "e2e_offset", int, 0),
+        mode_values=checked(name, raw, "mode_values", dict, {}),
+        life_cycle_values=checked(name, raw, "life_cycle_values", dict, {}),
+    )
+    return ArmOptions(
+        interface=checked(name, raw, "interface", str, "local"),
+        channel=str(raw.get("channel", "freeflyer")),
+        bus=checked(name, raw, "bus", dict, {}),
+        joints=checked(name, raw, "joints", int, 6),
+        frames=mapping,
+    )

@@ -1,0 +1,140 @@
+"""An authority of one's own, for the few machines of a lab: its certificate, and those that it signs. EC P-256 throughout."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+from cryptography import x509
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.hashes import SHA256
+from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, load_pem_private_key
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+from freeflyer.errors import CosimError
+from freeflyer.record import write_whole
+from freeflyer_adapters.base.certificates import AUTHORITY, Identity, general_name
+
+AUTHORITY_DAYS = 3650
+HOSTS = ("localhost", "127.0.0.1", "::1")
+"""Under which every listener can be met on its own machine."""
+EARLIER = timedelta(minutes=5)
+"""Two machines' clocks never agree."""
+
+
+class CertificateError(CosimError):
+    """A certificate that cannot be made."""
+
+
+class CertificateAuthority:
+    """The key that signs, and its certificate."""
+
+    def __init__(self, key: ec.EllipticCurvePrivateKey, certificate: x509.Certificate) -> None:
+        self.key, self.certificate = key, certificate
+
+    @classmethod
+    def new(cls, folder: Path) -> CertificateAuthority:
+        """A new one, with its files in the folder."""
+        key = ec.generate_private_key(ec.SECP256R1())
+        name = _name(f"freeflyer authority {x509.random_serial_number():x}"[:40])  # two labs' authorities have two names
+        begin = datetime.now(UTC) - EARLIER
+        builder = _builder(name, name, key.public_key(), begin, begin + timedelta(days=AUTHORITY_DAYS))
+        builder = builder.add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+        builder = builder.add_extension(_key_usage(signs_certificates=True), critical=True)
+        certificate = builder.sign(key, SHA256())
+        made = cls(key, certificate)
+        _write(Identity(folder, AUTHORITY), key, certificate)
+        return made
+
+    @classmethod
+    def read(cls, folder: Path) -> CertificateAuthority:
+        """CertificateError if it cannot sign."""
+        where = Identity(folder, AUTHORITY)
+        try:
+            certificate = x509.load_pem_x509_certificate(where.certificate.read_bytes())
+            key = load_pem_private_key(where.key.read_bytes(), password=None)
+        except FileNotFoundError as error:
+            raise CertificateError(
+                f"{error.filename} is not there, so that nothing can be signed; it lies where the authority was made"
+            ) from error
+        except OSError as error:
+            raise CertificateError(f"{error.filename} cannot be read: {error.strerror or error}") from error
+        except (ValueError, TypeError) as error:
+            raise CertificateError(f"{where.certificate} and {where.key} are no certificate and key in PEM") from error
+        if not isinstance(key, ec.EllipticCurvePrivateKey) or key.public_key() != certificate.public_key():
+            raise CertificateError(f"{where.key} is not the key of {where.certificate}; both of one authority are expected")
+        if certificate.not_valid_after_utc < datetime.now(UTC):
+            raise CertificateError(
+                f"{where.certificate} expired on {certificate.not_valid_after_utc:%Y-%m-%d}; a new folder gets a new authority"
+            )
+        return cls(key, certificate)
+
+    def issue(
+        self, identity: Identity, *, days: float, hosts: Sequence[str], may_listen: bool, begin: datetime | None = None
+    ) -> x509.Certificate:
+        """A new key and certificate, in the folder; it never outlives the authority."""
+        key = ec.generate_private_key(ec.SECP256R1())
+        begin = begin or datetime.now(UTC) - EARLIER
+        end = min(begin + EARLIER + timedelta(days=days), self.certificate.not_valid_after_utc)
+        builder = _builder(_name(identity.name), self.certificate.subject, key.public_key(), begin, end)
+        uses = [ExtendedKeyUsageOID.CLIENT_AUTH, *([ExtendedKeyUsageOID.SERVER_AUTH] if may_listen else [])]
+        builder = builder.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        builder = builder.add_extension(_key_usage(signs_certificates=False), critical=True)
+        builder = builder.add_extension(x509.ExtendedKeyUsage(uses), critical=False)
+        builder = builder.add_extension(
+            x509.AuthorityKeyIdentifier.from_issuer_public_key(self.key.public_key()), critical=False
+        )
+        if hosts:
+            builder = builder.add_extension(x509.SubjectAlternativeName([general_name(h) for h in hosts]), critical=False)
+        certificate = builder.sign(self.key, SHA256())
+        _write(identity, key, certificate)
+        return certificate
+
+
+def _name(text: str) -> x509.Name:
+    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, text)])
+
+
+def _builder(
+    subject: x509.Name, issuer: x509.Name, key: ec.EllipticCurvePublicKey, begin: datetime, end: datetime
+) -> x509.CertificateBuilder:
+    return (
+        x509.CertificateBuilder()
+        .subject_name(subject)
+        .issuer_name(issuer)
+        .public_key(key)
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(begin)
+        .not_valid_after(end)
+        .add_extension(x509.SubjectKeyIdentifier.from_public_key(key), critical=False)
+    )
+
+
+def _key_usage(*, signs_certificates: bool) -> x509.KeyUsage:
+    return x509.KeyUsage(
+        digital_signature=not signs_certificates,
+        key_cert_sign=signs_certificates,
+        crl_sign=signs_certificates,
+        content_commitment=False,
+        key_encipherment=False,
+        data_encipherment=False,
+        key_agreement=False,
+        encipher_only=False,
+        decipher_only=False,
+    )
+
+
+def _write(identity: Identity, key: ec.EllipticCurvePrivateKey, certificate: x509.Certificate) -> None:
+    pem = key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+    write_whole(identity.key, lambda partial: _write_private(partial, pem))
+    data = certificate.public_bytes(Encoding.PEM)
+    write_whole(identity.certificate, lambda partial: partial.write_bytes(data))
+
+
+def _write_private(path: Path, data: bytes) -> None:
+    """Nobody else can open the file at any moment, also not one that was left behind."""
+    path.unlink(missing_ok=True)
+    with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
+        file.write(data)

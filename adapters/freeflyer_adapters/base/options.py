@@ -1,0 +1,138 @@
+"""What a scenario's `[devices.NAME]` of kind "zenoh_base" may say besides `parameters`; both ends of the link read it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from freeflyer_adapters.base import rmw_zenoh
+from freeflyer_adapters.base.certificates import AUTHORITY, NAME
+from freeflyer_adapters.base.endpoint import Endpoint
+from freeflyer_adapters.device import DeviceError
+from freeflyer_adapters.options import checked, known_keys
+
+LONGEST_FRAME = 200
+"""Bytes of a frame's name."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinkOptions:
+    """Endpoints as Zenoh writes them. Nothing is found by multicast or gossip: who is not named here is not met.
+
+    With `certificates` both ends prove who they are, by the files of their names in that folder. Without them nothing leaves this
+    machine, unless the scenario itself says `insecure`.
+    """
+
+    connect: Sequence[str] = ("tcp/127.0.0.1:7447",)
+    listen: Sequence[str] = ("tcp/127.0.0.1:0",)
+    domain: int = 0
+    setpoint_topic: str = "base_robot/setpoint"
+    measured_topic: str = "base_robot/measured"
+    frame: str = "inertial"
+    child_frame: str = "base"
+    node: str = "freeflyer"
+    certificates: Path | None = None
+    """What `freeflyer certificates` has made: ca.pem, and a certificate and key for each name."""
+    controller: str = "controller"
+    """The name on the controllers' certificate."""
+    robot: str = "base_robot"
+    """The name on the base robot's certificate; by default the device's."""
+    commanders: Sequence[str] = ("controller",)
+    """Whom the base robot lets command; by default the controller."""
+    insecure: bool = False
+
+
+def check(options: LinkOptions, subject: str) -> None:
+    """DeviceError for an endpoint or a topic that cannot be."""
+    for key in ("connect", "listen"):
+        endpoints = getattr(options, key)
+        if isinstance(endpoints, str) or not all(isinstance(e, str) and "/" in e for e in endpoints):
+            raise DeviceError(
+                f"{subject}: {key} is {endpoints!r}; a list of endpoints such as 'tcp/127.0.0.1:7447' is expected"
+            )
+    if not options.listen:
+        raise DeviceError(f"{subject}: listen is empty, and Zenoh would listen on every interface; name an endpoint")
+    for text in (*options.connect, *options.listen):
+        _check_endpoint(Endpoint(text), options, subject)
+    if options.certificates is not None and options.insecure:
+        raise DeviceError(f"{subject}: insecure = true and certificates exclude each other; leave one of them out")
+    for key, names in (("controller", [options.controller]), ("robot", [options.robot]), ("commanders", options.commanders)):
+        for name in names:
+            if not isinstance(name, str) or not NAME.fullmatch(name) or name == AUTHORITY:
+                raise DeviceError(
+                    f"{subject}: {key} is {name!r}; the name of a certificate is expected: up to 64 letters, digits, '_', '.' and '-'"
+                )
+    if not options.commanders:
+        raise DeviceError(f"{subject}: commanders is empty, and nobody could command; the name of a certificate is expected")
+    if options.robot in options.commanders:
+        raise DeviceError(f"{subject}: {options.robot!r} is both robot and commander; a certificate for each is expected")
+    for key in ("setpoint_topic", "measured_topic"):
+        topic = getattr(options, key)
+        if not isinstance(topic, str) or not rmw_zenoh.TOPIC.fullmatch(topic):
+            raise DeviceError(f"{subject}: {key} is {topic!r}, no valid key expression of a ROS topic; 'name/name' is expected")
+    if not options.connect:
+        raise DeviceError(
+            f"{subject}: connect is empty, and nobody would be met; name the endpoint of the base robot or a router"
+        )
+    if not rmw_zenoh.NAME.fullmatch(options.node):
+        raise DeviceError(
+            f"{subject}: node is {options.node!r}; a ROS node name of letters, digits and underscores is expected"
+        )
+    for key in ("frame", "child_frame"):
+        frame = getattr(options, key)
+        if not frame or len(frame.encode()) > LONGEST_FRAME or "\0" in frame:
+            raise DeviceError(f"{subject}: {key} is {frame[:40]!r}; a frame name of 1 to {LONGEST_FRAME} bytes is expected")
+    if not isinstance(options.domain, int) or not 0 <= options.domain <= 232:
+        raise DeviceError(f"{subject}: domain is {options.domain!r}; a ROS domain from 0 to 232 is expected")
+
+
+def _check_endpoint(endpoint: Endpoint, options: LinkOptions, subject: str) -> None:
+    """Nothing crosses a machine's border without certificates, unless the scenario says so itself."""
+    where, how = (
+        f"{subject}: endpoint {endpoint.text}",
+        "make certificates with `freeflyer certificates DIR`, name them by certificates = 'DIR'",
+    )
+    if not endpoint.is_complete:
+        raise DeviceError(f"{where} is not whole; PROTOCOL/HOST:PORT is expected, such as tls/192.0.2.10:7447")
+    if endpoint.says_its_own_tls:
+        raise DeviceError(f"{where} brings TLS settings of its own, past those of the device; leave out what follows '#'")
+    if options.certificates is not None and not endpoint.is_encrypted:
+        raise DeviceError(f"{where} is not encrypted, but the device has certificates; tls/{endpoint.address} is expected")
+    if options.certificates is None and endpoint.is_encrypted:
+        raise DeviceError(f"{where} is encrypted, but no certificates are named; {how}")
+    if options.certificates is None and endpoint.is_every_interface:
+        raise DeviceError(f"{where} is every interface of this machine, which nobody may listen on without certificates; {how}")
+    if not (options.certificates or options.insecure or endpoint.is_within_this_machine):
+        raise DeviceError(
+            f"{where} leaves this machine without encryption, and whoever reaches it could command the robot; {how} "
+            f"and write tls/{endpoint.address} (or say insecure = true)"
+        )
+
+
+def options_from(name: str, raw: Mapping[str, Any], directory: Path) -> LinkOptions:
+    """The device's table as options; DeviceError for a key or value that is none. Paths are relative to the scenario's `directory`."""
+    defaults = LinkOptions()
+    known_keys(name, raw, list(LinkOptions.__dataclass_fields__))
+    folder = checked(name, raw, "certificates", str, "")
+    insecure = raw.get("insecure", defaults.insecure)
+    if not isinstance(insecure, bool):
+        raise DeviceError(f"device {name}: insecure is {insecure!r}; true or false is expected")
+    controller = checked(name, raw, "controller", str, defaults.controller)
+    options = LinkOptions(
+        connect=checked(name, raw, "connect", list, list(defaults.connect)),
+        listen=checked(name, raw, "listen", list, ["tls/127.0.0.1:0"] if folder else list(defaults.listen)),
+        certificates=directory / Path(folder).expanduser() if folder else None,
+        controller=controller,
+        robot=checked(name, raw, "robot", str, name),
+        commanders=checked(name, raw, "commanders", list, [controller]),
+        insecure=insecure,
+        domain=checked(name, raw, "domain", int, defaults.domain),
+        **{
+            key: checked(name, raw, key, str, getattr(defaults, key))
+            for key in ("setpoint_topic", "measured_topic", "frame", "child_frame", "node")
+        },
+    )
+    check(options, name)
+    return options

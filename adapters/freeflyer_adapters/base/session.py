@@ -1,0 +1,67 @@
+"""A Zenoh session that listens where it is told to and nowhere else, with certificates on both sides where the link has them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import zenoh
+
+from freeflyer_adapters import outside
+from freeflyer_adapters.base import certificates
+from freeflyer_adapters.base.access_control import Protection
+from freeflyer_adapters.base.endpoint import Endpoint
+from freeflyer_adapters.device import DeviceError
+
+
+def open_session(connect: Sequence[str], listen: Sequence[str], subject: str, protection: Protection | None = None) -> Any:
+    """A peer. DeviceError if the endpoints or the certificates cannot be used."""
+    settings: dict[str, Any] = {
+        "mode": "peer",
+        "connect/endpoints": list(connect),
+        "connect/timeout_ms": 2000,
+        "connect/exit_on_failure": False,
+        "listen/endpoints": list(listen),
+        "listen/exit_on_failure": True,
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "transport/shared_memory/enabled": False,
+    }
+    if protection is not None:
+        listeners = [Endpoint(text) for text in listen] if protection.listens_for_others else []
+        hosts = [e.host for e in listeners if not e.is_every_interface]
+        certificates.check(protection.identity, subject, hosts=hosts, listens=protection.listens_for_others)
+        settings |= _protected(protection)
+    config = zenoh.Config()
+    for key, value in settings.items():
+        try:
+            config.insert_json5(key, json.dumps(value))
+        except zenoh.ZError as error:
+            raise DeviceError(f"{subject}: Zenoh refuses {key} = {value!r}: {said(error)}") from error
+    try:
+        return outside.present().session(config)
+    except zenoh.ZError as error:
+        raise DeviceError(
+            f"{subject}: a Zenoh session (listening on {', '.join(listen)}, connecting to {', '.join(connect) or 'nobody'}) cannot be "
+            f"opened: {said(error)}"
+        ) from error
+
+
+def _protected(protection: Protection) -> Mapping[str, Any]:
+    """TLS with certificates of both sides, each checked by the other, and access by their names."""
+    who, tls = protection.identity, "transport/link/tls"
+    return {
+        f"{tls}/root_ca_certificate": str(who.authority),
+        f"{tls}/enable_mtls": True,
+        f"{tls}/verify_name_on_connect": True,
+        f"{tls}/close_link_on_expiration": True,
+        **{f"{tls}/{side}_certificate": str(who.certificate) for side in ("listen", "connect")},
+        **{f"{tls}/{side}_private_key": str(who.key) for side in ("listen", "connect")},
+        "access_control": dict(protection.access),
+    }
+
+
+def said(error: Exception) -> str:
+    """Zenoh's reason without its source lines."""
+    return " ".join(str(error).split(" at ")[0].split())[:200]

@@ -1,0 +1,137 @@
+"""Why a TLS endpoint and we do not come together: Zenoh only goes on trying, so a handshake of our own asks, in bounded time."""
+
+from __future__ import annotations
+
+import socket
+import ssl
+from contextlib import closing
+
+from cryptography import x509
+
+from freeflyer_adapters.base.certificates import Identity, common_name, hosts_of
+from freeflyer_adapters.base.endpoint import Endpoint
+
+PATIENCE = 2.0
+"""For a connection, and for each part of a handshake [s]."""
+SILENCE = 1.0
+"""A peer that has taken our certificate waits for us to speak first; one that has not says so before that [s]."""
+ANOTHER_AUTHORITY = (18, 19, 20, 21)
+NOT_YET, EXPIRED, OTHER_NAME, OTHER_ADDRESS = 9, 10, 62, 64
+"""OpenSSL's X509_V_ERR_*."""
+ALERTS = {
+    "CERTIFICATE_REQUIRED": "it demands a certificate, and was given none",
+    "UNKNOWN_CA": "it does not know the authority that signed ours",
+    "CERTIFICATE_EXPIRED": "ours has expired, by its clock",
+    "CERTIFICATE_REVOKED": "ours was revoked",
+    "BAD_CERTIFICATE": "ours cannot be used",
+    "CERTIFICATE_UNKNOWN": "ours is not accepted",
+    "UNSUPPORTED_CERTIFICATE": "ours is of a kind that is not accepted",
+    "DECRYPT_ERROR": "ours was not signed by the authority whose name it bears",
+    "ACCESS_DENIED": "ours has no access",
+}
+"""TLS alerts (RFC 8446, 6.2) by which a peer refuses a certificate."""
+
+
+def trouble(endpoint: Endpoint, identity: Identity | None, peer: str | None) -> str | None:
+    """What is wrong at an endpoint, as a clause; None if a handshake finds nothing.
+
+    `identity` None: no certificate is shown, and none is checked. `peer`: whose certificate is expected there.
+    """
+    try:
+        connection = socket.create_connection((endpoint.host, endpoint.port), PATIENCE)
+    except ConnectionRefusedError:
+        return f"nothing listens on {endpoint.text}"
+    except socket.gaierror:
+        return f"the host name {endpoint.host!r} is not known here"
+    except TimeoutError:
+        return f"{endpoint.host} does not answer within {PATIENCE:g} s"
+    except OSError as error:
+        return f"{endpoint.text} cannot be reached: {error.strerror or error}"
+    with closing(connection):
+        try:
+            with _context(identity).wrap_socket(connection, server_hostname=endpoint.host) as tls:
+                found = tls.getpeercert(binary_form=True)
+                refused = _refusal(tls, endpoint)
+        except ssl.SSLCertVerificationError as error:
+            return _not_trusted(endpoint, error)
+        except ssl.SSLError as error:
+            return _alert(endpoint, error) or f"what listens on {endpoint.text} does not speak TLS ({_reason(error)})"
+        except TimeoutError:
+            return f"what listens on {endpoint.text} does not speak TLS (plain TCP, most likely)"
+        except OSError as error:
+            return f"{endpoint.text} breaks the handshake off: {error.strerror or error}"
+    if refused or identity is None or found is None:
+        return refused
+    name = common_name(x509.load_der_x509_certificate(found))
+    if peer is not None and name != peer:
+        return f"the certificate on {endpoint.text} is that of {name!r}, but {peer!r} is expected there (`robot` of the device)"
+    return None
+
+
+def speaks_tls(endpoint: Endpoint) -> bool:
+    """Whether a handshake without any check succeeds."""
+    return (found := trouble(endpoint, None, None)) is None or "certificate" in found
+
+
+def _context(identity: Identity | None) -> ssl.SSLContext:
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    if identity is None:
+        context.check_hostname = False
+        context.verify_mode = ssl.CERT_NONE
+    else:
+        context.load_verify_locations(identity.authority)
+        context.load_cert_chain(identity.certificate, identity.key)
+    return context
+
+
+def _refusal(tls: ssl.SSLSocket, endpoint: Endpoint) -> str | None:
+    """In TLS 1.3 a server refuses a client's certificate after the client's handshake has ended."""
+    tls.settimeout(SILENCE)
+    try:
+        if tls.recv(1) == b"":
+            return f"{endpoint.text} ends the connection without a reason"
+    except ssl.SSLError as error:
+        return _alert(endpoint, error) or f"{endpoint.text} ends the connection: {_reason(error)}"
+    except TimeoutError:
+        return None
+    except OSError as error:
+        return f"{endpoint.text} ends the connection: {error.strerror or error}"
+    return None
+
+
+def _reason(error: ssl.SSLError) -> str:
+    return str(error.reason or error).replace("_", " ").lower()
+
+
+def _alert(endpoint: Endpoint, error: ssl.SSLError) -> str | None:
+    found = str(error.reason or "")
+    meaning = next((text for name, text in ALERTS.items() if found.endswith(name)), None)
+    return meaning and f"{endpoint.text} refuses our certificate: {meaning} (TLS alert: {_reason(error)})"
+
+
+def _not_trusted(endpoint: Endpoint, error: ssl.SSLCertVerificationError) -> str:
+    found = _shown(endpoint)
+    what = f"the certificate on {endpoint.text}" + (f", {common_name(found)!r}," if found else "")
+    if error.verify_code in ANOTHER_AUTHORITY:
+        return f"{what} was signed by another authority than ours: it is a stranger's, or made with another `freeflyer certificates`"
+    if error.verify_code == EXPIRED:
+        return f"{what} has expired" + (f" on {found.not_valid_after_utc:%Y-%m-%d %H:%M} UTC" if found else "")
+    if error.verify_code == NOT_YET:
+        return f"{what} is not valid yet" + (f", but from {found.not_valid_before_utc:%Y-%m-%d %H:%M} UTC" if found else "")
+    if error.verify_code in (OTHER_NAME, OTHER_ADDRESS):
+        known = f"for {', '.join(hosts_of(found)) or 'no host'}, " if found else ""
+        return f"{what} is {known}not for {endpoint.host}; `freeflyer certificates DIR --renew NAME --host {endpoint.host}` makes one"
+    return f"{what} cannot be trusted: {error.verify_message}"
+
+
+def _shown(endpoint: Endpoint) -> x509.Certificate | None:
+    """The certificate that is shown there, unchecked: only to be named."""
+    try:
+        with (
+            socket.create_connection((endpoint.host, endpoint.port), PATIENCE) as connection,
+            _context(None).wrap_socket(connection, server_hostname=endpoint.host) as tls,
+        ):
+            der = tls.getpeercert(binary_form=True)
+            return x509.load_der_x509_certificate(der) if der else None
+    except (OSError, ValueError):
+        return None

@@ -1,0 +1,387 @@
+"""The base robot on Zenoh as a device: set points out, measured pose and twist in, freshest only.
+
+It is read at the arm's rate and spoken to at its own: `cycle` is a whole number of the communication steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from freeflyer.component import Array, Port
+from freeflyer_adapters import outside
+from freeflyer_adapters import settings as all_settings
+from freeflyer_adapters.base import access_control, commanders
+from freeflyer_adapters.base import diagnosis as link_diagnosis
+from freeflyer_adapters.base.link import Counts, OdometryLink, Received, is_usable
+from freeflyer_adapters.base.options import LinkOptions
+from freeflyer_adapters.base.rmw_zenoh import NOBODY
+from freeflyer_adapters.base.session import open_session
+from freeflyer_adapters.device import DeviceError, LifeCycle, SafeStop, State
+from freeflyer_adapters.histogram import Histogram
+from freeflyer_adapters.limits import BaseLimits
+from freeflyer_adapters.pacing import Pacer
+from freeflyer_adapters.pose import distance, twist_rotated
+from freeflyer_adapters.quality import QualityMonitor
+
+PATIENCE = 1.75
+"""A cycle counts as lost when the last sample is so many cycles old; jitter below that is none."""
+DRIFT = 1e-3
+"""More than two clocks that are set now and then run apart: [s/s]."""
+TWIST = ("m/s",) * 3 + ("rad/s",) * 3
+
+
+class ZenohBase:
+    """See `freeflyer_adapters.device.Device` for the calls."""
+
+    is_clock = False
+
+    def __init__(self, name: str, options: LinkOptions) -> None:
+        self.name, self.options = name, options
+        self.state = State(name)
+        self._outside = outside.present()
+        ports = [
+            *all_settings.ports(all_settings.BASE),
+            Port(name="position_setpoint", size=3, causality="input", units=("m",) * 3),
+            Port(name="orientation_setpoint", size=4, causality="input", units=("1",) * 4, start=(0.0, 0.0, 0.0, 1.0)),
+            Port(name="velocity_setpoint", size=6, causality="input", units=TWIST),
+            Port(name="base_position", size=3, causality="output", units=("m",) * 3, sampled=True),
+            Port(name="base_orientation", size=4, causality="output", units=("1",) * 4, sampled=True),
+            Port(name="base_velocity", size=6, causality="output", units=TWIST, sampled=True),
+        ]
+        self.ports: Mapping[str, Port] = {port.name: port for port in ports}
+        self.values: Mapping[str, Array] = {port.name: np.array(port.start or (0.0,) * port.size) for port in ports}
+        self.age = Histogram()
+        """Of every sample when it is read; it tells something only where both clocks are one."""
+        self.published = 0
+        self._link: OdometryLink | None = None
+        self._session: Any = None
+        self._arrived = 0
+        self._steps = 0
+        self._sequence = 0
+        self._silent = 0
+        self._published_at = 0
+        self._quickest: int | None = None
+        self._delay = 0
+        self._sent: tuple[Array, Array] | None = None
+        self._offset = (np.zeros(3), np.zeros(3))
+
+    @property
+    def woken(self) -> int:
+        return 0
+
+    @property
+    def step(self) -> float:
+        return float(self.values["period"][0])
+
+    # Before anything moves
+
+    def configure(self) -> None:
+        v, o = self.values, self.options
+        all_settings.check(self.name, all_settings.BASE, v)
+        if not v["start_orientation"].any():
+            raise DeviceError(f"{self.name}.start_orientation is all zero; a quaternion x, y, z, w of norm one is expected")
+        cycle = float(v["cycle"][0])
+        self._ratio = round(cycle / self.step)
+        if self._ratio < 1 or abs(self._ratio * self.step - cycle) > 1e-9:
+            raise DeviceError(f"{self.name}: its cycle of {cycle:g} s is no multiple of its step of {self.step:g} s")
+        self.limits = BaseLimits(v)
+        self.monitor = QualityMonitor(
+            f"measurements of {self.name}",
+            consecutive=int(v["lost_consecutive"][0]),
+            within=int(v["lost_in_window"][0]),
+            window=round(float(v["window"][0]) / cycle),
+            cycle=cycle,
+        )
+        self._late = round(PATIENCE * cycle * 1e9)
+        self._age_limit = round(float(v["age_limit"][0]) * 1e9)
+        self._session = open_session(o.connect, o.listen, self.name, access_control.controllers_end(o))
+        self._link = OdometryLink(self._session, o, o.setpoint_topic, o.measured_topic)
+        end = self._outside.monotonic() + float(v["configure_timeout"][0])
+        while not self._take():
+            if self._outside.monotonic() > end:
+                counts = self._link.counts
+                why = f"; samples came but were refused: {counts.last_fault}" if counts.last_fault else ""
+                why = why or link_diagnosis.why_silent(self._session, o)
+                raise DeviceError(
+                    f"{self.name} sends nothing on topic {o.measured_topic} by way of {', '.join(o.connect)} within "
+                    f"{v['configure_timeout'][0]:g} s{why}"
+                )
+            self._outside.sleep(0.001)
+        if refused := commanders.refusal(self._session, o, self.name):
+            raise DeviceError(refused)
+        others = self._link.other_publishers(o.setpoint_topic)
+        if others:
+            raise DeviceError(
+                f"{self.name}: session {others[0]} commands topic {o.setpoint_topic} already; this is session {self._link.identity}: "
+                f"stop that one first"
+            )
+        self._refuse_another_controller()
+        self.state.to(LifeCycle.inactive)
+
+    def _refuse_another_controller(self) -> str | None:
+        """Whom the base obeys, where it tells; DeviceError if that is somebody else."""
+        assert self._link is not None
+        obeyed = self._link.obeyed()
+        if obeyed not in (None, NOBODY, self._link.gid):
+            raise DeviceError(
+                f"{self.name} obeys publisher {obeyed} already; this is publisher {self._link.gid}: stop that one first"
+            )
+        return obeyed
+
+    @property
+    def _start(self) -> tuple[Array, Array]:
+        return self.values["start_position"], _unit(self.values["start_orientation"])
+
+    @property
+    def _start_gap(self) -> tuple[float, float]:
+        """How far from the start the base was measured last."""
+        return distance(self.values["base_position"], self.values["base_orientation"], *self._start)
+
+    @property
+    def _is_at_start(self) -> bool:
+        return all(size <= most for size, most in zip(self._start_gap, self.values["start_tolerance"], strict=True))
+
+    def check_start(self) -> None:
+        self._newest()
+        v, gap = self.values, self._start_gap
+        if not self._is_at_start and not v["approach"][0]:
+            raise DeviceError(
+                f"{self.name} stands at {_shown(v['base_position'], v['base_orientation'])}, but the scenario starts at "
+                f"{_shown(*self._start)}: {gap[0]:.4f} m and {np.degrees(gap[1]):.3f} deg apart, {v['start_tolerance'][0]:g} m and "
+                f"{np.degrees(v['start_tolerance'][1]):.3g} deg are allowed; move it there, or set its parameter approach = true"
+            )
+
+    def stay(self) -> None:
+        """While the arm takes its time: the base's watchdog is not to take this for the end."""
+        due = self._published_at + round(float(self.values["cycle"][0]) * 1e9)
+        if self.state.now is LifeCycle.active and self._sent is not None and self._outside.monotonic_ns() >= due:
+            self._take()
+            self._publish(*self._sent, np.zeros(6))
+
+    def activate(self, meanwhile: Callable[[], bool]) -> None:
+        """The first set point is the measured pose; what lies between it and the start is taken off slowly."""
+        v, start = self.values, self._start
+        assert self._link is not None
+        self._newest()
+        self._link.watch_obedience()  # before it is asked for, so that no withdrawal is missed
+        self._be_obeyed(meanwhile)
+        if not self._is_at_start:
+            self._approach(start, meanwhile)
+        measured = Rotation.from_quat(v["base_orientation"])
+        self._offset = (
+            v["base_position"] - start[0],
+            (measured * Rotation.from_quat(start[1]).inv()).as_rotvec(),
+        )
+        self._link.counts = Counts()
+        self._publish(v["base_position"].copy(), v["base_orientation"].copy(), np.zeros(6))
+        self._sequence = 0
+        self.state.to(LifeCycle.active)
+
+    def _be_obeyed(self, meanwhile: Callable[[], bool]) -> None:
+        """Set points that are where the base is, until a base that tells whom it obeys says that it takes them."""
+        assert self._link is not None
+        v, cycle = self.values, float(self.values["cycle"][0])
+        self._publish(v["base_position"].copy(), v["base_orientation"].copy(), np.zeros(6))
+        if self._refuse_another_controller() is None:
+            return
+        end = self._outside.monotonic() + float(v["configure_timeout"][0])
+        while self._refuse_another_controller() != self._link.gid:
+            if self._outside.monotonic() > end:
+                raise DeviceError(
+                    commanders.refusal(self._session, self.options, self.name)
+                    or f"{self.name} does not take set points of {self.options.setpoint_topic}, although they are where it stands: "
+                    f"it hears no or other messages, or refuses them"
+                )
+            if meanwhile():
+                return
+            self._take()
+            self._publish(v["base_position"].copy(), v["base_orientation"].copy(), np.zeros(6))
+            self._outside.sleep(cycle)
+
+    def _approach(self, start: tuple[Array, Array], meanwhile: Callable[[], bool]) -> None:
+        """Set points from the measured pose to the start, no faster than `approach_speed`."""
+        v, cycle = self.values, float(self.values["cycle"][0])
+        first = v["base_position"].copy()
+        turn = Rotation.from_quat(start[1]) * Rotation.from_quat(v["base_orientation"]).inv()
+        begin = Rotation.from_quat(v["base_orientation"])
+        path = start[0] - first
+        duration = max(
+            float(np.linalg.norm(path)) / float(v["approach_speed"][0]), turn.magnitude() / float(v["approach_speed"][1]), cycle
+        )
+        count = int(np.ceil(duration / cycle))
+        pacer = Pacer(round(cycle * 1e9))  # after a hold-up it goes on where it was, and does not hurry
+        settle = round(1.0 / cycle)
+        for i in range(1, count + settle + 1):
+            share = min(1.0, i / count)
+            position = first + share * path
+            orientation = (Rotation.from_rotvec(share * turn.as_rotvec()) * begin).as_quat()
+            moving = np.concatenate([path, turn.as_rotvec()]) / duration if i < count else np.zeros(6)
+            reason = self.limits.setpoint(position, orientation, moving, self._sent)
+            if reason:
+                raise DeviceError(f"{self.name}: the approach to the start pose was given up: {reason}")
+            self._publish(position, orientation, moving)
+            pacer.wait()
+            self._take()
+            reason = self.limits.measured(v["base_position"], v["base_orientation"], (position, orientation))
+            if self._outside.monotonic_ns() - self._arrived > self._age_limit:
+                reason = f"no measurement for {(self._outside.monotonic_ns() - self._arrived) * 1e-9:.3g} s"
+            if reason:
+                raise DeviceError(f"{self.name}: the approach to the start pose was given up: {reason}")
+            if meanwhile():
+                return  # the loop ends before its first instant; the base holds where it is
+            gap = distance(v["base_position"], v["base_orientation"], *start)
+            if i > count and all(size < 0.5 * most for size, most in zip(gap, v["start_tolerance"], strict=True)):
+                return
+        raise DeviceError(f"{self.name} did not reach the start pose within {(count + settle) * cycle:.3g} s")
+
+    # Every cycle
+
+    def read(self) -> None:
+        before = self._sequence
+        came = self._take()
+        self._steps += 1
+        reason = None
+        if came:
+            # What was missed shows in the sequence numbers, unless it was counted as silence already.
+            missing = self._sequence - before - 1 - self._silent if before else 0
+            reason = self.monitor.lose(max(missing, 0))
+            self._silent = 0
+            self.monitor.observe(lost=False)
+        if self._steps % self._ratio and not reason:
+            return
+        silence = self._outside.monotonic_ns() - self._arrived
+        if silence > self._late:
+            self._silent += 1
+            reason = self.monitor.observe(lost=True) or reason
+        age = silence + self._delay
+        if age > self._age_limit:
+            reason = reason or f"the last measurement is {age * 1e-9:.4g} s old, its limit is {self._age_limit * 1e-9:g} s"
+        if self._link is not None and self._link.is_deserted():
+            reason = reason or "the base robot does not take set points any more; it holds its place"
+        if self._sent is not None:
+            reason = reason or self.limits.measured(self.values["base_position"], self.values["base_orientation"], self._sent)
+        if reason:
+            raise SafeStop(self.name, reason)
+
+    def write(self) -> None:
+        if self._steps % self._ratio:
+            return
+        v = self.values
+        cycle = float(v["cycle"][0])
+        self._offset = (
+            _shortened(self._offset[0], float(v["approach_speed"][0]) * cycle),
+            _shortened(self._offset[1], float(v["approach_speed"][1]) * cycle),
+        )
+        position = v["position_setpoint"] + self._offset[0]
+        orientation = v["orientation_setpoint"]
+        if self._offset[1].any():
+            orientation = (Rotation.from_rotvec(self._offset[1]) * Rotation.from_quat(_unit(orientation))).as_quat()
+        reason = self.limits.setpoint(position, orientation, v["velocity_setpoint"], self._sent)
+        if reason:
+            raise SafeStop(self.name, reason)
+        self._publish(position, orientation.copy(), v["velocity_setpoint"])
+
+    # The end
+
+    def ramp_down(self, elapsed: float) -> bool:
+        """Holds the last set point, without velocity, while the arm comes to rest."""
+        self._take()
+        self._steps += 1
+        if self._sent is not None and self._link is not None and self._steps % self._ratio == 0:
+            self._publish(*self._sent, np.zeros(6))
+        return True
+
+    @property
+    def at_rest(self) -> bool:
+        """A base robot holds the last set point by itself."""
+        return True
+
+    def on_error(self, reason: str) -> None:
+        if self.state.now is LifeCycle.active:
+            self.state.to(LifeCycle.safe_stop)
+
+    def deactivate(self) -> None:
+        if self.state.now in (LifeCycle.active, LifeCycle.safe_stop):
+            self.state.to(LifeCycle.inactive)
+        link, self._link = self._link, None
+        session, self._session = self._session, None
+        if link is not None:
+            self._counts = link.counts
+            link.close()
+        if session is not None:
+            session.close()
+
+    def report(self) -> Mapping[str, float]:
+        counts = self._link.counts if self._link is not None else self._counts
+        return {
+            "samples_accepted": float(counts.accepted),
+            "samples_skipped": float(counts.skipped),
+            "samples_refused": float(counts.malformed + counts.stale + counts.strangers),
+            "cycles_lost": float(self.monitor.lost),
+            "longest_loss_cycles": float(self.monitor.longest_row),
+            "setpoints_published": float(self.published),
+        }
+
+    def histograms(self) -> Mapping[str, Histogram]:
+        return {f"{self.name}: age of samples when read": self.age}
+
+    # Samples
+
+    def _newest(self) -> None:
+        """The next sample, so that nothing is decided on an old one."""
+        end = self._outside.monotonic() + float(self.values["configure_timeout"][0])
+        while not self._take():
+            if self._outside.monotonic() > end:
+                raise DeviceError(f"{self.name} sends nothing any more on topic {self.options.measured_topic}")
+            self._outside.sleep(0.0005)
+
+    def _take(self) -> bool:
+        assert self._link is not None
+        received: Received | None = self._link.receive(is_usable)
+        if received is None:
+            return False
+        odometry, v = received.odometry, self.values
+        orientation = odometry.orientation
+        v["base_position"][:] = odometry.position
+        v["base_orientation"][:] = orientation
+        v["base_velocity"][:] = twist_rotated(orientation, odometry.velocity)
+        self._note_delay(received)
+        self._arrived, self._sequence = received.arrived, received.attachment.sequence
+        if self.state.now is LifeCycle.active:
+            self.age.add(max(0, self._outside.time_ns() - received.attachment.stamp))
+        return True
+
+    def _note_delay(self, received: Received) -> None:
+        """How much later the sample came than the quickest before it: clocks that differ tell no more. They may drift apart, too,
+        so that what is quick is forgotten slowly.
+        """
+        way = received.arrived - received.attachment.stamp
+        if self._arrived and self._quickest is not None:
+            self._quickest += int(DRIFT * (received.arrived - self._arrived))
+        self._quickest = way if self._quickest is None else min(self._quickest, way)
+        self._delay = way - self._quickest
+
+    def _publish(self, position: Array, orientation: Array, velocity: Array) -> None:
+        assert self._link is not None
+        self._link.publish(position, orientation, velocity)
+        self._sent = (np.array(position), np.array(orientation))
+        self._published_at = self._outside.monotonic_ns()
+        self.published += 1
+
+
+def _unit(quaternion: Array) -> Array:
+    return quaternion / float(np.linalg.norm(quaternion))
+
+
+def _shortened(vector: Array, by: float) -> Array:
+    size = float(np.linalg.norm(vector))
+    return vector * 0.0 if size <= by else vector * (1.0 - by / size)
+
+
+def _shown(position: Array, orientation: Array) -> str:
+    roll, pitch, yaw = Rotation.from_quat(orientation).as_euler("xyz", degrees=True)
+    return f"[{', '.join(f'{x:z.4f}' for x in position)}] m, roll {roll:.3f}, pitch {pitch:.3f}, yaw {yaw:.3f} deg"

@@ -1,0 +1,126 @@
+"""The entries of a drive's object dictionary that this profile uses (CiA 301 and CiA 402-2), and the shipped EDS file."""
+
+from __future__ import annotations
+
+import io
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import canopen
+from canopen.objectdictionary.eds import import_eds
+
+from freeflyer.bounded_file import content
+from freeflyer_adapters.device import DeviceError
+
+LARGEST_EDS = 4 * 2**20
+"""Bytes; a drive's is some 100 KiB."""
+SHIPPED_EDS = Path(__file__).with_name("drive.eds")
+CYCLIC_SYNCHRONOUS_TORQUE = 10
+SUPPORTS_TORQUE = 1 << 9
+"""Bit of 6502h, supported drive modes, for mode 10."""
+SERVO_DRIVE = 0x0002_0192
+"""1000h: additional information "servo drive" over device profile 402."""
+RAMP_AND_DISABLE = 2
+"""605Ah, 605Eh: slow down on the quick stop ramp, then power off."""
+
+# What canopen logs goes nowhere unless somebody asks for it; what matters is in our own sentences.
+logging.getLogger("canopen").addHandler(logging.NullHandler())
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """`optional`: a drive without it is used all the same."""
+
+    index: int
+    sub: int = 0
+    name: str
+    unit: str = ""
+    use: str
+    optional: bool = False
+
+    def __str__(self) -> str:
+        return f"{self.index:04X}h" + (f":{self.sub:02X}" if self.sub else "")
+
+
+DEVICE_TYPE = Entry(index=0x1000, name="Device type", use="compared: profile 402")
+SYNC_PERIOD = Entry(index=0x1006, name="Communication cycle period", unit="us", use="written: the cycle", optional=True)
+CONSUMER_HEARTBEAT = Entry(
+    index=0x1016, sub=1, name="Consumer heartbeat time", unit="ms", use="written: the host's node and patience"
+)
+PRODUCER_HEARTBEAT = Entry(index=0x1017, name="Producer heartbeat time", unit="ms", use="written")
+ERROR_CODE = Entry(index=0x603F, name="Error code", use="read for sentences", optional=True)
+CONTROLWORD = Entry(index=0x6040, name="Controlword", use="RPDO1")
+STATUSWORD = Entry(index=0x6041, name="Statusword", use="TPDO1")
+QUICK_STOP = Entry(index=0x605A, name="Quick stop option code", use="written: 2, ramp and power off")
+MODE = Entry(index=0x6060, name="Modes of operation", use="written: 10, cyclic synchronous torque")
+MODE_DISPLAY = Entry(index=0x6061, name="Modes of operation display", use="compared with 10")
+POSITION = Entry(index=0x6064, name="Position actual value", unit="increments", use="TPDO1")
+VELOCITY = Entry(index=0x606C, name="Velocity actual value", unit="increments/s", use="TPDO2")
+TARGET_TORQUE = Entry(index=0x6071, name="Target torque", unit="0.001 rated torque", use="RPDO1")
+MAX_TORQUE = Entry(
+    index=0x6072, name="Max torque", unit="0.001 rated torque", use="compared: at least the joint's effort limit"
+)
+RATED_TORQUE = Entry(index=0x6076, name="Motor rated torque", unit="mN m", use="compared: scales torques")
+ACTUAL_TORQUE = Entry(index=0x6077, name="Torque actual value", unit="0.001 rated torque", use="TPDO1")
+ENCODER_INCREMENTS = Entry(index=0x608F, sub=1, name="Encoder increments", use="compared: scales positions")
+ENCODER_TURNS = Entry(index=0x608F, sub=2, name="Motor revolutions", use="compared")
+GEAR_MOTOR_TURNS = Entry(index=0x6091, sub=1, name="Motor shaft revolutions", use="compared: scales torques and positions")
+GEAR_SHAFT_TURNS = Entry(index=0x6091, sub=2, name="Driving shaft revolutions", use="compared")
+PERIOD_VALUE = Entry(index=0x60C2, sub=1, name="Interpolation time period value", use="written: the cycle")
+PERIOD_INDEX = Entry(index=0x60C2, sub=2, name="Interpolation time index", use="written: its power of ten")
+SUPPORTED_MODES = Entry(index=0x6502, name="Supported drive modes", use="compared: bit 9", optional=True)
+
+ENTRIES: Sequence[Entry] = (
+    DEVICE_TYPE, SYNC_PERIOD, CONSUMER_HEARTBEAT, PRODUCER_HEARTBEAT, ERROR_CODE, CONTROLWORD, STATUSWORD, QUICK_STOP, MODE,
+    MODE_DISPLAY, POSITION, VELOCITY, TARGET_TORQUE, MAX_TORQUE, RATED_TORQUE, ACTUAL_TORQUE, ENCODER_INCREMENTS, ENCODER_TURNS,
+    GEAR_MOTOR_TURNS, GEAR_SHAFT_TURNS, PERIOD_VALUE, PERIOD_INDEX, SUPPORTED_MODES,
+)  # fmt: skip
+
+SYNC_LOST, HEARTBEAT_LOST, RPDO_LOST = 0x8700, 0x8130, 0x8250
+ERRORS: Mapping[int, str] = {
+    0x1000: "generic error",
+    0x2310: "continuous overcurrent",
+    0x3210: "overvoltage of the supply",
+    0x4310: "the drive is too hot",
+    0x7305: "incremental encoder",
+    HEARTBEAT_LOST: "the host's heartbeat is missing",
+    RPDO_LOST: "no target came between two SYNCs",
+    SYNC_LOST: "no SYNC",
+}
+"""The error codes (603Fh, and of an EMCY) that the virtual drive has, with some common ones; the others are said by number and class."""
+
+
+def error_text(code: int) -> str:
+    """A code and what it means, as far as CiA 301 and 402 fix it."""
+    known = ERRORS.get(code) or canopen.emcy.EmcyError(code, 0, b"", 0.0).get_desc().lower()
+    return f"0x{code:04X}" + (f" ({known})" if known else "")
+
+
+def dictionary(path: Path, node_id: int) -> Any:
+    """A canopen ObjectDictionary from an EDS or DCF file; DeviceError if it cannot be read or lacks what the profile needs."""
+    try:
+        if path.suffix.lower() not in (".eds", ".dcf"):
+            raise DeviceError(f"EDS {path}: a file whose name ends in .eds or .dcf is expected")
+        found = import_eds(io.StringIO(content(path, LARGEST_EDS).decode(errors="replace")), node_id)  # type: ignore[no-untyped-call]
+    except DeviceError:
+        raise
+    except OSError as error:
+        raise DeviceError(f"EDS {path} cannot be read: {error.strerror or error}") from error
+    except Exception as error:  # the library passes on its parser's, of several kinds
+        text = " ".join(str(error).split())[:300] or type(error).__name__
+        raise DeviceError(f"EDS {path} cannot be used: {text}") from error
+    for entry in ENTRIES:
+        if not entry.optional and found.get_variable(entry.index, entry.sub) is None:
+            raise DeviceError(
+                f"EDS {path} has no object {entry} ({entry.name}), which a drive in cyclic synchronous torque mode needs"
+            )
+    return found
+
+
+def table() -> list[str]:
+    """Rows of Markdown for docs/cia402.md."""
+    rows = ["| object | name | unit | use |", "|---|---|---|---|"]
+    return rows + [f"| {e} | {e.name} | {e.unit} | {e.use}{' (if the drive has it)' if e.optional else ''} |" for e in ENTRIES]

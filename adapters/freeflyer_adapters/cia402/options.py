@@ -1,0 +1,119 @@
+"""What a scenario's `[devices.NAME]` of kind "cia402_arm" may say besides `parameters`; both ends of the bus read it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from freeflyer_adapters.cia402.objects import SHIPPED_EDS
+from freeflyer_adapters.cia402.scaling import Motor
+from freeflyer_adapters.device import DeviceError
+from freeflyer_adapters.options import checked, known_keys
+
+KEYS = ("interface", "channel", "bus", "bitrate", "joints", "node_ids", "host_node_id", "eds", "rated_torque", "encoder_resolution",
+        "gear_ratio", "velocity_scale", "velocity", "heartbeat_s", "largest_load")  # fmt: skip
+VELOCITIES = ("measured", "estimated")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DriveOptions:
+    """`bus`: further arguments of python-can's interface; `bitrate` [bit/s]; `eds`: the drives' object dictionary.
+
+    `measured_velocity`: from TPDO2, else estimated from positions; `heartbeat` [s]: of the drives and the host; `largest_load`: share
+    of the bus that is allowed.
+    """
+
+    interface: str = "local"
+    channel: str = "freeflyer"
+    bus: Mapping[str, Any] = field(default_factory=dict)
+    bitrate: float = 1e6
+    node_ids: Sequence[int]
+    host_node_id: int = 127
+    eds: Path = SHIPPED_EDS
+    motors: Sequence[Motor]
+    measured_velocity: bool = True
+    heartbeat: float = 0.1
+    largest_load: float = 0.8
+
+    @property
+    def joints(self) -> int:
+        return len(self.node_ids)
+
+
+def options_from(name: str, raw: Mapping[str, Any], directory: Path) -> DriveOptions:
+    """The device's table as options; DeviceError for a key or value that is none."""
+    known_keys(name, raw, KEYS)
+    joints = checked(name, raw, "joints", int, 6)
+    if not 1 <= joints <= 126:
+        raise DeviceError(f"device {name}: joints is {joints}; 1 to 126 is expected")
+    velocity = checked(name, raw, "velocity", str, "measured")
+    if velocity not in VELOCITIES:
+        raise DeviceError(
+            f"device {name}: velocity is {velocity!r}; 'measured' (TPDO2) or 'estimated' (from positions) is expected"
+        )
+    eds = checked(name, raw, "eds", str, "")
+    columns = [
+        _per_joint(name, raw, key, joints, default)
+        for key, default in (
+            ("rated_torque", None),
+            ("encoder_resolution", 4096.0),
+            ("gear_ratio", 1.0),
+            ("velocity_scale", 1.0),
+        )
+    ]
+    motors = [
+        Motor(rated_torque=rated, encoder_resolution=encoder, gear_ratio=gear, velocity_scale=scale)
+        for rated, encoder, gear, scale in zip(*columns, strict=True)
+    ]
+    return DriveOptions(
+        interface=checked(name, raw, "interface", str, "local"),
+        channel=str(raw.get("channel", "freeflyer")),
+        bus=checked(name, raw, "bus", dict, {}),
+        bitrate=_number(name, raw, "bitrate", 1e6, 1e4, 1e6),
+        **_nodes(name, raw, joints),
+        eds=directory / eds if eds else SHIPPED_EDS,
+        motors=motors,
+        measured_velocity=velocity == "measured",
+        heartbeat=_number(name, raw, "heartbeat_s", 0.1, 0.01, 10.0),
+        largest_load=_number(name, raw, "largest_load", 0.8, 0.05, 1.0),
+    )
+
+
+def _nodes(name: str, raw: Mapping[str, Any], joints: int) -> dict[str, Any]:
+    """Node numbers of the drives, joint by joint, and of the host's own heartbeat: all different, 1 to 127."""
+    nodes = checked(name, raw, "node_ids", list, list(range(1, joints + 1)))
+    host = checked(name, raw, "host_node_id", int, 127)
+    if len(nodes) != joints:
+        raise DeviceError(f"device {name}: node_ids has {len(nodes)} entries; one for each of {joints} joints is expected")
+    for node in (*nodes, host):
+        if isinstance(node, bool) or not isinstance(node, int) or not 1 <= node <= 127:
+            raise DeviceError(f"device {name}: node {node!r} is no CANopen node; a whole number from 1 to 127 is expected")
+    twice = [node for node in nodes if [*nodes, host].count(node) > 1]
+    if twice:
+        raise DeviceError(f"device {name}: node {twice[0]} is there twice in node_ids and host_node_id; each needs its own")
+    return {"node_ids": tuple(nodes), "host_node_id": host}
+
+
+def _number(name: str, raw: Mapping[str, Any], key: str, default: float, least: float, most: float) -> float:
+    value = raw.get(key, default)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not least <= value <= most:
+        raise DeviceError(f"device {name}: {key} is {value!r}; a number from {least:g} to {most:g} is expected")
+    return float(value)
+
+
+def _per_joint(name: str, raw: Mapping[str, Any], key: str, joints: int, default: float | None) -> list[float]:
+    """A number for all joints, or a list with one each."""
+    value = raw.get(key, default)
+    if value is None:
+        raise DeviceError(
+            f"device {name}: {key} is missing; the drives' own is needed, a number or a list of one for each joint"
+        )
+    values = value if isinstance(value, list) else [value] * joints
+    if len(values) != joints:
+        raise DeviceError(f"device {name}: {key} has {len(values)} entries; one for each of {joints} joints is expected")
+    for v in values:
+        if isinstance(v, bool) or not isinstance(v, int | float) or not 0.0 < v < 1e9:
+            raise DeviceError(f"device {name}: {key} has {v!r}; a number greater than zero is expected")
+    return [float(v) for v in values]

@@ -1,0 +1,46 @@
+"""The frames of every cycle: SYNC, one RPDO to and one or two TPDOs from each drive, in the predefined connection set of CiA 301."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from freeflyer_adapters.cia402 import objects
+from freeflyer_adapters.cia402.objects import Entry
+
+NMT, SYNC, HEARTBEAT = 0x000, 0x080, 0x700
+"""COB-IDs; an EMCY has SYNC plus the node, a heartbeat HEARTBEAT plus the node."""
+ON_SYNC = 1
+"""Transmission type: with every SYNC. A target then acts from the SYNC after the one that it answers."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProcessData:
+    """One PDO: `number` counts from 1, `base` plus the node is its COB-ID, `mapping` its objects with their bits."""
+
+    name: str
+    number: int
+    base: int
+    mapping: Sequence[tuple[Entry, int]]
+    layout: struct.Struct
+
+    def __post_init__(self) -> None:
+        assert self.layout.size * 8 == sum(bits for _, bits in self.mapping) <= 64
+
+
+TARGET = ProcessData(
+    name="RPDO1",
+    number=1,
+    base=0x200,
+    mapping=((objects.CONTROLWORD, 16), (objects.TARGET_TORQUE, 16)),
+    layout=struct.Struct("<Hh"),
+)
+ACTUAL = ProcessData(
+    name="TPDO1",
+    number=1,
+    base=0x180,
+    mapping=((objects.STATUSWORD, 16), (objects.ACTUAL_TORQUE, 16), (objects.POSITION, 32)),
+    layout=struct.Struct("<Hhi"),
+)
+SPEED = ProcessData(name="TPDO2", number=2, base=0x280, mapping=((objects.VELOCITY, 32),), layout=struct.Struct("<i"))

@@ -1,0 +1,260 @@
+"""The virtual facility: the scenario's device models behind the devices' own protocols, in a process of its own.
+
+Which models, with which parameters, and how they act on each other is the scenario's; what joins them to the controllers goes over
+the wire. Its time is its own cycle count: a process that was held up goes on where it was, so that what is lost, is lost on a link.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, replace
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any
+
+from freeflyer import assemble, graph, parameters, schedule
+from freeflyer.clock import SECOND, seconds
+from freeflyer.component import Array, Component, PythonComponent
+from freeflyer.graph import Connection, split
+from freeflyer.interrupts import interrupts
+from freeflyer.master import Master, Outcome
+from freeflyer.near import did_you_mean
+from freeflyer.scenario import Scenario
+from freeflyer_adapters.device import SIMULATED, DeviceError
+from freeflyer_adapters.facility import faults
+from freeflyer_adapters.facility import settings as facility_settings
+from freeflyer_adapters.facility.settings import FacilitySettings
+from freeflyer_adapters.facility.virtual_device import VirtualDevice
+from freeflyer_adapters.pacing import Pacer
+
+LONGEST = 7 * 24 * 3600 * SECOND
+"""A session's end at the latest [ns]."""
+
+
+Factory = Callable[[str, Mapping[str, Any], Path, FacilitySettings, float], VirtualDevice[Any]]
+
+
+class _Incoming(PythonComponent):
+    def __init__(self, device: VirtualDevice[Any]) -> None:
+        super().__init__(f"{device.name}_incoming", device.commands)
+        self._device = device
+
+    def step(self, time: float, size: float) -> None:
+        self._device.receive(self.values)
+
+
+class _Outgoing(PythonComponent):
+    def __init__(self, device: VirtualDevice[Any]) -> None:
+        super().__init__(f"{device.name}_outgoing", device.measurements)
+        self._device = device
+
+    def step(self, time: float, size: float) -> None:
+        self._device.send(self.values)
+
+
+class _Pace:
+    """What the devices' own controllers have to tell, and the end of a session."""
+
+    def __init__(self, devices: list[VirtualDevice[Any]], say: Callable[[str], None]) -> None:
+        self.devices, self.say = devices, say
+        self._told = [0] * len(devices)
+
+    def begin(self, k: int) -> str | None:
+        if k % 10 == 0:
+            self.tell()
+            # Every device that took part must have lost its controller; one that did not take part does not hold the others up.
+            moved = [device for device in self.devices if not device.is_idle]
+            if moved and all(device.session_is_over for device in moved):
+                return "session over"
+        return None
+
+    def end(self, k: int) -> None:
+        pass
+
+    def tell(self) -> None:
+        for i, device in enumerate(self.devices):
+            events = device.events
+            for cycle, event in events[self._told[i] :]:
+                self.say(f"{device.name}, cycle {cycle}: {event}")
+            self._told[i] = len(events)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prepared:
+    """Models for one session; `stack` closes them."""
+
+    stack: ExitStack
+    master: Master
+    values: dict[str, dict[str, Array]]
+
+
+class Facility:
+    """Opens the links; `run` serves one session after another until it is interrupted."""
+
+    def __init__(self, scenario: Scenario, fmi: int | None = None) -> None:
+        # A simulated device is played by the host itself.
+        played = [spec for spec in scenario.devices if spec.kind != SIMULATED]
+        if not played:
+            raise DeviceError(
+                f"scenario {scenario.name} has no [devices.NAME]: there is nothing for a virtual facility to play"
+            )
+        self.scenario, self.fmi = scenario, fmi
+        self.settings = facility_settings.read(scenario.facility)
+        self.period = _cycle(scenario)
+        self.pacer = Pacer(self.period)
+        self.devices: list[VirtualDevice[Any]] = []
+        self.history: list[dict[str, Any]] = []
+        self.outcome: Outcome | None = None
+        """Of the last session."""
+        self._prepared: Prepared | None = None
+        factories = {spec.name: _factory(spec.name, spec.kind) for spec in played}
+        self.settings = _with_drawn_faults(self.settings, factories)
+        try:
+            for spec in played:
+                make = factories[spec.name]
+                self.devices.append(make(spec.name, spec.options, scenario.directory, self.settings, seconds(self.period)))
+            # What cannot be put together is refused now, and not when somebody connects.
+            self._prepared = self._prepare()
+        except BaseException:
+            self.close()
+            raise
+
+    def run(self, say: Callable[[str], None]) -> Outcome:
+        """In real time, until Ctrl-C or SIGTERM, or until a model fails; the last session's outcome."""
+        with interrupts() as asked:
+            for _ in self.cycles(say, asked):
+                self.pacer.wait()
+        assert self.outcome is not None
+        return self.outcome
+
+    def cycles(self, say: Callable[[str], None], asked: Sequence[float] = ()) -> Generator[None, None, None]:
+        """One cycle after another, session after session, for who has the time in hand; until something is in `asked`."""
+        while True:
+            outcome = self.outcome = yield from self._session(say, asked)
+            if outcome.failed or outcome.diverged:
+                say(f"the model failed: {outcome.cause}")
+            if outcome.interrupted or outcome.failed or outcome.diverged:
+                return
+            say("the controller has gone; the robots return to their start poses")
+
+    def _session(self, say: Callable[[str], None], asked: Sequence[float]) -> Generator[None, None, Outcome]:
+        prepared, self._prepared = self._prepared or self._prepare(), None
+        with prepared.stack:
+            master, values = prepared.master, prepared.values
+            for device in self.devices:
+                device.begin_session(values[device.name])
+            pace = _Pace(self.devices, say)
+            outcome = master.outcome()
+            yield from master.instants(outcome, asked, pace=pace)
+            pace.tell()
+            self.history.append({
+                "ended": outcome.cause or "interrupted",
+                "cycles": outcome.steps[f"{self.devices[0].name}_outgoing"],
+                "events": {device.name: [list(event) for event in device.events] for device in self.devices},
+            })  # fmt: skip
+            return outcome
+
+    def _prepare(self) -> Prepared:
+        with ExitStack() as stack:
+            master, values = stack.enter_context(self._models())
+            return Prepared(stack=stack.pop_all(), master=master, values=values)
+
+    @contextmanager
+    def _models(self) -> Iterator[tuple[Master, dict[str, dict[str, Array]]]]:
+        """A master over the device models with their ends of the wires, and every model's parameters."""
+        scenario, names = self.scenario, [device.name for device in self.devices]
+        everything: dict[str, Component] = {}
+        try:
+            for spec in scenario.components:
+                everything[spec.name] = assemble.make(spec, scenario.directory, self.fmi)
+            values = parameters.resolve(scenario, everything)
+            models = {name: everything[name] for name in names}
+            components: dict[str, Component] = {}
+            for device in self.devices:
+                components[f"{device.name}_incoming"] = _Incoming(device)
+            components |= models
+            for device in self.devices:
+                components[f"{device.name}_outgoing"] = _Outgoing(device)
+            steps = parameters.steps(scenario, everything, values)
+            plan = schedule.build(
+                {name: steps.get(name, self.period) for name in components},
+                LONGEST,
+                LONGEST,
+                {name: component.variable_step for name, component in components.items()},
+            )
+            master = Master(graph.build(components, self._connections()), plan)
+            master.initialise({name: values[name] for name in names})
+            full = {
+                name: {
+                    p.name: parameters.current(everything, values, name, p.name)
+                    for p in models[name].ports.values()
+                    if p.settable
+                }
+                for name in names
+            }
+            yield master, full
+        finally:
+            for component in everything.values():
+                with suppress(Exception):
+                    component.close()
+
+    def _connections(self) -> list[Connection]:
+        names = {device.name for device in self.devices}
+        # What joins two devices is physics, and stays; all else that they are given or give goes over the wire.
+        joined = [c for c in self.scenario.connections if {split(c.source)[0], split(c.target)[0]} <= names]
+        for device in self.devices:
+            joined += [
+                Connection(source=f"{device.name}_incoming.{p.name}", target=f"{device.name}.{p.name}") for p in device.commands
+            ]
+            joined += [
+                Connection(source=f"{device.name}.{p.name}", target=f"{device.name}_outgoing.{p.name}")
+                for p in device.measurements
+            ]
+        return joined
+
+    def report(self) -> dict[str, Any]:
+        histograms = {name: h.summary() for device in self.devices for name, h in device.histograms().items()}
+        return {
+            "scenario": self.scenario.name,
+            "faults": [fault.said() for fault in self.settings.faults],
+            "sessions": self.history,
+            "own_overruns": self.pacer.overruns,
+            "devices": {device.name: dict(device.report()) for device in self.devices},
+            "times": {"facility: wake-up": self.pacer.lateness.summary(), **histograms},
+        }
+
+    def close(self) -> None:
+        if self._prepared is not None:
+            self._prepared.stack.close()
+        for device in self.devices:
+            with suppress(Exception):
+                device.close()
+
+
+def _cycle(scenario: Scenario) -> int:
+    """The device models' smallest step [ns]."""
+    names = {spec.name for spec in scenario.devices}
+    steps = [spec.step for spec in scenario.components if spec.name in names and isinstance(spec.step, int)]
+    if not steps:
+        raise DeviceError(
+            f"scenario {scenario.name}: the step of its device models must be a number, to be the facility's cycle"
+        )
+    return min(steps)
+
+
+def _factory(name: str, kind: str) -> Factory:
+    points = {point.name: point for point in entry_points(group="freeflyer.virtual_devices")}
+    if kind not in points:
+        raise DeviceError(f"device {name}: no virtual device plays the kind {kind!r}{did_you_mean(kind, points)}")
+    found: Factory = points[kind].load()
+    return found
+
+
+def _with_drawn_faults(settings: FacilitySettings, factories: Mapping[str, Factory]) -> FacilitySettings:
+    """Scheduled and random faults in one list, checked against what the devices can play."""
+    kinds: dict[str, tuple[str, ...]] = {name: getattr(factory, "fault_kinds", ()) for name, factory in factories.items()}
+    drawn = () if settings.random_faults is None else faults.draw(settings.random_faults, kinds)
+    everything = (*settings.faults, *drawn)
+    faults.check(everything, kinds)
+    return replace(settings, faults=everything)

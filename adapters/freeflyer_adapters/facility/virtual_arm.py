@@ -1,0 +1,173 @@
+"""The arm's end of the CAN link, in front of an arm model: the same frames, protection and watchdog as a real arm's."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import can
+import numpy as np
+
+from freeflyer.component import Array, Port
+from freeflyer_adapters import outside
+from freeflyer_adapters.arm import options as arm_options
+from freeflyer_adapters.arm.frames import LIMIT_ROLES, ArmFrames, Mode
+from freeflyer_adapters.arm.link import Receiver, Sender, open_bus
+from freeflyer_adapters.device import DeviceError, LifeCycle
+from freeflyer_adapters.facility.arm_logic import ArmLogic, Command
+from freeflyer_adapters.facility.can_faults import FAULT_KINDS, CanTamper, FaultyBus
+from freeflyer_adapters.facility.link_faults import LinkFaults
+from freeflyer_adapters.facility.settings import FacilitySettings
+from freeflyer_adapters.facility.virtual_device import VirtualDevice
+from freeflyer_adapters.histogram import Histogram
+from freeflyer_adapters.ramp_down import RampDown
+
+SENSED = ("joint_position", "joint_velocity", "joint_torque")
+
+
+class VirtualArm(VirtualDevice[ArmLogic]):
+    """`receive` at the begin of a cycle, then the model's step, then `send`."""
+
+    fault_kinds = FAULT_KINDS
+
+    def __init__(self, name: str, raw: Mapping[str, Any], directory: Path, settings: FacilitySettings, period: float) -> None:
+        self.name, self.settings, self.period = name, settings, period
+        self._outside = outside.present()
+        self.options = arm_options.options_from(name, raw, directory)
+        n = self.options.joints
+        self.frames = ArmFrames(self.options.frames, n)
+        if settings.arm_watchdog_cycles >= self.frames.cycles // 2:
+            raise DeviceError(
+                f"[facility] arm_watchdog_cycles is {settings.arm_watchdog_cycles}, but cycle numbers of {name} count to {self.frames.cycles} "
+                f"only; less than half of that is expected"
+            )
+        self.commands = (
+            Port(name="joint_torque_command", size=n, causality="output", units=("N.m",) * n, sampled=True),
+            Port(name="brake", size=1, causality="output", units=("1",), sampled=True, start=(1.0,)),
+        )
+        units = {"joint_position": "rad", "joint_velocity": "rad/s", "joint_torque": "N.m"}
+        self.measurements = tuple(Port(name=s, size=n, causality="input", units=(units[s],) * n) for s in SENSED)
+        self.round_trip = Histogram()
+        """From sending a state frame until its answer was taken by the system."""
+        self._before: dict[str, float] = {}
+        self._velocity = np.zeros(n)
+        self._limits: dict[str, list[float]] = {}
+        self._sent_at = 0.0
+        self.logic = self._new_logic()
+        seen = [self.frames.command]
+        self.faults = LinkFaults(
+            settings.faults_of(name), period, settings.seed, CanTamper(ArmFrames(self.options.frames, n), period)
+        )
+        bus = open_bus(self.options.interface, self.options.channel, self.frames.is_fd, seen, self.options.bus)
+        self._bus = FaultyBus(bus, self.faults)
+        self._receiver = Receiver(self.frames.command)
+        self._sender = Sender(self._bus, self.frames.state)
+        self._describer = None if self.frames.description is None else Sender(self._bus, self.frames.description)
+
+    def _new_logic(self) -> ArmLogic:
+        s = self.settings
+        return ArmLogic(
+            self.options.joints,
+            cycle=self.period,
+            watchdog=s.arm_watchdog_cycles,
+            silence=round(s.forget_after_s / self.period),
+            cycles=self.frames.cycles,
+            ramp=RampDown(time=s.ramp_down_time_s, damping=s.ramp_down_damping),
+        )
+
+    def begin_session(self, parameters: Mapping[str, Array]) -> None:
+        """The model's parameters, in which its limits are; the cycle number runs on."""
+        self._limits = {role: list(map(float, parameters[role])) for role in LIMIT_ROLES if role in parameters}
+        cycle = self.logic.cycle
+        self._before = self._totals()
+        self.logic = self._new_logic()
+        self.logic.cycle = cycle
+        if "joint_effort_limit" in self._limits:
+            steps = [0.5 * f.resolution for f in self.frames.command.fields["joint_torque_command"]]
+            self.logic.effort = np.array(self._limits["joint_effort_limit"]) + steps
+        self._velocity[:] = 0.0
+        self.begin_faults(self.faults, self._bus)
+
+    def receive(self, values: Mapping[str, Array]) -> None:
+        if self.begin_cycle():
+            self.logic.begin(self._commands(), self._velocity)
+        values["joint_torque_command"][:] = self.logic.torque
+        values["brake"][0] = float(self.logic.braked)
+
+    def power_off(self) -> None:
+        self.logic.fail("without power")
+
+    def fail(self) -> None:
+        self.logic.fail("a drive has failed")
+
+    def _commands(self) -> list[Command]:
+        """What came since the last state frame."""
+        commands = []
+        while (message := self._next()) is not None:
+            numbers = self._receiver.take(message)
+            if numbers is None:
+                continue
+            answered = int(numbers.get("answered_cycle", (self.logic.cycle,))[0])
+            commands.append(
+                Command(
+                    controller=int(numbers.get("controller", (1,))[0]),
+                    mode=self.frames.mode(numbers["mode"][0]) if "mode" in numbers else Mode.torque,
+                    answered=answered,
+                    torque=np.array(numbers["joint_torque_command"]),
+                )
+            )
+            trip = message.timestamp - self._sent_at
+            if answered == self.logic.cycle and 0.0 <= trip < 1.0 and self.logic.life.now is LifeCycle.active:
+                self.round_trip.add(int(trip * 1e9))
+        return commands
+
+    def _next(self) -> can.Message | None:
+        try:
+            return self._bus.recv(0.0)
+        except can.CanError:
+            return None
+
+    def send(self, values: Mapping[str, Array]) -> None:
+        logic = self.logic
+        self._velocity[:] = values["joint_velocity"]
+        self._bus.flush()
+        if self._bus.silent:
+            return
+        self._sent_at = self._outside.time_ns() * 1e-9
+        self._sender.send({
+            "cycle": (float(logic.cycle),),
+            "echoed_cycle": (float(logic.echoed),),
+            "obeyed_controller": (float(logic.controller),),
+            "life_cycle": (float(self.frames.life_cycle_number(logic.life.now)),),
+            "brakes": (float(logic.braked),),
+            "command_age": (float(min(logic.command_age, 255)),),
+            **{name: values[name].tolist() for name in SENSED},
+        })  # fmt: skip
+        due = logic.life.now is not LifeCycle.active and logic.cycle % self.settings.describe_every == 0
+        if self._describer is not None and due:
+            joints = (float(self.options.joints),)
+            self._describer.send({"joint_count": joints, "cycle_time": (self.period,), **self._limits})
+
+    def report(self) -> Mapping[str, float]:
+        return {
+            "cycle": float(self.logic.cycle),
+            "state_frames_sent": float(self._sender.sent),
+            "commands_accepted": float(self._receiver.accepted),
+            "commands_rejected": float(self._receiver.refused),
+            **self._totals(),
+        }
+
+    def _totals(self) -> dict[str, float]:
+        """Over all sessions."""
+        return {
+            "commands_late_or_lost": self._before.get("commands_late_or_lost", 0.0) + self.logic.total_lost,
+            "commands_of_strangers": self._before.get("commands_of_strangers", 0.0) + self.logic.strangers,
+            "commands_beyond_limits": self._before.get("commands_beyond_limits", 0.0) + self.logic.excessive,
+        }
+
+    def histograms(self) -> Mapping[str, Histogram]:
+        return {f"{self.name}: round trip of state frame and command": self.round_trip}
+
+    def close(self) -> None:
+        self._bus.shutdown()

@@ -1,0 +1,112 @@
+"""The base robot's end of the Zenoh link, in front of a base-robot model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from freeflyer.component import Array, Port
+from freeflyer_adapters.base import access_control, commanders
+from freeflyer_adapters.base import options as link_options
+from freeflyer_adapters.base.link import is_usable
+from freeflyer_adapters.base.ros_messages import Odometry
+from freeflyer_adapters.base.session import open_session
+from freeflyer_adapters.base.zenoh_base import TWIST
+from freeflyer_adapters.device import LifeCycle
+from freeflyer_adapters.facility.base_logic import BaseLogic
+from freeflyer_adapters.facility.link_faults import LinkFaults
+from freeflyer_adapters.facility.settings import FacilitySettings
+from freeflyer_adapters.facility.virtual_device import VirtualDevice
+from freeflyer_adapters.facility.zenoh_faults import FAULT_KINDS, FaultyOdometryLink, ZenohTamper
+from freeflyer_adapters.pose import twist_rotated
+
+
+class VirtualBase(VirtualDevice[BaseLogic]):
+    """`receive` at the begin of a cycle, then the model's step, then `send`. It listens where the host connects to."""
+
+    fault_kinds = FAULT_KINDS
+
+    def __init__(self, name: str, raw: Mapping[str, Any], directory: Path, settings: FacilitySettings, period: float) -> None:
+        self.name, self.settings, self.period = name, settings, period
+        self.options = o = link_options.options_from(name, raw, directory)
+        self.commands = (
+            Port(name="position_setpoint", size=3, causality="output", units=("m",) * 3, sampled=True),
+            Port(name="orientation_setpoint", size=4, causality="output", units=("1",) * 4, sampled=True, start=(0, 0, 0, 1)),
+            Port(name="velocity_setpoint", size=6, causality="output", units=TWIST, sampled=True),
+        )
+        self.measurements = (
+            Port(name="base_position", size=3, causality="input", units=("m",) * 3),
+            Port(name="base_orientation", size=4, causality="input", units=("1",) * 4, start=(0, 0, 0, 1)),
+            Port(name="base_velocity", size=6, causality="input", units=TWIST),
+        )
+        self.logic = self._new_logic()
+        self._pose = (np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))
+        self._calls = 0
+        self._session: Any = open_session([], o.connect, name, access_control.robots_end(o))
+        self._commanders = commanders.announce(self._session, o)
+        self.faults = LinkFaults(settings.faults_of(name), period, settings.seed, ZenohTamper())
+        self._link = FaultyOdometryLink(self._session, o, o.measured_topic, o.setpoint_topic)
+        self._link.faults = self.faults
+
+    def _new_logic(self) -> BaseLogic:
+        s = self.settings
+        return BaseLogic(
+            period=self.period,
+            watchdog=round(s.base_watchdog_s / self.period),
+            silence=round(s.forget_after_s / self.period),
+            jump=(s.base_jump_m, s.base_jump_rad),
+        )
+
+    def begin_session(self, parameters: Mapping[str, Array]) -> None:
+        """The model's start pose, which is held until set points come."""
+        self.logic = self._new_logic()
+        self.begin_faults(self.faults, self._link)
+        self._link.forget_source()
+        self._link.tell_obeyed(False)
+        self._pose = (parameters["true_position"].copy(), parameters["true_orientation"].copy())
+        self.logic.hold(*self._pose)
+
+    def receive(self, values: Mapping[str, Array]) -> None:
+        if self.begin_cycle():
+            self._link.receive(self._take)
+            self.logic.tick()
+            self._link.tell_obeyed(self.logic.life.now is LifeCycle.active)
+        values["position_setpoint"][:] = self.logic.position
+        values["orientation_setpoint"][:] = self.logic.orientation
+        values["velocity_setpoint"][:] = self.logic.velocity
+
+    def power_off(self) -> None:
+        self.logic.hold(*self._pose)
+
+    def _take(self, odometry: Odometry) -> bool:
+        """Only a publisher whose set point is followed is listened to."""
+        if not is_usable(odometry):
+            return False
+        velocity = twist_rotated(odometry.orientation, odometry.velocity)
+        return self.logic.take(odometry.position, odometry.orientation, velocity, self._pose)
+
+    def send(self, values: Mapping[str, Array]) -> None:
+        position, orientation = values["base_position"], values["base_orientation"]
+        self._pose = (position.copy(), orientation.copy())
+        self._link.flush()
+        self._calls += 1
+        if self._link.silent:
+            return
+        if self._calls % self.settings.measure_every == 0:
+            self._link.publish(position, orientation, values["base_velocity"])
+
+    def report(self) -> Mapping[str, float]:
+        counts = self._link.counts
+        return {
+            "setpoints_accepted": float(counts.accepted),
+            "setpoints_skipped": float(counts.skipped),
+            "setpoints_refused": float(counts.malformed + counts.stale + counts.strangers),
+            "active": float(self.logic.life.now is LifeCycle.active),
+        }
+
+    def close(self) -> None:
+        self._link.close()
+        self._session.close()

@@ -1,0 +1,303 @@
+"""Virtual CiA 402 drives, one CANopen node a joint on one bus, in front of an arm model.
+
+canopen's LocalNode gives the SDO server, the object dictionary and the NMT slave. It sends no PDO on SYNC, and its heartbeat is a
+thread: both are done here, by the facility's own cycle. Within a cycle every frame that came is taken in its order; a SYNC latches
+the measurements of the last cycle into the TPDOs, which go out at once, and the targets that came before it act from then on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import canopen
+import numpy as np
+from canopen.sdo.exceptions import SdoAbortedError, SdoError
+
+from freeflyer.component import Array, Port
+from freeflyer_adapters import outside
+from freeflyer_adapters.arm.link import open_bus
+from freeflyer_adapters.cia402 import objects, process_data
+from freeflyer_adapters.cia402.network import PolledNetwork
+from freeflyer_adapters.cia402.objects import Entry
+from freeflyer_adapters.cia402.options import DriveOptions, options_from
+from freeflyer_adapters.cia402.scaling import Scaling
+from freeflyer_adapters.cia402.state_machine import statusword_of
+from freeflyer_adapters.facility.can_faults import OF_DRIVES, FaultyBus, Untouched
+from freeflyer_adapters.facility.drive_logic import DriveGroup, DriveLogic
+from freeflyer_adapters.facility.link_faults import LinkFaults
+from freeflyer_adapters.facility.settings import FacilitySettings
+from freeflyer_adapters.facility.virtual_device import VirtualDevice
+from freeflyer_adapters.histogram import Histogram
+from freeflyer_adapters.ramp_down import RampDown
+
+INITIALISING, PRE_OPERATIONAL, OPERATIONAL = 0, 127, 5
+MOST_TORQUE = 3000
+"""6072h: peak over rated torque [per mille], usual for servo motors."""
+VALUE_RANGE, WRONG_STATE = 0x06090030, 0x08000022
+"""SDO abort codes."""
+MEASURED = (objects.POSITION.index, objects.VELOCITY.index, objects.ACTUAL_TORQUE.index)
+
+
+class VirtualDrive:
+    """One node: canopen's local node around a `DriveLogic`."""
+
+    def __init__(self, node_id: int, joint: int, options: DriveOptions, logic: DriveLogic, network: PolledNetwork) -> None:
+        self.node_id = node_id
+        self.options, self.motor, self.logic = options, options.motors[joint], logic
+        self.raw: dict[int, int] = dict.fromkeys(MEASURED, 0)
+        """Measurements of the last cycle in the drive's units."""
+        self.node = canopen.LocalNode(node_id, objects.dictionary(options.eds, node_id))
+        self.node.add_read_callback(self._read)  # type: ignore[no-untyped-call]
+        self.node.add_write_callback(self._written)  # type: ignore[no-untyped-call]
+        network.add_node(self.node)
+        self._network = network
+        self._pending: dict[int, int] = {}
+        """Objects of the RPDO that came since the last SYNC."""
+        self._since_heartbeat = 0.0
+        self._was_operational = False
+        for maps in (self.node.rpdo, self.node.tpdo):
+            for pdo in maps.values():
+                pdo.add_callback(self._take)
+        self._power_on()
+
+    def _power_on(self) -> None:
+        """Objects as the drive's nameplate and defaults have them; a boot-up message is due."""
+        m = self.motor
+        self.node.data_store.clear()
+        for entry, value in (
+            (objects.RATED_TORQUE, round(1e3 * m.rated_torque)),
+            (objects.MAX_TORQUE, MOST_TORQUE),
+            (objects.ENCODER_INCREMENTS, round(m.encoder_resolution)),
+            (objects.ENCODER_TURNS, 1),
+            (objects.GEAR_MOTOR_TURNS, round(m.gear_ratio)),
+            (objects.GEAR_SHAFT_TURNS, 1),
+        ):
+            self.set(entry, value)
+        self.node.nmt._state = INITIALISING
+
+    def set(self, entry: Entry, value: int) -> None:
+        """An object's value, past access rights: the drive's own."""
+        variable = self.node.object_dictionary.get_variable(entry.index, entry.sub)
+        assert variable is not None
+        self.node.data_store.setdefault(entry.index, {})[entry.sub] = variable.encode_raw(value)
+
+    def get(self, entry: Entry) -> int:
+        return int.from_bytes(self.node.get_data(entry.index, entry.sub), "little")
+
+    @property
+    def statusword(self) -> int:
+        return statusword_of(self.logic.state)
+
+    def _read(self, *, index: int, subindex: int, od: Any) -> int | None:
+        if index == objects.STATUSWORD.index:
+            return self.statusword
+        if index == objects.ERROR_CODE.index:
+            return self.logic.error
+        if index == objects.MODE_DISPLAY.index:
+            return self.get(objects.MODE)
+        return self.raw.get(index)
+
+    def _written(self, *, index: int, subindex: int, od: Any, data: bytes) -> None:
+        """What a host writes by SDO, before it is stored; an abort refuses it."""
+        value = int.from_bytes(data, "little", signed=index in (objects.MODE.index, objects.QUICK_STOP.index))
+        if index == objects.MODE.index and value not in (0, objects.CYCLIC_SYNCHRONOUS_TORQUE):
+            raise SdoAbortedError(VALUE_RANGE)
+        if index == objects.QUICK_STOP.index and value != objects.RAMP_AND_DISABLE:
+            raise SdoAbortedError(VALUE_RANGE)
+        if 0x1400 <= index < 0x1C00 and self.node.nmt._state == OPERATIONAL:
+            raise SdoAbortedError(WRONG_STATE)
+        if index == objects.CONTROLWORD.index:
+            self.logic.obey(value)
+
+    # Frames
+
+    def _take(self, pdo: Any) -> None:
+        """An RPDO came: its objects act with the next SYNC, or now if it is not of the synchronous kind."""
+        if self.node.nmt._state != OPERATIONAL or pdo not in self.node.rpdo.values() or len(pdo.data) * 8 < pdo.length:
+            return
+        self._pending |= {variable.index: variable.raw for variable in pdo}
+        if pdo.trans_type is not None and pdo.trans_type > 240:
+            self._apply()
+
+    def on_sync(self) -> None:
+        if self.node.nmt._state != OPERATIONAL:
+            return
+        for pdo in self.node.tpdo.values():
+            if pdo.enabled and pdo.trans_type is not None and 1 <= pdo.trans_type <= 240:
+                for variable in pdo:
+                    variable.raw = (
+                        self.statusword if variable.index == objects.STATUSWORD.index else self._value(variable.index)
+                    )
+                pdo.transmit()
+        self._apply()
+
+    def _value(self, index: int) -> int:
+        if index in self.raw:
+            return self.raw[index]
+        if index == objects.MODE_DISPLAY.index:
+            return self.get(objects.MODE)
+        return self.logic.error if index == objects.ERROR_CODE.index else 0
+
+    def _apply(self) -> None:
+        word, raw = self._pending.get(objects.CONTROLWORD.index), self._pending.get(objects.TARGET_TORQUE.index, 0)
+        most = self.get(objects.MAX_TORQUE)
+        has_mode = self.get(objects.MODE) == objects.CYCLIC_SYNCHRONOUS_TORQUE
+        target = min(max(raw, -most), most) * self.motor.torque_step if has_mode else 0.0
+        self.logic.synchronise(word, target)
+        self._pending.clear()
+
+    def on_host_heartbeat(self, can_id: int) -> None:
+        watched = self.get(objects.CONSUMER_HEARTBEAT)
+        self.logic.host_patience = 1e-3 * (watched & 0xFFFF)
+        if can_id == process_data.HEARTBEAT + (watched >> 16 & 0x7F):
+            self.logic.host_is_there()
+
+    def advance(self) -> None:
+        """Once a tick: NMT, heartbeat, EMCY."""
+        nmt = self.node.nmt
+        if nmt._state == INITIALISING:
+            self._power_on()
+            self.logic.forget_host()
+            nmt.send_command(0x81)  # of a slave: its boot-up message
+            nmt.state = "PRE-OPERATIONAL"
+        if (nmt._state == OPERATIONAL) != self._was_operational:
+            self._was_operational = nmt._state == OPERATIONAL
+            self._start() if self._was_operational else self._leave()
+        self._since_heartbeat += self.logic.tick
+        every = 1e-3 * self.get(objects.PRODUCER_HEARTBEAT)
+        if every and self._since_heartbeat >= every - 0.5 * self.logic.tick:
+            self._since_heartbeat = 0.0
+            self._network.send_message(process_data.HEARTBEAT + self.node_id, bytes([nmt._state]))
+        if self.logic.new_error is not None:
+            self.node.emcy.send(self.logic.new_error, 1 if self.logic.new_error else 0)
+            self.logic.new_error = None
+
+    def _start(self) -> None:
+        """NMT start: PDOs as they were mapped (canopen reads its own dictionary)."""
+        for maps in (self.node.rpdo, self.node.tpdo):
+            for pdo in maps.values():
+                try:
+                    pdo.read()
+                except SdoError:
+                    pdo.enabled = False
+        self._pending.clear()
+        self.logic.sync_period = 1e-6 * self.get(objects.SYNC_PERIOD)
+
+    def _leave(self) -> None:
+        """Out of NMT state operational PDOs are dead: a drive with torque on stops by itself."""
+        if not self.logic.braked:
+            self.logic.fail(objects.SYNC_LOST)
+
+
+class VirtualCia402(VirtualDevice[DriveGroup]):
+    """`receive` at the begin of a cycle, then the model's step, then `send`."""
+
+    fault_kinds = OF_DRIVES
+
+    def __init__(self, name: str, raw: Mapping[str, Any], directory: Path, settings: FacilitySettings, period: float) -> None:
+        self.name, self.settings, self.period = name, settings, period
+        self._outside = outside.present()
+        self.options = o = options_from(name, raw, directory)
+        n = o.joints
+        self.scaling = Scaling(o.motors)
+        self.commands = (
+            Port(name="joint_torque_command", size=n, causality="output", units=("N.m",) * n, sampled=True),
+            Port(name="brake", size=1, causality="output", units=("1",), sampled=True, start=(1.0,)),
+        )
+        units = {"joint_position": "rad", "joint_velocity": "rad/s", "joint_torque": "N.m"}
+        self.measurements = tuple(Port(name=s, size=n, causality="input", units=(u,) * n) for s, u in units.items())
+        self.syncs = 0
+        self.answers = Histogram()
+        """From the kernel's stamp on a SYNC until all TPDOs were handed over."""
+        self._velocity = np.zeros(n)
+        self.logic = self._new_logic()
+        self.faults = LinkFaults(settings.faults_of(name), period, settings.seed, Untouched())
+        bus = open_bus(o.interface, o.channel, False, [], {"bitrate": int(o.bitrate), **o.bus})
+        self._bus = FaultyBus(bus, self.faults)
+        self.begin_faults(self.faults, self._bus)
+        network = self._network = PolledNetwork(self._bus)
+        try:
+            self.drives = [
+                VirtualDrive(node, joint, o, logic, network)
+                for joint, (node, logic) in enumerate(zip(o.node_ids, self.logic.drives, strict=True))
+            ]
+        except BaseException:
+            network.disconnect()
+            raise
+        network.subscribe(process_data.SYNC, self._on_sync)
+        for node in range(1, 128):
+            if node not in o.node_ids:
+                network.subscribe(process_data.HEARTBEAT + node, self._on_heartbeat)
+
+    def _new_logic(self) -> DriveGroup:
+        s = self.settings
+        ramp = RampDown(time=s.ramp_down_time_s, damping=s.ramp_down_damping)
+        drives = [DriveLogic(tick=self.period, watchdog=s.arm_watchdog_cycles, ramp=ramp) for _ in self.options.node_ids]
+        return DriveGroup(drives, round(s.forget_after_s / self.period))
+
+    def begin_session(self, parameters: Mapping[str, Array]) -> None:
+        """The robot is back at its start pose, and the drives are switched off and on: they boot."""
+        self.logic = self._new_logic()
+        self.begin_faults(self.faults, self._bus)
+        self._velocity[:] = 0.0
+        for drive, logic in zip(self.drives, self.logic.drives, strict=True):
+            drive.logic = logic
+            drive.node.nmt._state = INITIALISING
+
+    def fail(self, joint: int = 1, code: int = 0x2310) -> None:
+        """A fault on demand: joint from 1, error code of CiA 402."""
+        self.logic.drives[joint - 1].fail(code)
+
+    def power_off(self) -> None:
+        for drive in self.logic.drives:
+            drive.power_off()
+
+    def receive(self, values: Mapping[str, Array]) -> None:
+        if self.begin_cycle():
+            self._network.drain()
+            self.logic.advance(self._velocity)
+        values["joint_torque_command"][:] = self.logic.torque
+        values["brake"][0] = float(self.logic.braked)
+
+    def _on_sync(self, can_id: int, data: Any, timestamp: float) -> None:
+        self.syncs += 1
+        for drive in self.drives:
+            drive.on_sync()
+        late = self._outside.time_ns() * 1e-9 - timestamp
+        if 0.0 <= late < 1.0:
+            self.answers.add(int(1e9 * late))
+
+    def _on_heartbeat(self, can_id: int, data: Any, timestamp: float) -> None:
+        for drive in self.drives:
+            drive.on_host_heartbeat(can_id)
+
+    def send(self, values: Mapping[str, Array]) -> None:
+        self._velocity[:] = values["joint_velocity"]
+        self._bus.flush()
+        if self._bus.silent:
+            return
+        s = self.scaling
+        columns = zip(
+            np.rint(values["joint_position"] / s.position_step).tolist(),
+            np.rint(values["joint_velocity"] / s.velocity_step).tolist(),
+            np.rint(values["joint_torque"] / s.torque_step).tolist(),
+            strict=True,
+        )
+        for drive, column in zip(self.drives, columns, strict=True):
+            drive.raw = dict(zip(MEASURED, map(int, column), strict=True))
+            drive.advance()
+
+    def report(self) -> Mapping[str, float]:
+        return {
+            "cycle": float(self.logic.cycle),
+            "syncs": float(self.syncs),
+            "frames_not_taken_by_the_interface": float(self._network.failed),
+        }
+
+    def histograms(self) -> Mapping[str, Histogram]:
+        return {f"{self.name}: all TPDOs sent after SYNC": self.answers}
+
+    def close(self) -> None:
+        self._network.disconnect()

@@ -1,0 +1,79 @@
+"""Messages in CDR (XCDR1, little-endian), many at once: all but the numbers is laid out once, as a template of fixed length."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from freeflyer_adapters.recording.ring import Rows
+
+ENCAPSULATION = b"\x00\x01\x00\x00"
+Numbers = Callable[[Rows], NDArray[np.float64] | NDArray[np.int64]]
+"""(rows, n): what goes into a message's n numbers of eight bytes."""
+
+
+@dataclass(frozen=True)
+class Place:
+    offset: int
+    size: int
+    numbers: Numbers
+
+
+class Layout:
+    """Built field by field in the order of the message's definition; `bytes_of` makes messages of rows."""
+
+    def __init__(self, frame: str) -> None:
+        """Every message begins with a std_msgs/Header."""
+        self._template = bytearray(ENCAPSULATION + bytes(8))
+        self._places: list[Place] = []
+        self.text(frame)
+
+    def text(self, text: str) -> None:
+        self._align(4)
+        data = text.encode() + b"\0"
+        self._template += struct.pack("<I", len(data)) + data
+
+    def length(self, count: int) -> None:
+        """Of a sequence whose elements follow."""
+        self._align(4)
+        self._template += struct.pack("<I", count)
+
+    def numbers(self, size: int, numbers: Numbers) -> None:
+        """`size` numbers of eight bytes."""
+        if size:
+            self._align(8)
+            self._places.append(Place(len(self._template), size, numbers))
+            self._template += bytes(8 * size)
+
+    def zeros(self, size: int) -> None:
+        self._align(8)
+        self._template += bytes(8 * size)
+
+    def texts(self, texts: Sequence[str]) -> None:
+        self.length(len(texts))
+        for text in texts:
+            self.text(text)
+
+    def _align(self, size: int) -> None:
+        """Alignment counts from the end of the encapsulation header."""
+        self._template += bytes(-(len(self._template) - len(ENCAPSULATION)) % size)
+
+    @property
+    def size(self) -> int:
+        return len(self._template)
+
+    def bytes_of(self, rows: Rows) -> list[bytes]:
+        """One message for each row, stamped with the row's wall clock."""
+        block = np.tile(np.frombuffer(bytes(self._template), dtype=np.uint8), (len(rows), 1))
+        stamps = np.stack(np.divmod(rows.times[:, 0], 1_000_000_000), axis=1).astype("<i4")
+        block[:, 4:12].view("<i4")[...] = stamps
+        for place in self._places:
+            numbers = place.numbers(rows)
+            part = block[:, place.offset : place.offset + 8 * place.size]
+            part.view(numbers.dtype.newbyteorder("<"))[...] = numbers
+        data, size = block.tobytes(), self.size
+        return [data[i * size : (i + 1) * size] for i in range(len(rows))]

@@ -1,0 +1,164 @@
+"""A run's rows as an MCAP file, and the last seconds before a stop as another one."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+import time
+from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import BinaryIO
+
+from mcap.data_stream import RecordBuilder
+from mcap.records import Channel, Schema
+from mcap.writer import CompressionType, Writer
+
+from freeflyer.errors import OutputError
+from freeflyer.record import Signal, write_whole
+from freeflyer_adapters import private_directory
+from freeflyer_adapters.recording.ring import RingReader, Rows
+from freeflyer_adapters.recording.run_head import RunHead
+from freeflyer_adapters.recording.topics import topics
+
+CHUNK_SECONDS = 0.05
+"""Of a loop in time: a chunk that is not whole is lost with its writer."""
+DEFINITIONS_EVERY = 5.0
+"""Schemas and channels once more after so long [s], so that what follows a damaged place can be read."""
+FLIGHT_SECONDS = 2.0
+RECORDING, FLIGHT = "recording.mcap", "flight_recording.mcap"
+RUN, STOP = "freeflyer.run", "freeflyer.stop"
+"""Metadata of a file: what was run, from the begin on; why and how it stopped, at the end."""
+STARTED = "started_ns"
+ORIGIN = "origin.json"
+MESSAGE_OVERHEAD = 31
+"""Bytes of a message's record beside its data."""
+SILENT = "the controllers' process ended without a word"
+
+
+@cache
+def library() -> str:
+    """What has written a file."""
+    return f"freeflyer-cosim {version('freeflyer-cosim')}; mcap {version('mcap')}"
+
+
+class RecordingFile:
+    """Rows go in, whole chunks come out. Whatever the stream raises goes through."""
+
+    def __init__(self, stream: BinaryIO, head: RunHead, signals: Sequence[Signal], chunk_seconds: float) -> None:
+        self._topics = topics(head, signals)
+        a_row = sum(topic.layout.size + MESSAGE_OVERHEAD for topic in self._topics)
+        rows = max(1, round(chunk_seconds * 1e9 / head.tick))
+        # mcap's writer ends a chunk by its size; every row has the same.
+        self._writer = Writer(stream, chunk_size=a_row * rows - 1, compression=CompressionType.ZSTD)
+        self._stream, self._number, self._repeated = stream, 0, -1
+        self._writer.start(profile="ros2", library=library())
+        run = {"scenario": head.scenario, "title": head.title, "tick_ns": str(head.tick), STARTED: str(head.started)}
+        self._writer.add_metadata(RUN, {**run, **{f"version of {name}": text for name, text in head.versions.items()}})
+        origin = json.dumps(head.origin).encode()
+        self._writer.add_attachment(head.started, head.started, ORIGIN, "application/json", origin)
+        self._channels = []
+        schemas: dict[str, int] = {}
+        definitions = RecordBuilder()
+        for topic in self._topics:
+            name, text = topic.message, topic.definition.encode()
+            if name not in schemas:
+                schemas[name] = self._writer.register_schema(name, "ros2msg", text)
+                Schema(id=schemas[name], name=name, encoding="ros2msg", data=text).write(definitions)
+            channel = self._writer.register_channel(topic.name, "cdr", schemas[name], dict(topic.metadata))
+            self._channels.append(channel)
+            Channel(
+                id=channel, topic=topic.name, message_encoding="cdr", metadata=dict(topic.metadata), schema_id=schemas[name]
+            ).write(definitions)
+        self._definitions = definitions.end()  # type: ignore[no-untyped-call]
+        self._again = max(1, round(DEFINITIONS_EVERY * 1e9 / head.tick))
+
+    def add(self, rows: Rows, only: Collection[str] | None = None) -> None:
+        """Every row's messages, or those of some topics, with the row's wall clock for their time."""
+        if not len(rows):
+            return
+        if self._number // self._again > self._repeated:
+            # mcap's writer has nothing on its way to the stream between two calls, and asks the stream where it is.
+            self._repeated = self._number // self._again
+            self._stream.write(self._definitions)
+        messages = [
+            (channel, topic.layout.bytes_of(rows))
+            for channel, topic in zip(self._channels, self._topics, strict=True)
+            if only is None or topic.name in only
+        ]
+        for i, at in enumerate(rows.times[:, 0].tolist()):
+            for channel, of_rows in messages:
+                self._writer.add_message(channel, at, of_rows[i], at, self._number & 0xFFFFFFFF)
+            self._number += 1
+
+    def flush(self) -> None:
+        """Whole chunks to the system, where they outlive this process."""
+        self._stream.flush()
+
+    def finish(self, stop: Mapping[str, str]) -> None:
+        """Why it stopped, index and summary."""
+        self.end(stop, STOP)
+
+    def end(self, last: Mapping[str, str], name: str) -> None:
+        self._writer.add_metadata(name, dict(last))
+        self._writer.finish()  # type: ignore[no-untyped-call]
+        self._stream.flush()
+
+
+def chosen(head: RunHead) -> list[Signal]:
+    return [signal for signal in head.signals if signal.name in head.chosen]
+
+
+def stop_of(ring: RingReader, recorder: str) -> dict[str, str]:
+    return {
+        "reason": ring.reason or SILENT,
+        "rows written by the loop": str(ring.written),
+        "rows lost by the recorder": str(ring.lost),
+        "written by": recorder,
+    }
+
+
+def save_flight(ring: RingReader, recorder: str, name: str = FLIGHT) -> Path | None:
+    """The last seconds before the stop, every signal at every instant; None if there was no instant.
+
+    Where the run's directory cannot be written, a private one under the temporary directory takes it. OutputError if that cannot
+    either.
+    """
+    rows = ring.last(FLIGHT_SECONDS)
+    if not len(rows):
+        return None
+    return save(Path(ring.head.directory) / name, lambda stream: write_rows(stream, ring, rows, ring.head.signals, recorder))
+
+
+def write_rows(stream: BinaryIO, ring: RingReader, rows: Rows, signals: Sequence[Signal], recorder: str) -> None:
+    """A whole file of rows that a ring has."""
+    file = RecordingFile(stream, ring.head, signals, FLIGHT_SECONDS / 4)
+    file.add(rows)
+    file.finish(stop_of(ring, recorder))
+
+
+def save(path: Path, write: Callable[[BinaryIO], object]) -> Path:
+    """Where it was written: there, or in a private directory if that cannot be. OutputError if neither can."""
+
+    def write_partial(partial: Path) -> None:
+        with partial.open("wb") as stream:
+            write(stream)
+            stream.flush()
+            os.fsync(stream.fileno())
+
+    try:
+        write_whole(path, write_partial)
+        return path
+    except OutputError:
+        second = fallback() / f"{time.strftime('%Y%m%dT%H%M%S')}_{path.name}"
+        write_whole(second, write_partial)
+        return second
+
+
+def fallback() -> Path:
+    path = Path(tempfile.gettempdir()) / f"freeflyer-recordings-{os.getuid()}"
+    if refused := private_directory.made(path):
+        raise OutputError(refused)
+    return path

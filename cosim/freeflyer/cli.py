@@ -1,0 +1,208 @@
+"""The command `freeflyer`. Subcommands are entry points of the group freeflyer.commands, so other packages can add theirs."""
+
+from __future__ import annotations
+
+import argparse
+import io
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from importlib.metadata import entry_points, version
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NoReturn, Protocol, get_args
+
+from rich.console import Console
+from rich.table import Table
+
+from freeflyer import assemble, experiment, reproduce, scenario
+from freeflyer.errors import BAD_INPUT, DONE, STOPPED, CosimError, ScenarioError
+from freeflyer.experiment import Result
+from freeflyer.record import check_writable
+from freeflyer.scenario import Scenario
+from freeflyer.ssp import read as ssp_read
+from freeflyer.ssp import write as ssp_write
+
+SCENARIO_HELP = f"{', '.join(scenario.shipped())}, or a .toml file"
+
+
+class Command(Protocol):
+    help: str
+
+    def configure(self, parser: argparse.ArgumentParser) -> None: ...
+
+    def execute(self, arguments: argparse.Namespace, console: Console) -> int: ...
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Exit codes: 0 done, 2 bad input, 3 the run stopped."""
+    # A path may hold bytes that are no text; what is said of it must not fail for that.
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+    parser = Parser(prog="freeflyer", description="Multi-rate co-simulation of a free-flying space robot.")
+    parser.add_argument("--version", action="version", version=f"freeflyer-cosim {version('freeflyer-cosim')}")
+    subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    commands: dict[str, Command] = {}
+    for point in sorted(entry_points(group="freeflyer.commands"), key=lambda point: point.name):
+        command: Command = point.load()()
+        commands[point.name] = command
+        command.configure(subparsers.add_parser(point.name, help=command.help, description=command.help))
+    parsed = parser.parse_args(arguments)
+    console = PlainConsole(highlight=False, markup=False)
+    try:
+        return commands[parsed.command].execute(parsed, console)
+    except CosimError as error:
+        return complain(str(error), error.exit_code)
+    except OSError as error:
+        return complain(f"the output cannot be written: {error.strerror or error}", STOPPED)
+
+
+@contextmanager
+def opened(name: str, overrides: Sequence[str], step: float | None) -> Iterator[Scenario]:
+    """A scenario by name, TOML file or SSP file; the FMUs of an SSP file are unpacked for as long."""
+    if not name.lower().endswith(".ssp"):
+        if step is not None:
+            raise ScenarioError("--step belongs to an .ssp file; in a scenario every component has its step_s")
+        yield scenario.load(name, overrides)
+        return
+    if step is not None and not 0.0 < step < float("inf"):
+        raise ScenarioError(f"--step {step:g}: a time above zero is expected")
+    with TemporaryDirectory(prefix="freeflyer-") as directory:
+        yield ssp_read.read(Path(name), Path(directory), step=step, overrides=overrides)
+
+
+def folder(text: str) -> Path:
+    if not text:
+        raise argparse.ArgumentTypeError("a directory is expected, got an empty name")
+    return Path(text)
+
+
+def complain(sentence: str, code: int) -> int:
+    print(f"freeflyer: {sentence}", file=sys.stderr)
+    return code
+
+
+class Parser(argparse.ArgumentParser):
+    """Says what is wrong with the arguments in one sentence."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(BAD_INPUT, f"freeflyer: {message}; `{self.prog} --help` tells what is expected\n")
+
+
+class PlainConsole(Console):
+    """A console that goes silent, instead of ending the command, when nobody reads any more."""
+
+    def on_broken_pipe(self) -> None:
+        self.quiet = True
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+class RunCommand:
+    help = "run one scenario; write its record and summary.json"
+
+    def configure(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("scenario", metavar="SCENARIO", help=f"{SCENARIO_HELP}, or an .ssp file")
+        parser.add_argument(
+            "--step",
+            type=float,
+            metavar="SECONDS",
+            help="of an .ssp file: communication step of components that have none there",
+        )
+        parser.add_argument("--set", action="append", default=[], metavar="COMPONENT.PARAMETER=VALUE", dest="overrides")
+        parser.add_argument(
+            "--fmi", type=int, choices=(2, 3), help="FMI version of the shipped FMUs (default: the scenario's, else 2)"
+        )
+        parser.add_argument(
+            "--master",
+            choices=get_args(experiment.Engine),
+            default="core",
+            help="who steps the FMUs, with the same numbers: native code (default), or FMPy from Python",
+        )
+        parser.add_argument("--out", type=folder, metavar="DIR", help="default: freeflyer_out/SCENARIO")
+
+    def execute(self, arguments: argparse.Namespace, console: Console) -> int:
+        if arguments.fmi is not None and arguments.scenario.lower().endswith(".ssp"):
+            raise ScenarioError("--fmi belongs to scenarios; an .ssp file holds its own FMUs")
+        with opened(arguments.scenario, arguments.overrides, arguments.step) as chosen:
+            directory = arguments.out or Path("freeflyer_out") / chosen.name
+            check_writable(directory)
+            with experiment.progress_bar(console, [chosen]) as reports:
+                result = experiment.run(chosen, fmi=arguments.fmi, progress=reports[chosen.name], engine=arguments.master)
+        experiment.write(result, directory)
+        console.print(result_table(result))
+        console.print(f"Results in {directory}: record.parquet, summary.json", soft_wrap=True)
+        return verdict(result)
+
+
+class ExportCommand:
+    help = "write a scenario's system, with its FMUs, as one SSP file for other tools"
+
+    def configure(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("scenario", metavar="SCENARIO", help=SCENARIO_HELP)
+        parser.add_argument("--set", action="append", default=[], metavar="COMPONENT.PARAMETER=VALUE", dest="overrides")
+        parser.add_argument("--fmi", type=int, choices=(2, 3), help="2: SSP 1.0 (default); 3: SSP 2.0")
+        parser.add_argument("--out", type=Path, required=True, metavar="FILE.ssp")
+
+    def execute(self, arguments: argparse.Namespace, console: Console) -> int:
+        if arguments.out.suffix != ".ssp":
+            raise ScenarioError(f"--out {arguments.out}: a file name that ends in .ssp is expected")
+        chosen = scenario.load(arguments.scenario, arguments.overrides)
+        with assemble.loaded(chosen, arguments.fmi) as system:
+            ssp_write.write(chosen, system, arguments.out)
+        console.print(f"{arguments.out}: {len(system.components)} components", soft_wrap=True)
+        return DONE
+
+
+class ReproduceCommand:
+    help = "every experiment of the paper: figures, a table beside the paper's statements, a report page, summary.json"
+
+    def configure(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("--out", type=folder, default=Path("freeflyer_out") / "reproduce", metavar="DIR")
+        parser.add_argument("--fmi", type=int, choices=(2, 3), default=2, help="FMI version of the FMUs (default: 2)")
+        parser.add_argument(
+            "--real-time",
+            action="store_true",
+            help="also the facility experiment in real time over CAN and Zenoh (a minute more)",
+        )
+
+    def execute(self, arguments: argparse.Namespace, console: Console) -> int:
+        return reproduce.reproduce(arguments.out, arguments.fmi, console, in_real_time=arguments.real_time)
+
+
+def result_table(result: Result) -> Table:
+    table = Table(title=result.scenario.title, title_justify="left")
+    table.add_column("")
+    table.add_column("maximum", justify="right")
+    table.add_column("last 10 s", justify="right")
+    for name in result.errors:
+        label, _, unit = name.rpartition("_error_")
+        values = result.summary[name]
+        table.add_row(f"{label.replace('_', ' ')} error [{unit}]", shown(values["max"]), shown(values["last_10_s"]))
+    for name, energy in result.summary["observed_energy_j"].items():
+        table.add_row(f"{name} observed energy, least [J]", shown(energy["min"]), "")
+    table.add_row("simulated [s] / wall [s]", f"{result.outcome.simulated:g}", f"{result.outcome.wall:.2f}")
+    return table
+
+
+def shown(value: float | None) -> str:
+    return "not finite" if value is None else f"{value:.3g}"
+
+
+def verdict(result: Result) -> int:
+    """Say how the run ended, where that is not as wished; give the exit code."""
+    outcome = result.outcome
+    if outcome.interrupted:
+        return complain(f"interrupted at {outcome.simulated:g} s; what was simulated is saved", STOPPED)
+    if outcome.failed:
+        return complain(f"the run stopped at {outcome.simulated:g} s: {outcome.cause}; it is saved until there", STOPPED)
+    if outcome.diverged and result.as_expected:
+        print(f"Diverged at {outcome.simulated:g} s, as this scenario expects ({outcome.cause})")
+    elif outcome.diverged:
+        return complain(
+            f"the run diverged at {outcome.simulated:g} s and stopped: {outcome.cause}; it is saved until there", STOPPED
+        )
+    elif not result.as_expected:
+        return complain("this scenario expects to diverge, but the run completed", STOPPED)
+    return DONE

@@ -1,0 +1,289 @@
+"""A scenario -> a system structure package: SSP 1.0 for FMUs of FMI 2.0, SSP 2.0 for FMUs of FMI 3.0.
+
+Elements of FMI 2.0 arrays are connectors of their own; arrays of FMI 3.0 are connectors with dimensions. Communication steps
+are written as libcosim and ecos read them, everything else that SSP has no place for as annotations of our own.
+"""
+
+from __future__ import annotations
+
+import tomllib
+import zipfile
+from collections.abc import Iterable, Mapping
+from importlib.metadata import version as installed
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+from fmpy.model_description import ModelVariable
+
+from freeflyer.assemble import System
+from freeflyer.clock import seconds
+from freeflyer.component import Array, Port
+from freeflyer.errors import ComponentError, ScenarioError
+from freeflyer.fmu import FmuComponent
+from freeflyer.graph import split
+from freeflyer.record import write_whole
+from freeflyer.scenario import ComponentSpec, Scenario, to_toml
+from freeflyer.ssp.names import ANNOTATION, DESCRIPTION, FMU_TYPE, SETTINGS, STEP_ANNOTATION, tag
+
+EPOCH = (1980, 1, 1, 0, 0, 0)
+IMPLEMENTATIONS = {"fmu": "CoSimulation", "model_exchange": "ModelExchange"}
+BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+
+Element = ElementTree.Element
+
+
+def write(scenario: Scenario, system: System, path: Path) -> None:
+    """The whole file or none; equal systems give equal bytes.
+
+    Raises ScenarioError or ComponentError for a system that SSP cannot hold, OutputError if the file cannot be written.
+    """
+    specs = {spec.name: spec for spec in scenario.components}
+    components = _checked(specs, system)
+    version = "1.0" if all(component.version == 2 for component in components.values()) else "2.0"
+    sources = _sources(components)
+    files: dict[str, bytes] = {}
+    given: dict[str, dict[str, Array]] = {}
+    for name, component in components.items():
+        files[sources[name]] = component.path.read_bytes()
+        given[name] = _changed(component, system.values.get(name, {}))
+        if given[name]:
+            files[f"resources/{name}.ssv"] = _text(_parameter_set(scenario.name, component, given[name], version))
+    files[DESCRIPTION] = _text(_description(scenario, system, specs, components, given, sources, version))
+    write_whole(path, lambda partial: _pack(partial, files))
+
+
+def _checked(specs: Mapping[str, ComponentSpec], system: System) -> dict[str, FmuComponent]:
+    found = {name: item for name, item in system.components.items() if isinstance(item, FmuComponent)}
+    for name, spec in specs.items():
+        if name not in found or spec.kind not in IMPLEMENTATIONS:
+            raise ScenarioError(f"component {name} is of kind {spec.kind!r}; only FMUs can be packed into an SSP file")
+    if len({component.version for component in found.values()}) > 1:
+        raise ScenarioError(
+            "the components' FMUs are of FMI 2.0 and of FMI 3.0; FMUs of one version are expected in an SSP file"
+        )
+    return found
+
+
+def _sources(components: Mapping[str, FmuComponent]) -> dict[str, str]:
+    """Where each component's FMU is in the archive; components that share an FMU share the copy."""
+    places: dict[Path, str] = {}
+    for name, component in components.items():
+        if component.path not in places:
+            wanted = f"resources/{component.path.name}"
+            places[component.path] = f"resources/{name}.fmu" if wanted in places.values() else wanted
+    return {name: places[component.path] for name, component in components.items()}
+
+
+def _changed(component: FmuComponent, values: Mapping[str, Array]) -> dict[str, Array]:
+    """Values that differ from the FMU's own; libcosim and ecos refuse a file in which they find an enumeration."""
+    return {
+        name: value
+        for name, value in values.items()
+        if component.ports[name].start is None or not np.array_equal(value, np.array(component.ports[name].start))
+    }
+
+
+# The description
+
+
+def _description(
+    scenario: Scenario,
+    system: System,
+    specs: Mapping[str, ComponentSpec],
+    components: Mapping[str, FmuComponent],
+    given: Mapping[str, Mapping[str, Array]],
+    sources: Mapping[str, str],
+    version: str,
+) -> Element:
+    root = Element(
+        tag("ssd:SystemStructureDescription"),
+        version=version,
+        name=scenario.name,
+        description=scenario.title,
+        generationTool=f"freeflyer-cosim {installed('freeflyer-cosim')}",
+    )
+    steps, top = system.steps, _add(root, "ssd:System", name=scenario.name)
+    elements = _add(top, "ssd:Elements")
+    units: dict[str, dict[str, str]] = {}
+    enumerations: dict[str, tuple[str, ...]] = {}
+    for name, component in components.items():
+        implementation = IMPLEMENTATIONS[specs[name].kind]
+        element = _add(elements, "ssd:Component", name=name, type=FMU_TYPE, source=sources[name], implementation=implementation)
+        connectors = Element(tag("ssd:Connectors"))
+        for variable, port in _interface(component, given[name]):
+            _connector(connectors, name, variable, port)
+            units |= _unit(component, _unit_name(variable, port), units)
+            if port.choices:
+                enumerations[f"{name}.{port.name}"] = port.choices
+        if len(connectors):
+            element.append(connectors)
+        if given[name]:
+            bindings = _add(element, "ssd:ParameterBindings")
+            _add(bindings, "ssd:ParameterBinding", source=f"resources/{name}.ssv")
+        annotations = _add(element, "ssd:Annotations")
+        _add(_annotation(annotations, STEP_ANNOTATION), "osp:StepSizeHint", value=_number(seconds(steps[name])))
+        samples = specs[name].samples
+        if samples is not None:
+            _add(_annotation(annotations, ANNOTATION), "freeflyer:Outputs", samples=str(samples).lower())
+    _connections(top, system, components)
+    if enumerations:
+        _enumerations(root, "ssd:Enumerations", enumerations)
+    if units:
+        _units(root, "ssd:Units", units)
+    experiment = _add(root, "ssd:DefaultExperiment", startTime="0.0", stopTime=_number(seconds(scenario.stop)))
+    algorithm = _add(_annotation(_add(experiment, "ssd:Annotations"), STEP_ANNOTATION), "osp:Algorithm")
+    _add(algorithm, "osp:FixedStepAlgorithm", baseStepSize=_number(seconds(min(steps.values()))))
+    settings = {key: value for key, value in tomllib.loads(scenario.source).items() if key in SETTINGS}
+    _add(_annotation(_add(root, "ssd:Annotations"), ANNOTATION), "freeflyer:Experiment").text = to_toml(settings)
+    return root
+
+
+def _interface(component: FmuComponent, given: Mapping[str, Array]) -> Iterable[tuple[ModelVariable, Port]]:
+    """Inputs, outputs, and the parameters that have a value here: an FMU's other variables need no connector."""
+    for port in component.ports.values():
+        if port.causality in ("input", "output") or (port.name in given and "arameter" in port.causality):
+            for variable in component.variables_of(port.name):
+                yield variable, port
+
+
+def _connector(parent: Element, component: str, variable: ModelVariable, port: Port) -> None:
+    connector = _add(parent, "ssd:Connector", name=variable.name, kind=port.causality)
+    typed = _add(connector, f"ssc:{variable.type}")
+    if port.choices:
+        typed.set("name", f"{component}.{port.name}")
+    unit = _unit_name(variable, port)
+    if unit:
+        typed.set("unit", unit)
+    _dimensions(connector, variable)
+
+
+def _dimensions(parent: Element, variable: ModelVariable) -> None:
+    for size in variable.shape or ():
+        _add(parent, "ssc:Dimension", size=str(size))
+
+
+def _unit_name(variable: ModelVariable, port: Port) -> str | None:
+    """SSP, like FMI, has one unit for an array; an array of mixed units has none (the FMU's own annotation tells them)."""
+    if variable.shape:
+        return port.units[0] if len(set(port.units)) == 1 else None
+    declared = variable.declaredType
+    return variable.unit or (declared.unit if declared else None)
+
+
+def _connections(top: Element, system: System, components: Mapping[str, FmuComponent]) -> None:
+    if not system.wiring.connections:
+        return
+    parent = _add(top, "ssd:Connections")
+    for connection in system.wiring.connections:
+        (source, output), (target, taken) = split(connection.source), split(connection.target)
+        ends = zip(components[source].variables_of(output), components[target].variables_of(taken), strict=True)
+        for start, end in ends:
+            element = _add(
+                parent,
+                "ssd:Connection",
+                startElement=source,
+                startConnector=start.name,
+                endElement=target,
+                endConnector=end.name,
+            )
+            if connection.delayed:
+                _add(_annotation(_add(element, "ssd:Annotations"), ANNOTATION), "freeflyer:Delayed")
+
+
+# Parameters, units, enumerations
+
+
+def _parameter_set(name: str, component: FmuComponent, given: Mapping[str, Array], version: str) -> Element:
+    root = Element(tag("ssv:ParameterSet"), version=version, name=name)
+    parameters = _add(root, "ssv:Parameters")
+    units: dict[str, dict[str, str]] = {}
+    enumerations: dict[str, tuple[str, ...]] = {}
+    for key, value in given.items():
+        port, first = component.ports[key], 0
+        for variable in component.variables_of(key):
+            count = int(np.prod(variable.shape or (1,)))
+            parameter = _add(parameters, "ssv:Parameter", name=variable.name)
+            typed = _add(parameter, f"ssv:{variable.type}", value=_value(port, variable, value[first : first + count]))
+            unit = _unit_name(variable, port)
+            if unit:
+                typed.set("unit", unit)
+                units |= _unit(component, unit, units)
+            if port.choices:
+                typed.set("name", f"{component.name}.{key}")
+                enumerations[f"{component.name}.{key}"] = port.choices
+            _dimensions(parameter, variable)
+            first += count
+    if enumerations:
+        _enumerations(root, "ssv:Enumerations", enumerations)
+    if units:
+        _units(root, "ssv:Units", units)
+    return root
+
+
+def _value(port: Port, variable: ModelVariable, numbers: Array) -> str:
+    if port.choices:
+        return port.choices[int(numbers[0]) - 1]
+    if port.boolean:
+        return " ".join("true" if number else "false" for number in numbers)
+    return " ".join(_number(number) if port.real else str(int(number)) for number in numbers)
+
+
+def _unit(component: FmuComponent, name: str | None, known: Mapping[str, Mapping[str, str]]) -> dict[str, dict[str, str]]:
+    """The FMU's own definition of a unit; one whose dimensions it does not tell is refused, for SSP demands them."""
+    if name is None:
+        return {}
+    base = next((unit.baseUnit for unit in component.description.unitDefinitions if unit.name == name), None)
+    if base is None:
+        raise ComponentError(f"FMU {component.path} uses the unit {name!r} and does not say what it is in SI base units")
+    found = {key: str(getattr(base, key)) for key in BASE_UNITS if getattr(base, key)}
+    found |= {
+        key: _number(getattr(base, key)) for key, usual in (("factor", 1.0), ("offset", 0.0)) if getattr(base, key) != usual
+    }
+    if known.get(name, found) != found:
+        raise ComponentError(f"FMU {component.path} means something else by the unit {name!r} than another FMU of the system")
+    return {name: found}
+
+
+def _units(root: Element, name: str, units: Mapping[str, Mapping[str, str]]) -> None:
+    parent = _add(root, name)
+    for key in sorted(units):
+        _add(_add(parent, "ssc:Unit", name=key), "ssc:BaseUnit", **units[key])
+
+
+def _enumerations(root: Element, name: str, enumerations: Mapping[str, tuple[str, ...]]) -> None:
+    parent = _add(root, name)
+    for key in sorted(enumerations):
+        element = _add(parent, "ssc:Enumeration", name=key)
+        for value, choice in enumerate(enumerations[key], start=1):
+            _add(element, "ssc:Item", name=choice, value=str(value))
+
+
+# XML and zip
+
+
+def _add(parent: Element, name: str, /, **attributes: str) -> Element:
+    return ElementTree.SubElement(parent, tag(name), attributes)
+
+
+def _annotation(parent: Element, kind: str) -> Element:
+    return _add(parent, "ssc:Annotation", type=kind)
+
+
+def _number(value: float) -> str:
+    return repr(float(value))
+
+
+def _text(root: Element) -> bytes:
+    ElementTree.indent(root)
+    text: bytes = ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True)
+    return text
+
+
+def _pack(path: Path, files: Mapping[str, bytes]) -> None:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
+        for name in sorted(files):
+            entry = zipfile.ZipInfo(name, EPOCH)
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            entry.external_attr = 0o644 << 16
+            archive.writestr(entry, files[name])

@@ -1,0 +1,61 @@
+"""Gains of the two control laws, with this project's defaults (the paper's text gives none)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import casadi as ca
+
+from freeflyer_fmus.block import Block
+from freeflyer_fmus.blocks.robot_parameters import joint_units
+from freeflyer_fmus.robot import Robot
+
+SX = ca.SX
+STIFFNESS = ("N/m",) * 3 + ("N.m/rad",) * 3
+DAMPING = ("N.s/m",) * 3 + ("N.m.s/rad",) * 3
+MANIPULATOR = ([500.0] * 3 + [50.0] * 3, [80.0] * 3 + [3.0] * 3)
+BASE = ([150.0] * 3 + [40.0] * 3, [10.0] * 3 + [2.0] * 3)
+
+
+class Gains(NamedTuple):
+    """Diagonals of K_P and K_D (6 each), in I."""
+
+    stiffness: SX
+    damping: SX
+
+
+def gains(block: Block, default: tuple[list[float], list[float]], prefix: str = "") -> Gains:
+    stiffness, damping = default
+    return Gains(
+        block.parameter(
+            f"{prefix}stiffness", stiffness, STIFFNESS, "Diagonal of K_P, in I (assumed)", tunable=True, minimum=0.0
+        ),
+        block.parameter(f"{prefix}damping", damping, DAMPING, "Diagonal of K_D, in I (assumed)", tunable=True, minimum=0.0),
+    )
+
+
+def null_space_damping(block: Block, robot: Robot) -> SX:
+    """Of a redundant arm; nothing is declared for six joints."""
+    if robot.joint_count == 6:
+        return SX(0, 1)
+    units = joint_units(robot, "N.m.s/rad", "N.s/m")
+    description = "Joint damping in the null space of J_m (extension: more joints than the paper's six)"
+    return block.parameter("null_space_damping", [1.0] * robot.joint_count, units, description, tunable=True, minimum=0.0)
+
+
+def null_space_spring(block: Block, robot: Robot) -> tuple[SX, SX]:
+    """Stiffness and posture that the null space is drawn to (n each)."""
+    if robot.joint_count == 6:
+        return SX(0, 1), SX(0, 1)
+    units, zero = joint_units(robot, "N.m/rad", "N/m"), [0.0] * robot.joint_count
+    stiffness = "Joint stiffness in the null space of J_m (extension); 0: none, and the Lyapunov function falls"
+    return (
+        block.parameter("null_space_stiffness", zero, units, stiffness, tunable=True, minimum=0.0),
+        block.parameter(
+            "null_space_posture",
+            robot.posture,
+            joint_units(robot, "rad", "m"),
+            "Posture that null_space_stiffness draws to",
+            tunable=True,
+        ),
+    )

@@ -1,0 +1,29 @@
+"""Pose and velocity of the end-effector from measured base and joints: on the facility nobody measures the hand itself."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from freeflyer_fmus.block import TWIST, Block
+from freeflyer_fmus.blocks.robot_parameters import measured_state, require_quaternions
+from freeflyer_fmus.blocks.terminals import HAND
+from freeflyer_fmus.equations.kinematics import end_effector_pose, end_effector_velocity
+from freeflyer_fmus.equations.mechanism import constant_mechanism
+from freeflyer_fmus.robot import Robot
+
+
+def hand_kinematics(robot: Robot) -> Block:
+    block = Block("hand_kinematics", "End-effector pose and velocity from measured base and joints")
+    block.sampled_every("period", 1e-3, "Sampling time: that of the arm")
+    p_b = block.input("base_position", np.zeros(3), "m", "Measured position of B in I")
+    state = measured_state(block, robot)
+    mechanism = constant_mechanism(robot)
+    p_e, R_e = end_effector_pose(mechanism, p_b, state.orientation, state.q)
+    block.output("end_effector_position", p_e, "m", "Position of E in I")
+    block.output("end_effector_orientation", R_e, "1", "Orientation of E in I, quaternion x, y, z, w")
+    block.output("end_effector_velocity", end_effector_velocity(mechanism, state), TWIST, "x_m': velocity of E, in I")
+    require_quaternions(block, {"base_orientation": state.orientation})
+    block.terminal("base", "base_position", "base_orientation", "base_velocity")
+    block.terminal("arm", "joint_position", "joint_velocity")
+    block.terminal("hand", **HAND)
+    return block

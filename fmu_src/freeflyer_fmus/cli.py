@@ -1,0 +1,130 @@
+"""`freeflyer fmus`: build the FMUs of a robot, or of a block of the user's own."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from freeflyer_fmus.errors import FmuSourceError, RobotError
+from freeflyer_fmus.export.archive import build_all
+from freeflyer_fmus.export.compiler import PLATFORMS, Platform, host_platform
+from freeflyer_fmus.oracle import disagreement
+from freeflyer_fmus.robot import Robot
+from freeflyer_fmus.shipped import BLOCKS
+from freeflyer_fmus.urdf import DEFAULT_ROBOT, load_robot_file, load_urdf, robot_path, shipped_robots
+from freeflyer_fmus.user_block import load_block
+
+SOURCES = "sources"
+"""Stands among the platforms for a target that compiles the FMU itself."""
+AGREEMENT = 1e-8
+"""Largest relative difference from Pinocchio's forward dynamics that a user's robot may have."""
+
+
+class FmusCommand:
+    help = "build FMI 2.0 and FMI 3.0 FMUs for a robot, or for a block of your own"
+
+    def configure(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument(
+            "--robot",
+            metavar="FILE",
+            help=f"a .urdf, a robot file .toml, or a shipped robot: {', '.join(shipped_robots())} (default: {DEFAULT_ROBOT.stem})",
+        )
+        parser.add_argument("--base-link", metavar="L", help="the floating base (default: the URDF's root)")
+        parser.add_argument("--end-effector", metavar="L", help="the hand's link (default: the only last link)")
+        parser.add_argument("--tool-link", metavar="L", help="the link whose mass becomes an FMU parameter (default: none)")
+        parser.add_argument(
+            "--lock", action="append", default=[], metavar="JOINT=VALUE", help="weld a joint [rad or m]; repeatable"
+        )
+        parser.add_argument("--posture", nargs="+", metavar="JOINT=VALUE", help="start posture: JOINT=VALUE each, or n numbers")
+        parser.add_argument("--block", type=Path, metavar="FILE.py", help="a file that defines block(robot) -> Block")
+        parser.add_argument(
+            "--platforms", default="host", help=f"host (default), all, or a list of {', '.join((*PLATFORMS, SOURCES))}"
+        )
+        parser.add_argument("--out", type=Path, default=Path("fmus"), metavar="DIR")
+
+    def execute(self, arguments: argparse.Namespace, console: Any) -> int:
+        try:
+            return self._build(arguments, console)
+        except FmuSourceError as error:
+            print(f"freeflyer: {error}", file=sys.stderr)
+            return 2
+
+    def _build(self, arguments: argparse.Namespace, console: Any) -> int:
+        platforms, sources = chosen_platforms(arguments.platforms)
+        arguments.robot = None if arguments.robot is None else robot_path(arguments.robot)
+        robot = chosen_robot(arguments)
+        makers = BLOCKS if arguments.block is None else {arguments.block.stem: load_block(arguments.block)}
+        # Everything is declared and checked before the first file is written.
+        blocks = [make(robot) for make in makers.values()]
+        for block in blocks:
+            _ = block.functions
+        if arguments.robot is not None:
+            difference = disagreement(robot)
+            if not difference < AGREEMENT:
+                raise RobotError(
+                    f"robot {robot.name}: the generated forward dynamics differ from Pinocchio's by {difference:.1e}; less than "
+                    f"{AGREEMENT:g} is expected: the inertias are too far apart in size to compute with"
+                )
+            console.print(f"{robot.name}: {robot.joint_count} free joints; dynamics agree with Pinocchio's to {difference:.1e}")
+        with console.status(f"compiling {len(blocks)} blocks for {', '.join(p.fmi3 for p in platforms) or 'no platform'}"):
+            for block, paths in build_all(blocks, arguments.out, platforms, sources=sources):
+                console.print(f"{block.name}: {', '.join(str(path) for path in paths.values())}", soft_wrap=True)
+        return 0
+
+
+def chosen_platforms(text: str) -> tuple[list[Platform], bool]:
+    """The platforms to compile for, and whether the sources go with the FMUs."""
+    chosen: dict[str, Platform] = {}
+    words = [word.strip() for word in text.split(",")]
+    for word in words:
+        if word == "all":
+            chosen |= PLATFORMS
+        elif word == "host":
+            chosen[host_platform().fmi3] = host_platform()
+        elif word in PLATFORMS:
+            chosen[word] = PLATFORMS[word]
+        elif word != SOURCES:
+            raise FmuSourceError(f"--platforms {text}: {word!r} is none of {', '.join((*PLATFORMS, SOURCES))}, host, all")
+    return list(chosen.values()), SOURCES in words or "all" in words
+
+
+def chosen_robot(arguments: argparse.Namespace) -> Robot:
+    lock = dict(assignment(text, "--lock") for text in arguments.lock)
+    posture = posture_of(arguments.posture)
+    given = [arguments.base_link, arguments.end_effector, arguments.tool_link, posture, *lock]
+    if arguments.robot is None or arguments.robot.suffix == ".toml":
+        if any(value is not None for value in given):
+            raise RobotError(
+                "--base-link, --end-effector, --tool-link, --lock and --posture belong to a URDF; give one with --robot"
+            )
+        return load_robot_file(arguments.robot) if arguments.robot else load_robot_file()
+    return load_urdf(
+        arguments.robot,
+        base_link=arguments.base_link,
+        end_effector=arguments.end_effector,
+        tool_link=arguments.tool_link,
+        lock=lock,
+        posture=posture,
+    )
+
+
+def assignment(text: str, option: str) -> tuple[str, float]:
+    name, _, value = text.partition("=")
+    try:
+        return name, float(value)
+    except ValueError as error:
+        raise RobotError(f"{option} {text}: JOINT=VALUE with a number is expected, for example {name}=0.5") from error
+
+
+def posture_of(words: Sequence[str] | None) -> dict[str, float] | list[float] | None:
+    if words is None:
+        return None
+    if any("=" in word for word in words):
+        return dict(assignment(word, "--posture") for word in words)
+    try:
+        return [float(word) for word in words]
+    except ValueError as error:
+        raise RobotError(f"--posture {' '.join(words)}: numbers, or JOINT=VALUE for each joint, are expected") from error

@@ -1,0 +1,121 @@
+"""Pose, velocity and Jacobians of the end-effector, (2), and the derivative of J_m along the actual motion."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from freeflyer_fmus.equations import rotation
+from freeflyer_fmus.equations.mechanism import Mechanism, State, transform
+from freeflyer_fmus.equations.spatial import Z, cross, skew, sparse
+
+SX = ca.SX
+
+
+class Axes(NamedTuple):
+    """Joint axes z_i and origins p_i (n vectors each), end-effector position p_e; in B's axes, from B's origin."""
+
+    z: list[SX]
+    p: list[SX]
+    p_e: SX
+
+
+def axes(mechanism: Mechanism, q: SX) -> Axes:
+    R, p = SX.eye(3), SX(3, 1)
+    z, origins = [], []
+    for i, joint in enumerate(mechanism.joints):
+        Rj, r = transform(joint, q[i])
+        p = p + R @ r
+        R = R @ Rj
+        z.append(R[:, 2])
+        origins.append(p)
+    return Axes(z, origins, p + R @ sparse(mechanism.robot.end_effector_translation))
+
+
+def manipulator_jacobian(mechanism: Mechanism, at: Axes) -> SX:
+    """J_m (6, n) of (2), in B's axes."""
+    columns = []
+    for joint, z, p in zip(mechanism.joints, at.z, at.p, strict=True):
+        if joint.kind == "revolute":
+            columns.append(ca.vertcat(cross(z, at.p_e - p), z))
+        else:
+            columns.append(ca.vertcat(z, SX(3, 1)))
+    return ca.horzcat(*columns)
+
+
+def base_jacobian(p_be: SX) -> SX:
+    """J_b (6, 6) of (2): p_be (3) is the end-effector's position relative to B's origin; in the axes of p_be."""
+    return ca.blockcat([[SX.eye(3), -skew(p_be)], [SX(3, 3), SX.eye(3)]])
+
+
+def base_jacobian_transposed_times(p_be: SX, wrench: SX) -> SX:
+    """J_b^T F (6): the same wrench about B's origin."""
+    return ca.vertcat(wrench[:3], wrench[3:] + cross(p_be, wrench[:3]))
+
+
+def manipulator_jacobian_rate_times(mechanism: Mechanism, at: Axes, v: SX, w: SX, qd: SX, y: SX) -> SX:
+    """dJ_m/dt y (6) for any y (n), with the derivative taken in I along the actual motion (v, w of B; q').
+
+    All in B's axes: the components of inertial derivatives, so no rotating-frame term is missing.
+    """
+    v_i, w_i, p_before = v, w, SX(3, 1)
+    velocities = []
+    for joint, z, p, rate in zip(mechanism.joints, at.z, at.p, ca.vertsplit(qd), strict=True):
+        v_i = v_i + cross(w_i, p - p_before)
+        if joint.kind == "revolute":
+            w_i = w_i + z * rate
+        else:
+            v_i = v_i + z * rate
+        velocities.append((v_i, w_i))
+        p_before = p
+    v_e = v_i + cross(w_i, at.p_e - p_before)
+    linear, angular = SX(3, 1), SX(3, 1)
+    for joint, z, p, (v_j, w_j), y_j in zip(mechanism.joints, at.z, at.p, velocities, ca.vertsplit(y), strict=True):
+        dz = cross(w_j, z)
+        if joint.kind == "revolute":
+            linear += y_j * (cross(dz, at.p_e - p) + cross(z, v_e - v_j))
+            angular += y_j * dz
+        else:
+            linear += y_j * dz
+    return ca.vertcat(linear, angular)
+
+
+def end_effector_orientation(mechanism: Mechanism, base_orientation: SX, q: SX) -> SX:
+    """Quaternion (4) of E in I, as a product of the joints' own quaternions: smooth, with no branch."""
+    total = base_orientation
+    for i, joint in enumerate(mechanism.joints):
+        total = rotation.product(total, _constant_quaternion(joint.rotation))
+        if joint.kind == "revolute":
+            total = rotation.product(total, rotation.about_z(q[i]))
+    return rotation.product(total, _constant_quaternion(mechanism.robot.end_effector_rotation))
+
+
+def _constant_quaternion(matrix: object) -> SX:
+    values = Rotation.from_matrix(np.asarray(matrix)).as_quat()
+    return SX(ca.DM(np.where(np.abs(values) < 1e-16, 0.0, values)))
+
+
+def end_effector_pose(mechanism: Mechanism, base_position: SX, base_orientation: SX, q: SX) -> tuple[SX, SX]:
+    """Position (3) [m] and quaternion (4) of E in I."""
+    p = base_position + rotation.matrix(base_orientation) @ axes(mechanism, q).p_e
+    return p, end_effector_orientation(mechanism, rotation.normalised(base_orientation), q)
+
+
+def end_effector_velocity(mechanism: Mechanism, state: State) -> SX:
+    """x_m' (6) in I, (2), by recursion along the chain."""
+    R_IB = rotation.matrix(state.orientation)
+    v, w = R_IB.T @ state.v, R_IB.T @ state.w
+    chain = R_IB
+    for i, joint in enumerate(mechanism.joints):
+        R, r = transform(joint, state.q[i])
+        v, w = R.T @ (v + cross(w, r)), R.T @ w
+        if joint.kind == "revolute":
+            w = w + Z * state.qd[i]
+        else:
+            v = v + Z * state.qd[i]
+        chain = chain @ R
+    r_e = sparse(mechanism.robot.end_effector_translation)
+    return ca.vertcat(chain @ (v + cross(w, r_e)), chain @ w)

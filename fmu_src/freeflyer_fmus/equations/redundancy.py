@@ -1,0 +1,74 @@
+"""More joints than the hand has degrees of freedom: this project's extension of the paper, which has six.
+
+The joint torques split into J_m^T F_m, which the hand feels, and a rest in the null space that leaves the hand alone while the base
+is at rest: dynamically consistent (Khatib, IEEE J. Robotics and Automation 3(1), 1987; compared in Dietrich, Ott, Albu-Schaeffer,
+Int. J. Robotics Research 34(11), 2015). With H_q the arm's inertia matrix:
+
+    J# = H_q^-1 J_m^T L,  L = (J_m H_q^-1 J_m^T)^-1,  P = 1 - J_m^T J#^T,  tau = J_m^T F_m + P tau_0
+
+With q_r' = J# x_md', whose null-space part P^T q_r' is zero, and the trajectory's whole torque in tau_0, the error system keeps (10) as
+its energy: V falls by (15) and by what a damper in the null space takes. docs/redundant_arms.md derives it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import casadi as ca
+
+from freeflyer_fmus.equations.dynamics import two_velocity_inverse_dynamics
+from freeflyer_fmus.equations.kinematics import axes, manipulator_jacobian
+from freeflyer_fmus.equations.mechanism import Mechanism, State
+from freeflyer_fmus.equations.spatial import solve_positive_definite
+
+SX = ca.SX
+
+
+class ConsistentInverse(NamedTuple):
+    """J_m (6, n), H_q (n, n), L (6, 6) and J# (n, 6), in B's axes."""
+
+    Jm: SX
+    H: SX
+    Lambda: SX
+    inverse: SX
+
+    def torque_in_null_space(self, torque: SX) -> SX:
+        """P tau (n)."""
+        return torque - self.Jm.T @ (self.inverse.T @ torque)
+
+    def velocity_in_null_space(self, velocity: SX) -> SX:
+        """P^T q' (n)."""
+        return velocity - self.inverse @ (self.Jm @ velocity)
+
+
+def inertia_times(mechanism: Mechanism, q: SX, y: SX) -> SX:
+    """H_q y (n), the base at rest."""
+    at_rest = State(SX([0, 0, 0, 1]), SX(3, 1), SX(3, 1), q, SX(q.numel(), 1))
+    _, efforts = two_velocity_inverse_dynamics(mechanism, at_rest, SX(6 + q.numel(), 1), ca.vertcat(SX(6, 1), y))
+    return efforts
+
+
+def consistent_inverse(mechanism: Mechanism, q: SX) -> ConsistentInverse:
+    y = SX.sym("y", q.numel())
+    H = ca.densify(ca.jacobian(inertia_times(mechanism, q, y), y))
+    Jm = ca.densify(manipulator_jacobian(mechanism, axes(mechanism, q)))
+    weighted = solve_positive_definite(H, Jm.T)
+    Lambda = solve_positive_definite(Jm @ weighted, SX.eye(6))
+    return ConsistentInverse(Jm, H, Lambda, weighted @ Lambda)
+
+
+def reference_acceleration(mechanism: Mechanism, state: State, at: ConsistentInverse, u: SX, du: SX) -> SX:
+    """d/dt (J# u) (n) for u (6) in B's axes, whose derivative there is du.
+
+    J_m q_r'' = du - dJ_m q_r' gives its part along the task; the other is P^T H_q^-1 (dJ_m^T L u - dH_q q_r').
+    """
+    q, qd, qd_r = state.q, state.qd, at.inverse @ u
+    y, F = SX.sym("y", q.numel()), SX.sym("F", 6)
+    Jm = manipulator_jacobian(mechanism, axes(mechanism, q))
+
+    def along_motion(expression: SX, symbol: SX, value: SX) -> SX:
+        return ca.substitute(ca.jtimes(expression, q, qd), symbol, value)
+
+    task = at.inverse @ (du - along_motion(Jm @ y, y, qd_r))
+    rest = along_motion(Jm.T @ F, F, at.Lambda @ u) - along_motion(inertia_times(mechanism, q, y), y, qd_r)
+    return task + at.velocity_in_null_space(solve_positive_definite(at.H, rest))

@@ -1,0 +1,137 @@
+"""Rigid and articulated inertias in one frame, and how they pass from a body to its parent.
+
+Everything is pairs of 3-vectors (linear, angular); a transform is (R, r): R turns child into parent coordinates, r is the
+child's origin in the parent frame. Source of the algorithms: Featherstone, Rigid Body Dynamics Algorithms, 2008.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import casadi as ca
+
+from freeflyer_fmus.robot import Inertial
+
+SX = ca.SX
+Z = SX(ca.DM([0.0, 0.0, 1.0]))
+
+
+def skew(v: SX) -> SX:
+    """[v]x (3, 3), so that skew(v) @ u = v x u."""
+    return ca.skew(v)
+
+
+def cross(a: SX, b: SX) -> SX:
+    return ca.cross(a, b)
+
+
+def sparse(values: Any) -> SX:
+    """A constant matrix with its exact zeros left out, so that products with them are never generated."""
+    return SX(ca.sparsify(ca.DM(values)))
+
+
+def symmetric(upper: SX) -> SX:
+    """The symmetric matrix with this upper triangle: mirrored entries are the same expression, computed once."""
+    return ca.triu2symm(ca.triu(upper))
+
+
+class RigidInertia(NamedTuple):
+    """Mass [kg], first moment m c (3) [kg m] and inertia about the frame's origin (3, 3) [kg m2]."""
+
+    mass: SX
+    first_moment: SX
+    inertia: SX
+
+    @staticmethod
+    def of(mass: SX, centre_of_mass: SX, inertia: SX) -> RigidInertia:
+        """From the inertia about the centre of mass."""
+        shift = ca.dot(centre_of_mass, centre_of_mass) * SX.eye(3) - centre_of_mass @ centre_of_mass.T
+        return RigidInertia(mass, mass * centre_of_mass, symmetric(inertia + mass * shift))
+
+    @staticmethod
+    def constant(body: Inertial) -> RigidInertia:
+        whole = RigidInertia.of(SX(body.mass), SX(ca.DM(body.centre_of_mass)), SX(ca.DM(body.inertia)))
+        return RigidInertia(*(ca.sparsify(part) for part in whole))
+
+    def seen_from(self, rotation: SX, translation: SX) -> RigidInertia:
+        """The same body in a frame in which this one stands at (rotation, translation)."""
+        moment = rotation @ self.first_moment
+        cross_term = moment @ translation.T + translation @ moment.T + self.mass * translation @ translation.T
+        about = ca.trace(cross_term) * SX.eye(3) - cross_term
+        turned = rotation @ self.inertia @ rotation.T
+        return RigidInertia(self.mass, moment + self.mass * translation, symmetric(turned + about))
+
+    def __add__(self, other: object) -> RigidInertia:
+        assert isinstance(other, RigidInertia)
+        return RigidInertia(self.mass + other.mass, self.first_moment + other.first_moment, self.inertia + other.inertia)
+
+    def momentum(self, v: SX, w: SX) -> tuple[SX, SX]:
+        """Linear momentum and angular momentum about the frame's origin, from the origin's velocity v and w."""
+        return self.mass * v + cross(w, self.first_moment), self.inertia @ w + cross(self.first_moment, v)
+
+    def articulated(self) -> ArticulatedInertia:
+        return ArticulatedInertia(self.mass * SX.eye(3), -skew(self.first_moment), self.inertia)
+
+
+class ArticulatedInertia(NamedTuple):
+    """A symmetric 6x6 inertia in blocks: force = M a + H alpha, torque = H^T a + I alpha."""
+
+    M: SX
+    H: SX
+    I: SX
+
+    def __add__(self, other: object) -> ArticulatedInertia:
+        assert isinstance(other, ArticulatedInertia)
+        return ArticulatedInertia(self.M + other.M, self.H + other.H, self.I + other.I)
+
+    def turned(self, R: SX) -> ArticulatedInertia:
+        """In other axes about the same origin: R turns the present coordinates into the new ones."""
+        return ArticulatedInertia(symmetric(R @ self.M @ R.T), R @ self.H @ R.T, symmetric(R @ self.I @ R.T))
+
+    def turned_about_z(self, c: SX, s: SX) -> ArticulatedInertia:
+        """`turned` by the angle with this cosine and sine."""
+        return ArticulatedInertia(*(_turned_about_z(part, c, s) for part in self))
+
+    def shifted(self, r: SX) -> ArticulatedInertia:
+        """About another origin, from which the present one is seen at r; in the same axes."""
+        H = self.H - self.M @ skew(r)
+        return ArticulatedInertia(self.M, H, symmetric(self.I + skew(r) @ H + (skew(r) @ self.H).T))
+
+    def matrix(self) -> SX:
+        return ca.blockcat([[self.M, self.H], [self.H.T, self.I]])
+
+
+def _turned_about_z(A: SX, c: SX, s: SX) -> SX:
+    """R A R^T (3, 3) with less than half the products: in the plane, the trace and the antisymmetric part do not turn."""
+    u = s * (A[0, 0] - A[1, 1]) + c * (A[0, 1] + A[1, 0])
+    column = ca.vertcat(c * A[0, 2] - s * A[1, 2], s * A[0, 2] + c * A[1, 2])
+    row = ca.horzcat(c * A[2, 0] - s * A[2, 1], s * A[2, 0] + c * A[2, 1])
+    in_plane = ca.blockcat([[A[0, 0] - s * u, c * u - A[1, 0]], [c * u - A[0, 1], A[1, 1] + s * u]])
+    return ca.blockcat([[in_plane, column], [row, A[2, 2]]])
+
+
+def wrench_to_parent(R: SX, r: SX, force: SX, torque: SX) -> tuple[SX, SX]:
+    """A wrench about the child's origin, as one about the parent's, in parent coordinates."""
+    turned = R @ force
+    return turned, R @ torque + cross(r, turned)
+
+
+def solve_positive_definite(A: SX, b: SX) -> SX:
+    """A^-1 b for symmetric positive definite A by L D L^T: no pivoting needed, no square root."""
+    n = A.size1()
+    L, D, LD = SX.eye(n), [SX(0)] * n, SX(n, n)
+    for j in range(n):
+        D[j] = A[j, j] - sum(L[j, k] * LD[j, k] for k in range(j))
+        for i in range(j + 1, n):
+            LD[i, j] = A[i, j] - sum(L[i, k] * LD[j, k] for k in range(j))
+            L[i, j] = LD[i, j] / D[j]
+    x = SX(b)
+    for i in range(n):
+        for k in range(i):
+            x[i, :] -= L[i, k] * x[k, :]
+    for i in range(n):
+        x[i, :] /= D[i]
+    for i in reversed(range(n)):
+        for k in range(i + 1, n):
+            x[i, :] -= L[k, i] * x[k, :]
+    return x

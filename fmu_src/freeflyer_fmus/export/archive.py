@@ -1,0 +1,129 @@
+"""Block -> .fmu files: one library for both FMI versions, two descriptions, reproducible archives."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import tempfile
+import zipfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from pathlib import Path
+
+from freeflyer_fmus.block import Block
+from freeflyer_fmus.errors import BuildError
+from freeflyer_fmus.export import description
+from freeflyer_fmus.export.amalgamation import amalgamated
+from freeflyer_fmus.export.c_code import print_block
+from freeflyer_fmus.export.compiler import FLAGS, SOURCES, Platform, compile_library, host_platform
+
+EPOCH = (1980, 1, 1, 0, 0, 0)
+
+
+def content_token(block: Block) -> str:
+    """The instantiation token: a hash of everything that makes the FMU what it is."""
+    digest = hashlib.sha256()
+    digest.update(description.fmi2(block, ""))
+    digest.update(description.fmi3(block, ""))
+    digest.update(description.terminals(block) or b"")
+    digest.update(print_block(block, "").encode())
+    for path in sorted(SOURCES.glob("*.[ch]")):
+        digest.update(path.read_bytes())
+    digest.update(" ".join(FLAGS).encode())
+    return f"{{{digest.hexdigest()[:32]}}}"
+
+
+def build_all(
+    blocks: Iterable[Block], directory: Path, platforms: Sequence[Platform] | None = None, *, sources: bool = False
+) -> Iterator[tuple[Block, dict[int, Path]]]:
+    """Write `directory/fmi2/NAME.fmu` and `directory/fmi3/NAME.fmu` of every block for the platforms (default: this one), with
+    `sources` if wanted; give their paths by FMI version, one block after the other. All cores compile.
+
+    Raises `BuildError` when the compiler fails or the directory cannot be written. Each file appears whole or not at all.
+    """
+    targets = [host_platform()] if platforms is None else platforms
+    with _scratch() as scratch, ThreadPoolExecutor(os.cpu_count()) as pool:
+        try:
+            jobs = [(block, *_submit(pool, block, Path(scratch), targets)) for block in blocks]
+            for block, block_c, libraries in jobs:
+                made = {target: library.result() for target, library in libraries.items()}
+                yield block, _write(block, directory, made, block_c if sources else None)
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+
+
+def build(
+    block: Block, directory: Path, platforms: Sequence[Platform] | None = None, *, sources: bool = False
+) -> dict[int, Path]:
+    """`build_all` of one block."""
+    ((_, paths),) = build_all([block], directory, platforms, sources=sources)
+    return paths
+
+
+def _submit(
+    pool: Executor, block: Block, scratch: Path, targets: Sequence[Platform]
+) -> tuple[str, dict[Platform, Future[bytes]]]:
+    """The block's C, and its libraries to come."""
+    block_c = print_block(block, content_token(block))
+    source = scratch / block.name / "block.c"
+    source.parent.mkdir()
+    source.write_text(block_c, encoding="ascii")
+
+    def library(target: Platform) -> bytes:
+        path = source.parent / target.fmi3 / f"{block.name}{target.suffix}"  # libraries know their own names
+        path.parent.mkdir()
+        compile_library(source, path, target)
+        return path.read_bytes()
+
+    return block_c, {target: pool.submit(library, target) for target in targets}
+
+
+def _write(block: Block, directory: Path, libraries: Mapping[Platform, bytes], block_c: str | None) -> dict[int, Path]:
+    token, name = content_token(block), block.name
+    fmi2 = {f"binaries/{target.fmi2}/{name}{target.suffix}": data for target, data in libraries.items()}
+    fmi3 = {f"binaries/{target.fmi3}/{name}{target.suffix}": data for target, data in libraries.items()}
+    if block_c is not None:
+        fmi2[f"sources/{name}.c"] = amalgamated(name, block_c, 2)
+        fmi3[f"sources/{name}.c"] = amalgamated(name, block_c, 3)
+        fmi3["sources/buildDescription.xml"] = description.build_description(block)
+    fmi2["modelDescription.xml"] = description.fmi2(block, token, [] if block_c is None else [f"{name}.c"])
+    fmi3["modelDescription.xml"] = description.fmi3(block, token)
+    grouped = description.terminals(block)
+    if grouped:
+        fmi3["terminalsAndIcons/terminalsAndIcons.xml"] = grouped
+    return {
+        2: write_archive(directory / "fmi2" / f"{name}.fmu", fmi2),
+        3: write_archive(directory / "fmi3" / f"{name}.fmu", fmi3),
+    }
+
+
+def write_archive(path: Path, files: Mapping[str, bytes]) -> Path:
+    """A zip with fixed times and order, so that equal content gives equal bytes."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial = path.with_suffix(".partial")
+        with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
+            for name in sorted(files):
+                entry = zipfile.ZipInfo(name, EPOCH)
+                entry.compress_type = zipfile.ZIP_DEFLATED
+                entry.external_attr = 0o644 << 16
+                archive.writestr(entry, files[name])
+        os.replace(partial, path)
+    except OSError as error:
+        raise BuildError(f"{path} cannot be written: {error.strerror}") from error
+    finally:
+        with contextlib.suppress(OSError, UnboundLocalError):
+            partial.unlink(missing_ok=True)
+    return path
+
+
+@contextlib.contextmanager
+def _scratch() -> Iterator[str]:
+    """A temporary directory; what goes wrong in it is said in one sentence."""
+    try:
+        with tempfile.TemporaryDirectory() as scratch:
+            yield scratch
+    except OSError as error:
+        raise BuildError(f"the temporary directory {tempfile.gettempdir()} cannot be used: {error.strerror}") from error

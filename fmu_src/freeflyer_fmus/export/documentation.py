@@ -1,0 +1,60 @@
+"""Blocks -> a Markdown page of their variables, from the same declarations as everything else."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from freeflyer_fmus.block import Block, Variable
+
+HEAD = """# FMU variables
+
+Made from the blocks' declarations by `python -m freeflyer_fmus.export.documentation`; start values are those of the default robot.
+In FMI 2.0 an array's element is `name[1]` ... `name[n]`. "Assumed" marks what the paper does not give.
+"""
+
+
+def page(blocks: Iterable[Block]) -> str:
+    return HEAD + "".join(_section(block) for block in blocks)
+
+
+def _section(block: Block) -> str:
+    kind = f"sampled at `{block.period}`" if block.is_sampled else "continuous: co-simulation and model exchange"
+    lines = [f"\n## {block.name}\n\n{block.description} ({kind}).\n"]
+    for title, causality in (
+        ("Parameters", "parameter"),
+        ("Inputs", "input"),
+        ("States, as outputs", "state"),
+        ("Outputs", "output"),
+    ):
+        variables = [variable for variable in block.having(causality) if not variable.local]
+        if variables:
+            lines += [f"\n{title}:\n\n| name | size | unit | start | description |\n|---|---|---|---|---|\n"]
+            lines += [_row(variable) for variable in variables]
+    return "".join(lines)
+
+
+def _row(variable: Variable) -> str:
+    units = list(dict.fromkeys(variable.units))
+    start = "" if variable.start is None else _values(variable)
+    note = ", tunable" if variable.tunable else ""
+    return f"| `{variable.name}` | {variable.size} | {', '.join(units)} | {start} | {variable.description}{note} |\n"
+
+
+def _values(variable: Variable) -> str:
+    assert variable.start is not None
+    if variable.kind == "boolean":
+        return str(bool(variable.start[0])).lower()
+    if variable.kind == "enumeration":
+        return f"{variable.choices[int(variable.start[0]) - 1]} (of {', '.join(variable.choices)})"
+    values = [f"{0.0 if abs(value) < 1e-15 else value:.6g}" for value in variable.start]
+    return values[0] if len(set(values)) == 1 and not np.isnan(variable.start[0]) else " ".join(values)
+
+
+if __name__ == "__main__":
+    from freeflyer_fmus.shipped import BLOCKS
+    from freeflyer_fmus.urdf import load_robot_file
+
+    robot = load_robot_file()
+    print(page(make(robot) for make in BLOCKS.values()), end="")

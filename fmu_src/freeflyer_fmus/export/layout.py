@@ -1,0 +1,70 @@
+"""Where every value of a block stands: one flat vector, whose index is the value reference in both FMI versions.
+
+Order: time, parameters, inputs, states, outputs, derivatives (of a continuous block). In FMI 3.0 an array's value reference
+is that of its first element.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from freeflyer_fmus.block import Block, Variable
+
+Access = Literal["read_only", "fixed", "tunable", "input", "start"]
+
+
+@dataclass(frozen=True)
+class Value:
+    """One entry of the value vector; `extent` is the variable's size at its first element and 0 inside it."""
+
+    element: str
+    kind: str
+    access: Access
+    maximum: int
+    extent: int
+
+
+@dataclass(frozen=True)
+class Layout:
+    values: tuple[Value, ...]
+    start: tuple[float, ...]
+    nominal: tuple[float, ...]
+    ranges: dict[str, tuple[int, int]]
+    reference: dict[str, int]
+
+
+def derivative_name(variable: Variable) -> str:
+    return f"der({variable.name})"
+
+
+def derivative_elements(variable: Variable) -> tuple[str, ...]:
+    """FMI 2.0's structured naming puts the index inside: der(x[1])."""
+    return tuple(f"der({element})" for element in variable.element_names)
+
+
+def layout(block: Block) -> Layout:
+    values = [Value("time", "real", "read_only", 0, 1)]
+    start, ranges, reference = [0.0], {}, {"time": 0}
+    access: dict[str, Access] = {"input": "input", "state": "start", "output": "read_only"}
+    for name, causality in (("parameters", "parameter"), ("inputs", "input"), ("states", "state"), ("outputs", "output")):
+        first = len(values)
+        for variable in block.having(causality):
+            reference[variable.name] = len(values)
+            how: Access = access.get(causality) or ("tunable" if variable.tunable else "fixed")
+            if not block.has_start(variable):
+                how = "read_only"
+            for index, element in enumerate(variable.element_names):
+                extent = variable.size if index == 0 else 0
+                values.append(Value(element, variable.kind, how, len(variable.choices), extent))
+                start.append(0.0 if variable.start is None else float(variable.start[index]))
+        ranges[name] = (first, len(values) - first)
+    first = len(values)
+    for variable in [] if block.is_sampled else block.having("state"):
+        reference[derivative_name(variable)] = len(values)
+        for index, element in enumerate(derivative_elements(variable)):
+            values.append(Value(element, "real", "read_only", 0, variable.size if index == 0 else 0))
+            start.append(0.0)
+    ranges["derivatives"] = (first, len(values) - first)
+    nominal = tuple(variable.nominal for variable in block.having("state") for _ in range(variable.size))
+    return Layout(tuple(values), tuple(start), nominal, ranges, reference)

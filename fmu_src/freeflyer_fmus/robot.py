@@ -1,0 +1,146 @@
+"""The robot as plain numbers: a rigid base and a serial chain of one-degree-of-freedom joints.
+
+Conventions (see NOTATION.md). B is the base frame: origin at the base body's centre of mass, axes of the base link.
+Every joint frame is turned so that the joint's axis is its own z axis: the recursions then know the motion subspace.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from freeflyer_fmus.errors import RobotError
+
+Array = NDArray[np.float64]
+
+
+def constant(values: object, shape: tuple[int, ...]) -> Array:
+    """A read-only float array of the given shape."""
+    array = np.array(values, dtype=np.float64).reshape(shape)
+    array.flags.writeable = False
+    return array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Inertial:
+    """Mass [kg], centre of mass (3) [m] and inertia about it (3, 3) [kg m2], in the axes of the frame that owns it."""
+
+    mass: float
+    centre_of_mass: Array
+    inertia: Array
+
+    @staticmethod
+    def zero() -> Inertial:
+        return Inertial(mass=0.0, centre_of_mass=constant(np.zeros(3), (3,)), inertia=constant(np.zeros((3, 3)), (3, 3)))
+
+    def seen_from(self, rotation: Array, translation: Array) -> Inertial:
+        """The same body in a frame in which this one stands at (rotation, translation)."""
+        return Inertial(
+            mass=self.mass,
+            centre_of_mass=constant(rotation @ self.centre_of_mass + translation, (3,)),
+            inertia=constant(rotation @ self.inertia @ rotation.T, (3, 3)),
+        )
+
+    def merged_with(self, other: Inertial) -> Inertial:
+        """Both bodies welded together; both are given in the same frame."""
+        mass = self.mass + other.mass
+        if mass == 0.0:
+            return self
+        centre = (self.mass * self.centre_of_mass + other.mass * other.centre_of_mass) / mass
+        inertia = sum(
+            (part.inertia + part.mass * _parallel_axis(part.centre_of_mass - centre) for part in (self, other)),
+            start=np.zeros((3, 3)),
+        )
+        return Inertial(mass=mass, centre_of_mass=constant(centre, (3,)), inertia=constant(inertia, (3, 3)))
+
+    def check(self, subject: str) -> None:
+        """Refuse what no rigid body can be: mass <= 0, inertia not positive definite, triangle inequality violated."""
+        if not (np.isfinite(self.mass) and np.isfinite(self.centre_of_mass).all() and np.isfinite(self.inertia).all()):
+            raise RobotError(f"{subject}: mass, centre of mass and inertia must be finite numbers")
+        if self.mass <= 0.0:
+            raise RobotError(f"{subject}: mass is {self.mass:g} kg; it must be greater than zero")
+        moments = np.linalg.eigvalsh(self.inertia)
+        shown = ", ".join(f"{moment:.6g}" for moment in moments)
+        if moments[0] <= 0.0:
+            raise RobotError(f"{subject}: inertia is not positive definite; its principal moments are ({shown}) kg m2")
+        if moments[0] + moments[1] < moments[2] * (1.0 - 1e-9):
+            raise RobotError(
+                f"{subject}: inertia violates the triangle inequality; its principal moments are ({shown}) kg m2, "
+                f"and the largest must not exceed the sum of the other two"
+            )
+
+
+def _parallel_axis(offset: Array) -> Array:
+    return np.asarray(offset @ offset * np.eye(3) - np.outer(offset, offset))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Joint:
+    """A revolute or prismatic joint about or along the z axis of its own frame.
+
+    `rotation` (3, 3) and `translation` (3) [m] place the joint frame in the parent body's frame at zero displacement.
+    Limits are in rad or m, rad/s or m/s, N m or N; infinite where there is none.
+    """
+
+    name: str
+    kind: Literal["revolute", "prismatic"]
+    rotation: Array
+    translation: Array
+    lower: float = -np.inf
+    upper: float = np.inf
+    velocity_limit: float = np.inf
+    effort_limit: float = np.inf
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Robot:
+    """A free-flyer: base, joints with the body that each moves, tool and end-effector.
+
+    `base` is in B (its centre of mass is B's origin); `base_attachment` is what is welded to it (the arm's first link), in B.
+    `bodies[i]` moves with joint i, in joint frame i. `end_effector_*` place the end-effector frame E in the last joint
+    frame. `tool` moves with the last joint and is given in E. `posture` (n) is the start posture of the joints.
+    """
+
+    name: str
+    base: Inertial
+    base_attachment: Inertial
+    joints: tuple[Joint, ...]
+    bodies: tuple[Inertial, ...]
+    end_effector_rotation: Array
+    end_effector_translation: Array
+    tool: Inertial = field(default_factory=Inertial.zero)
+    posture: Array
+
+    def __post_init__(self) -> None:
+        self.base.check(f"robot {self.name}, base")
+        if np.abs(self.base.centre_of_mass).max() > 0.0:
+            raise RobotError(f"robot {self.name}: the base frame's origin must be the base's centre of mass")
+        if not self.joints:
+            raise RobotError(f"robot {self.name}: no free joint between base and end-effector; at least one is expected")
+        if len(self.bodies) != len(self.joints):
+            raise RobotError(f"robot {self.name}: {len(self.joints)} joints but {len(self.bodies)} bodies")
+        if self.posture.shape != (len(self.joints),):
+            raise RobotError(
+                f"robot {self.name}: posture has {self.posture.size} values; one for each of the free joints "
+                f"{', '.join(joint.name for joint in self.joints)} is expected"
+            )
+        last = len(self.joints) - 1
+        for index, (joint, body) in enumerate(zip(self.joints, self.bodies, strict=True)):
+            tool = self.tool.seen_from(self.end_effector_rotation, self.end_effector_translation)
+            whole = body.merged_with(tool) if index == last else body
+            whole.check(f"robot {self.name}, body moved by joint {joint.name}")
+        for joint, value in zip(self.joints, self.posture, strict=True):
+            if not np.isfinite(value):
+                raise RobotError(f"robot {self.name}: posture of joint {joint.name} is {value}; a finite number is expected")
+            if not joint.lower <= value <= joint.upper:
+                raise RobotError(
+                    f"robot {self.name}: posture of joint {joint.name} is {value:g}, outside its limits "
+                    f"[{joint.lower:g}, {joint.upper:g}]"
+                )
+
+    @property
+    def joint_count(self) -> int:
+        return len(self.joints)
