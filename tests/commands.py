@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from freeflyer import cli
+from freeflyer import command
 
 
 def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str]:
-    code = cli.main(arguments)
+    code = command.call(arguments)
     error = capsys.readouterr().err
     assert "Traceback" not in error
     assert len(error.strip().splitlines()) <= 1, error

@@ -14,8 +14,8 @@ from rich.console import Console
 from rich.table import Table
 
 from freeflyer import experiment, scenario
-from freeflyer.cli import complain, folder, result_table, verdict
-from freeflyer.errors import BAD_INPUT, DONE, STOPPED
+from freeflyer.cli import folder, result_table, verdict
+from freeflyer.errors import BAD_INPUT, DONE, STOPPED, complain
 from freeflyer.interrupts import interrupts
 from freeflyer.record import check_writable, write_text
 from freeflyer.scenario import Scenario
@@ -33,8 +33,6 @@ AFTERWARDS = 1.0
 
 
 class HilCommand:
-    help = "run a scenario's controllers on its facility, real or virtual, in real time"
-
     def configure(self, parser: argparse.ArgumentParser) -> None:
         _common(parser)
         parser.add_argument("--out", type=folder, metavar="DIR", help="default: freeflyer_out/hil_SCENARIO")
@@ -108,8 +106,6 @@ class HilCommand:
 
 
 class FacilityCommand:
-    help = "play a scenario's facility: its arm and base robot as models behind their real protocols"
-
     def configure(self, parser: argparse.ArgumentParser) -> None:
         _common(parser)
         parser.add_argument("--out", type=folder, metavar="DIR", help="write facility.json there at the end")

@@ -53,7 +53,7 @@ class LiveValues:
     def show(self) -> None:
         """Start the viewer on this terminal."""
         self.viewer = subprocess.Popen(
-            [sys.executable, "-m", "freeflyer_adapters.live_view", str(self.path)], stdin=subprocess.DEVNULL
+            [sys.executable, "-P", "-m", "freeflyer_adapters.live_view", str(self.path)], stdin=subprocess.DEVNULL
         )
 
     def write(self, values: Sequence[float]) -> None:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import fnmatch
-import functools
 import importlib
 import importlib.util
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
 
@@ -18,18 +16,12 @@ from freeflyer.component import Component
 from freeflyer.errors import ComponentError, CosimError, ScenarioError
 from freeflyer.fmu import FmuComponent
 from freeflyer.master import Master
-from freeflyer.model_exchange import ModelExchangeComponent
 from freeflyer.near import did_you_mean
 from freeflyer.parameters import Values
+from freeflyer.plugins import load, plugins, renamed
 from freeflyer.scenario import ComponentSpec, Scenario
 
 Factory = Callable[[str, Mapping[str, Any], Path], Component]
-
-
-@functools.cache
-def _points(group: str) -> Mapping[str, EntryPoint]:
-    """Looking through every installed package takes longer than loading an FMU."""
-    return {point.name: point for point in entry_points(group=group)}
 
 
 def find_fmu(name: str, options: Mapping[str, Any], directory: Path) -> Path:
@@ -41,8 +33,8 @@ def find_fmu(name: str, options: Mapping[str, Any], directory: Path) -> Path:
     if fmu.endswith(".fmu"):
         return directory / fmu
     known: list[str] = []
-    for point in _points("freeflyer.fmus").values():
-        folder = Path(point.load()()) / f"fmi{version}"
+    for point in plugins("freeflyer.fmus").values():
+        folder = Path(load(point)()) / f"fmi{version}"
         path = folder / f"{fmu}.fmu"
         if path.is_file():
             return path
@@ -63,6 +55,8 @@ def fmu_component(name: str, options: Mapping[str, Any], directory: Path) -> Com
 
 
 def model_exchange_component(name: str, options: Mapping[str, Any], directory: Path) -> Component:
+    from freeflyer.model_exchange import ModelExchangeComponent  # SciPy's integrators are for these alone
+
     return ModelExchangeComponent(name, find_fmu(name, options, directory))
 
 
@@ -87,7 +81,7 @@ def python_component(name: str, options: Mapping[str, Any], directory: Path) -> 
         raise
     except (Exception, SystemExit) as error:  # a user's file may fail in any way
         raise ComponentError(
-            f"component {name}: {where}:{attribute} cannot be used: {type(error).__name__}: {error}"
+            f"component {name}: {where}:{attribute} cannot be used: {type(error).__name__}: {error}{renamed(error)}"
         ) from error
     if not hasattr(made, "ports") or not hasattr(made, "step"):
         raise ComponentError(f"component {name}: {where}:{attribute} gave a {type(made).__name__}; a component is expected")
@@ -95,10 +89,10 @@ def python_component(name: str, options: Mapping[str, Any], directory: Path) -> 
 
 
 def make(spec: ComponentSpec, directory: Path, fmi: int | None) -> Component:
-    points = _points("freeflyer.components")
+    points = plugins("freeflyer.components")
     if spec.kind not in points:
         raise ComponentError(f"component {spec.name}: there is no kind {spec.kind!r}{did_you_mean(spec.kind, points)}")
-    factory: Factory = points[spec.kind].load()
+    factory: Factory = load(points[spec.kind])
     options = dict(spec.options)
     if fmi is not None and spec.kind in ("fmu", "model_exchange"):
         options["fmi"] = fmi

@@ -1,62 +1,26 @@
-"""The command `freeflyer`. Subcommands are entry points of the group freeflyer.commands, so other packages can add theirs."""
+"""`freeflyer run`, `export` and `reproduce`, and what other subcommands share with them."""
 
 from __future__ import annotations
 
 import argparse
-import io
-import os
-import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from importlib.metadata import entry_points, version
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import NoReturn, Protocol, get_args
+from typing import get_args
 
 from rich.console import Console
 from rich.table import Table
 
-from freeflyer import assemble, experiment, reproduce, scenario
-from freeflyer.errors import BAD_INPUT, DONE, STOPPED, CosimError, ScenarioError
+from freeflyer import experiment, scenario
+from freeflyer.errors import DONE, STOPPED, ScenarioError, complain
 from freeflyer.experiment import Result
 from freeflyer.record import check_writable
 from freeflyer.scenario import Scenario
-from freeflyer.ssp import read as ssp_read
-from freeflyer.ssp import write as ssp_write
+
+# What one subcommand alone uses is imported by it: SSP files and figures are not loaded for a run.
 
 SCENARIO_HELP = f"{', '.join(scenario.shipped())}, or a .toml file"
-
-
-class Command(Protocol):
-    help: str
-
-    def configure(self, parser: argparse.ArgumentParser) -> None: ...
-
-    def execute(self, arguments: argparse.Namespace, console: Console) -> int: ...
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Exit codes: 0 done, 2 bad input, 3 the run stopped."""
-    # A path may hold bytes that are no text; what is said of it must not fail for that.
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")
-    parser = Parser(prog="freeflyer", description="Multi-rate co-simulation of a free-flying space robot.")
-    parser.add_argument("--version", action="version", version=f"freeflyer-cosim {version('freeflyer-cosim')}")
-    subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    commands: dict[str, Command] = {}
-    for point in sorted(entry_points(group="freeflyer.commands"), key=lambda point: point.name):
-        command: Command = point.load()()
-        commands[point.name] = command
-        command.configure(subparsers.add_parser(point.name, help=command.help, description=command.help))
-    parsed = parser.parse_args(arguments)
-    console = PlainConsole(highlight=False, markup=False)
-    try:
-        return commands[parsed.command].execute(parsed, console)
-    except CosimError as error:
-        return complain(str(error), error.exit_code)
-    except OSError as error:
-        return complain(f"the output cannot be written: {error.strerror or error}", STOPPED)
 
 
 @contextmanager
@@ -69,6 +33,8 @@ def opened(name: str, overrides: Sequence[str], step: float | None) -> Iterator[
         return
     if step is not None and not 0.0 < step < float("inf"):
         raise ScenarioError(f"--step {step:g}: a time above zero is expected")
+    from freeflyer.ssp import read as ssp_read
+
     with TemporaryDirectory(prefix="freeflyer-") as directory:
         yield ssp_read.read(Path(name), Path(directory), step=step, overrides=overrides)
 
@@ -79,29 +45,7 @@ def folder(text: str) -> Path:
     return Path(text)
 
 
-def complain(sentence: str, code: int) -> int:
-    print(f"freeflyer: {sentence}", file=sys.stderr)
-    return code
-
-
-class Parser(argparse.ArgumentParser):
-    """Says what is wrong with the arguments in one sentence."""
-
-    def error(self, message: str) -> NoReturn:
-        self.exit(BAD_INPUT, f"freeflyer: {message}; `{self.prog} --help` tells what is expected\n")
-
-
-class PlainConsole(Console):
-    """A console that goes silent, instead of ending the command, when nobody reads any more."""
-
-    def on_broken_pipe(self) -> None:
-        self.quiet = True
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
 class RunCommand:
-    help = "run one scenario; write its record and summary.json"
-
     def configure(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("scenario", metavar="SCENARIO", help=f"{SCENARIO_HELP}, or an .ssp file")
         parser.add_argument(
@@ -137,8 +81,6 @@ class RunCommand:
 
 
 class ExportCommand:
-    help = "write a scenario's system, with its FMUs, as one SSP file for other tools"
-
     def configure(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("scenario", metavar="SCENARIO", help=SCENARIO_HELP)
         parser.add_argument("--set", action="append", default=[], metavar="COMPONENT.PARAMETER=VALUE", dest="overrides")
@@ -148,6 +90,9 @@ class ExportCommand:
     def execute(self, arguments: argparse.Namespace, console: Console) -> int:
         if arguments.out.suffix != ".ssp":
             raise ScenarioError(f"--out {arguments.out}: a file name that ends in .ssp is expected")
+        from freeflyer import assemble
+        from freeflyer.ssp import write as ssp_write
+
         chosen = scenario.load(arguments.scenario, arguments.overrides)
         with assemble.loaded(chosen, arguments.fmi) as system:
             ssp_write.write(chosen, system, arguments.out)
@@ -156,8 +101,6 @@ class ExportCommand:
 
 
 class ReproduceCommand:
-    help = "every experiment of the paper: figures, a table beside the paper's statements, a report page, summary.json"
-
     def configure(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("--out", type=folder, default=Path("freeflyer_out") / "reproduce", metavar="DIR")
         parser.add_argument("--fmi", type=int, choices=(2, 3), default=2, help="FMI version of the FMUs (default: 2)")
@@ -168,6 +111,8 @@ class ReproduceCommand:
         )
 
     def execute(self, arguments: argparse.Namespace, console: Console) -> int:
+        from freeflyer import reproduce
+
         return reproduce.reproduce(arguments.out, arguments.fmi, console, in_real_time=arguments.real_time)
 
 

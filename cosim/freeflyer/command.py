@@ -1,23 +1,161 @@
-"""The entry point of `freeflyer`: it stands before the slow imports, so that an interrupt during them is an orderly end too."""
+"""The command `freeflyer`: finds the subcommand, and loads that one alone.
+
+Nothing heavy is imported before a subcommand is known, so that `freeflyer --help` answers at once and an interrupt during the
+imports is an orderly end too.
+"""
 
 from __future__ import annotations
 
+import argparse
+import io
+import os
 import signal
 import sys
+from collections.abc import Iterator, Mapping, Sequence
+from importlib import import_module
+from typing import TYPE_CHECKING, NoReturn, Protocol
 
-from freeflyer.errors import STOPPED
+from freeflyer.errors import BAD_INPUT, STOPPED, CosimError, complain
+from freeflyer.plugins import load, plugins
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+GROUP = "freeflyer.commands"
+"""Entry points of other packages' commands: the class is a `Command` with its line of help as `help`."""
+COMMANDS: Mapping[str, tuple[str, str]] = {
+    "audit": (
+        "freeflyer.audit.command:AuditCommand",
+        "where the energy of a recorded run entered and went, and what the observers believed",
+    ),
+    "certificates": (
+        "freeflyer_adapters.base.certificates_command:CertificatesCommand",
+        "make an authority, and a certificate and key for each end of the base robot's link",
+    ),
+    "export": (
+        "freeflyer.cli:ExportCommand",
+        "write a scenario's system, with its FMUs, as one SSP file for other tools",
+    ),
+    "facility": (
+        "freeflyer_adapters.cli:FacilityCommand",
+        "play a scenario's facility: its arm and base robot as models behind their real protocols",
+    ),
+    "fmus": (
+        "freeflyer_fmus.cli:FmusCommand",
+        "build FMI 2.0 and FMI 3.0 FMUs for a robot, or for a block of your own",
+    ),
+    "hil": (
+        "freeflyer_adapters.cli:HilCommand",
+        "run a scenario's controllers on its facility, real or virtual, in real time",
+    ),
+    "predict": (
+        "freeflyer.prediction.command:PredictCommand",
+        "the largest stable period of the base's controller, from the linear loop at the set point",
+    ),
+    "recover": (
+        "freeflyer_adapters.recording.command:RecoverCommand",
+        "make whole files of an unfinished or damaged recording, CAN log, or of what a killed loop has left in memory",
+    ),
+    "reproduce": (
+        "freeflyer.cli:ReproduceCommand",
+        "every experiment of the paper: figures, a table beside the paper's statements, a report page, summary.json",
+    ),
+    "run": (
+        "freeflyer.cli:RunCommand",
+        "run one scenario; write its record and summary.json",
+    ),
+    "sweep": (
+        "freeflyer.sweep.command:SweepCommand",
+        "many runs of one scenario on Dask: grids and random designs, as one table",
+    ),
+}
+"""This distribution's commands by name: where the class is, and its line in `freeflyer --help`."""
+
+
+class Command(Protocol):
+    def configure(self, parser: argparse.ArgumentParser) -> None: ...
+
+    def execute(self, arguments: argparse.Namespace, console: Console) -> int: ...
 
 
 def main() -> int:
-    """See freeflyer.cli.main. SIGTERM ends a command as Ctrl-C does."""
+    """The process's entry point. SIGTERM ends a command as Ctrl-C does."""
+    # Inherited by every Python process that is started from here: none runs a folder of the working directory as a module.
+    os.environ["PYTHONSAFEPATH"] = "1"
     try:
         signal.signal(signal.SIGTERM, _interrupt)
-        from freeflyer.cli import main as command
-
-        return command()
+        return call(sys.argv[1:])
     except KeyboardInterrupt:
         print("freeflyer: interrupted; what was written until now is whole", file=sys.stderr)
         return STOPPED
+
+
+def call(arguments: Sequence[str]) -> int:
+    """Run one command line. Exit codes: 0 done, 2 bad input, 3 the run stopped."""
+    # A path may hold bytes that are no text; a message about it must not fail for that.
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+    parser = Parser(prog="freeflyer", description="Multi-rate co-simulation of a free-flying space robot.")
+    parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
+    subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    try:
+        command = _chosen(arguments)
+        if command is None:
+            for name, text in _listing():
+                subparsers.add_parser(name, help=text)
+            parser.parse_args(arguments)  # exits: with the help, the version, or one sentence
+            raise AssertionError(arguments)
+        name = arguments[0]
+        text = COMMANDS[name][1] if name in COMMANDS else str(getattr(command, "help", ""))
+        command.configure(subparsers.add_parser(name, description=text.replace("%", "%%")))
+        parsed = parser.parse_args(arguments)
+
+        from freeflyer.console import PlainConsole
+
+        return command.execute(parsed, PlainConsole(highlight=False, markup=False))
+    except CosimError as error:
+        return complain(str(error), error.exit_code)
+    except OSError as error:
+        return complain(f"the output cannot be written: {error.strerror or error}", STOPPED)
+
+
+class Parser(argparse.ArgumentParser):
+    """Says what is wrong with the arguments in one sentence."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(BAD_INPUT, f"freeflyer: {message}; `{self.prog} --help` tells what is expected\n")
+
+
+class _Version(argparse.Action):
+    """Looks the version up only when it is asked for."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        from importlib.metadata import version
+
+        parser.exit(message=f"freeflyer-cosim {version('freeflyer-cosim')}\n")
+
+
+def _chosen(arguments: Sequence[str]) -> Command | None:
+    """Load the subcommand that the arguments begin with; None where they name none. Raises CosimError."""
+    name = arguments[0] if arguments else ""
+    if name in COMMANDS:
+        module, _, attribute = COMMANDS[name][0].partition(":")
+        found: Command = getattr(import_module(module), attribute)()
+        return found
+    point = None if not name or name.startswith("-") else plugins(GROUP).get(name)
+    return None if point is None else load(point)()
+
+
+def _listing() -> Iterator[tuple[str, str]]:
+    """Every subcommand with its line of help; one of another package that cannot be loaded says so in its line."""
+    others = plugins(GROUP)
+    for name in sorted({*COMMANDS, *others}):
+        try:
+            text = COMMANDS[name][1] if name in COMMANDS else str(load(others[name]).help)
+        except CosimError as error:
+            text = str(error)
+        yield name, text.replace("%", "%%")
 
 
 def _interrupt(number: int, frame: object) -> None:

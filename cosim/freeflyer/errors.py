@@ -1,5 +1,7 @@
 """What can go wrong, as one small tree. Every message is one sentence for the user: subject, got, expected, remedy."""
 
+import sys
+
 DONE, BAD_INPUT, STOPPED = 0, 2, 3
 """Exit codes of every command."""
 
@@ -42,3 +44,9 @@ class StepFailed(Exception):
     def __init__(self, component: str, message: str, *, left_validity: bool = False) -> None:
         super().__init__(f"{component}: {' '.join(message.split())}")
         self.left_validity = left_validity
+
+
+def complain(sentence: str, code: int) -> int:
+    """Print the one sentence that a command fails with; give its exit code back."""
+    print(f"freeflyer: {sentence}", file=sys.stderr)
+    return code

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from freeflyer import unpacked
 from freeflyer.component import Array, Port
 from freeflyer.errors import ComponentError, StepFailed
-from freeflyer.fmu_description import OWN_TOOL, REAL, describe, ports_in, sentence, terminals_of
+from freeflyer.fmu_description import OWN_TOOL, REAL, describe_fmu, ports_in, sentence, terminals_of
 
 ASKED_TO_END = "the FMU asks for the end of the simulation"
 DISCARD = 2
@@ -81,7 +81,7 @@ class FmuComponent:
 
     def __init__(self, name: str, path: Path) -> None:
         self.name, self.path = name, path
-        self.description = describe(path)
+        self.description = describe_fmu(path)
         self.version = 2 if self.description.fmiVersion.startswith("2") else 3
         self._ports, self._variables = ports_in(path)
         self.terminals = terminals_of(path)

@@ -73,7 +73,7 @@ def opened(path: Path) -> Iterator[Archive]:
 
 
 @_once_a_file
-def describe(path: Path) -> ModelDescription:
+def describe_fmu(path: Path) -> ModelDescription:
     """The FMU's model description; ComponentError with one sentence for a file that is no usable FMU.
 
     Nothing of the FMU is run. FMPy, whose parser leaves entities and document types to lxml's version, sees the checked text alone.
@@ -133,7 +133,7 @@ def terminals_of(path: Path) -> dict[str, dict[str, str]]:
 def ports_in(path: Path) -> tuple[dict[str, Port], dict[str, list[ModelVariable]]]:
     """`ports_of` a file, with its annotated units."""
     try:
-        return ports_of(describe(path), annotated_units(path))
+        return ports_of(describe_fmu(path), annotated_units(path))
     except (ValueError, OverflowError) as error:
         raise ComponentError(f"FMU {path} has an invalid {DESCRIPTION}: {sentence(error)}") from error
 

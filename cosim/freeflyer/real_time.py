@@ -21,7 +21,7 @@ from freeflyer.master import Outcome
 from freeflyer.record import Record
 from freeflyer.scenario import Scenario
 
-COMMAND = (sys.executable, "-m", "freeflyer.command")
+COMMAND = (sys.executable, "-P", "-m", "freeflyer.command")
 WRITTEN = ("record.parquet", "summary.json", "facility.json")
 CASES = ("facility", "facility_without_pc")
 

@@ -7,8 +7,6 @@ from decimal import Decimal
 from functools import lru_cache
 from typing import Any
 
-import pint
-
 DIMENSIONLESS = "1"
 LONGEST = 80
 """Characters of a unit; pint's time grows with their square."""
@@ -21,6 +19,8 @@ _SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹", "0123456789")
 
 @lru_cache(maxsize=1)
 def registry() -> Any:
+    import pint  # half a second, which a run whose units are spelled alike does not need
+
     return pint.UnitRegistry()
 
 
@@ -39,9 +39,11 @@ def unit(text: str) -> Any:
 
 def factor(source: str, target: str) -> float:
     """What a value in `source` is multiplied by to be in `target`; ValueError where they measure different things."""
+    from pint import DimensionalityError
+
     try:
         found = float((1.0 * unit(source)).to(unit(target)).magnitude)
-    except pint.DimensionalityError as error:
+    except DimensionalityError as error:
         raise ValueError(f"unit {source!r} cannot be converted to {target!r}") from error
     short = float(f"{found:.12g}")
     return short if abs(short - found) <= 1e-15 * abs(found) else found  # 1e-6 comes as 9.999999999999999e-07

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from freeflyer.fmu_description import OWN_TOOL, describe, opened, same_file
+from freeflyer.fmu_description import OWN_TOOL, describe_fmu, opened, same_file
 
 Version = tuple[Path, tuple[int, ...]]
 _free: dict[Version, list[Path]] = {}
@@ -36,7 +36,7 @@ def take(path: Path) -> Path:
     """A folder with the FMU's contents, which nobody else uses; nothing of it is run. OSError if it cannot be written, ComponentError
     if the FMU is refused.
     """
-    again = _place is not None and describe(path).generationTool == OWN_TOOL
+    again = _place is not None and describe_fmu(path).generationTool == OWN_TOOL
     version = (path, same_file(path))
     folder = _kept(version) if again else None
     if folder is None:

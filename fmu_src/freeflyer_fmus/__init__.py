@@ -1,0 +1,8 @@
+"""The free-flyer as FMUs: robot, equations, blocks, export.
+
+Public names are those of `__all__`, declared in __init__.pyi and loaded when first used. Every module is private and may move.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -24,8 +24,6 @@ AGREEMENT = 1e-8
 
 
 class FmusCommand:
-    help = "build FMI 2.0 and FMI 3.0 FMUs for a robot, or for a block of your own"
-
     def configure(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
             "--robot",

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from freeflyer_fmus.block import Block
-from freeflyer_fmus.errors import BlockError, FmuSourceError
+from freeflyer_fmus.errors import BlockError, FmuSourceError, renamed
 from freeflyer_fmus.robot import Robot
 
 
@@ -23,7 +23,9 @@ def load_block(path: Path) -> Callable[[Robot], Block]:
         spec.loader.exec_module(module)
         made: Callable[[Robot], Block] = module.block
     except (Exception, SystemExit) as error:  # a user's file may fail in any way
-        raise BlockError(f"block file {path} does not define block(robot): {type(error).__name__}: {error}") from error
+        raise BlockError(
+            f"block file {path} does not define block(robot): {type(error).__name__}: {error}{renamed(error)}"
+        ) from error
 
     def make(robot: Robot) -> Block:
         try:
@@ -34,7 +36,7 @@ def load_block(path: Path) -> Callable[[Robot], Block]:
             raise
         except (Exception, SystemExit) as error:
             raise BlockError(
-                f"block file {path}: block(robot) failed: {type(error).__name__}: {' '.join(str(error).split())}"
+                f"block file {path}: block(robot) failed: {type(error).__name__}: {' '.join(str(error).split())}{renamed(error)}"
             ) from error
         if not isinstance(block, Block):
             raise BlockError(f"block file {path}: block(robot) gave a {type(block).__name__}; a Block is expected")

@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from freeflyer import scenario
-from freeflyer_adapters import hil
-from freeflyer_adapters.recording import read
+from freeflyer_adapters import hil, read_recording
 from freeflyer_adapters.recording.tap import Recording, Tap
 
 pytestmark = pytest.mark.benchmark
@@ -62,7 +61,7 @@ def test_the_loop_pays_microseconds_and_the_recorder_a_part_of_a_core(tmp_path: 
     )
     print(f"recording: {size / SECONDS / 1e6:.2f} MB/s, {report.recording['rows_lost']} rows lost")
     begin = time.perf_counter()
-    frame = read(tmp_path / "recording.mcap")
+    frame = read_recording(tmp_path / "recording.mcap")
     print(f"reading it into pandas: {time.perf_counter() - begin:.2f} s for {len(frame)} rows of {frame.shape[1]} columns")
     assert np.median(cost) < 10.0
     assert share < 0.5

@@ -16,7 +16,7 @@ import pandas
 import pytest
 from commands import said
 
-from freeflyer import cli
+from freeflyer import command
 
 
 def scenario_file(directory: Path, text: str, base: str | None = "multirate_passive") -> str:
@@ -206,7 +206,7 @@ def test_a_reader_that_goes_away_does_not_stop_the_work(tmp_path: Path) -> None:
 
 
 def test_the_table_shows_its_units(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    assert cli.main(["run", scenario_file(tmp_path, "stop_s = 1.2\ntitle = '[/bold] odd'\n"), "--out", str(tmp_path)]) == 0
+    assert command.call(["run", scenario_file(tmp_path, "stop_s = 1.2\ntitle = '[/bold] odd'\n"), "--out", str(tmp_path)]) == 0
     shown = capsys.readouterr().out
     assert "end effector position error [m]" in shown
     assert "[deg]" in shown
@@ -381,6 +381,6 @@ def test_a_scenario_that_expects_to_diverge_and_does_ends_with_0(capsys: pytest.
 def test_arguments_that_argparse_refuses(capsys: pytest.CaptureFixture[str]) -> None:
     for arguments in (["run"], ["fly"], ["run", "multirate_passive", "--fmi", "4"]):
         with pytest.raises(SystemExit) as caught:
-            cli.main(arguments)
+            command.call(arguments)
         assert caught.value.code == 2
         assert "Traceback" not in capsys.readouterr().err

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from freeflyer import cli
+from freeflyer import command
 
 ERRORS = {
     "end_effector_position_error_m",
@@ -30,7 +30,7 @@ KEYS = {
 
 
 def test_reproduce_writes_figures_page_table_and_summary(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["reproduce", "--fmi", "3", "--out", str(tmp_path)]) == 0
+    assert command.call(["reproduce", "--fmi", "3", "--out", str(tmp_path)]) == 0
     shown = capsys.readouterr()
     assert shown.err == ""
     assert "The paper's statements beside what was measured" in shown.out

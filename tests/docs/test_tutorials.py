@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from robots import ur5_path
 
-from freeflyer import cli
+from freeflyer import command
 
 TEXT = (Path(__file__).parents[2] / "docs" / "own_robots_and_blocks.md").read_text(encoding="utf-8")
 
@@ -25,11 +25,11 @@ def test_the_users_robot_in_the_loop(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     shutil.copy(ur5_path(), "ur5_robot.urdf")
-    command = shlex.split(example("sh", "ur5_robot.urdf"))
-    assert command[0] == "freeflyer"
-    assert cli.main(command[1:]) == 0, capsys.readouterr().err
+    words = shlex.split(example("sh", "ur5_robot.urdf"))
+    assert words[0] == "freeflyer"
+    assert command.call(words[1:]) == 0, capsys.readouterr().err
     Path("ur5.toml").write_text(example("toml", "[robot]"))
-    assert cli.main([*shlex.split(example("sh", "ur5.toml"))[1:], "--set", "stop_s=12"]) == 0, capsys.readouterr().err
+    assert command.call([*shlex.split(example("sh", "ur5.toml"))[1:], "--set", "stop_s=12"]) == 0, capsys.readouterr().err
     summary = json.loads(Path("freeflyer_out/ur5/summary.json").read_text())
     assert summary["end_effector_position_error_m"]["max"] < 2e-5
     assert summary["base_position_error_m"]["max"] < 3e-3
@@ -40,14 +40,14 @@ def test_the_users_block_in_the_loop(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("thruster_lag.py").write_text(example("python", "thruster_lag"))
-    assert cli.main(["fmus", "--block", "thruster_lag.py", "--out", "fmus"]) == 0
+    assert command.call(["fmus", "--block", "thruster_lag.py", "--out", "fmus"]) == 0
     Path("lag.toml").write_text(example("toml", "thruster_lag"))
-    assert cli.main(["run", "lag.toml", "--set", "stop_s=3"]) == 0, capsys.readouterr().err
+    assert command.call(["run", "lag.toml", "--set", "stop_s=3"]) == 0, capsys.readouterr().err
     twin = example("toml", "thruster_lag").replace(
         'fmu = "fmus/fmi2/thruster_lag.fmu"', 'kind = "twin"\nblock = "thruster_lag.py"'
     )
     Path("twin.toml").write_text(twin)
-    assert cli.main(["run", "twin.toml", "--set", "stop_s=3"]) == 0, capsys.readouterr().err
+    assert command.call(["run", "twin.toml", "--set", "stop_s=3"]) == 0, capsys.readouterr().err
 
 
 def test_the_users_python_component_in_the_loop(
@@ -60,7 +60,7 @@ def test_the_users_python_component_in_the_loop(
         'connections = ["manipulator_controller.joint_torque -> kick.command", "kick.torque -> free_flyer.joint_torque"]\n'
         '[components.kick]\nkind = "python"\nobject = "kick.py:Kick"\nstep_s = 0.001\n'
     )
-    assert cli.main(["run", "kick.toml", "--set", "stop_s=11"]) == 0, capsys.readouterr().err
+    assert command.call(["run", "kick.toml", "--set", "stop_s=11"]) == 0, capsys.readouterr().err
     import pandas
 
     frame = pandas.read_parquet("freeflyer_out/kick/record.parquet")

@@ -10,7 +10,7 @@ import pyarrow.parquet as parquet
 import pytest
 from commands import said
 
-from freeflyer import cli, experiment, scenario
+from freeflyer import command, experiment, scenario
 from freeflyer.origin import KEY
 
 
@@ -24,7 +24,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_audit_writes_figure_and_numbers_and_says_what_they_amount_to(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert cli.main(["audit", str(run), "--out", str(tmp_path)]) == 0
+    assert command.call(["audit", str(run), "--out", str(tmp_path)]) == 0
     shown = capsys.readouterr()
     assert shown.err == ""
     assert "Energy given to the robot [J]: multirate_passive, 0 s to 4 s" in shown.out
@@ -41,13 +41,13 @@ def test_the_audit_writes_figure_and_numbers_and_says_what_they_amount_to(
 
 
 def test_the_file_itself_will_do_and_results_go_beside_it(run: Path) -> None:
-    assert cli.main(["audit", str(run / "record.parquet")]) == 0
+    assert command.call(["audit", str(run / "record.parquet")]) == 0
     assert (run / "energy_audit.json").is_file()
 
 
 def test_a_diverged_run_is_audited_to_its_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     experiment.write(experiment.run(scenario.load("overdamped_base")), tmp_path)
-    assert cli.main(["audit", str(tmp_path)]) == 0
+    assert command.call(["audit", str(tmp_path)]) == 0
     numbers = json.loads((tmp_path / "energy_audit.json").read_text())
     assert numbers["to_s"] == pytest.approx(19.5, abs=1.0)
     assert numbers["ports"]["B"]["virtual_j"] > numbers["balance"]["kinetic_energy_change_j"] > 1.0

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pandas
 
-from freeflyer_adapters.recording import read
+from freeflyer_adapters import read_recording
 from freeflyer_adapters.recording.recording_file import FLIGHT_SECONDS
 
 WITHIN = 5.0
@@ -18,7 +18,7 @@ def flight_of(out: Path, reason: str, *, by: str = "the recorder", gap: float = 
     """The flight recording, after checking its span, reason (a regular expression) and writer. `gap`: how long the loop may have
     stood still at the time where it begins [s].
     """
-    frame = read(out / "flight_recording.mcap")
+    frame = read_recording(out / "flight_recording.mcap")
     assert re.search(reason, frame.attrs["stop"]["reason"]), frame.attrs["stop"]
     assert frame.attrs["stop"]["written by"] == by
     span = (frame["monotonic_ns"].iloc[-1] - frame["monotonic_ns"].iloc[0]) * 1e-9

@@ -8,11 +8,11 @@ from pathlib import Path
 import pandas
 import pytest
 
-from freeflyer.cli import main
+from freeflyer.command import call
 
 
 def test_a_check_shows_what_devices_measure_and_moves_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["hil", "facility", "--check", "--accelerated"]) == 0
+    assert call(["hil", "facility", "--check", "--accelerated"]) == 0
     said = capsys.readouterr().out
     assert "arm_drive measures" in said
     assert "0  0.1  -1.6  0  -1.4  0" in said  # the posture of the scenario
@@ -21,7 +21,7 @@ def test_a_check_shows_what_devices_measure_and_moves_nothing(tmp_path: Path, ca
 
 
 def test_a_check_says_why_a_device_could_not_be_activated(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["hil", "facility", "--check", "--accelerated", "--set", "base_robot.true_position=[0.1, 0, 0.08]"]) == 2
+    assert call(["hil", "facility", "--check", "--accelerated", "--set", "base_robot.true_position=[0.1, 0, 0.08]"]) == 2
     both = capsys.readouterr()
     assert "0.0600 m and 0.000 deg apart, 0.005 m and 0.573 deg are allowed" in both.err
     assert "Traceback" not in both.err
@@ -34,7 +34,7 @@ def test_accelerated_is_the_same_experiment_with_the_faults_of_its_file(
     path.write_text(
         'extends = "facility"\nstop_s = 1.0\n[[facility.faults]]\ndevice = "arm_drive"\nkind = "cut"\nbegin_s = 0.5\n'
     )
-    assert main(["hil", str(path), "--accelerated", "--out", str(tmp_path / "out")]) == 3
+    assert call(["hil", str(path), "--accelerated", "--out", str(tmp_path / "out")]) == 3
     both = capsys.readouterr()
     assert "fault: cut of arm_drive, both: 0.5 s after activation" in both.out
     assert "active -> safe_stop: no command for 4 cycles" in both.out
@@ -53,7 +53,7 @@ def test_a_link_that_is_cut_from_the_begin_is_told_and_nothing_moves(
 ) -> None:
     path = tmp_path / "cut.toml"
     path.write_text(f'extends = "facility"\n[[facility.faults]]\ndevice = "{device}"\nkind = "cut"\n')
-    assert main(["hil", str(path), "--accelerated", "--out", str(tmp_path / "out")]) == 2
+    assert call(["hil", str(path), "--accelerated", "--out", str(tmp_path / "out")]) == 2
     both = capsys.readouterr()
     assert sentence in both.err
     assert ".py, line" not in both.err
@@ -62,6 +62,6 @@ def test_a_link_that_is_cut_from_the_begin_is_told_and_nothing_moves(
 
 def test_simulated_and_accelerated_exclude_each_other(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
-        main(["hil", "facility", "--simulated", "--accelerated"])
+        call(["hil", "facility", "--simulated", "--accelerated"])
     assert ended.value.code == 2
     assert "not allowed with" in capsys.readouterr().err

@@ -9,7 +9,7 @@ import cantools
 from processes import PATIENT_FACILITY, PATIENT_LOOP, rig
 
 import freeflyer_adapters
-from freeflyer_adapters.recording import read
+from freeflyer_adapters import read_recording
 
 STATE, COMMAND = 0x181, 0x101
 
@@ -23,7 +23,7 @@ def test_the_can_log_has_the_frames_that_the_recordings_numbers_came_from(tmp_pa
     assert summary["recording"]["missing"] == []
     assert summary["recording"]["rows_lost"] == 0
     out = tmp_path / "hil"
-    frame = read(out / "recording.mcap")
+    frame = read_recording(out / "recording.mcap")
     assert frame["instant"].tolist() == list(range(2001))
     database = cantools.database.load_file(Path(freeflyer_adapters.__file__).parent / "arm" / "arm.dbc")
     state = database.get_message_by_frame_id(STATE)

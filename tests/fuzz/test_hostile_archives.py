@@ -17,7 +17,7 @@ from file_targets import SMALL_2, SSD
 
 from freeflyer import archive, unpacked
 from freeflyer.errors import ComponentError
-from freeflyer.fmu_description import DESCRIPTION, describe, ports_in
+from freeflyer.fmu_description import DESCRIPTION, describe_fmu, ports_in
 
 Make = Callable[[zipfile.ZipFile], None]
 PREFIX, SUFFIX = SMALL_2.split(b"\n", 1)
@@ -196,7 +196,7 @@ def test_a_large_archive_of_somebody_who_is_trusted(tmp_path: Path, temporary: P
 
 def test_an_archive_that_changes_after_it_was_described_is_checked_again(tmp_path: Path, temporary: Path) -> None:
     path = fmu(tmp_path / "some.fmu")
-    describe(path)
+    describe_fmu(path)
     with zipfile.ZipFile(path, "a") as file:
         file.writestr("../evil", b"x")
     with pytest.raises(ComponentError, match="points outside"):
@@ -242,8 +242,8 @@ def test_a_description_in_another_encoding_is_read(tmp_path: Path) -> None:
     text = (
         SMALL_2.decode().replace('encoding="UTF-8"', 'encoding="ISO-8859-1"').replace('modelName="some"', 'modelName="größe"')
     )
-    assert describe(fmu(tmp_path / "latin.fmu", text.encode("latin-1"))).modelName == "größe"
-    assert describe(fmu(tmp_path / "wide.fmu", text.replace("ISO-8859-1", "UTF-16").encode("utf-16"))).modelName == "größe"
+    assert describe_fmu(fmu(tmp_path / "latin.fmu", text.encode("latin-1"))).modelName == "größe"
+    assert describe_fmu(fmu(tmp_path / "wide.fmu", text.replace("ISO-8859-1", "UTF-16").encode("utf-16"))).modelName == "größe"
 
 
 def test_variables_of_more_elements_than_memory_has(tmp_path: Path) -> None:
@@ -262,7 +262,7 @@ def test_describing_an_fmu_runs_nothing_of_it(tmp_path: Path, temporary: Path, m
 
     monkeypatch.setattr(ctypes, "CDLL", loads)
     path = library(fmu(tmp_path / "some.fmu"))
-    assert describe(path).modelName == "some"
+    assert describe_fmu(path).modelName == "some"
     assert ports_in(path)[0]["u"].start == (1.5,)
     assert not list(temporary.iterdir())
 

@@ -12,7 +12,7 @@ import pytest
 from commands import said
 from link_targets import OWN_DBC, OWN_MAPPING
 
-from freeflyer import bounded_file, cli, record, toml_file
+from freeflyer import bounded_file, command, record, toml_file
 from freeflyer.units import factor
 from freeflyer_adapters.arm.frames import ArmFrames, FrameMapping
 from freeflyer_adapters.arm.signals import load
@@ -184,12 +184,12 @@ def test_only_the_documented_kind_runs_code_of_a_scenario(tmp_path: Path, capsys
     (tmp_path / "evil.py").write_text("from pathlib import Path\nPath(__file__).with_name('ran').touch()\n")
     for line in ('extends = "evil.py"', 'extends = "evil"'):
         (tmp_path / "x.toml").write_text(line)
-        assert cli.main(["run", str(tmp_path / "x.toml"), "--out", str(tmp_path / "out")]) == 2
+        assert command.call(["run", str(tmp_path / "x.toml"), "--out", str(tmp_path / "out")]) == 2
     for keys in ('fmu = "evil.py"', 'kind = "can_arm"\ndbc = "evil.py"', 'kind = "evil.py"'):
         (tmp_path / "x.toml").write_text(f"stop_s = 0.1\n[components.x]\nstep_s = 0.01\n{keys}\n")
-        assert cli.main(["run", str(tmp_path / "x.toml"), "--out", str(tmp_path / "out")]) == 2
+        assert command.call(["run", str(tmp_path / "x.toml"), "--out", str(tmp_path / "out")]) == 2
     assert not (tmp_path / "ran").exists()
     (tmp_path / "x.toml").write_text('stop_s = 0.1\n[components.x]\nstep_s = 0.01\nkind = "python"\nobject = "evil.py:f"\n')
-    assert cli.main(["run", str(tmp_path / "x.toml"), "--out", str(tmp_path / "out")]) == 2
+    assert command.call(["run", str(tmp_path / "x.toml"), "--out", str(tmp_path / "out")]) == 2
     assert (tmp_path / "ran").exists()
     capsys.readouterr()

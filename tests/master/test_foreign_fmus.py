@@ -17,7 +17,7 @@ from commands import said
 from freeflyer import experiment, scenario
 from freeflyer.errors import ComponentError
 from freeflyer.experiment import Result
-from freeflyer.fmu_description import describe
+from freeflyer.fmu_description import describe_fmu
 
 pytest.importorskip("pythonfmu3")
 builder = pytest.importorskip("pythonfmu.builder")
@@ -208,7 +208,7 @@ def test_an_fmi_3_fmu_without_time_is_refused_in_one_sentence(folder: Path, tmp_
             "modelDescription.xml", re.sub(r"<Float64 name=\"time\"[^>]*/>", "", whole.read("modelDescription.xml").decode())
         )
     with pytest.raises(ComponentError, match="Exactly one independent variable must be defined"):
-        describe(changed)
+        describe_fmu(changed)
 
 
 FMI_1 = """<?xml version="1.0" encoding="UTF-8"?>

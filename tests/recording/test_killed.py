@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 from loops import Loop, loop, wait_until_gone
 
-from freeflyer import cli
-from freeflyer_adapters.recording import read
+from freeflyer import command
+from freeflyer_adapters import read_recording
 from freeflyer_adapters.recording.recover import recover, unfinished
 from freeflyer_adapters.recording.rescue import rescue
 
@@ -41,7 +41,7 @@ def test_a_killed_loop_loses_nothing(tmp_path: Path, runtime: Path) -> None:
         written = made.ring.written if made.ring else 0
         wait_until_gone(recorder)
         stamp = last_stamp(made)
-    frame, (flight,) = read(tmp_path / "recording.mcap"), map(read, flights(tmp_path))
+    frame, (flight,) = read_recording(tmp_path / "recording.mcap"), map(read_recording, flights(tmp_path))
     assert frame["instant"].tolist() == list(range(written))
     assert recover(tmp_path / "recording.mcap").path is None  # whole
     assert frame["wall_ns"].iloc[-1] == flight["wall_ns"].iloc[-1] == stamp
@@ -59,15 +59,15 @@ def test_a_killed_recorder_costs_the_end_of_the_recording_and_the_loop_writes_it
         said = made.finish()
     assert made.process.returncode == 0
     assert "the recorder did not live to the end" in said
-    (flight,) = map(read, flights(tmp_path))
+    (flight,) = map(read_recording, flights(tmp_path))
     assert flight["instant"].iloc[-1] == 2000
     assert flight.attrs["stop"]["reason"].startswith("the scenario is over")
     done = recover(tmp_path / "recording.mcap")
     assert done.path is not None
-    frame = read(done.path)
+    frame = read_recording(done.path)
     assert frame["instant"].tolist() == list(range(len(frame)))
     # The loop has added what the ring still had, which was all: it is longer than the run.
-    assert read(tmp_path)["instant"].tolist() == list(range(2001))
+    assert read_recording(tmp_path)["instant"].tolist() == list(range(2001))
     print(f"recorder killed: {(at - int(frame['wall_ns'].iloc[-1])) * 1e-9:.3f} s lost")
     assert list(runtime.rglob("*.ring")) == []
 
@@ -93,18 +93,20 @@ def test_with_both_killed_the_next_start_saves_the_last_seconds_and_nothing_is_l
         assert flights(out) == []
         (sentence,) = rescue()
         assert str(out) in sentence
-        (flight,) = map(read, flights(out))
+        (flight,) = map(read_recording, flights(out))
         assert flight["wall_ns"].iloc[-1] == stamp
         assert flight["instant"].iloc[-1] == written - 1
         assert list(runtime.rglob("*.ring")) == []
         done = recover(out / "recording.mcap")
         assert done.end is not None
         lost.append((stamp - done.end) * 1e-9)
-        frame = read(out)
+        frame = read_recording(out)
         assert frame["instant"].tolist() == list(range(written))
         assert not frame.isna().any().any()
         assert frame.attrs["stop"]["reason"] == "the controllers' process ended without a word"
-        instants = [one["instant"].dropna() for one in (read(done.path or ""), read(out / "recording_2.mcap"))]
+        instants = [
+            one["instant"].dropna() for one in (read_recording(done.path or ""), read_recording(out / "recording_2.mcap"))
+        ]
         assert sum(map(len, instants)) == written  # none is twice
     print(
         f"both killed: the recorder had not written the last {', '.join(f'{each:.3f}' for each in lost)} s; all were in the ring"
@@ -117,18 +119,18 @@ def test_the_command_recovers_a_directory_with_all_that_was_left(
 ) -> None:
     with loop(tmp_path, runtime) as made:
         ring = made.wait_for_rows(400)
-        assert cli.main(["recover", str(ring.path)]) == 2  # it is somebody's
+        assert command.call(["recover", str(ring.path)]) == 2  # it is somebody's
         assert "is still running" in capsys.readouterr().err
         for pid in (made.recorder, made.process.pid):
             os.kill(pid, signal.SIGKILL)
         made.process.wait()
     assert len(list(unfinished(tmp_path))) == 2
-    assert cli.main(["recover", str(tmp_path)]) == 0
+    assert command.call(["recover", str(tmp_path)]) == 0
     said = capsys.readouterr().out
     assert "recording_recovered.mcap: kept" in said
     assert "recording_2.mcap" in said
     assert len(flights(tmp_path)) == 1
-    assert cli.main(["recover", str(tmp_path)]) == 0
+    assert command.call(["recover", str(tmp_path)]) == 0
 
 
 def test_ctrl_c_leaves_both_whole(tmp_path: Path, runtime: Path) -> None:
@@ -138,6 +140,6 @@ def test_ctrl_c_leaves_both_whole(tmp_path: Path, runtime: Path) -> None:
         said = made.finish()
     assert made.process.returncode == 3
     assert "Missing" not in said
-    frame, (flight,) = read(tmp_path / "recording.mcap"), map(read, flights(tmp_path))
+    frame, (flight,) = read_recording(tmp_path / "recording.mcap"), map(read_recording, flights(tmp_path))
     assert frame.attrs["stop"]["reason"].startswith("interrupted by the user; all devices were brought to rest")
     assert frame["instant"].iloc[-1] == flight["instant"].iloc[-1]

@@ -15,7 +15,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import Rotation
 
-from freeflyer_adapters.recording import read
+from freeflyer_adapters import read_recording
 from freeflyer_adapters.recording.ros_definitions import DEFINITIONS, field_names, full_text, message_name
 from freeflyer_adapters.recording.topics import topics
 
@@ -123,7 +123,7 @@ def test_mcaps_decoder_of_ros_2_understands_every_message(path: Path) -> None:
 
 
 def test_a_recording_is_one_line_in_pandas_with_every_element_to_the_bit(path: Path) -> None:
-    frame = read(path)
+    frame = read_recording(path)
     made = head(path)
     expected = rows(COUNT, made.width)
     names = ["time", *(column for signal in made.signals for column in signal.columns), *made.loop]

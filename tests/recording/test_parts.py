@@ -14,8 +14,9 @@ from loops import START, TICK, head, rows
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
+from freeflyer_adapters import read_recording
 from freeflyer_adapters.cli import recording_told
-from freeflyer_adapters.recording import parts, read
+from freeflyer_adapters.recording import parts
 from freeflyer_adapters.recording.parts import PART_SECONDS, PartedRecording
 from freeflyer_adapters.recording.recorder import Recorder
 from freeflyer_adapters.recording.recording_file import STOP, RecordingFile
@@ -52,7 +53,7 @@ def write(out: Path, count: int, started: int = START) -> list[Path]:
 def test_parts_are_whole_files_and_together_one_table(tmp_path: Path, short: None) -> None:
     paths = write(tmp_path, COUNT)
     assert [path.name for path in paths] == ["recording.mcap", "recording_2.mcap", "recording_3.mcap", "recording_4.mcap"]
-    assert [len(read(path)) for path in paths] == [200, 200, 200, 50]
+    assert [len(read_recording(path)) for path in paths] == [200, 200, 200, 50]
     for path in paths:
         assert recover(path).path is None  # whole
         with path.open("rb") as file:
@@ -60,7 +61,7 @@ def test_parts_are_whole_files_and_together_one_table(tmp_path: Path, short: Non
             names = [metadata.name for metadata in reader.iter_metadata()]
             assert [attachment.name for attachment in reader.iter_attachments()] == ["origin.json"]
         assert names == ["freeflyer.run", STOP if path == paths[-1] else "freeflyer.next"]
-    frame = read(tmp_path)
+    frame = read_recording(tmp_path)
     assert frame["instant"].tolist() == list(range(COUNT))
     assert not frame.isna().any().any()
     assert frame.attrs["stop"]["reason"] == "it was enough"
@@ -79,14 +80,14 @@ def test_the_result_names_all_parts(tmp_path: Path, runtime: Path, short: None) 
     (line,) = recording_told({"recording": written.recording, "can": [], "flight": None})
     assert "recording.mcap" in line
     assert "recording_4.mcap" in line
-    assert read(tmp_path)["instant"].tolist() == list(range(COUNT))
+    assert read_recording(tmp_path)["instant"].tolist() == list(range(COUNT))
 
 
 def test_parts_of_a_longer_earlier_run_are_not_taken_for_the_new_ones(tmp_path: Path, short: None) -> None:
     write(tmp_path, COUNT)
     set_aside(tmp_path, [], "blf")
     assert len(write(tmp_path, 250, START + 1)) == 2
-    assert read(tmp_path)["instant"].tolist() == list(range(250))
+    assert read_recording(tmp_path)["instant"].tolist() == list(range(250))
     assert len(parts.parts(tmp_path)) == 2
 
 
@@ -94,7 +95,7 @@ def test_a_part_of_another_run_is_not_read(tmp_path: Path, short: None) -> None:
     write(tmp_path, COUNT)
     write(tmp_path, 250, START + 1)  # nobody has cleared up
     assert len(parts.parts(tmp_path)) == 4
-    assert read(tmp_path)["instant"].tolist() == list(range(250))
+    assert read_recording(tmp_path)["instant"].tolist() == list(range(250))
 
 
 @pytest.mark.parametrize("cut", [0, 5, 8, -20], ids=["empty", "five bytes", "its begin", "no end"])
@@ -149,7 +150,7 @@ def test_a_kill_at_the_change_of_parts_loses_nothing(
     killed(tmp_path, filled(tmp_path), moment)
     (sentence,) = rescue()
     assert "the end of its recording in" in sentence
-    frame = read(tmp_path)
+    frame = read_recording(tmp_path)
     assert frame["instant"].tolist() == list(range(COUNT))
     assert not frame.isna().any().any()
     told = [recover(path) for path in unfinished(tmp_path)]
@@ -185,8 +186,8 @@ def test_the_rest_of_another_run_does_not_get_among_a_new_ones_parts(tmp_path: P
     write(tmp_path, 100, START + 1)
     ring.close()
     assert len(list(rescue())) == 1
-    assert read(tmp_path)["instant"].tolist() == list(range(100))
-    assert read(tmp_path / f"recording_of_{START}_rest.mcap")["instant"].tolist() == list(range(COUNT))
+    assert read_recording(tmp_path)["instant"].tolist() == list(range(100))
+    assert read_recording(tmp_path / f"recording_of_{START}_rest.mcap")["instant"].tolist() == list(range(COUNT))
 
 
 def test_memory_is_bounded_by_a_part(tmp_path: Path) -> None:

@@ -26,9 +26,9 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 from rosbags.highlevel import AnyReader
 
-from freeflyer import cli
+from freeflyer import command
 from freeflyer.errors import CosimError, RecordError
-from freeflyer_adapters.recording import read
+from freeflyer_adapters import read_recording
 from freeflyer_adapters.recording.damaged_mcap import LARGEST, UNPACKED, UNPACKED_A_BYTE, DamagedMcap, WholeMessage
 from freeflyer_adapters.recording.recover import recover
 from freeflyer_adapters.recording.ring import RingWriter
@@ -180,7 +180,7 @@ def test_any_bytes_give_a_whole_file_or_one_sentence(data: bytes, folder: Path) 
     for suffix in (".mcap", ".blf", ".ring", ".txt"):
         path = folder / f"any{suffix}"
         path.write_bytes(data if suffix != ".blf" else b"LOGG" + data)
-        for call in (lambda path=path: recover(path, None), lambda path=path: read(path)):
+        for call in (lambda path=path: recover(path, None), lambda path=path: read_recording(path)):
             sentence = refusal(call)
             assert sentence is None or len(sentence.splitlines()) == 1
 
@@ -257,15 +257,15 @@ def test_a_recovered_recording_is_one_for_everybody(folder: Path) -> None:
     assert done.path is not None
     with AnyReader([done.path]) as reader:
         assert sum(1 for c, _, raw in reader.messages() if reader.deserialize(raw, c.msgtype)) == done.kept
-    frame = read(done.path)
+    frame = read_recording(done.path)
     assert frame["instant"].tolist() == list(range(len(frame)))
-    assert frame.equals(read(path))
+    assert frame.equals(read_recording(path))
 
 
 def test_the_command_says_what_was_kept_and_refuses_what_is_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(WHOLE[: CHUNKS[3][0] + 50])
-    assert cli.main(["recover", str(cut)]) == 0
+    assert command.call(["recover", str(cut)]) == 0
     output = capsys.readouterr().out
     assert f"kept {CHUNKS[3][1]} messages" in output
     assert "50 bytes in 1 place could not be read" in output

@@ -18,8 +18,7 @@ from mcap.reader import make_reader
 
 from freeflyer import scenario
 from freeflyer.errors import OutputError
-from freeflyer_adapters import hil
-from freeflyer_adapters.recording import read
+from freeflyer_adapters import hil, read_recording
 from freeflyer_adapters.recording.recorder import Recorder
 from freeflyer_adapters.recording.recording_file import FLIGHT_SECONDS
 from freeflyer_adapters.recording.recover import recover
@@ -52,7 +51,7 @@ def test_a_recording_has_every_instant_and_the_runs_own_record_to_the_bit(whole:
     result, recording, out = whole
     assert recording["missing"] == []
     assert recording["rows_lost"] == 0
-    frame = read(out / "recording.mcap")
+    frame = read_recording(out / "recording.mcap")
     assert frame["instant"].tolist() == list(range(round(STOP * 1000) + 1))
     assert (frame["wall_ns"].astype(np.int64).diff().dropna() > 0).all()
     record = result.outcome.record
@@ -67,7 +66,7 @@ def test_a_recording_has_every_instant_and_the_runs_own_record_to_the_bit(whole:
 
 def test_the_flight_recording_has_the_last_two_seconds_of_every_signal(whole: tuple[Any, dict[str, Any], Path]) -> None:
     _, recording, out = whole
-    frame, flight = read(out / "recording.mcap"), read(recording["flight"])
+    frame, flight = read_recording(out / "recording.mcap"), read_recording(recording["flight"])
     assert flight["monotonic_ns"].iloc[-1] - flight["monotonic_ns"].iloc[0] == pytest.approx(FLIGHT_SECONDS * 1e9, rel=0.05)
     assert np.array_equal(flight.to_numpy(), frame[flight.columns].tail(len(flight)).to_numpy())
     assert flight.attrs["stop"]["reason"].startswith("the scenario is over; all devices were brought to rest")
@@ -96,7 +95,10 @@ def test_messages_of_ros_are_made_of_the_scenarios_signals(whole: tuple[Any, dic
 
 def test_only_the_chosen_signals_are_recorded_but_the_last_seconds_have_all(tmp_path: Path, runtime: Path) -> None:
     run(tmp_path, '[record]\nsignals = ["satellite.*"]\n', stop=0.2)
-    chosen, flight = read(tmp_path / "out" / "recording.mcap"), read(tmp_path / "out" / "flight_recording.mcap")
+    chosen, flight = (
+        read_recording(tmp_path / "out" / "recording.mcap"),
+        read_recording(tmp_path / "out" / "flight_recording.mcap"),
+    )
     assert "satellite.base_acceleration[1]" in chosen
     assert "base_robot.base_position[1]" in chosen  # an error needs it
     assert "base_controller.base_wrench[1]" not in chosen
@@ -107,7 +109,7 @@ def test_only_the_chosen_signals_are_recorded_but_the_last_seconds_have_all(tmp_
 def test_a_limit_is_in_the_last_row_and_in_the_reason(tmp_path: Path, runtime: Path) -> None:
     limit = '[[limits]]\nsignal = "base_controller.base_wrench"\nmaximum = 0.05\ncause = "the force is too large [N]"\n'
     result, recording = run(tmp_path, limit)
-    flight = read(recording["flight"])
+    flight = read_recording(recording["flight"])
     assert flight.attrs["stop"]["reason"].startswith("the force is too large [N]: base_controller.base_wrench is")
     wrench = np.abs(flight[[f"base_controller.base_wrench[{i + 1}]" for i in range(6)]].to_numpy()).max(axis=1)
     assert wrench[-1] > 0.05
@@ -166,7 +168,7 @@ def test_a_vanished_directory_is_told_and_the_loop_goes_on(
     said = [line for line in capfd.readouterr().err.splitlines() if "the loop goes on" in line]
     assert len(said) == 1
     # The directory is made again for the last seconds.
-    assert read(recording["flight"])["instant"].iloc[-1] == 800
+    assert read_recording(recording["flight"])["instant"].iloc[-1] == 800
 
 
 @pytest.mark.parametrize("for_all", [False, True], ids=["for the recorder", "for the loop too"])
@@ -190,12 +192,12 @@ def test_a_full_disk_is_told_once_and_what_was_written_is_kept(
     assert [text for text in recording["missing"] if "the recording is not whole: File too large" in text]
     said = [line for line in capfd.readouterr().err.splitlines() if "the recording has stopped" in line]
     assert len(said) == 1
-    frame = read(tmp_path / "out" / "recording.mcap")
+    frame = read_recording(tmp_path / "out" / "recording.mcap")
     assert frame["instant"].tolist() == list(range(len(frame)))
     assert 100 < len(frame) < 1000
     rings = list(runtime.rglob("*.ring"))
     if not for_all:
-        flight = read(recording["flight"])
+        flight = read_recording(recording["flight"])
         assert flight["instant"].tolist() == list(range(1001))
         assert flight.attrs["stop"]["written by"] == "the loop, without its recorder"
         assert rings == []
@@ -216,7 +218,7 @@ def test_a_recorder_that_is_held_up_loses_nothing_and_holds_nobody_up(
         result, recording = run(tmp_path, stop=1.0)
     assert result.as_expected
     assert recording["rows_lost"] == 0
-    assert read(tmp_path / "out" / "recording.mcap")["instant"].tolist() == list(range(1001))
+    assert read_recording(tmp_path / "out" / "recording.mcap")["instant"].tolist() == list(range(1001))
 
 
 def test_a_recorder_that_is_held_up_for_longer_than_the_ring_counts_what_it_missed(
@@ -226,7 +228,7 @@ def test_a_recorder_that_is_held_up_for_longer_than_the_ring_counts_what_it_miss
     with while_it_runs(monkeypatch, {200: signalled(signal.SIGSTOP), 990: signalled(signal.SIGCONT)}):
         result, recording = run(tmp_path, stop=1.0)
     assert result.as_expected
-    frame = read(tmp_path / "out" / "recording.mcap")
+    frame = read_recording(tmp_path / "out" / "recording.mcap")
     assert recording["rows_lost"] > 300
     assert len(frame) + recording["rows_lost"] == 1001
     assert frame.attrs["stop"]["rows lost by the recorder"] == str(recording["rows_lost"])
@@ -239,7 +241,7 @@ def test_a_recorder_that_cannot_start_is_a_sentence_and_the_loop_writes_its_last
     result, recording = run(tmp_path, stop=0.3)
     assert result.as_expected
     assert any("recorder has not started" in text for text in recording["missing"])
-    flight = read(recording["flight"])
+    flight = read_recording(recording["flight"])
     assert flight["instant"].tolist() == list(range(301))
     assert flight.attrs["stop"]["written by"] == "the loop, without its recorder"
     assert list(runtime.rglob("*.ring")) == []
@@ -263,4 +265,4 @@ def test_where_the_directory_cannot_be_written_the_last_seconds_go_elsewhere(
     assert len(said) == 1
     assert written.flight is not None
     assert Path(written.flight).is_relative_to(elsewhere)
-    assert len(read(written.flight)) == 10
+    assert len(read_recording(written.flight)) == 10

@@ -12,7 +12,7 @@ from commands import said
 from lxml import etree
 
 from freeflyer import archive as archives
-from freeflyer import assemble, cli, experiment, scenario
+from freeflyer import assemble, command, experiment, scenario
 from freeflyer.errors import CosimError
 from freeflyer.ssp import read as ssp_read
 from freeflyer.ssp import write as ssp_write
@@ -239,6 +239,6 @@ def test_mistakes_in_the_arguments(tmp_path: Path, capsys: pytest.CaptureFixture
 
 def test_the_two_commands_as_a_user_types_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "loop.ssp"
-    assert cli.main(["export", "multirate_passive", "--fmi", "3", "--out", str(path)]) == 0
-    assert cli.main(["run", str(path), "--set", "stop_s=0.3", "--out", str(tmp_path / "out")]) == 0
+    assert command.call(["export", "multirate_passive", "--fmi", "3", "--out", str(path)]) == 0
+    assert command.call(["run", str(path), "--set", "stop_s=0.3", "--out", str(tmp_path / "out")]) == 0
     assert "record.parquet" in capsys.readouterr().out

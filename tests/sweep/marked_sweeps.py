@@ -15,7 +15,7 @@ import pandas
 import psutil
 import pytest
 
-from freeflyer import cli
+from freeflyer import command
 
 MARKING = Path(__file__).parents[1] / "data" / "marking.py"
 PATIENCE = 90.0
@@ -53,7 +53,7 @@ class MarkedSweep:
         capsys.readouterr()
         with pytest.MonkeyPatch.context() as patch:
             patch.setenv("MARKS", str(self.marks))
-            code = cli.main(["sweep", str(self.file), "--out", str(self.out), *(options or ("--workers", "1"))])
+            code = command.call(["sweep", str(self.file), "--out", str(self.out), *(options or ("--workers", "1"))])
         return code, *capsys.readouterr()
 
     def times_run(self, x: int) -> int:

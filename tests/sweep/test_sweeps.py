@@ -8,7 +8,7 @@ from pathlib import Path
 import pandas
 import pytest
 
-from freeflyer import cli
+from freeflyer import command
 from freeflyer.sweep import verdict
 
 SWEEP = """
@@ -30,7 +30,7 @@ manipulator_controller.base_passivity_control = true
 def swept(tmp_path_factory: pytest.TempPathFactory) -> Path:
     directory = tmp_path_factory.mktemp("swept")
     (directory / "some.toml").write_text(SWEEP)
-    assert cli.main(["sweep", str(directory / "some.toml"), "--workers", "2", "--out", str(directory / "out")]) == 0
+    assert command.call(["sweep", str(directory / "some.toml"), "--workers", "2", "--out", str(directory / "out")]) == 0
     return directory / "out"
 
 
@@ -48,7 +48,7 @@ def test_a_row_is_what_the_same_run_alone_gives(swept: Path, tmp_path: Path) -> 
     picked = frame["base_controller.period"].eq(0.5) & frame["base_controller.damping[4:6]"].eq(100.0)
     row = frame[picked & frame["free_flyer.base_mass"].eq(150) & frame["case"].eq("with_pc")].iloc[0]
     settings = ("stop_s=30.5", "base_controller.period=0.5", "base_controller.damping=[10, 10, 10, 200, 200, 200]")
-    cli.main(
+    command.call(
         ["run", "multirate_unstable", "--out", str(tmp_path)]
         + [f"--set={text}" for text in settings]
         + [f"--set=manipulator_controller.{arm}_passivity_control=true" for arm in ("manipulator", "base")]
@@ -89,6 +89,6 @@ def test_the_verdict_follows_from_the_row(swept: Path) -> None:
 
 def test_a_finished_sweep_is_not_computed_again(swept: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = {path: path.stat().st_mtime_ns for path in (swept / "parts").iterdir()}
-    assert cli.main(["sweep", str(swept.parent / "some.toml"), "--out", str(swept)]) == 0
+    assert command.call(["sweep", str(swept.parent / "some.toml"), "--out", str(swept)]) == 0
     assert "16 of 16 runs are in" in capsys.readouterr().out
     assert {path: path.stat().st_mtime_ns for path in (swept / "parts").iterdir()} == before

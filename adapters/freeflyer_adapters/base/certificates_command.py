@@ -27,8 +27,6 @@ HOST = re.compile(r"(?=.{1,253}$)[A-Za-z0-9]([A-Za-z0-9-]*[A-Za-z0-9])?(\.[A-Za-
 
 
 class CertificatesCommand:
-    help = "make an authority, and a certificate and key for each end of the base robot's link"
-
     def configure(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
             "directory", type=folder, metavar="DIR", help="an authority that is there signs; else a new one is made"

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ from freeflyer.graph import Connection, split
 from freeflyer.interrupts import interrupts
 from freeflyer.master import Master, Outcome
 from freeflyer.near import did_you_mean
+from freeflyer.plugins import load, plugins
 from freeflyer.scenario import Scenario
 from freeflyer_adapters.device import SIMULATED, DeviceError
 from freeflyer_adapters.facility import faults
@@ -244,10 +244,10 @@ def _cycle(scenario: Scenario) -> int:
 
 
 def _factory(name: str, kind: str) -> Factory:
-    points = {point.name: point for point in entry_points(group="freeflyer.virtual_devices")}
+    points = plugins("freeflyer.virtual_devices")
     if kind not in points:
         raise DeviceError(f"device {name}: no virtual device plays the kind {kind!r}{did_you_mean(kind, points)}")
-    found: Factory = points[kind].load()
+    found: Factory = load(points[kind])
     return found
 
 

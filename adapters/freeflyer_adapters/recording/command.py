@@ -14,8 +14,6 @@ from freeflyer_adapters.recording.recover import recover, rings_of, unfinished
 
 
 class RecoverCommand:
-    help = "make whole files of an unfinished or damaged recording, CAN log, or of what a killed loop has left in memory"
-
     def configure(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
             "path", type=Path, metavar="PATH", help="FILE.mcap, FILE.blf, FILE.ring, or the directory of a run with all of them"

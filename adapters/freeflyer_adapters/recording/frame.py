@@ -28,7 +28,7 @@ Found = dict[tuple[str, str], tuple[str, str, list[int], list[bytes]]]
 """By topic and columns: both, times and messages."""
 
 
-def read(path: str | Path) -> pandas.DataFrame:
+def read_recording(path: str | Path) -> pandas.DataFrame:
     """A file, or all parts of the recording in a run's directory.
 
     One row for each instant, one column for each element: `time` [s], the signals, the loop's states and counters, and the

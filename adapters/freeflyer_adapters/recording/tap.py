@@ -111,7 +111,7 @@ class Tap:
         self._recorder: subprocess.Popen[bytes] | None = None
         try:
             self._recorder = subprocess.Popen(
-                [sys.executable, "-m", "freeflyer_adapters.recording.recorder", str(self._ring.path)],
+                [sys.executable, "-P", "-m", "freeflyer_adapters.recording.recorder", str(self._ring.path)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
             )

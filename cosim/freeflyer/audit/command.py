@@ -35,8 +35,6 @@ ENTRIES = (
 
 
 class AuditCommand:
-    help = "where the energy of a recorded run entered and went, and what the observers believed"
-
     def configure(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
             "record", type=_path, metavar="RECORD", help="directory that `freeflyer run` wrote, or its record.parquet"

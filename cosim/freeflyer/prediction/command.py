@@ -22,8 +22,6 @@ from freeflyer.record import check_writable, write_text
 
 
 class PredictCommand:
-    help = "the largest stable period of the base's controller, from the linear loop at the set point"
-
     def configure(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("scenario", metavar="SCENARIO", help=SCENARIO_HELP)
         parser.add_argument("--set", action="append", default=[], metavar="COMPONENT.PARAMETER=VALUE", dest="overrides")

@@ -19,7 +19,7 @@ from fmpy.model_description import ModelDescription
 
 from freeflyer import toml_file
 from freeflyer.component import Port
-from freeflyer.fmu_description import describe, ports_of
+from freeflyer.fmu_description import describe_fmu, ports_of
 from freeflyer.near import did_you_mean
 from freeflyer.raw_scenario import Raw, override
 from freeflyer.scenario import Scenario, from_tables
@@ -115,7 +115,7 @@ class _System:
         if element.get("source") is None:
             raise self.fail(f"{subject} has no source; an FMU in the archive is expected")
         path = self.package.unpack(self.package.source(element, subject))
-        description = describe(path)
+        description = describe_fmu(path)
         wanted = element.get("implementation", "any")
         if wanted == "ScheduledExecution":
             raise self.fail(f"{subject} is for scheduled execution; co-simulation and model exchange are supported")

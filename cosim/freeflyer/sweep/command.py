@@ -11,8 +11,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from freeflyer.cli import complain, folder
-from freeflyer.errors import DONE, STOPPED, ScenarioError
+from freeflyer.cli import folder
+from freeflyer.errors import DONE, STOPPED, ScenarioError, complain
 from freeflyer.sweep import file as sweep_file
 
 if TYPE_CHECKING:
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
 
 class SweepCommand:
-    help = "many runs of one scenario on Dask: grids and random designs, as one table"
-
     def configure(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("sweep", metavar="SWEEP", help=f"{', '.join(sweep_file.shipped())}, or a .toml file")
         parser.add_argument(

@@ -64,7 +64,7 @@ def fmi_headers() -> Path:
 
 def compiler(target: Platform, *flags: str) -> list[str]:
     """The beginning of a compiler call for a platform."""
-    return [sys.executable, "-m", "ziglang", "cc", "-target", target.target, *flags]
+    return [sys.executable, "-P", "-m", "ziglang", "cc", "-target", target.target, *flags]
 
 
 def compile_core(sources: Path, output: Path, target: Platform) -> None:

@@ -1,0 +1,2 @@
+from .block import WRENCH as WRENCH
+from .block import Block as Block
