@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
 from robots import ROBOTS
+from xdist.scheduler import LoadScopeScheduling
 
 from freeflyer_fmus.prebuilt_fmus import directory
 from freeflyer_fmus.robot import Robot
@@ -21,12 +23,22 @@ settings.load_profile("default")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 
-@pytest.hookimpl(tryfirst=True)  # before pytest-xdist reads the marks
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """A file's tests stay on one process; all that run in real time share one, so that two loops never fight for the cores."""
-    for item in items:
-        group = "real time" if item.path.parent.name in ("facility", "recording") else str(item.path)
-        item.add_marker(pytest.mark.xdist_group(group))
+def group_of(nodeid: str) -> str:
+    """A file's tests share what they build; all that run in real time share one process, so that two loops never compete."""
+    file = nodeid.partition("::")[0]
+    return "real time" if file.split("/")[-2] in ("facility", "recording") else file
+
+
+class Groups(LoadScopeScheduling):
+    """Each group stays on one process. (`--dist loadgroup` of pytest-xdist 3.8 groups nothing under pytest 9.2.)"""
+
+    def _split_scope(self, nodeid: str) -> str:
+        return group_of(nodeid)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Groups:
+    return Groups(config, log)
 
 
 @pytest.fixture(scope="session", params=list(ROBOTS))

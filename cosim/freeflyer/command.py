@@ -108,7 +108,7 @@ def call(arguments: Sequence[str]) -> int:
             raise AssertionError(arguments)
         name = arguments[0]
         text = COMMANDS[name][1] if name in COMMANDS else str(getattr(command, "help", ""))
-        command.configure(subparsers.add_parser(name, description=text.replace("%", "%%")))
+        command.configure(subparsers.add_parser(name, description=text))
         parsed = parser.parse_args(arguments)
 
         from freeflyer.console import PlainConsole

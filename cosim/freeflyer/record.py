@@ -130,7 +130,12 @@ class Record:
         if self.origin is not None:
             metadata[KEY] = self.origin.to_json()
         schema = pa.schema(fields, metadata=metadata)
-        table = pa.table([pa.array(values) for values in columns.values()], schema=schema)
+        # By its buffer: `pa.array` of an array imports pandas first.
+        arrays = [
+            pa.Array.from_buffers(pa.float64(), len(values), [None, pa.py_buffer(np.ascontiguousarray(values))])
+            for values in columns.values()
+        ]
+        table = pa.table(arrays, schema=schema)
         write_whole(path, lambda partial: parquet.write_table(table, partial, compression="zstd"))
 
 

@@ -1,0 +1,98 @@
+"""What a command loads before it does anything, and how commands of other packages are found."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+HEAVY = {
+    "can", "casadi", "cryptography", "dask", "fmpy", "matplotlib", "numpy", "pandas", "pint", "pyarrow", "rich", "scipy", "zenoh",
+}  # fmt: skip
+PLUGIN = """\
+class Hello:
+    help = "greet the world: 100 % friendly"
+
+    def configure(self, parser):
+        parser.add_argument("--loud", action="store_true")
+
+    def execute(self, arguments, console):
+        console.print("HELLO" if arguments.loud else "hello")
+        return 0
+"""
+
+
+def python(code: str, *path: Path) -> str:
+    """What the code prints, in an interpreter of its own."""
+    lines = [f"import sys; sys.path[:0] = {[str(folder) for folder in path]!r}", code]
+    done = subprocess.run([sys.executable, "-P", "-c", "\n".join(lines)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def loaded_by(code: str) -> set[str]:
+    return set(python(f"{code}\nprint(*sys.modules)").split())
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "import freeflyer, freeflyer_fmus, freeflyer_adapters",
+        "from freeflyer.command import call\ntry:\n    call(['--help'])\nexcept SystemExit:\n    pass",
+        "from freeflyer.command import call\ntry:\n    call(['--version'])\nexcept SystemExit:\n    pass",
+        "from freeflyer.command import call\ntry:\n    call(['no-such-command'])\nexcept SystemExit:\n    pass",
+    ],
+)
+def test_nothing_heavy_is_loaded_before_a_command_is_known(code: str) -> None:
+    assert not HEAVY & loaded_by(code)
+
+
+def test_a_run_loads_what_it_uses(tmp_path: Path) -> None:
+    """Not the figures, the exporter, the integrators of model exchange, the unit parser, or Dask."""
+    arguments = ["run", "multirate_passive", "--set", "stop_s=0.01", "--out", str(tmp_path)]
+    loaded = loaded_by(f"from freeflyer.command import call\nassert call({arguments!r}) == 0")
+    assert loaded & HEAVY == {"fmpy", "numpy", "pyarrow", "rich"}
+
+
+def installed(folder: Path, **commands: str) -> Path:
+    """A package of others with commands, as an installer leaves it."""
+    about = folder / "other-1.0.dist-info"
+    about.mkdir(parents=True)
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: other\nVersion: 1.0\n")
+    lines = [f"{name} = {place}" for name, place in commands.items()]
+    (about / "entry_points.txt").write_text("\n".join(["[freeflyer.commands]", *lines, ""]))
+    (folder / "other.py").write_text(PLUGIN)
+    return folder
+
+
+def called(*arguments: str) -> str:
+    return f"from freeflyer.command import call\ntry:\n    print('code', call({list(arguments)!r}))\nexcept SystemExit as end:\n    print('code', end.code)"
+
+
+def test_a_command_of_another_package_is_listed_and_run(tmp_path: Path) -> None:
+    place = installed(tmp_path, hello="other:Hello")
+    assert "greet the world: 100 % friendly" in python(called("--help"), place)
+    assert python(called("hello", "--loud"), place).split() == ["HELLO", "code", "0"]
+    assert "greet the world: 100 % friendly" in python(called("hello", "--help"), place)
+
+
+def test_a_command_of_another_package_is_loaded_only_if_it_is_called_or_listed(tmp_path: Path) -> None:
+    place = installed(tmp_path, hello="other:Hello")
+    assert "other" not in python(f"{called('run', '--help')}\nprint(*sys.modules)", place).split()
+
+
+def test_a_command_that_cannot_be_loaded_spoils_no_other(tmp_path: Path) -> None:
+    place = installed(tmp_path, broken="nowhere.to_be:Found", hello="other:Hello", old="adapters.cli:HilCommand")
+    shown = " ".join(python(called("--help"), place).split())
+    assert "greet the world" in shown
+    assert "entry point 'broken' (freeflyer.commands) cannot be loaded from nowhere.to_be:Found: ModuleNotFoundError" in shown
+    assert "since 0.2.0 adapters is freeflyer_adapters" in shown
+    assert python(called("hello"), place).split() == ["hello", "code", "0"]
+    assert python(called("broken"), place).split() == ["code", "2"]
+
+
+def test_a_package_of_others_does_not_take_the_place_of_our_commands(tmp_path: Path) -> None:
+    place = installed(tmp_path, run="other:Hello")
+    assert "SCENARIO" in python(called("run", "--help"), place)
