@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,13 @@ settings.register_profile(
 settings.load_profile("default")
 # One thread a test process: two of them run side by side.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+# A shell's background jobs ignore Ctrl-C, and so would every process that the tests start.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Benchmarks import other projects' simulators: not for a run that leaves them out."""
+    return True if collection_path.name == "benchmarks" and "not benchmark" in config.option.markexpr else None
 
 
 def group_of(nodeid: str) -> str:

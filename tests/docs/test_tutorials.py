@@ -20,6 +20,7 @@ def example(language: str, containing: str) -> str:
     return next(code for code in re.findall(rf"```{language}\n(.*?)```", TEXT, re.DOTALL) if containing in code)
 
 
+@pytest.mark.slow
 def test_the_users_robot_in_the_loop(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

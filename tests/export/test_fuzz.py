@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+from families import family
 
 from freeflyer_fmus.export.archive import content_token
 from freeflyer_fmus.export.c_code import print_block
@@ -59,7 +60,7 @@ def met() -> dict[str, int]:
     return {}
 
 
-@pytest.mark.parametrize("name", BLOCKS)
+@pytest.mark.parametrize("name", family(BLOCKS, ["reference_trajectory", "linear_trajectory"]))
 def test_any_sequence_of_calls_is_survived(
     robot: Robot, tmp_path: Path, runtime: list[str], met: dict[str, int], name: str
 ) -> None:
@@ -82,6 +83,7 @@ def test_any_sequence_of_calls_is_survived(
         met[deviation] = met.get(deviation, 0) + int(times)
 
 
+@pytest.mark.slow
 def test_every_deviation_from_the_standards_is_met(met: dict[str, int]) -> None:
     """What fuzz.c lists and nothing does any more is no deviation."""
     if not met:

@@ -11,19 +11,21 @@ import tempfile
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 
 import casadi as ca
 import fmpy
 import numpy as np
 import pytest
+from families import family
 from fmpy.build import build_platform_binary
 from fmpy.validation import validate_fmu
 from lxml import etree
 
 from freeflyer.fmu import FmuComponent
 from freeflyer_fmus.block import Block
-from freeflyer_fmus.export.archive import build, build_all, content_token
+from freeflyer_fmus.export.archive import build, content_token
 from freeflyer_fmus.export.c_code import print_block
 from freeflyer_fmus.export.compiler import FLAGS, PLATFORMS, Platform, compiler, fmi_headers, host_platform, run
 from freeflyer_fmus.export.layout import layout
@@ -52,13 +54,19 @@ def every_operation(_: Robot) -> Block:
 MAKERS: Mapping[str, Callable[[Robot], Block]] = {name: BLOCKS[name] for name in DRIVEN} | {"every_operation": every_operation}
 
 
+Built = Callable[..., Path]
+
+
 @pytest.fixture(scope="module")
-def built(robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """FMUs for this machine and those that can be emulated, with sources, as `freeflyer fmus --platforms` makes them."""
-    directory = tmp_path_factory.mktemp("fmus")
-    platforms = [host_platform(), PLATFORMS["aarch64-linux"], PLATFORMS["x86_64-windows"]]
-    for _ in build_all([make(robot) for make in MAKERS.values()], directory, platforms, sources=True):
-        pass
+def built(robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> Built:
+    """The directory of a block's FMUs for this machine and others, with sources, as `freeflyer fmus --platforms` makes them."""
+
+    @cache
+    def directory(name: str, *platforms: Platform) -> Path:
+        made = tmp_path_factory.mktemp("fmus")
+        build(MAKERS[name](robot), made, [host_platform(), *platforms], sources=True)
+        return made
+
     return directory
 
 
@@ -170,40 +178,42 @@ def assert_same(block: Block, values: Array, expected: Array) -> None:
         assert values.tobytes() == expected.tobytes()
 
 
-@pytest.mark.parametrize("machine", ["aarch64_linux", "x86_64_windows"])
-@pytest.mark.parametrize("name", MAKERS)
+@pytest.mark.parametrize("machine", family(["aarch64_linux", "x86_64_windows"]))
+@pytest.mark.parametrize("name", family(MAKERS, ["reference_trajectory"]))
 def test_another_platform_computes_the_same_bits(
-    robot: Robot, built: Path, here: Machine, request: pytest.FixtureRequest, machine: str, name: str
+    robot: Robot, built: Built, here: Machine, request: pytest.FixtureRequest, machine: str, name: str
 ) -> None:
     there: Machine = request.getfixturevalue(machine)
     block = MAKERS[name](robot)
-    values = [m.values(block, library(built, name, m.target, m.directory / name)) for m in (there, here)]
+    directory = built(name, there.target)
+    values = [m.values(block, library(directory, name, m.target, m.directory / name)) for m in (there, here)]
     assert_same(block, *values)
 
 
 # Sources
 
 
+@pytest.mark.parametrize("name", family(MAKERS, ["reference_trajectory"]))
 @pytest.mark.parametrize("version", [2, 3])
-def test_fmus_with_all_their_parts_are_valid(built: Path, version: int) -> None:
-    for name in MAKERS:
-        path = built / f"fmi{version}" / f"{name}.fmu"
-        assert validate_fmu(str(path)) == []
-        if version == 3:
-            schema = etree.XMLSchema(file=str(Path(fmpy.__file__).parent / "schema" / "fmi3" / "fmi3BuildDescription.xsd"))
-            with zipfile.ZipFile(path) as archive:
-                schema.assertValid(etree.fromstring(archive.read("sources/buildDescription.xml")))
+def test_fmus_with_all_their_parts_are_valid(built: Built, version: int, name: str) -> None:
+    path = built(name, PLATFORMS["aarch64-linux"]) / f"fmi{version}" / f"{name}.fmu"
+    assert validate_fmu(str(path)) == []
+    if version == 3:
+        schema = etree.XMLSchema(file=str(Path(fmpy.__file__).parent / "schema" / "fmi3" / "fmi3BuildDescription.xsd"))
+        with zipfile.ZipFile(path) as archive:
+            schema.assertValid(etree.fromstring(archive.read("sources/buildDescription.xml")))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("version", [2, 3])
 @pytest.mark.parametrize("program", ["gcc", "clang"])
-def test_the_sources_compile_alone_without_a_warning(built: Path, tmp_path: Path, program: str, version: int) -> None:
+def test_the_sources_compile_alone_without_a_warning(built: Built, tmp_path: Path, program: str, version: int) -> None:
     """C99, and nothing of the C library but mathematics and memory."""
     if shutil.which(program) is None:
         pytest.skip(f"no {program} on this machine (CI has it)")
     flags = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Wno-sign-conversion", "-Werror", "-O1"]
     for name in SMALL:
-        with zipfile.ZipFile(built / f"fmi{version}" / f"{name}.fmu") as archive:
+        with zipfile.ZipFile(built(name) / f"fmi{version}" / f"{name}.fmu") as archive:
             sources = [entry for entry in archive.namelist() if entry.startswith("sources/") and entry.endswith(".c")]
             assert sources == [f"sources/{name}.c"]
             (tmp_path / f"{name}.c").write_bytes(archive.read(sources[0]))
@@ -259,16 +269,17 @@ MATHEMATICS = {
 MEMORY = {"calloc", "free", "malloc", "memcpy", "memset", "strlen", "_GLOBAL_OFFSET_TABLE_"}  # strlen: gcc's own idea
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("version", [2, 3])
 def test_an_importer_compiles_the_sources_and_gets_the_same_bits(
-    robot: Robot, built: Path, fmus: Path, tmp_path: Path, version: int
+    robot: Robot, built: Built, fmus: Path, tmp_path: Path, version: int
 ) -> None:
     """FMPy's own build from sources/, in place of our binary."""
     if shutil.which("cmake") is None or shutil.which("gcc") is None:
         pytest.skip("no cmake and gcc on this machine (CI has them)")
     name = "manipulator_controller"
     unpacked, own = tmp_path / "unpacked", tmp_path / f"{name}.fmu"
-    with zipfile.ZipFile(built / f"fmi{version}" / own.name) as archive:
+    with zipfile.ZipFile(built(name) / f"fmi{version}" / own.name) as archive:
         archive.extractall(unpacked, [entry for entry in archive.namelist() if not entry.startswith("binaries/")])
     (tmp_path / "build").mkdir()
     build_platform_binary(unpacked, tmp_path / "build", configuration="Release")
@@ -300,25 +311,23 @@ def test_an_importer_compiles_the_sources_and_gets_the_same_bits(
 @pytest.fixture(scope="module")
 def small(robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, int], bytes]:
     """A library's bytes, by platform, of two builds. What it needs from elsewhere stands in them by name, whatever the format."""
-    directories = [tmp_path_factory.mktemp(f"small{i}") for i in range(2)]
-    platforms = list(PLATFORMS.values())
-    for directory in directories:
-        build(every_operation(robot), directory, platforms)
 
+    @cache
     def needs(platform: str, which: int = 0) -> bytes:
-        target = PLATFORMS[platform]
-        return library(directories[which], "every_operation", target, directories[which] / platform).read_bytes()
+        target, directory = PLATFORMS[platform], tmp_path_factory.mktemp(f"small{which}")
+        build(every_operation(robot), directory, [target])
+        return library(directory, "every_operation", target, directory / platform).read_bytes()
 
     return needs
 
 
-@pytest.mark.parametrize("platform", PLATFORMS)
+@pytest.mark.parametrize("platform", family(PLATFORMS))
 def test_a_library_is_the_same_wherever_it_is_built(small: Callable[[str, int], bytes], platform: str) -> None:
     assert tempfile.gettempdir().encode() not in small(platform, 0)
     assert small(platform, 0) == small(platform, 1)
 
 
-@pytest.mark.parametrize("platform", ["x86_64-linux", "aarch64-linux"])
+@pytest.mark.parametrize("platform", family(["x86_64-linux", "aarch64-linux"]))
 def test_on_linux_a_c_library_of_2012_is_enough(small: Callable[[str, int], bytes], platform: str) -> None:
     data = small(platform, 0)
     versions = {tuple(map(int, found)) for found in re.findall(rb"GLIBC_(\d+)\.(\d+)", data)}
@@ -327,6 +336,7 @@ def test_on_linux_a_c_library_of_2012_is_enough(small: Callable[[str, int], byte
     assert set(re.findall(rb"[\w.+-]+\.so\.\d+", data)) == {b"libc.so.6", b"libm.so.6"}
 
 
+@pytest.mark.slow
 def test_on_windows_nothing_but_the_system_is_needed(small: Callable[[str, int], bytes]) -> None:
     needed = {name.lower() for name in re.findall(rb"[\w.-]+\.dll", small("x86_64-windows", 0), re.IGNORECASE)}
     # The universal C runtime is a part of Windows since Windows 10.
@@ -334,6 +344,7 @@ def test_on_windows_nothing_but_the_system_is_needed(small: Callable[[str, int],
     assert others == {b"kernel32.dll", b"every_operation.dll"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("platform", ["x86_64-darwin", "aarch64-darwin"])
 def test_on_macos_nothing_but_the_system_is_needed(small: Callable[[str, int], bytes], platform: str) -> None:
     data = small(platform, 0)

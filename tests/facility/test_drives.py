@@ -26,6 +26,7 @@ def bench(tmp_path: Path) -> Iterator[Rig]:
         yield made
 
 
+@pytest.mark.slow
 def test_over_canopen_the_experiment_is_what_it_is_without_a_wall_clock(bench: Rig) -> None:
     facility = bench.facility(*PATIENT_FACILITY, "devices.arm_drive.heartbeat_s=0.4")
     loop = bench.hil(*PATIENT, f"stop_s={SECONDS}")
@@ -49,6 +50,7 @@ def test_over_canopen_the_experiment_is_what_it_is_without_a_wall_clock(bench: R
     assert not any("Fault" in event for event in said)
 
 
+@pytest.mark.slow
 def test_a_second_controller_is_refused_and_the_first_one_goes_on(bench: Rig) -> None:
     facility = bench.facility(*PATIENT_FACILITY, "devices.arm_drive.heartbeat_s=0.4")
     first = bench.hil(*PATIENT, "stop_s=100.0", out="first")

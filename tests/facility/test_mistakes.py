@@ -252,6 +252,7 @@ def test_the_facilitys_port_in_use_is_said(bench: tuple[Rig, Process], tmp_path:
         assert "Address already in use" in second.text
 
 
+@pytest.mark.slow
 def test_a_base_further_away_is_approached_when_asked(tmp_path: Path) -> None:
     with rig(tmp_path) as bench:
         facility = bench.facility(*PATIENT_FACILITY, "base_robot.true_position=[0.05, 0.0, 0.08]")

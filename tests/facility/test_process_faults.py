@@ -43,6 +43,7 @@ def test_controllers_that_are_stopped_find_the_arm_safe_when_they_go_on(bench: R
     flight_of(bench.folder / "hil", reason, gap=2.0)
 
 
+@pytest.mark.slow
 def test_an_overrun_of_the_controllers_is_stopped_by_the_arms_watchdog(bench: Rig) -> None:
     facility = bench.facility("facility.base_watchdog_s=1.0")
     loop = bench.hil(*PATIENT_LOOP)
@@ -56,6 +57,7 @@ def test_an_overrun_of_the_controllers_is_stopped_by_the_arms_watchdog(bench: Ri
     flight_of(bench.folder / "hil", "the arm went to safe_stop by itself; ")
 
 
+@pytest.mark.slow
 def test_a_facility_that_is_stopped_stops_the_controllers_and_brakes_when_it_goes_on(bench: Rig) -> None:
     facility = bench.facility("facility.base_watchdog_s=1.0")
     loop = bench.hil(*BASE_PATIENT)
@@ -74,6 +76,7 @@ def test_a_facility_that_is_stopped_stops_the_controllers_and_brakes_when_it_goe
     assert "active -> " in last
 
 
+@pytest.mark.slow
 def test_loss_and_corruption_over_real_sockets_are_never_used(tmp_path: Path) -> None:
     """What the loop has recorded is what the arm has sent: a listener beside both hears the frames, broken ones and all."""
     path = tmp_path / "faults.toml"

@@ -30,6 +30,7 @@ def certificates(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert code == 0, error
 
 
+@pytest.mark.slow
 def test_both_ends_run_the_experiment_over_tls(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     certificates(tmp_path / "certs", capsys)
     path = scenario(tmp_path, 'extends = "facility"\n[devices.base_robot]\ncertificates = "certs"\n')

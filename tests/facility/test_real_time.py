@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from families import family
 from flights import WITHIN, flight_of
 from processes import BASE_ALONE, PATIENT_FACILITY, PATIENT_LOOP, Rig, events, rig
 
@@ -66,6 +67,7 @@ def test_over_real_bytes_the_experiment_is_what_it_is_without_a_wall_clock(bench
     ]
 
 
+@pytest.mark.slow
 def test_the_real_time_part_of_reproduce_reads_what_the_loop_wrote(tmp_path: Path) -> None:
     result = real_time.run(scenario.load("facility"), tmp_path, [*PATIENT_FACILITY, *PATIENT_LOOP, "stop_s=1.0"])
     assert result.as_expected
@@ -137,6 +139,7 @@ def test_the_arm_is_safe_within_five_cycles_of_its_controllers_death_and_the_bas
     assert 0.0 <= killed - rows["wall_ns"].iloc[-1] * 1e-9 < 0.2
 
 
+@pytest.mark.slow
 def test_the_controller_stops_in_order_when_the_facility_dies(bench: Rig) -> None:
     facility = bench.facility(*PATIENT_FACILITY)
     loop = bench.hil(*PATIENT_LOOP[2:])  # the arm's own rule: 20 cycles in a row, 20 ms
@@ -152,7 +155,7 @@ def test_the_controller_stops_in_order_when_the_facility_dies(bench: Rig) -> Non
     flight_of(bench.folder / "hil", r"arm_drive: .*(20 cycles in a row were lost|state frame is 0.0\d+ s old)")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", family([signal.SIGINT, signal.SIGTERM]))
 def test_ctrl_c_on_the_controller_is_an_orderly_stop(bench: Rig, number: signal.Signals) -> None:
     facility = bench.facility(*PATIENT_FACILITY)
     loop = bench.hil(*PATIENT_LOOP)
@@ -179,6 +182,7 @@ def test_ctrl_c_while_the_arm_is_waited_for_ends_at_once(bench: Rig) -> None:
     assert "interrupted" in loop.text
 
 
+@pytest.mark.slow
 def test_ctrl_c_on_the_facility_is_an_orderly_stop_for_both(bench: Rig) -> None:
     facility = bench.facility(*PATIENT_FACILITY)
     loop = bench.hil(*PATIENT_LOOP[2:])
@@ -189,6 +193,7 @@ def test_ctrl_c_on_the_facility_is_an_orderly_stop_for_both(bench: Rig) -> None:
     assert "the run stopped" in loop.text
 
 
+@pytest.mark.slow
 def test_a_second_controller_is_refused_before_anything_moves_with_both_numbers(bench: Rig) -> None:
     facility = bench.facility(*PATIENT_FACILITY)
     first = bench.hil(*PATIENT_LOOP)
@@ -203,6 +208,7 @@ def test_a_second_controller_is_refused_before_anything_moves_with_both_numbers(
     assert sum("inactive -> active" in event for event in events(report, "arm_drive")) == 1
 
 
+@pytest.mark.slow
 def test_a_second_controller_of_a_base_alone_is_refused_with_both_names(tmp_path: Path) -> None:
     path = tmp_path / "base.toml"
     path.write_text(BASE_ALONE)
@@ -220,6 +226,7 @@ def test_a_second_controller_of_a_base_alone_is_refused_with_both_names(tmp_path
         assert first.finish() == 3
 
 
+@pytest.mark.slow
 def test_ctrl_c_in_the_approach_ends_before_the_arm_is_active(bench: Rig) -> None:
     facility = bench.facility(*PATIENT_FACILITY, "base_robot.true_position=[0.3, 0.0, 0.08]")
     loop = bench.hil(*PATIENT_LOOP, "devices.base_robot.parameters.approach=true")
@@ -245,6 +252,7 @@ def test_ctrl_c_while_the_facility_starts_ends_it(bench: Rig) -> None:
     assert process.finish(20.0) in (0, 3, -signal.SIGINT)
 
 
+@pytest.mark.slow
 def test_a_stray_first_set_point_locks_nobody_out(bench: Rig) -> None:
     """Somebody publishes nonsense before the controller comes: it is refused, and the controller is obeyed."""
     facility = bench.facility(*PATIENT_FACILITY)
@@ -264,6 +272,7 @@ def test_a_stray_first_set_point_locks_nobody_out(bench: Rig) -> None:
     facility.finish()
 
 
+@pytest.mark.slow
 def test_a_busy_process_beside_the_loop_costs_counted_cycles_and_no_wrong_state(bench: Rig) -> None:
     facility = bench.facility(*PATIENT_FACILITY)
     loop = bench.hil(*PATIENT_LOOP, "stop_s=3.0", options=("--no-real-time",))
@@ -319,6 +328,7 @@ def test_nothing_listens_beyond_loopback_and_nobody_joins_a_multicast_group(benc
     loop.finish()
 
 
+@pytest.mark.slow
 def test_a_simulated_arm_on_a_base_over_zenoh_is_paced_by_the_clock(tmp_path: Path) -> None:
     """No arm on a bus, so absolute deadlines are the clock; the arm's model is told how the measured base moves."""
     path = tmp_path / "mixed.toml"

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import can
 import cantools
+import pytest
 from processes import PATIENT_FACILITY, PATIENT_LOOP, rig
 
 import freeflyer_adapters
@@ -14,6 +15,7 @@ from freeflyer_adapters import read_recording
 STATE, COMMAND = 0x181, 0x101
 
 
+@pytest.mark.slow
 def test_the_can_log_has_the_frames_that_the_recordings_numbers_came_from(tmp_path: Path) -> None:
     with rig(tmp_path) as bench:
         bench.facility(*PATIENT_FACILITY)

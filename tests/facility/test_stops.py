@@ -102,6 +102,7 @@ def test_the_live_view_survives_a_limit_that_begins_to_act(tmp_path: Path) -> No
     assert report.devices["arm_drive"]["torque_rate_limit_acted"] > 0
 
 
+@pytest.mark.slow
 def test_the_viewer_is_an_ordinary_process_beside_a_loop_in_real_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     policies = []
     show = LiveValues.show

@@ -14,7 +14,7 @@ from processes import PATIENT_FACILITY, PATIENT_LOOP
 from freeflyer import real_time, scenario
 
 ROOT = Path(__file__).parents[2]
-NAMES = ("freeflyer", "freeflyer_fmus", "freeflyer_adapters", "ziglang", "cosim", "adapters")
+NAMES = ("freeflyer", "freeflyer_fmus", "freeflyer_adapters", "ziglang", "multiprocessing", "cosim", "adapters")
 BLOCK = """\
 from freeflyer_fmus import Block
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import struct
 import tempfile
+from functools import cache
 from pathlib import Path
 from random import Random
 
@@ -68,21 +69,21 @@ def _own(**more: object) -> ArmFrames:
         return ArmFrames(FrameMapping(dbc=path, **OWN_MAPPING, **more), 2)  # type: ignore[arg-type]
 
 
-def _frames() -> list[tuple[ArmFrames, Frame]]:
+@cache
+def listeners() -> list[tuple[ArmFrames, Frame]]:
     every = ArmFrames(FrameMapping(), 6), _own(), _own(data_ids={"state": 7, "command": 8}, e2e_offset=13)
     return [(arm, frame) for arm in every for frame in (arm.command, arm.state, arm.description) if frame is not None]
 
 
-FRAMES = _frames()
 HEAD = struct.Struct("<BBIB")
-"""Which of FRAMES listens, flags (error, remote, extended), identifier, length; the data follow. An input is several of these."""
+"""Which of `listeners` listens, flags (error, remote, extended), identifier, length; the data follow. An input is several of these."""
 ERROR, REMOTE, EXTENDED = 1, 2, 4
 
 
 def frames(rng: Random) -> bytes:
     """Up to eight frames at one receiver. Half of the damaged ones get a header that fits again, so that it shields nothing."""
-    which = rng.randrange(len(FRAMES))
-    _, frame = FRAMES[which]
+    which = rng.randrange(len(listeners()))
+    _, frame = listeners()[which]
     protector = None if frame.data_id is None else Protector(frame.data_id, frame.e2e_offset)
     parts = []
     for _ in range(rng.randrange(1, 9)):
@@ -105,11 +106,11 @@ def frames(rng: Random) -> bytes:
 
 
 def take_frames(data: bytes) -> str:
-    place, outcome, receiver, arm = 0, "nothing", None, FRAMES[0][0]
+    place, outcome, receiver, arm = 0, "nothing", None, listeners()[0][0]
     while place + HEAD.size <= len(data):
         which, flags, identifier, length = HEAD.unpack_from(data, place)
         if receiver is None:
-            arm, frame = FRAMES[which]
+            arm, frame = listeners()[which]
             receiver = Receiver(frame)
         payload = bytearray(data[place + HEAD.size : place + HEAD.size + length])
         place += HEAD.size + length

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import casadi as ca
 import numpy as np
 import pytest
+from families import family
 from hypothesis import given
 from hypothesis import strategies as st
 from robots import ROBOTS
@@ -100,14 +103,16 @@ class Loop:
         return solution.t, solution.y
 
 
-LOOP = Loop(load_robot_file())
-REDUNDANT = Loop(ROBOTS["lwr4_redundant"]())
+@cache
+def loop_of(name: str) -> Loop:
+    return Loop(ROBOTS[name]())
 
 
-@pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("loop", [LOOP, REDUNDANT], ids=["six joints", "seven joints"])
-def test_V_never_rises_and_falls_as_equation_15_says(loop: Loop, seed: int) -> None:
+@pytest.mark.parametrize("seed", family(range(4)))
+@pytest.mark.parametrize("name", family(["lwr4", "lwr4_redundant"]))
+def test_V_never_rises_and_falls_as_equation_15_says(name: str, seed: int) -> None:
     """With seven joints: as (15) and the damper in the null space say."""
+    loop = loop_of(name)
     times, states = loop.solve(seed, 6.0)
     values = np.array([[float(part) for part in loop.V(t, loop.p, x)] for t, x in zip(times, states.T, strict=True)])
     V, dV, dissipated = values.T
@@ -119,7 +124,8 @@ def test_V_never_rises_and_falls_as_equation_15_says(loop: Loop, seed: int) -> N
 def test_rate_of_W_is_the_papers_expression_and_negative_where_V_does_not_fall() -> None:
     """W = dx^T M dx'. The paper differentiates dx to dx', which for the rotation holds to first order in the angle."""
     robot = load_robot_file()
-    block = LOOP.block
+    loop = loop_of("lwr4")
+    block = loop.block
     t, p, u, x = block.arguments
     o, v, q, qd = x[3:7], x[7:13], x[13:19], x[19:25]
     m = constant_mechanism(robot)
@@ -168,17 +174,17 @@ def test_rate_of_W_is_the_papers_expression_and_negative_where_V_does_not_fall()
             ca.dot(error, K * error),
         ],
     )
-    times, states = LOOP.solve(1, 4.0)
+    times, states = loop.solve(1, 4.0)
     for at, state in zip(times[1:], states.T[1:], strict=True):
-        exact, paper, with_true_rate, stored = (float(part) for part in f(at, LOOP.p, state))
+        exact, paper, with_true_rate, stored = (float(part) for part in f(at, loop.p, state))
         scale = abs(exact) + stored
         assert abs(exact - with_true_rate) <= 1e-7 * scale
         assert abs(exact - paper) <= 0.05 * scale
     # Where V does not fall (x_b' = dx_m' = 0) but errors remain, dW/dt = -dx^T K dx < 0.
-    state = LOOP.start(2)
+    state = loop.start(2)
     state[7:13] = 0.0
     state[19:25] = 0.0
-    exact, _, _, stored = (float(part) for part in f(0.0, LOOP.p, state))
+    exact, _, _, stored = (float(part) for part in f(0.0, loop.p, state))
     assert stored > 0.0
     assert exact == pytest.approx(-stored, rel=1e-9)
 

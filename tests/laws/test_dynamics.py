@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
@@ -114,7 +115,8 @@ def functions(robot: Robot) -> Ours:
     )
 
 
-def _setup(name: str) -> tuple[Robot, Oracle, Ours]:
+@cache
+def case(name: str) -> tuple[Robot, Oracle, Ours]:
     robot = ROBOTS[name]()
     path, locked, tip, root = {
         "lwr4": (SHIPPED_ROBOTS / "lwr4_free_flyer.urdf", {"joint_e1": 0.0}, "end_effector", "base"),
@@ -125,7 +127,7 @@ def _setup(name: str) -> tuple[Robot, Oracle, Ours]:
     return robot, Oracle(path, locked, tip, root), functions(robot)
 
 
-CASES = {name: _setup(name) for name in ("lwr4", "ur5", "gantry", "lwr4_redundant")}
+CASES = ("lwr4", "ur5", "gantry", "lwr4_redundant")
 
 
 def close(ours: object, theirs: np.ndarray) -> None:
@@ -136,7 +138,7 @@ def close(ours: object, theirs: np.ndarray) -> None:
 @pytest.mark.parametrize("name", CASES)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_forward_dynamics_agree_with_pinocchio(name: str, seed: int) -> None:
-    robot, oracle, ours = CASES[name]
+    robot, oracle, ours = case(name)
     s = sample(seed, robot.joint_count)
     q, v = oracle.configuration(s)
     T = oracle.to_inertial(s)
@@ -153,7 +155,7 @@ def test_forward_dynamics_agree_with_pinocchio(name: str, seed: int) -> None:
 @pytest.mark.parametrize("name", CASES)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_inertia_matrix_and_coriolis_forces_agree_with_pinocchio(name: str, seed: int) -> None:
-    robot, oracle, ours = CASES[name]
+    robot, oracle, ours = case(name)
     s = sample(seed, robot.joint_count)
     q, v = oracle.configuration(s)
     T = oracle.to_inertial(s)
@@ -177,7 +179,7 @@ def test_inertia_matrix_and_coriolis_forces_agree_with_pinocchio(name: str, seed
 @pytest.mark.parametrize("name", CASES)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_jacobians_and_their_rates_agree_with_pinocchio(name: str, seed: int) -> None:
-    robot, oracle, ours = CASES[name]
+    robot, oracle, ours = case(name)
     s = sample(seed, robot.joint_count)
     q, v = oracle.configuration(s)
     T = oracle.to_inertial(s)
@@ -201,25 +203,24 @@ def test_jacobians_and_their_rates_agree_with_pinocchio(name: str, seed: int) ->
 @pytest.mark.parametrize("name", CASES)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_rate_of_inertia_minus_twice_coriolis_is_skew(name: str, seed: int) -> None:
-    robot, _, ours = CASES[name]
+    robot, _, ours = case(name)
     s = sample(seed, robot.joint_count)
     H, C, *_ = (np.array(part) for part in ours.matrices(s.orientation, s.velocity, s.q, s.qd))
-    rate = np.array(HDOT[name](s.orientation, s.velocity, s.q, s.qd))
+    rate = np.array(rate_of_H(name)(s.orientation, s.velocity, s.q, s.qd))
     N = rate - 2 * C
     assert np.abs(N + N.T).max() <= TOLERANCE * np.abs(C).max()
     assert np.linalg.eigvalsh(H)[0] > 0.0
 
 
-def _rate_of_H(robot: Robot) -> Any:
+@cache
+def rate_of_H(name: str) -> Any:
+    robot, _, _ = case(name)
     n = robot.joint_count
     o, v, q, qd = (SX.sym(name, size) for name, size in (("o", 4), ("v", 6), ("q", n), ("qd", n)))
     s = State(o, v[:3], v[3:], q, qd)
     m = constant_mechanism(robot)
     H, _ = dynamics.inertia_and_coriolis(m, s)
     return ca.Function("dH", [o, v, q, qd], [task_space.rate(m, H, s)])
-
-
-HDOT = {name: _rate_of_H(robot) for name, (robot, _, _) in CASES.items()}
 
 
 def test_a_robots_own_check_against_pinocchio(any_robot: Robot) -> None:

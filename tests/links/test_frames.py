@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,12 @@ from freeflyer_adapters.arm.frames import SHIPPED_DBC, ArmFrames, FrameMapping
 from freeflyer_adapters.bus_load import bus_load, frame_time
 from freeflyer_adapters.device import DeviceError
 
-FRAMES = ArmFrames(FrameMapping(), 6)
+
+@cache
+def shipped() -> ArmFrames:
+    return ArmFrames(FrameMapping(), 6)
+
+
 ROOM = {"joint_position": 8.0, "joint_velocity": 6.5, "joint_torque": 327.0}
 
 OWN = """VERSION ""
@@ -54,14 +60,14 @@ def test_what_goes_in_comes_out_to_half_a_step(draw: st.DataObject) -> None:
         name: draw.draw(st.lists(st.floats(-room, room), min_size=6, max_size=6), label=name) for name, room in ROOM.items()
     }
     numbers |= {"cycle": [float(draw.draw(st.integers(0, 2**24 - 1)))], "life_cycle": [2.0]}
-    found = FRAMES.state.unpack(FRAMES.state.pack(numbers))
+    found = shipped().state.unpack(shipped().state.pack(numbers))
     for name, values in numbers.items():
-        half = 0.5 * FRAMES.state.fields[name][0].resolution
+        half = 0.5 * shipped().state.fields[name][0].resolution
         assert found[name] == pytest.approx(values, abs=half * 1.0001)
 
 
 def test_values_beyond_what_a_signal_holds_are_held_at_its_end() -> None:
-    found = FRAMES.state.unpack(FRAMES.state.pack({"joint_torque": [1e9, -1e9, 0.0, 0.0, 0.0, 0.0]}))
+    found = shipped().state.unpack(shipped().state.pack({"joint_torque": [1e9, -1e9, 0.0, 0.0, 0.0, 0.0]}))
     assert found["joint_torque"][:2] == pytest.approx([327.67, -327.68])
 
 
@@ -79,8 +85,8 @@ def test_a_frame_of_eight_bytes_takes_what_the_literature_says() -> None:
 
 
 def test_every_message_has_its_own_data_id_and_cycle_time() -> None:
-    assert FRAMES.description is not None
-    frames = (FRAMES.command, FRAMES.state, FRAMES.description)
+    assert shipped().description is not None
+    frames = (shipped().command, shipped().state, shipped().description)
     assert len({frame.data_id for frame in frames}) == 3
     assert None not in {frame.data_id for frame in frames}
     assert [frame.cycle_ms for frame in frames] == [1.0, 1.0, 100.0]

@@ -1,12 +1,33 @@
-"""Without the peers there is nothing to compare with: the whole folder is left out, and says so."""
+"""Without the peers there is nothing to compare with: every module of the folder is skipped then, with the reason."""
 
 from __future__ import annotations
 
-from importlib.util import find_spec
+from collections.abc import Iterable
+from importlib import import_module
+from pathlib import Path
 
-MISSING = [name for name in ("libcosimpy", "ecospy", "fmu_manipulation_toolbox") if find_spec(name) is None]
-collect_ignore_glob = ["test_*.py"] if MISSING else []
+import pytest
 
 
-def pytest_report_header() -> str | None:
-    return f"tests/peers left out: {', '.join(MISSING)} missing (pip install '.[peers]')" if MISSING else None
+def missing() -> str:
+    """Why a peer cannot be used; empty if all are there."""
+    for name in ("libcosimpy", "ecospy", "fmu_manipulation_toolbox"):
+        try:
+            import_module(name)
+        except ImportError:
+            return f"{name} is not installed (pip install '.[peers]')"
+        except OSError as error:  # ecospy needs the system's libtbb.so.12
+            return f"{name} cannot be loaded: {error} (Debian: libtbb12)"
+    return ""
+
+
+REASON = missing()
+
+
+class Skipped(pytest.Module):
+    def collect(self) -> Iterable[pytest.Item | pytest.Collector]:
+        pytest.skip(REASON, allow_module_level=True)
+
+
+def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> pytest.Module | None:
+    return Skipped.from_parent(parent, path=module_path) if REASON else None

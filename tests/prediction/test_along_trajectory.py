@@ -30,6 +30,7 @@ def both(n: int, stop: float) -> tuple[float, float]:
     return predicted, growth_rate(NAME, overrides, coordinates)
 
 
+@pytest.mark.slow
 def test_a_perturbation_grows_along_the_motion_as_predicted() -> None:
     """T_b = 0.15 s over 40 s. The operating points are those of the run at T_m, from which the simulated run at T_b is up to 2 deg
     away: that is the difference.

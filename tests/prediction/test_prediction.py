@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from families import family
 from simulated_boundary import compared, comparisons, side
 from simulated_period import QUIET
 
@@ -144,7 +145,7 @@ def test_components_without_connections_are_no_part_of_the_loop() -> None:
         assert model.roles.scanned == "base_controller"
 
 
-@pytest.mark.parametrize("seed", [0, 5, 16])
+@pytest.mark.parametrize("seed", family([0, 5, 16]))
 def test_the_simulated_boundary_is_the_predicted_one(seed: int) -> None:
     """Three of the fifty below: a sampled damper, and two sampled springs."""
     found = compared(seed)
@@ -152,6 +153,7 @@ def test_the_simulated_boundary_is_the_predicted_one(seed: int) -> None:
     assert found.agrees, found
 
 
+@pytest.mark.slow
 def test_stable_islands_beyond_the_first_boundary_are_simulated_too() -> None:
     """A well damped base over a hand that is hardly damped: unstable from 0.6 s, stable again, unstable again. Not monotone."""
     hardly = [

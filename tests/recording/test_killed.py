@@ -72,6 +72,7 @@ def test_a_killed_recorder_costs_the_end_of_the_recording_and_the_loop_writes_it
     assert list(runtime.rglob("*.ring")) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("held_up", [0.0, 3.0], ids=["at once", "the recorder held up for 3 s before"])
 def test_with_both_killed_the_next_start_saves_the_last_seconds_and_nothing_is_lost(
     held_up: float, tmp_path: Path, runtime: Path
@@ -114,6 +115,7 @@ def test_with_both_killed_the_next_start_saves_the_last_seconds_and_nothing_is_l
     assert min(lost) >= held_up
 
 
+@pytest.mark.slow
 def test_the_command_recovers_a_directory_with_all_that_was_left(
     tmp_path: Path, runtime: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

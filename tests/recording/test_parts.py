@@ -190,6 +190,7 @@ def test_the_rest_of_another_run_does_not_get_among_a_new_ones_parts(tmp_path: P
     assert read_recording(tmp_path / f"recording_of_{START}_rest.mcap")["instant"].tolist() == list(range(COUNT))
 
 
+@pytest.mark.slow
 def test_memory_is_bounded_by_a_part(tmp_path: Path) -> None:
     """Half an hour of a loop, a row for each chunk, as it is the chunks that cost memory."""
     made = replace(head(tmp_path), tick=50 * TICK)

@@ -124,6 +124,7 @@ def test_without_a_recording_there_is_still_the_flight_recording(tmp_path: Path,
     assert list(runtime.rglob("*.ring")) == []
 
 
+@pytest.mark.slow
 def test_an_unfinished_recording_of_an_earlier_run_is_not_written_over(tmp_path: Path, runtime: Path) -> None:
     out = tmp_path / "out"
     out.mkdir()
@@ -157,6 +158,7 @@ def signalled(number: int) -> Callable[[Tap], None]:
     return act
 
 
+@pytest.mark.slow
 def test_a_vanished_directory_is_told_and_the_loop_goes_on(
     tmp_path: Path, runtime: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -210,6 +212,7 @@ def test_a_full_disk_is_told_once_and_what_was_written_is_kept(
     assert list(runtime.rglob("*.ring")) == []
 
 
+@pytest.mark.slow
 def test_a_recorder_that_is_held_up_loses_nothing_and_holds_nobody_up(
     tmp_path: Path, runtime: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -108,6 +108,7 @@ def test_the_overdamped_base_diverges_and_an_unbounded_damper_makes_it_worse() -
     assert unbounded.outcome.simulated < 0.8 * without.outcome.simulated
 
 
+@pytest.mark.slow
 def test_the_continuous_scenario_beside_the_loop_in_continuous_time() -> None:
     result, found = last_10_s("continuous")
     record = result.outcome.record

@@ -26,6 +26,7 @@ def test_a_killed_worker_loses_nothing(tmp_path: Path) -> None:
     assert str(victim.pid) in "".join(path.read_text() for path in sweep.marks.iterdir())
 
 
+@pytest.mark.slow
 def test_a_killed_sweep_goes_on_without_repeating_finished_runs(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     sweep = MarkedSweep(tmp_path, count=60, nap=0.1)
     process = sweep.start()
@@ -60,6 +61,7 @@ def test_ctrl_c_keeps_what_is_finished_and_says_how_to_go_on(tmp_path: Path) -> 
     assert not (sweep.out / "results.parquet").exists()
 
 
+@pytest.mark.slow
 def test_a_run_that_kills_its_worker_becomes_a_row_and_stops_nothing(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -72,6 +74,7 @@ def test_a_run_that_kills_its_worker_becomes_a_row_and_stops_nothing(
     assert "its worker died each of 3 times" in output
 
 
+@pytest.mark.slow
 def test_two_sweeps_do_not_share_a_directory(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     sweep = MarkedSweep(tmp_path, count=300, nap=0.2)
     process = sweep.start()
@@ -86,6 +89,7 @@ def test_two_sweeps_do_not_share_a_directory(capsys: pytest.CaptureFixture[str],
     assert process.returncode == 3
 
 
+@pytest.mark.slow
 def test_a_damaged_part_is_computed_again(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     sweep = MarkedSweep(tmp_path, count=4)
     assert sweep.run(capsys)[0] == 0

@@ -171,14 +171,14 @@ distributed.versions.get_package_info = lambda names: there(names) | {"python": 
 @pytest.mark.parametrize("other", ["package", "python"])
 def test_a_worker_with_another_version_is_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path, other: str) -> None:
     sweep = MarkedSweep(tmp_path, count=2)
-    about = tmp_path / "older" / "freeflyer_cosim-0.0.1.dist-info"
+    about = tmp_path / "older" / "freeflyer_cosim-0.1.0.dist-info"
     about.mkdir(parents=True)
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: freeflyer-cosim\nVersion: 0.0.1\n")
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: freeflyer-cosim\nVersion: 0.1.0\n")
     before, path = (OTHER_PYTHON, None) if other == "python" else ("", about.parent)
     with scheduler(tmp_path) as (address, _), worker(address, tmp_path, before=before, path=path):
         code, _, error = sweep.run(capsys, "--scheduler", address)
     assert code == 2, error
-    has = "python 2.7, and python 3." if other == "python" else "freeflyer-cosim 0.0.1, and freeflyer-cosim"
+    has = "python 2.7, and python 3." if other == "python" else "freeflyer-cosim 0.1.0, and freeflyer-cosim"
     assert f"has {has}" in error
     assert "install the same version there" in error
     assert sweep.times_run(1) == sweep.times_run(2) == 0

@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
+from families import family
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from robots import ROBOTS
 
 from freeflyer.fmu import FmuComponent
+from freeflyer_fmus.block import Block
+from freeflyer_fmus.export.archive import build
 from freeflyer_fmus.prebuilt_fmus import directory
-from freeflyer_fmus.robot import Robot
 from freeflyer_fmus.shipped import BLOCKS
 from freeflyer_fmus.twin import Twin
 from freeflyer_fmus.urdf import load_robot_file
 
 STEP = 1e-3
-ROBOT = load_robot_file()
-DECLARED = {name: make(ROBOT) for name, make in BLOCKS.items()}
+
+
+@cache
+def declared(name: str) -> Block:
+    return BLOCKS[name](load_robot_file())
 
 
 def agree(one: np.ndarray, other: np.ndarray, what: str) -> None:
@@ -63,7 +70,7 @@ def outputs_of(
 @settings(max_examples=5)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_twin_and_both_fmus_give_the_same_numbers(name: str, seed: int) -> None:
-    block = DECLARED[name]
+    block = declared(name)
     period = block.default_step
     twin = outputs_of(Twin(block), 40, seed, period)
     two, three = (outputs_of(FmuComponent(name, directory() / f"fmi{v}" / f"{name}.fmu"), 40, seed, period) for v in (2, 3))
@@ -81,14 +88,15 @@ def test_twin_and_fmu_agree_in_every_mode(name: str, choice: str, options: int, 
         values = {choice: np.array([float(option)]), "bookkeeping": np.array([float(bookkeeping)])}
         if name == "manipulator_controller":
             values["manipulator_initial_energy"] = np.zeros(6)  # so that both dampers act
-        period = DECLARED[name].default_step
-        twin = outputs_of(Twin(DECLARED[name]), 30, 5, period, values)
+        period = declared(name).default_step
+        twin = outputs_of(Twin(declared(name)), 30, 5, period, values)
         fmu = outputs_of(FmuComponent(name, directory() / "fmi2" / f"{name}.fmu"), 30, 5, period, values)
         agree(twin, fmu, f"{name} {option} {bookkeeping}")
 
 
 def test_ports_of_twin_and_fmus_are_the_same(fmus: Path) -> None:
-    for name, block in DECLARED.items():
+    for name in BLOCKS:
+        block = declared(name)
         twin = Twin(block).ports
         for version in (2, 3):
             component = FmuComponent(name, fmus / f"fmi{version}" / f"{name}.fmu")
@@ -107,7 +115,7 @@ def test_ports_of_twin_and_fmus_are_the_same(fmus: Path) -> None:
 def test_two_instances_in_one_process_do_not_touch_each_other(fmus: Path, name: str, version: int) -> None:
     """Stepped in turn under different inputs, each gives what it gives alone."""
     path = fmus / f"fmi{version}" / f"{name}.fmu"
-    period = DECLARED[name].default_step
+    period = declared(name).default_step
     alone = [outputs_of(FmuComponent(name, path), 12, seed, period) for seed in (1, 2)]
     pair = [FmuComponent(name, path) for _ in range(2)]
     ports = pair[0].ports
@@ -135,15 +143,12 @@ def test_two_instances_in_one_process_do_not_touch_each_other(fmus: Path, name: 
         component.close()
 
 
-@pytest.mark.parametrize("name", ["ur5", "gantry"])
-def test_other_robots_go_the_whole_way(name: str, tmp_path: Path) -> None:
-    from robots import ROBOTS
-
-    from freeflyer_fmus.export.archive import build
-
-    robot: Robot = ROBOTS[name]()
-    for block in ("free_flyer", "manipulator_controller", "base_controller", "reference_trajectory"):
-        declared = BLOCKS[block](robot)
-        path = build(declared, tmp_path)[2]
-        twin = outputs_of(Twin(declared), 5, 3, declared.default_step)
-        agree(twin, outputs_of(FmuComponent(block, path), 5, 3, declared.default_step), block)
+@pytest.mark.parametrize(
+    "name", family(["free_flyer", "manipulator_controller", "base_controller", "reference_trajectory"], ["base_controller"])
+)
+@pytest.mark.parametrize("robot_name", family(["gantry", "ur5"]))
+def test_other_robots_go_the_whole_way(robot_name: str, name: str, tmp_path: Path) -> None:
+    block = BLOCKS[name](ROBOTS[robot_name]())
+    path = build(block, tmp_path)[2]
+    twin = outputs_of(Twin(block), 5, 3, block.default_step)
+    agree(twin, outputs_of(FmuComponent(name, path), 5, 3, block.default_step), name)

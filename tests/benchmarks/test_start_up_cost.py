@@ -1,4 +1,4 @@
-"""CPU before anything happens, as ratios taken in one run: pytest -m benchmark -n 0 -s tests/benchmarks/test_start_up.py"""
+"""CPU before anything happens, as ratios taken in one run: pytest -m benchmark -n 0 -s tests/benchmarks/test_start_up_cost.py"""
 
 from __future__ import annotations
 

@@ -1,0 +1,16 @@
+"""Families of tests that take long as a whole: some members run in the default set, the others under the marker `slow`."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+
+import pytest
+
+
+def family(members: Iterable[object], now: int | Collection[object] = 1) -> list[object]:
+    """Members for one parameter; `now`: those of the default set, or how many from the first."""
+    chosen = list(members)
+    default = chosen[:now] if isinstance(now, int) else list(now)
+    assert default
+    assert all(member in chosen for member in default), "a member of the default set is none of the family"
+    return [member if member in default else pytest.param(member, marks=pytest.mark.slow) for member in chosen]
