@@ -13,4 +13,9 @@ def family(members: Iterable[object], now: int | Collection[object] = 1) -> list
     default = chosen[:now] if isinstance(now, int) else list(now)
     assert default
     assert all(member in chosen for member in default), "a member of the default set is none of the family"
-    return [member if member in default else pytest.param(member, marks=pytest.mark.slow) for member in chosen]
+    return [member if member in default else _slow(member) for member in chosen]
+
+
+def _slow(member: object) -> object:
+    """A tuple is one value for each of several parameters."""
+    return pytest.param(*member if isinstance(member, tuple) else (member,), marks=pytest.mark.slow)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from commands import said
+from families import family
 from processes import PATIENT_FACILITY, Process, Rig, events, rig
 
 OWN_DBC = """VERSION ""
@@ -174,36 +175,39 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Rig, Proce
 
 @pytest.mark.parametrize(
     ("setting", "sentence"),
-    [
-        (
-            "manipulator_controller.joint_effort_limit=[176, 176, 100, 100, 38, 40]",
-            r"its joint effort limit of joint 6 is 38 N.m, but the scenario's robot has 40 N.m",
-        ),
-        (
-            "devices.arm_drive.parameters.joint_velocity_limit=3.0",
-            r"its joint velocity limit of joint 1 is 1.92 rad/s, but the scenario's robot has 3 rad/s",
-        ),
-        (
-            "manipulator_controller.joint_upper_limit=2.5",
-            r"its joint upper limit of joint 1 is 2.967 rad, but the scenario's robot has 2.5 rad",
-        ),
-        (
-            "satellite.base_position=[0.0, 0.0, 0.0]",
-            r"stands at \[0.0400, 0.0000, 0.0800\] m.*starts at \[0.0000, 0.0000, 0.0000\] m.*: 0.089\d m",
-        ),
-        (
-            "satellite.base_orientation=[0.0, 0.0, 0.0, 1.0]",
-            r"stands at .*roll (10.00|9.99)\d, .*starts at .*roll 0.000, .*1?\d.\d+ deg apart",
-        ),
-        (
-            "reference_trajectory.start_joint_position=[0.1, -0.5, 1.4, 0.9, 0.0, 0.0]",
-            r"joint \d is at -?[0-9.]+ rad, the scenario starts at -?[0-9.]+ rad, and 0.02 rad",
-        ),
-        ("devices.base_robot.parameters.start_orientation=[0.0, 0.0, 0.0, 0.0]", "start_orientation is all zero"),
-        ("devices.base_robot.parameters.approach_speed=[0.0, 0.1]", "approach_speed is 0; more than 0 is expected"),
-        ("devices.base_robot.parameters.age_limit=-1", "age_limit is -1 s"),
-        ("devices.base_robot.parameters.cycle=0.0045", r"its cycle of 0.0045 s is no multiple of its step of 0.001 s"),
-    ],
+    family(
+        [
+            (
+                "manipulator_controller.joint_effort_limit=[176, 176, 100, 100, 38, 40]",
+                r"its joint effort limit of joint 6 is 38 N.m, but the scenario's robot has 40 N.m",
+            ),
+            (
+                "devices.arm_drive.parameters.joint_velocity_limit=3.0",
+                r"its joint velocity limit of joint 1 is 1.92 rad/s, but the scenario's robot has 3 rad/s",
+            ),
+            (
+                "manipulator_controller.joint_upper_limit=2.5",
+                r"its joint upper limit of joint 1 is 2.967 rad, but the scenario's robot has 2.5 rad",
+            ),
+            (
+                "satellite.base_position=[0.0, 0.0, 0.0]",
+                r"stands at \[0.0400, 0.0000, 0.0800\] m.*starts at \[0.0000, 0.0000, 0.0000\] m.*: 0.089\d m",
+            ),
+            (
+                "satellite.base_orientation=[0.0, 0.0, 0.0, 1.0]",
+                r"stands at .*roll (10.00|9.99)\d, .*starts at .*roll 0.000, .*1?\d.\d+ deg apart",
+            ),
+            (
+                "reference_trajectory.start_joint_position=[0.1, -0.5, 1.4, 0.9, 0.0, 0.0]",
+                r"joint \d is at -?[0-9.]+ rad, the scenario starts at -?[0-9.]+ rad, and 0.02 rad",
+            ),
+            ("devices.base_robot.parameters.start_orientation=[0.0, 0.0, 0.0, 0.0]", "start_orientation is all zero"),
+            ("devices.base_robot.parameters.approach_speed=[0.0, 0.1]", "approach_speed is 0; more than 0 is expected"),
+            ("devices.base_robot.parameters.age_limit=-1", "age_limit is -1 s"),
+            ("devices.base_robot.parameters.cycle=0.0045", r"its cycle of 0.0045 s is no multiple of its step of 0.001 s"),
+        ],
+        3,
+    ),
 )
 def test_an_arm_or_base_that_is_not_the_scenarios_is_refused_with_both_numbers(
     bench: tuple[Rig, Process], setting: str, sentence: str

@@ -8,13 +8,14 @@ import libcosim_peer
 import numpy as np
 import pytest
 import reference_loops
+from families import family
 from masters import PEERS, arguments, before_the_instant, difference, own_master
 from reference_loops import Rule
 
 RUNS = [(name, version) for name, peer in PEERS.items() for version in peer.versions]
 
 
-@pytest.mark.parametrize("moving", [False, True])
+@pytest.mark.parametrize("moving", family([True, False]))
 @pytest.mark.parametrize(("name", "version"), RUNS)
 def test_all_at_one_step_a_peer_gives_our_numbers(name: str, version: int, moving: bool) -> None:
     """Every slave stepped at T_m; `moving`: from beside the equilibrium, so that the initial exchange leaves a trace."""

@@ -135,6 +135,7 @@ def test_the_command_recovers_a_directory_with_all_that_was_left(
     assert command.call(["recover", str(tmp_path)]) == 0
 
 
+@pytest.mark.slow
 def test_ctrl_c_leaves_both_whole(tmp_path: Path, runtime: Path) -> None:
     with loop(tmp_path, runtime) as made:
         made.wait_for_rows(300)

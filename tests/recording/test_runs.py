@@ -93,6 +93,7 @@ def test_messages_of_ros_are_made_of_the_scenarios_signals(whole: tuple[Any, dic
     assert expected.items() <= found.items()
 
 
+@pytest.mark.slow
 def test_only_the_chosen_signals_are_recorded_but_the_last_seconds_have_all(tmp_path: Path, runtime: Path) -> None:
     run(tmp_path, '[record]\nsignals = ["satellite.*"]\n', stop=0.2)
     chosen, flight = (
@@ -224,6 +225,7 @@ def test_a_recorder_that_is_held_up_loses_nothing_and_holds_nobody_up(
     assert read_recording(tmp_path / "out" / "recording.mcap")["instant"].tolist() == list(range(1001))
 
 
+@pytest.mark.slow
 def test_a_recorder_that_is_held_up_for_longer_than_the_ring_counts_what_it_missed(
     tmp_path: Path, runtime: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -47,6 +47,7 @@ def test_a_killed_sweep_goes_on_without_repeating_finished_runs(capsys: pytest.C
     assert all(sweep.times_run(x) == 1 for x in finished)
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_what_is_finished_and_says_how_to_go_on(tmp_path: Path) -> None:
     sweep = MarkedSweep(tmp_path, count=60, nap=0.2)
     process = sweep.start()
