@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import json
 import re
+import signal
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from freeflyer import command
+from freeflyer import command, experiment, scenario
+from freeflyer.experiment import Result
+from freeflyer.interrupts import interrupts
+from freeflyer.scenario import Scenario
 
 ERRORS = {
     "end_effector_position_error_m",
@@ -29,6 +34,30 @@ KEYS = {
 } | ERRORS
 
 
+def test_reproduce_that_is_interrupted_keeps_the_cases_that_are_done(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    load, run = scenario.load, experiment.run
+
+    def interrupted_in_the_second(case: Scenario, **options: Any) -> Result:
+        with interrupts():
+            if case.name == "multirate_unstable":
+                signal.raise_signal(signal.SIGINT)
+            return run(case, **options)
+
+    monkeypatch.setattr(scenario, "load", lambda name: load(name, ["stop_s=0.5"]))
+    monkeypatch.setattr(experiment, "run", interrupted_in_the_second)
+    assert command.call(["reproduce", "--out", str(tmp_path)]) == 3
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "Interrupted; the cases continuous, multirate_unstable are saved in" in shown
+    cases = json.loads((tmp_path / "summary.json").read_text())["cases"]
+    assert {name: case["interrupted"] for name, case in cases.items()} == {"continuous": False, "multirate_unstable": True}
+    assert all(case.keys() >= KEYS for case in cases.values())
+    assert {path.name for path in tmp_path.iterdir()} == {"continuous", "multirate_unstable", "summary.json"}
+    assert (tmp_path / "continuous" / "record.parquet").is_file()
+
+
+@pytest.mark.slow
 def test_reproduce_writes_figures_page_table_and_summary(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert command.call(["reproduce", "--fmi", "3", "--out", str(tmp_path)]) == 0
     shown = capsys.readouterr()

@@ -51,8 +51,8 @@ def test_sine_and_cosine_are_within_one_ulp(tmp_path: Path) -> None:
     pointer = ctypes.POINTER(ctypes.c_double)
     library.probe(*(array.ctypes.data_as(pointer) for array in (x, s, c)), len(x))
     mpmath.mp.prec = 200
-    for angle, sine, cosine in zip(x, s, c, strict=True):
-        for found, exact in ((sine, mpmath.sin(mpmath.mpf(float(angle)))), (cosine, mpmath.cos(mpmath.mpf(float(angle))))):
+    for angle, *both in zip(x, c, s, strict=True):
+        for found, exact in zip(both, mpmath.cos_sin(mpmath.mpf(float(angle))), strict=True):
             assert abs(mpmath.mpf(float(found)) - exact) <= np.spacing(abs(float(exact))), angle
 
 

@@ -13,11 +13,15 @@ import sys
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import pandas
+
+from freeflyer.errors import RecordError
+from freeflyer_adapters.recording.ring import RingReader
+from freeflyer_adapters.recording.ring import folder as rings
 
 COMMAND = (sys.executable, "-m", "freeflyer.command")
 numbers = itertools.count()
@@ -135,6 +139,17 @@ class Rig:
         sets = [word for setting in settings for word in ("--set", setting)]
         out = str(self.folder / out)
         return self.start("hil", self.scenario, *self.links, *sets, "--no-view", "--out", out, *options)
+
+    def wait_for_instants(self, out: str = "hil", timeout: float = 30.0) -> None:
+        """Until the loop has been through an instant: a stop before the first leaves no flight recording."""
+        directory, end = (self.folder / out).absolute(), time.monotonic() + timeout
+        while time.monotonic() < end:
+            for path in rings().glob("*.ring"):
+                with suppress(OSError, RecordError), closing(RingReader(path)) as ring:  # one that is being made, or removed
+                    if Path(ring.head.directory) == directory and ring.written > 0:
+                        return
+            time.sleep(0.01)
+        raise AssertionError("the loop has not begun")
 
     def summary(self, out: str = "hil") -> dict[str, Any]:
         found: dict[str, Any] = json.loads((self.folder / out / "summary.json").read_text())

@@ -206,7 +206,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Rig, Proce
             ("devices.base_robot.parameters.age_limit=-1", "age_limit is -1 s"),
             ("devices.base_robot.parameters.cycle=0.0045", r"its cycle of 0.0045 s is no multiple of its step of 0.001 s"),
         ],
-        3,
+        1,
     ),
 )
 def test_an_arm_or_base_that_is_not_the_scenarios_is_refused_with_both_numbers(
@@ -218,6 +218,7 @@ def test_an_arm_or_base_that_is_not_the_scenarios_is_refused_with_both_numbers(
     assert re.search(sentence, " ".join(loop.said)), loop.text
 
 
+@pytest.mark.slow
 def test_an_arm_of_seven_joints_is_refused_where_the_robot_has_six(bench: tuple[Rig, Process], tmp_path: Path) -> None:
     """Another arm on the channel describes itself: six frames a second are enough to be believed first."""
     from freeflyer_adapters.arm.frames import ArmFrames, FrameMapping

@@ -30,6 +30,7 @@ def test_controllers_that_are_stopped_find_the_arm_safe_when_they_go_on(bench: R
     facility = bench.facility("facility.forget_after_s=30.0")
     loop = bench.hil(*PATIENT_LOOP)
     facility.wait_for("inactive -> active: commanded")
+    bench.wait_for_instants()
     loop.send(signal.SIGSTOP)
     facility.wait_for(WATCHDOG)
     facility.wait_for("no set point for 0.02 s; it holds its place")
@@ -48,6 +49,7 @@ def test_an_overrun_of_the_controllers_is_stopped_by_the_arms_watchdog(bench: Ri
     facility = bench.facility("facility.base_watchdog_s=1.0")
     loop = bench.hil(*PATIENT_LOOP)
     facility.wait_for("inactive -> active: commanded")
+    bench.wait_for_instants()
     loop.send(signal.SIGSTOP)
     time.sleep(0.05)
     loop.send(signal.SIGCONT)
@@ -62,6 +64,7 @@ def test_a_facility_that_is_stopped_stops_the_controllers_and_brakes_when_it_goe
     facility = bench.facility("facility.base_watchdog_s=1.0")
     loop = bench.hil(*BASE_PATIENT)
     facility.wait_for("inactive -> active: commanded")
+    bench.wait_for_instants()
     facility.send(signal.SIGSTOP)
     assert loop.finish() == 3
     reason = r"arm_drive: .*(20 cycles in a row were lost|state frame is 0.0\d+ s old)"

@@ -144,6 +144,7 @@ def test_the_controller_stops_in_order_when_the_facility_dies(bench: Rig) -> Non
     facility = bench.facility(*PATIENT_FACILITY)
     loop = bench.hil(*PATIENT_LOOP[2:])  # the arm's own rule: 20 cycles in a row, 20 ms
     facility.wait_for("inactive -> active: commanded")
+    bench.wait_for_instants()
     facility.send(signal.SIGKILL)
     assert loop.finish() == 3
     assert re.search(
@@ -160,6 +161,7 @@ def test_ctrl_c_on_the_controller_is_an_orderly_stop(bench: Rig, number: signal.
     facility = bench.facility(*PATIENT_FACILITY)
     loop = bench.hil(*PATIENT_LOOP)
     facility.wait_for("inactive -> active: commanded")
+    bench.wait_for_instants()
     time.sleep(0.5)
     loop.send(number)
     assert loop.finish() == 3
@@ -187,6 +189,7 @@ def test_ctrl_c_on_the_facility_is_an_orderly_stop_for_both(bench: Rig) -> None:
     facility = bench.facility(*PATIENT_FACILITY)
     loop = bench.hil(*PATIENT_LOOP[2:])
     facility.wait_for("inactive -> active: commanded")
+    bench.wait_for_instants()
     facility.send(signal.SIGINT)
     assert facility.finish() == 0
     assert loop.finish() == 3

@@ -6,6 +6,7 @@ import re
 from dataclasses import replace
 
 import pytest
+from families import family
 
 from freeflyer import scenario
 from freeflyer_adapters import hil
@@ -18,16 +19,19 @@ BEGIN = 0.1
 
 @pytest.mark.parametrize(
     ("kind", "how", "reason"),
-    [
-        ("cut", {}, "cycles? in a row were lost"),
-        ("cut", {"direction": "to_device"}, "EMCY|left Operation enabled|fault|lost"),
-        ("cut", {"direction": "to_controller"}, "cycles? in a row were lost"),
-        ("loss", {"probability": 0.01, "direction": "to_controller"}, None),
-        ("bus_off", {}, "cycles? in a row were lost"),
-        ("hung", {}, "cycles? in a row were lost"),
-        ("dead", {}, "cycles? in a row were lost"),
-        ("device_fault", {}, "left Operation enabled by itself: it is in Fault"),
-    ],
+    family(
+        [
+            ("cut", {}, "cycles? in a row were lost"),
+            ("cut", {"direction": "to_device"}, "EMCY|left Operation enabled|fault|lost"),
+            ("cut", {"direction": "to_controller"}, "cycles? in a row were lost"),
+            ("loss", {"probability": 0.01, "direction": "to_controller"}, None),
+            ("bus_off", {}, "cycles? in a row were lost"),
+            ("hung", {}, "cycles? in a row were lost"),
+            ("dead", {}, "cycles? in a row were lost"),
+            ("device_fault", {}, "left Operation enabled by itself: it is in Fault"),
+        ],
+        3,
+    ),
 )
 def test_a_fault_of_the_drives_stops_the_loop_and_ends_with_brakes(
     kind: str, how: dict[str, object], reason: str | None

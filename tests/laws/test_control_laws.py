@@ -121,6 +121,7 @@ def test_V_never_rises_and_falls_as_equation_15_says(name: str, seed: int) -> No
     assert np.abs(dV + dissipated).max() <= 1e-7 * dissipated.max()
 
 
+@pytest.mark.slow
 def test_rate_of_W_is_the_papers_expression_and_negative_where_V_does_not_fall() -> None:
     """W = dx^T M dx'. The paper differentiates dx to dx', which for the rotation holds to first order in the angle."""
     robot = load_robot_file()

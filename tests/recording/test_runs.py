@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from families import family
 from loops import head
 from mcap.reader import make_reader
 
@@ -174,7 +175,7 @@ def test_a_vanished_directory_is_told_and_the_loop_goes_on(
     assert read_recording(recording["flight"])["instant"].iloc[-1] == 800
 
 
-@pytest.mark.parametrize("for_all", [False, True], ids=["for the recorder", "for the loop too"])
+@pytest.mark.parametrize("for_all", family([False, True]), ids=["for the recorder", "for the loop too"])
 def test_a_full_disk_is_told_once_and_what_was_written_is_kept(
     for_all: bool, tmp_path: Path, runtime: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from families import family
 
 from freeflyer import experiment, scenario
 
@@ -41,7 +42,7 @@ STABLE = {
 }
 
 
-@pytest.mark.parametrize("row", STABLE)
+@pytest.mark.parametrize("row", family(STABLE, 2))
 def test_stable_rows(row: str) -> None:
     name, overrides, expected = STABLE[row]
     result, found = last_10_s(name, *overrides)
@@ -72,6 +73,7 @@ def test_period_of_300_ms_without_pc_diverges() -> None:
     assert turn > 20.0
 
 
+@pytest.mark.slow
 def test_as_printed_with_the_papers_observer_depends_on_the_initial_energy() -> None:
     """The prototype's row (hand of the order of 1e-2 m or late divergence, base 4e-2 m and 9 deg) is what happens when the
     manipulator's passivity controller fights the feed-forward. With E_m(0) = 0.05 J it never acts here, and the row is
