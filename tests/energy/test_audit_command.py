@@ -40,6 +40,7 @@ def test_the_audit_writes_figure_and_numbers_and_says_what_they_amount_to(
     assert numbers["ports"]["B"]["passivity_controller_j"] < 0.0
 
 
+@pytest.mark.slow
 def test_the_file_itself_will_do_and_results_go_beside_it(run: Path) -> None:
     assert command.call(["audit", str(run / "record.parquet")]) == 0
     assert (run / "energy_audit.json").is_file()

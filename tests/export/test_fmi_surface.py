@@ -79,7 +79,7 @@ def test_a_state_saved_at_any_instant_resumes_bit_for_bit(fmus: Path, robot: Rob
     other.close()
 
 
-@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize("version", family(VERSIONS))
 @given(data=st.data())
 def test_bytes_that_are_no_saved_state_are_refused(fmus: Path, version: int, data: st.DataObject) -> None:
     instance = Instance(path_of(fmus, version, "manipulator_controller")).initialise()

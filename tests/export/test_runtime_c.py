@@ -105,7 +105,7 @@ def watch(_: Robot) -> Block:
 
 
 @pytest.mark.parametrize(("make", "expected"), [(counter, 2.5e6), (watch, 1e4)])
-@pytest.mark.parametrize("summed", [False, True])
+@pytest.mark.parametrize("summed", family([True, False]))
 def test_ten_million_steps_end_exactly_where_they_should(
     robot: Robot, tmp_path: Path, make: Callable[[Robot], Block], expected: float, summed: bool
 ) -> None:

@@ -129,6 +129,7 @@ def test_a_facility_whose_certificate_cannot_do_does_not_start(
     assert "is for localhost, 127.0.0.1, ::1, not for 127.0.0.3, so nobody would accept it there" in error
 
 
+@pytest.mark.slow
 def test_an_open_link_is_warned_of(tmp_path: Path) -> None:
     """An address of TEST-NET-1, which no machine has: the warning comes, and then the link cannot be opened."""
     path = scenario(tmp_path, BASE_ALONE + "[devices.base_robot]\ninsecure = true\n")

@@ -26,7 +26,7 @@ def test_all_at_one_step_a_peer_gives_our_numbers(name: str, version: int, movin
     assert difference(before_the_instant(ours) if peer.rule.sequential else ours, theirs) < 1e-9
 
 
-@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.parametrize("version", family([3, 2]))
 def test_a_plain_loop_over_fmpys_slaves_gives_our_numbers(version: int) -> None:
     sequential = reference_loops.run(closed_loop.fmus(version), *arguments(0.001, 2.0), Rule(sequential=True))
     assert difference(before_the_instant(own_master(version, "sequential", 0.001, 2.0)), sequential) < 1e-9

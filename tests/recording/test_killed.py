@@ -32,6 +32,7 @@ def flights(out: Path) -> list[Path]:
     return sorted(out.glob("flight_recording*.mcap"))
 
 
+@pytest.mark.slow
 def test_a_killed_loop_loses_nothing(tmp_path: Path, runtime: Path) -> None:
     with loop(tmp_path, runtime) as made:
         made.wait_for_rows(moment(1))

@@ -42,7 +42,7 @@ STABLE = {
 }
 
 
-@pytest.mark.parametrize("row", family(STABLE, 2))
+@pytest.mark.parametrize("row", family(STABLE))
 def test_stable_rows(row: str) -> None:
     name, overrides, expected = STABLE[row]
     result, found = last_10_s(name, *overrides)

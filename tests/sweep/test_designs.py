@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from families import family
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -131,7 +132,7 @@ def test_units_are_converted_for_elements_too(tmp_path: Path) -> None:
     assert plan.units == {"base_controller.period": "ms", "base_controller.stiffness[4]": "N.m/deg"}
 
 
-@pytest.mark.parametrize("name", sweep_file.shipped())
+@pytest.mark.parametrize("name", family(sweep_file.shipped(), 2))
 def test_shipped_sweeps_can_be_planned(name: str) -> None:
     plan = Plan(sweep_file.read(name))
     assert len(plan) == len(plan.designs) * len(plan.sweep.cases) >= 500

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from commands import said
+from families import family
 from hypothesis import given
 from hypothesis import strategies as st
 from marked_sweeps import MarkedSweep, until
@@ -168,7 +169,7 @@ distributed.versions.get_package_info = lambda names: there(names) | {"python": 
 """
 
 
-@pytest.mark.parametrize("other", ["package", "python"])
+@pytest.mark.parametrize("other", family(["package", "python"]))
 def test_a_worker_with_another_version_is_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path, other: str) -> None:
     sweep = MarkedSweep(tmp_path, count=2)
     about = tmp_path / "older" / "freeflyer_cosim-0.1.0.dist-info"
@@ -196,6 +197,7 @@ def test_a_scheduler_of_others_computes_the_sweep(
     assert [sweep.times_run(x) for x in range(1, 7)] == [1] * 6
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_dies_stops_the_sweep_and_keeps_what_is_finished(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
