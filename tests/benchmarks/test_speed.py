@@ -67,8 +67,6 @@ def test_step_times(fmus: Path, robot: Robot, tmp_path: Path) -> None:
         print(f"{name:24s} {alone:6.2f} {everything:19.2f} {connected:25.2f}")
     turn = np.sum([time for name, time in times.items() if name != "base_controller"], axis=0)
     print(f"{'each millisecond':24s} {turn[0]:6.2f} {turn[1]:19.2f} {turn[2]:25.2f}")
-    assert times["free_flyer"][0] < 3.5
-    assert times["manipulator_controller"][0] < 2.0
 
 
 def test_the_plant_beside_mujoco_and_pinocchio(fmus: Path, robot: Robot, tmp_path: Path) -> None:
@@ -95,4 +93,3 @@ def test_build_and_size_of_all_fmus(robot: Robot, tmp_path: Path) -> None:
     wall = time.perf_counter() - begin
     largest = max((path.stat().st_size, path.name) for _, paths in made for path in paths.values())
     print(f"\n{len(made)} blocks, both FMI versions: {wall:.1f} s; the largest is {largest[1]} with {largest[0] / 1e3:.0f} kB")
-    assert wall < 90.0

@@ -9,6 +9,7 @@ import shutil
 from pathlib import Path
 
 import pytest
+from commands import said
 from robots import ur5_path
 
 from freeflyer import command
@@ -68,3 +69,28 @@ def test_the_users_python_component_in_the_loop(
     torque = frame["kick.torque[2]"] - frame["manipulator_controller.joint_torque[2]"]
     assert torque.max() == pytest.approx(0.5)
     assert (torque > 0.1).sum() == 10
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("from fmu_src.block import WRENCH, Block", "freeflyer_fmus"),
+        ("from cosim.component import PythonComponent", "freeflyer"),
+        ("import adapters.pose", "freeflyer_adapters"),
+    ],
+)
+def test_files_of_0_1_0_are_told_the_new_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], old: str, new: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    block = example("python", "thruster_lag").replace("from freeflyer_fmus import WRENCH, Block", old)
+    Path("thruster_lag.py").write_text(block)
+    kick = example("python", "class Kick").replace("from freeflyer import Port, PythonComponent", old)
+    Path("kick.py").write_text(kick)
+    Path("kick.toml").write_text('stop_s = 1\n[components.kick]\nkind = "python"\nobject = "kick.py:Kick"\nstep_s = 0.01\n')
+    assert old in block
+    assert old in kick
+    for words in (["fmus", "--block", "thruster_lag.py"], ["run", "kick.toml"]):
+        code, error = said(capsys, *words)
+        assert code == 2
+        assert f"since 0.2.0 {old.split()[1].split('.')[0]} is {new}: see the table in CHANGELOG.md" in error

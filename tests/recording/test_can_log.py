@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import time
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -59,14 +60,16 @@ def test_a_log_has_every_frame_in_order(form: str, killed: bool, tmp_path: Path,
 def test_the_times_of_a_killed_log_are_those_of_the_frames(tmp_path: Path, runtime: Path) -> None:
     path = tmp_path / "can.blf"
     log = CanLog(channel("times"), path)
-    with LocalBus("times", fd=True) as node, LocalBus("times", fd=True) as other:
+    moments = []
+    with LocalBus("times", fd=True) as node:
         for i in range(50):
+            before = time.time()
             node.send(sent(i))
+            moments.append((before, time.time()))
         log.take()
-        heard = [other.recv(1.0) for _ in range(50)]
-    for ours, theirs in zip(can.BLFReader(path), heard, strict=True):
-        assert theirs is not None
-        assert ours.timestamp == pytest.approx(theirs.timestamp, abs=2e-3)  # one kernel's stamps of two sockets
+    # The kernel stamps a frame while it is sent; the log keeps whole milliseconds of its begin.
+    for frame, (before, after) in zip(can.BLFReader(path), moments, strict=True):
+        assert before - 1e-3 <= frame.timestamp <= after + 1e-3
     log.close()
 
 
