@@ -32,8 +32,12 @@ static void read_list(const char *text, List *list)
         list->reference[list->n++] = (fmi2ValueReference)strtoul(text, &end, 10);
 }
 
-#define LOAD(name) name##TYPE *name##_; \
-    { void *symbol = dlsym(library, #name); memcpy(&name##_, &symbol, sizeof symbol); }
+#define LOAD(name)                                \
+    name##TYPE *name##_;                          \
+    {                                             \
+        void *symbol = dlsym(library, #name);     \
+        memcpy(&name##_, &symbol, sizeof symbol); \
+    }
 
 int main(int argc, char **argv)
 {
@@ -65,8 +69,8 @@ int main(int argc, char **argv)
         for (int run = 0; run < 7; run++) {
             double begin = now();
             for (int k = 0; k < count; k++, time += step)
-                if ((list > 5 && fmi2SetReal_(c, inputs.reference, inputs.n, inputs.value)) || fmi2DoStep_(c, time, step, 1)
-                    || (list > 5 && fmi2GetReal_(c, outputs.reference, outputs.n, outputs.value)))
+                if ((list > 5 && fmi2SetReal_(c, inputs.reference, inputs.n, inputs.value)) || fmi2DoStep_(c, time, step, 1) ||
+                    (list > 5 && fmi2GetReal_(c, outputs.reference, outputs.n, outputs.value)))
                     return 6;
             double each = (now() - begin) / count;
             best = each < best ? each : best;

@@ -10,12 +10,12 @@
 
 #include "block.h"
 
-#define EXPECT(condition)                                                          \
-    do {                                                                           \
-        if (!(condition)) {                                                        \
-            fprintf(stderr, "%s:%d: %s\n", __FILE__, __LINE__, #condition);        \
-            exit(1);                                                               \
-        }                                                                          \
+#define EXPECT(condition)                                                   \
+    do {                                                                    \
+        if (!(condition)) {                                                 \
+            fprintf(stderr, "%s:%d: %s\n", __FILE__, __LINE__, #condition); \
+            exit(1);                                                        \
+        }                                                                   \
     } while (0)
 
 static int said;
@@ -157,7 +157,8 @@ static void drive3(const char *token)
     EXPECT(c && fmi3DoStep(c, 0, 0.001, 1, &event, &terminate, &early, &last) == fmi3Error);
     EXPECT(fmi3EnterInitializationMode(c, 0, 0, 0, 0, 0) == fmi3OK && fmi3ExitInitializationMode(c) == fmi3OK);
     for (int k = 0; k < 400; k++)
-        EXPECT(fmi3DoStep(c, k * 0.001, 0.001, 1, &event, &terminate, &early, &last) == fmi3OK && !event && !terminate && !early);
+        EXPECT(fmi3DoStep(c, k * 0.001, 0.001, 1, &event, &terminate, &early, &last) == fmi3OK && !event && !terminate &&
+               !early);
     EXPECT(fabs(last - 0.4) < 1e-12);
     for (fmi3ValueReference r = 0; r < 2000; r++)
         for (size_t n = 0; n < 64; n++) {

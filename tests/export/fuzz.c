@@ -41,40 +41,108 @@ typedef struct {
 #define ROW(Function, ...) {#Function, run_##Function, __VA_ARGS__}
 #define TYPE_ROWS(Type) ROW(fmi3Get##Type, "nsut", "nect", 0), ROW(fmi3Set##Type, "insu", "inec", 0)
 static const Call table2[] = {
-    {"fmi2SetDebugLogging", run_logging, "inst", "inect", 0}, {"fmi2SetupExperiment", run_start, "i", "i", 0},
-    {"fmi2EnterInitializationMode", run_initialize2, "i", "i", INITIALIZATION}, {"fmi2ExitInitializationMode", run_initialized, "n", "n", STEP},
-    ROW(fmi2Terminate, "s", "ec", TERMINATED), {"fmi2Reset", run_reset, "inst", "inect", 0},
-    ROW(fmi2GetReal, "nst", "nect", 0), ROW(fmi2GetInteger, "nst", "nect", 0), ROW(fmi2GetBoolean, "nst", "nect", 0), ROW(fmi2GetString, "nst", "nect", 0),
-    ROW(fmi2SetReal, "ins", "inec", 0), ROW(fmi2SetInteger, "ins", "ine", 0), ROW(fmi2SetBoolean, "ins", "ine", 0), ROW(fmi2SetString, "ins", "ine", 0),
-    {"fmi2GetFMUstate", run_save, "inst", "inect", 0}, {"fmi2SetFMUstate", run_restore, "inst", "inect", 0}, {"fmi2FreeFMUstate", run_free_state, "inst", "inect", 0},
-    {"fmi2SerializedFMUstateSize", run_size, "inst", "inect", 0}, {"fmi2SerializeFMUstate", run_serialize, "inst", "inect", 0},
-    {"fmi2DeSerializeFMUstate", run_deserialize, "inst", "inect", 0}, ROW(fmi2GetDirectionalDerivative, "nst", "nect", 0),
-    ROW(fmi2EnterEventMode, "", "ec", EVENT), ROW(fmi2NewDiscreteStates, "", "e", 0), ROW(fmi2EnterContinuousTimeMode, "", "e", CONTINUOUS),
-    ROW(fmi2CompletedIntegratorStep, "", "c", 0), {"fmi2SetTime", run_time, "", "c", 0}, ROW(fmi2SetContinuousStates, "", "c", 0),
-    ROW(fmi2GetEventIndicators, "", "nect", 0), ROW(fmi2GetContinuousStates, "", "nect", 0), ROW(fmi2GetDerivatives, "", "nect", 0),
-    ROW(fmi2GetNominalsOfContinuousStates, "", "inect", 0), ROW(fmi2SetRealInputDerivatives, "ins", "", 0), ROW(fmi2GetRealOutputDerivatives, "st", "", 0),
-    {"fmi2DoStep", run_step, "s", "", 0}, ROW(fmi2CancelStep, "", "", 0), ROW(fmi2GetStatus, "st", "", 0), ROW(fmi2GetRealStatus, "st", "", 0),
-    ROW(fmi2GetIntegerStatus, "st", "", 0), ROW(fmi2GetBooleanStatus, "st", "", 0), ROW(fmi2GetStringStatus, "st", "", 0),
+    {"fmi2SetDebugLogging", run_logging, "inst", "inect", 0},
+    {"fmi2SetupExperiment", run_start, "i", "i", 0},
+    {"fmi2EnterInitializationMode", run_initialize2, "i", "i", INITIALIZATION},
+    {"fmi2ExitInitializationMode", run_initialized, "n", "n", STEP},
+    ROW(fmi2Terminate, "s", "ec", TERMINATED),
+    {"fmi2Reset", run_reset, "inst", "inect", 0},
+    ROW(fmi2GetReal, "nst", "nect", 0),
+    ROW(fmi2GetInteger, "nst", "nect", 0),
+    ROW(fmi2GetBoolean, "nst", "nect", 0),
+    ROW(fmi2GetString, "nst", "nect", 0),
+    ROW(fmi2SetReal, "ins", "inec", 0),
+    ROW(fmi2SetInteger, "ins", "ine", 0),
+    ROW(fmi2SetBoolean, "ins", "ine", 0),
+    ROW(fmi2SetString, "ins", "ine", 0),
+    {"fmi2GetFMUstate", run_save, "inst", "inect", 0},
+    {"fmi2SetFMUstate", run_restore, "inst", "inect", 0},
+    {"fmi2FreeFMUstate", run_free_state, "inst", "inect", 0},
+    {"fmi2SerializedFMUstateSize", run_size, "inst", "inect", 0},
+    {"fmi2SerializeFMUstate", run_serialize, "inst", "inect", 0},
+    {"fmi2DeSerializeFMUstate", run_deserialize, "inst", "inect", 0},
+    ROW(fmi2GetDirectionalDerivative, "nst", "nect", 0),
+    ROW(fmi2EnterEventMode, "", "ec", EVENT),
+    ROW(fmi2NewDiscreteStates, "", "e", 0),
+    ROW(fmi2EnterContinuousTimeMode, "", "e", CONTINUOUS),
+    ROW(fmi2CompletedIntegratorStep, "", "c", 0),
+    {"fmi2SetTime", run_time, "", "c", 0},
+    ROW(fmi2SetContinuousStates, "", "c", 0),
+    ROW(fmi2GetEventIndicators, "", "nect", 0),
+    ROW(fmi2GetContinuousStates, "", "nect", 0),
+    ROW(fmi2GetDerivatives, "", "nect", 0),
+    ROW(fmi2GetNominalsOfContinuousStates, "", "inect", 0),
+    ROW(fmi2SetRealInputDerivatives, "ins", "", 0),
+    ROW(fmi2GetRealOutputDerivatives, "st", "", 0),
+    {"fmi2DoStep", run_step, "s", "", 0},
+    ROW(fmi2CancelStep, "", "", 0),
+    ROW(fmi2GetStatus, "st", "", 0),
+    ROW(fmi2GetRealStatus, "st", "", 0),
+    ROW(fmi2GetIntegerStatus, "st", "", 0),
+    ROW(fmi2GetBooleanStatus, "st", "", 0),
+    ROW(fmi2GetStringStatus, "st", "", 0),
 };
 static const Call table3[] = {
-    {"fmi3SetDebugLogging", run_logging, "inst", "inect", 0}, {"fmi3EnterInitializationMode", run_start, "i", "i", INITIALIZATION},
-    {"fmi3ExitInitializationMode", run_initialized, "n", "n", STEP}, ROW(fmi3EnterEventMode, "", "c", EVENT), ROW(fmi3Terminate, "s", "ec", TERMINATED),
-    {"fmi3Reset", run_reset, "inst", "inect", 0}, ROW(fmi3GetFloat64, "insut", "inect", 0), ROW(fmi3GetInt64, "insut", "inect", 0),
-    ROW(fmi3GetBoolean, "insut", "inect", 0), ROW(fmi3SetFloat64, "insu", "inec", 0), ROW(fmi3SetInt64, "insu", "inec", 0), ROW(fmi3SetBoolean, "insu", "inec", 0),
-    TYPE_ROWS(Float32), TYPE_ROWS(Int8), TYPE_ROWS(UInt8), TYPE_ROWS(Int16), TYPE_ROWS(UInt16), TYPE_ROWS(Int32), TYPE_ROWS(UInt32), TYPE_ROWS(UInt64),
-    TYPE_ROWS(String), TYPE_ROWS(Binary), ROW(fmi3GetClock, "", "e", 0), ROW(fmi3SetClock, "", "e", 0), ROW(fmi3GetIntervalDecimal, "n", "ne", 0),
-    ROW(fmi3GetIntervalFraction, "n", "ne", 0), ROW(fmi3GetShiftDecimal, "n", "n", 0), ROW(fmi3GetShiftFraction, "n", "n", 0),
-    ROW(fmi3SetIntervalDecimal, "n", "n", 0), ROW(fmi3SetIntervalFraction, "n", "n", 0), ROW(fmi3SetShiftDecimal, "n", "n", 0), ROW(fmi3SetShiftFraction, "n", "n", 0),
-    {"fmi3GetFMUState", run_save, "inst", "inect", 0}, {"fmi3SetFMUState", run_restore, "inst", "inect", 0}, {"fmi3FreeFMUState", run_free_state, "inst", "inect", 0},
-    {"fmi3SerializedFMUStateSize", run_size, "inst", "inect", 0}, {"fmi3SerializeFMUState", run_serialize, "inst", "inect", 0},
-    {"fmi3DeserializeFMUState", run_deserialize, "inst", "inect", 0}, ROW(fmi3GetDirectionalDerivative, "nst", "nect", 0), ROW(fmi3GetAdjointDerivative, "nst", "nect", 0),
-    ROW(fmi3EnterConfigurationMode, "", "", 0), ROW(fmi3ExitConfigurationMode, "", "", 0), ROW(fmi3EvaluateDiscreteStates, "", "", 0),
-    ROW(fmi3UpdateDiscreteStates, "", "e", 0), ROW(fmi3EnterContinuousTimeMode, "", "e", CONTINUOUS), ROW(fmi3CompletedIntegratorStep, "", "c", 0),
-    {"fmi3SetTime", run_time, "", "c", 0}, ROW(fmi3SetContinuousStates, "", "c", 0), ROW(fmi3GetContinuousStateDerivatives, "", "nect", 0),
-    ROW(fmi3GetEventIndicators, "", "nect", 0), ROW(fmi3GetContinuousStates, "", "nect", 0), ROW(fmi3GetNominalsOfContinuousStates, "", "nect", 0),
-    ROW(fmi3GetNumberOfEventIndicators, "", "ie", 0), ROW(fmi3GetNumberOfContinuousStates, "", "ie", 0), ROW(fmi3EnterStepMode, "", "", 0),
-    ROW(fmi3GetOutputDerivatives, "sut", "", 0), {"fmi3DoStep", run_step, "s", "", 0}, ROW(fmi3ActivateModelPartition, "", "", 0),
-    ROW(fmi3GetNumberOfVariableDependencies, "", "", 0), ROW(fmi3GetVariableDependencies, "", "", 0),
+    {"fmi3SetDebugLogging", run_logging, "inst", "inect", 0},
+    {"fmi3EnterInitializationMode", run_start, "i", "i", INITIALIZATION},
+    {"fmi3ExitInitializationMode", run_initialized, "n", "n", STEP},
+    ROW(fmi3EnterEventMode, "", "c", EVENT),
+    ROW(fmi3Terminate, "s", "ec", TERMINATED),
+    {"fmi3Reset", run_reset, "inst", "inect", 0},
+    ROW(fmi3GetFloat64, "insut", "inect", 0),
+    ROW(fmi3GetInt64, "insut", "inect", 0),
+    ROW(fmi3GetBoolean, "insut", "inect", 0),
+    ROW(fmi3SetFloat64, "insu", "inec", 0),
+    ROW(fmi3SetInt64, "insu", "inec", 0),
+    ROW(fmi3SetBoolean, "insu", "inec", 0),
+    TYPE_ROWS(Float32),
+    TYPE_ROWS(Int8),
+    TYPE_ROWS(UInt8),
+    TYPE_ROWS(Int16),
+    TYPE_ROWS(UInt16),
+    TYPE_ROWS(Int32),
+    TYPE_ROWS(UInt32),
+    TYPE_ROWS(UInt64),
+    TYPE_ROWS(String),
+    TYPE_ROWS(Binary),
+    ROW(fmi3GetClock, "", "e", 0),
+    ROW(fmi3SetClock, "", "e", 0),
+    ROW(fmi3GetIntervalDecimal, "n", "ne", 0),
+    ROW(fmi3GetIntervalFraction, "n", "ne", 0),
+    ROW(fmi3GetShiftDecimal, "n", "n", 0),
+    ROW(fmi3GetShiftFraction, "n", "n", 0),
+    ROW(fmi3SetIntervalDecimal, "n", "n", 0),
+    ROW(fmi3SetIntervalFraction, "n", "n", 0),
+    ROW(fmi3SetShiftDecimal, "n", "n", 0),
+    ROW(fmi3SetShiftFraction, "n", "n", 0),
+    {"fmi3GetFMUState", run_save, "inst", "inect", 0},
+    {"fmi3SetFMUState", run_restore, "inst", "inect", 0},
+    {"fmi3FreeFMUState", run_free_state, "inst", "inect", 0},
+    {"fmi3SerializedFMUStateSize", run_size, "inst", "inect", 0},
+    {"fmi3SerializeFMUState", run_serialize, "inst", "inect", 0},
+    {"fmi3DeserializeFMUState", run_deserialize, "inst", "inect", 0},
+    ROW(fmi3GetDirectionalDerivative, "nst", "nect", 0),
+    ROW(fmi3GetAdjointDerivative, "nst", "nect", 0),
+    ROW(fmi3EnterConfigurationMode, "", "", 0),
+    ROW(fmi3ExitConfigurationMode, "", "", 0),
+    ROW(fmi3EvaluateDiscreteStates, "", "", 0),
+    ROW(fmi3UpdateDiscreteStates, "", "e", 0),
+    ROW(fmi3EnterContinuousTimeMode, "", "e", CONTINUOUS),
+    ROW(fmi3CompletedIntegratorStep, "", "c", 0),
+    {"fmi3SetTime", run_time, "", "c", 0},
+    ROW(fmi3SetContinuousStates, "", "c", 0),
+    ROW(fmi3GetContinuousStateDerivatives, "", "nect", 0),
+    ROW(fmi3GetEventIndicators, "", "nect", 0),
+    ROW(fmi3GetContinuousStates, "", "nect", 0),
+    ROW(fmi3GetNominalsOfContinuousStates, "", "nect", 0),
+    ROW(fmi3GetNumberOfEventIndicators, "", "ie", 0),
+    ROW(fmi3GetNumberOfContinuousStates, "", "ie", 0),
+    ROW(fmi3EnterStepMode, "", "", 0),
+    ROW(fmi3GetOutputDerivatives, "sut", "", 0),
+    {"fmi3DoStep", run_step, "s", "", 0},
+    ROW(fmi3ActivateModelPartition, "", "", 0),
+    ROW(fmi3GetNumberOfVariableDependencies, "", "", 0),
+    ROW(fmi3GetVariableDependencies, "", "", 0),
 };
 
 static int permitted(const Slot *s, const Call *call)
@@ -83,11 +151,13 @@ static int permitted(const Slot *s, const Call *call)
     for (size_t i = 0; i < sizeof deviations / sizeof *deviations; i++) {
         const char *pattern = deviations[i].call;
         size_t n = strcspn(pattern, "*");
-        int clock = !strcmp(pattern, "clock functions") && (strstr(call->name, "Clock") || strstr(call->name, "Interval") || strstr(call->name, "Shift"));
+        int clock = !strcmp(pattern, "clock functions") &&
+                    (strstr(call->name, "Clock") || strstr(call->name, "Interval") || strstr(call->name, "Shift"));
         if (!clock && strncmp(pattern, call->name, pattern[n] ? n : strlen(call->name) + 1))
             continue;
         int other = deviations[i].instead == MADE || (deviations[i].instead == MADE_IF_EMPTY && want.empty);
-        if (is_in(s->m.state, s->model_exchange ? deviations[i].me : deviations[i].cs) && allowed != other && (other || deviations[i].instead == REFUSED)) {
+        if (is_in(s->m.state, s->model_exchange ? deviations[i].me : deviations[i].cs) && allowed != other &&
+            (other || deviations[i].instead == REFUSED)) {
             deviations[i].met++;
             return other;
         }
@@ -101,13 +171,15 @@ static void judge(Slot *s, const Call *call, int status)
     for (size_t i = 0; i < sizeof states / sizeof *states; i++)
         state = states[i].state == s->m.state ? states[i].name : state;
     LAW(status == 0 || status == 2 || status == 3, "status %d", status);
-    LAW(status == 0 || s->mute || want.given == UNSAID || (said.count == 1 && said.status == status), "%d messages, the last with status %d", said.count, said.status);
+    LAW(status == 0 || s->mute || want.given == UNSAID || (said.count == 1 && said.status == status),
+        "%d messages, the last with status %d", said.count, said.status);
     int about_fmu = s->mute || strstr(said.text, "this FMU has no ") || strstr(said.text, "belongs to model exchange");
     if (!permitted(s, call)) {
         refused++;
         LAW(status == 3, "%s in %s is not refused", call->name, state);
         int about_variable = want.given == BAD && strstr(call->name, "Set") && strstr(said.text, want.named);
-        LAW(about_fmu || about_variable || (strstr(said.text, call->name) && strstr(said.text, state)), "the message does not name %s and %s", call->name, state);
+        LAW(about_fmu || about_variable || (strstr(said.text, call->name) && strstr(said.text, state)),
+            "the message does not name %s and %s", call->name, state);
         return;
     }
     LAW(want.given != GOOD || status == 0, "a good call fails");
@@ -115,7 +187,8 @@ static void judge(Slot *s, const Call *call, int status)
     LAW((want.given != BAD && want.given != LACKED) || status != 0, "a bad call succeeds");
     LAW(want.given != LACKED || (status == 3 && about_fmu), "the message does not say what is lacking");
     LAW(want.given != BAD || s->mute || strstr(said.text, want.named), "the message does not say %s", want.named);
-    if (s->m.failed && status == 0 && !strstr(call->name, "Get") && !strstr(call->name, "Reset") && !strstr(call->name, "State") && !strstr(call->name, "state"))
+    if (s->m.failed && status == 0 && !strstr(call->name, "Get") && !strstr(call->name, "Reset") &&
+        !strstr(call->name, "State") && !strstr(call->name, "state"))
         deviates("no error state");
 }
 
@@ -123,7 +196,8 @@ static void perform(Slot *s, const Call *call)
 {
     static unsigned char *after;
     static double seen[2][4096];
-    const int inner = s->m.state == INTERMEDIATE, none = once_in(100), watched = !inner && !is_in(s->m.state, "i") && once_in(8);
+    const int inner = s->m.state == INTERMEDIATE, none = once_in(100),
+              watched = !inner && !is_in(s->m.state, "i") && once_in(8);
     const Model m = s->m;
     calls++;
     note("%*s%td.%s%s(", inner ? 4 : 0, "", s - slots, none ? "null." : "", call->name);
@@ -154,9 +228,12 @@ static void perform(Slot *s, const Call *call)
         int may_change = &slots[i] == s && status == 0 && !strstr(call->name, "Get");
         void *again = NULL; /* what was saved can be read back */
         if (&slots[i] == s && !(s->m.wild & 2))
-            LAW((s->version == 2 ? (int)fmi2DeSerializeFMUstate(s->c, (char *)after, memory_size, &again) : (int)fmi3DeserializeFMUState(s->c, after, memory_size, &again)) == 0, "a saved state cannot be read back");
+            LAW((s->version == 2 ? (int)fmi2DeSerializeFMUstate(s->c, (char *)after, memory_size, &again)
+                                 : (int)fmi3DeserializeFMUState(s->c, after, memory_size, &again)) == 0,
+                "a saved state cannot be read back");
         free_state(&slots[i], &again);
-        LAW(may_change || same(&slots[i], slots[i].bytes, after, &slots[i] == s && s->inner_sets), "instance %d has changed", i);
+        LAW(may_change || same(&slots[i], slots[i].bytes, after, &slots[i] == s && s->inner_sets), "instance %d has changed",
+            i);
     }
     if (watched && (status != 0 || strstr(call->name, "Get")) && !s->inner_sets && m.state == s->m.state) {
         read_all(s, seen[1]);
@@ -173,7 +250,8 @@ static const Call *named(const Slot *s, const char *name)
     return table;
 }
 
-static void on_update(fmi3InstanceEnvironment e, fmi3Float64 time, fmi3Boolean set, fmi3Boolean get, fmi3Boolean finished, fmi3Boolean can_return, fmi3Boolean *early, fmi3Float64 *early_time)
+static void on_update(fmi3InstanceEnvironment e, fmi3Float64 time, fmi3Boolean set, fmi3Boolean get, fmi3Boolean finished,
+                      fmi3Boolean can_return, fmi3Boolean *early, fmi3Float64 *early_time)
 {
     Slot *s = e;
     LAW(set && get && finished && can_return == s->early, "the flags of an intermediate update");
@@ -184,7 +262,8 @@ static void on_update(fmi3InstanceEnvironment e, fmi3Float64 time, fmi3Boolean s
     for (unsigned n = below(4) ? 0 : 1 + below(2); n > 0; n--) {
         Want outer_want = want;
         Said outer_said = said;
-        perform(s, below(3) ? &table3[below(sizeof table3 / sizeof *table3)] : named(s, below(2) ? "GetFloat64" : "SetFloat64"));
+        perform(s,
+                below(3) ? &table3[below(sizeof table3 / sizeof *table3)] : named(s, below(2) ? "GetFloat64" : "SetFloat64"));
         want = outer_want;
         said = outer_said;
     }
@@ -206,17 +285,26 @@ static void *instantiate(Slot *s, const char *name, const char *key)
     s->silent = !logging && !s->mute;
     if (name && !*name)
         deviates("blank name");
-    note("%td = %s of FMI %d, %s, %s%s\n", s - slots, s->model_exchange ? "model exchange" : "co-simulation", s->version, s->mute ? "mute" : "", s->early ? "early return" : "", s->callback ? ", updates" : "");
+    note("%td = %s of FMI %d, %s, %s%s\n", s - slots, s->model_exchange ? "model exchange" : "co-simulation", s->version,
+         s->mute ? "mute" : "", s->early ? "early return" : "", s->callback ? ", updates" : "");
     if (s->version == 2)
-        return fmi2Instantiate(name, s->model_exchange ? fmi2ModelExchange : fmi2CoSimulation, key, "", s->mute ? NULL : &callbacks, 0, logging);
+        return fmi2Instantiate(name, s->model_exchange ? fmi2ModelExchange : fmi2CoSimulation, key, "",
+                               s->mute ? NULL : &callbacks, 0, logging);
     if (s->model_exchange)
         return fmi3InstantiateModelExchange(name, key, NULL, 0, logging, s, s->mute ? NULL : hear3);
-    return fmi3InstantiateCoSimulation(name, key, NULL, 0, logging, 0, s->early, some, below(3), s, s->mute ? NULL : hear3, s->callback ? on_update : NULL);
+    return fmi3InstantiateCoSimulation(name, key, NULL, 0, logging, 0, s->early, some, below(3), s, s->mute ? NULL : hear3,
+                                       s->callback ? on_update : NULL);
 }
 
 static void begin(Slot *s, int version)
 {
-    *s = (Slot){.version = version, .model_exchange = !sampled && below(2), .mute = once_in(12), .early = (int)below(2), .callback = below(3) > 0, .before = s->before, .bytes = s->bytes};
+    *s = (Slot){.version = version,
+                .model_exchange = !sampled && below(2),
+                .mute = once_in(12),
+                .early = (int)below(2),
+                .callback = below(3) > 0,
+                .before = s->before,
+                .bytes = s->bytes};
     s->m.state = INSTANTIATED;
     if (once_in(8)) {
         int mute = s->mute, what = (int)below(3), kind = s->model_exchange;
@@ -224,7 +312,8 @@ static void begin(Slot *s, int version)
         said.count = 0;
         s->model_exchange |= what == 2 && sampled;
         if (what < 2 || sampled)
-            LAW(!instantiate(s, what == 0 ? NULL : "x", what == 1 ? "wrong" : token) && said.count == 1 && said.status == 3, "a bad instance");
+            LAW(!instantiate(s, what == 0 ? NULL : "x", what == 1 ? "wrong" : token) && said.count == 1 && said.status == 3,
+                "a bad instance");
         s->mute = mute;
         s->model_exchange = kind;
     }
@@ -249,12 +338,18 @@ static const char *usual(const Slot *s)
     static const char *const event[] = {"EnterContinuousTimeMode", "EnterContinuousTimeMode", "SetContinuousStates"};
     static const char *const continuous[] = {"SetTime", "SetContinuousStates", "EnterEventMode"};
     switch (s->m.state) {
-    case INSTANTIATED: return s->version == 2 && !s->m.set_up ? "SetupExperiment" : "EnterInitializationMode";
-    case INITIALIZATION: return "ExitInitializationMode";
-    case STEP: return "DoStep";
-    case EVENT: return event[below(3)];
-    case CONTINUOUS: return continuous[below(3)];
-    default: return "Reset";
+    case INSTANTIATED:
+        return s->version == 2 && !s->m.set_up ? "SetupExperiment" : "EnterInitializationMode";
+    case INITIALIZATION:
+        return "ExitInitializationMode";
+    case STEP:
+        return "DoStep";
+    case EVENT:
+        return event[below(3)];
+    case CONTINUOUS:
+        return continuous[below(3)];
+    default:
+        return "Reset";
     }
 }
 
@@ -269,7 +364,9 @@ static void recover(Slot *s)
         int n = s->version == 2 ? 1 : block.value[r].extent;
         for (int k = 0; k < n; k++)
             good[k] = block.start[r + (unsigned)k];
-        LAW(n == 0 || (s->version == 2 ? (int)fmi2SetReal(s->c, &r, 1, good) : (int)fmi3SetFloat64(s->c, &r, 1, good, (size_t)n)) == 0, "#%u", r);
+        LAW(n == 0 || (s->version == 2 ? (int)fmi2SetReal(s->c, &r, 1, good)
+                                       : (int)fmi3SetFloat64(s->c, &r, 1, good, (size_t)n)) == 0,
+            "#%u", r);
     }
     s->m.wild_inputs = 0;
     forced = 1;
@@ -328,7 +425,8 @@ int main(int argc, char **argv)
     sampled = argv[2][0] == '1';
     const unsigned long long first = strtoull(argv[3], NULL, 10), count = strtoull(argv[4], NULL, 10);
     void *c = fmi2Instantiate("size", fmi2CoSimulation, token, "", NULL, 0, 0), *state = NULL;
-    LAW(c && fmi2GetFMUstate(c, &state) == fmi2OK && fmi2SerializedFMUstateSize(c, state, &memory_size) == fmi2OK, "no instance at all");
+    LAW(c && fmi2GetFMUstate(c, &state) == fmi2OK && fmi2SerializedFMUstateSize(c, state, &memory_size) == fmi2OK,
+        "no instance at all");
     fmi2FreeFMUstate(c, &state);
     fmi2FreeInstance(c);
     fmi2FreeInstance(NULL);

@@ -4,18 +4,18 @@
 /* One function of the interface: n values at nr references, got or set. Its arrays are as long as it was told. */
 typedef int Transfer(void *c, const unsigned *r, size_t nr, double *v, size_t n);
 
-#define TRANSFER(Function, Type, ...)                                              \
+#define TRANSFER(Function, Type, ...)                                                          \
     static int transfer_##Function(void *c, const unsigned *r, size_t nr, double *v, size_t n) \
-    {                                                                              \
-        Type *x = v ? malloc(n * sizeof *x) : NULL;                                \
-        for (size_t i = 0; v && i < n; i++)                                        \
-            x[i] = (Type)v[i];                                                     \
-        (void)n;                                                                   \
-        int status = (int)Function(c, r, nr, __VA_ARGS__);                         \
-        for (size_t i = 0; v && i < n && status == 0; i++)                         \
-            v[i] = (double)x[i];                                                   \
-        free(x);                                                                   \
-        return status;                                                             \
+    {                                                                                          \
+        Type *x = v ? malloc(n * sizeof *x) : NULL;                                            \
+        for (size_t i = 0; v && i < n; i++)                                                    \
+            x[i] = (Type)v[i];                                                                 \
+        (void)n;                                                                               \
+        int status = (int)Function(c, r, nr, __VA_ARGS__);                                     \
+        for (size_t i = 0; v && i < n && status == 0; i++)                                     \
+            v[i] = (double)x[i];                                                               \
+        free(x);                                                                               \
+        return status;                                                                         \
     }
 TRANSFER(fmi2GetReal, double, x)
 TRANSFER(fmi2SetReal, double, x)
@@ -30,7 +30,10 @@ TRANSFER(fmi3SetInt64, fmi3Int64, x, n)
 TRANSFER(fmi3GetBoolean, fmi3Boolean, x, n)
 TRANSFER(fmi3SetBoolean, fmi3Boolean, x, n)
 
-static int elements(const Slot *s, unsigned r) { return r >= (unsigned)block.values ? 0 : s->version == 2 ? 1 : block.value[r].extent; }
+static int elements(const Slot *s, unsigned r)
+{
+    return r >= (unsigned)block.values ? 0 : s->version == 2 ? 1 : block.value[r].extent;
+}
 
 /* A reference; mostly one of this kind that `fits`. */
 static unsigned reference(const Slot *s, int kind, int (*fits)(const Slot *, unsigned))
@@ -43,7 +46,10 @@ static unsigned reference(const Slot *s, int kind, int (*fits)(const Slot *, uns
     return forced ? 0 : below(3) ? below((unsigned)block.values + 3) : below(2) ? UINT32_MAX : 100000;
 }
 
-static int open_to_set(const Slot *s, unsigned r) { return block.value[r].access == INPUT || (!is_in(s->m.state, "suect") && block.value[r].access != READ_ONLY); }
+static int open_to_set(const Slot *s, unsigned r)
+{
+    return block.value[r].access == INPUT || (!is_in(s->m.state, "suect") && block.value[r].access != READ_ONLY);
+}
 
 static int values(Slot *s, Transfer *transfer, int kind, int set)
 {
@@ -56,7 +62,9 @@ static int values(Slot *s, Transfer *transfer, int kind, int set)
         wrong |= elements(s, r[i]) == 0 || block.value[r[i]].kind != kind;
         for (int k = 0; k < elements(s, r[i]); k++) {
             double good = good_value(r[i] + (unsigned)k);
-            v[n++] = once_in(30) && kind == REAL ? not_finite() : rough && below(8) == 0 ? (kind == REAL ? wild_number() : (double)below(9) - 3) : good;
+            v[n++] = once_in(30) && kind == REAL ? not_finite()
+                     : rough && below(8) == 0    ? (kind == REAL ? wild_number() : (double)below(9) - 3)
+                                                 : good;
         }
     }
     size_t told = once_in(20) ? below(9) : s->version == 2 ? nr : n;
@@ -69,7 +77,8 @@ static int values(Slot *s, Transfer *transfer, int kind, int set)
     for (unsigned i = 0, at = 0; i < nr && want.given != BAD && set; i++)
         for (int k = 0; k < elements(s, r[i]); k++, at++) {
             unsigned e = r[i] + (unsigned)k;
-            if (!settable(s, r[i]) || !isfinite(v[at]) || (kind == ENUMERATION && (v[at] < 1 || v[at] > block.value[e].maximum)))
+            if (!settable(s, r[i]) || !isfinite(v[at]) ||
+                (kind == ENUMERATION && (v[at] < 1 || v[at] > block.value[e].maximum)))
                 want_bad(settable(s, r[i]) ? block.value[e].name : block.value[r[i]].name);
             if (block.value[e].access == INPUT)
                 want.after.wild_inputs |= fabs(v[at] - block.start[e]) > 2e-4;
@@ -96,9 +105,11 @@ static int values(Slot *s, Transfer *transfer, int kind, int set)
         note("%s%g", i ? " " : no_v ? ": null " : ": ", v[i]);
     note("; %zu", told);
     int status = transfer(s->c, no_r ? NULL : exact, nr, no_v ? NULL : given, told);
-    if (status == 0 && set && !no_v && want.given == GOOD && s->version == 2 && nr == 1 && !is_in(s->m.state, "i") && kind == REAL) {
+    if (status == 0 && set && !no_v && want.given == GOOD && s->version == 2 && nr == 1 && !is_in(s->m.state, "i") &&
+        kind == REAL) {
         double back = NAN;
-        LAW(within(r[0], block.states) || (fmi2GetReal(s->c, r, 1, &back) == fmi2OK && back == v[0]), "#%u is %g, set to %g", r[0], back, v[0]);
+        LAW(within(r[0], block.states) || (fmi2GetReal(s->c, r, 1, &back) == fmi2OK && back == v[0]), "#%u is %g, set to %g",
+            r[0], back, v[0]);
     }
     s->inner_sets += set && status == 0 && is_in(s->m.state, "u");
     free(exact);
@@ -134,32 +145,61 @@ static size_t lacking(void)
 
 static unsigned some[4] = {0, 1, 2, UINT32_MAX};
 static double room[16]; /* for what no call may touch */
-#define LACKING(Function, ...)                                          \
-    static int run_##Function(Slot *s)                                  \
-    {                                                                   \
-        size_t n = lacking();                                           \
-        void *x = below(2) ? room : NULL;                               \
-        (void)x;                                                        \
+#define LACKING(Function, ...)                                              \
+    static int run_##Function(Slot *s)                                      \
+    {                                                                       \
+        size_t n = lacking();                                               \
+        void *x = below(2) ? room : NULL;                                   \
+        (void)x;                                                            \
         return (int)Function(s->c, below(2) ? some : NULL, n, __VA_ARGS__); \
     }
-#define LACKING_TYPE(Type) LACKING(fmi3Get##Type, x, n) LACKING(fmi3Set##Type, x, n)
-LACKING(fmi2GetString, x) LACKING(fmi2SetString, x)
-LACKING(fmi2SetRealInputDerivatives, x, x) LACKING(fmi2GetRealOutputDerivatives, x, x)
-LACKING_TYPE(Float32) LACKING_TYPE(Int8) LACKING_TYPE(UInt8) LACKING_TYPE(Int16) LACKING_TYPE(UInt16) LACKING_TYPE(Int32)
-LACKING_TYPE(UInt32) LACKING_TYPE(UInt64) LACKING_TYPE(String)
-LACKING(fmi3GetBinary, x, x, n) LACKING(fmi3SetBinary, x, x, n) LACKING(fmi3GetClock, x) LACKING(fmi3SetClock, x)
-LACKING(fmi3GetIntervalDecimal, x, x) LACKING(fmi3GetIntervalFraction, x, x, x) LACKING(fmi3GetShiftDecimal, x)
-LACKING(fmi3GetShiftFraction, x, x) LACKING(fmi3SetIntervalDecimal, x) LACKING(fmi3SetIntervalFraction, x, x)
-LACKING(fmi3SetShiftDecimal, x) LACKING(fmi3SetShiftFraction, x, x) LACKING(fmi3GetOutputDerivatives, x, x, n)
+#define LACKING_TYPE(Type)       \
+    LACKING(fmi3Get##Type, x, n) \
+    LACKING(fmi3Set##Type, x, n)
+LACKING(fmi2GetString, x)
+LACKING(fmi2SetString, x)
+LACKING(fmi2SetRealInputDerivatives, x, x)
+LACKING(fmi2GetRealOutputDerivatives, x, x)
+LACKING_TYPE(Float32)
+LACKING_TYPE(Int8)
+LACKING_TYPE(UInt8)
+LACKING_TYPE(Int16)
+LACKING_TYPE(UInt16)
+LACKING_TYPE(Int32)
+LACKING_TYPE(UInt32)
+LACKING_TYPE(UInt64)
+LACKING_TYPE(String)
+LACKING(fmi3GetBinary, x, x, n)
+LACKING(fmi3SetBinary, x, x, n)
+LACKING(fmi3GetClock, x)
+LACKING(fmi3SetClock, x)
+LACKING(fmi3GetIntervalDecimal, x, x)
+LACKING(fmi3GetIntervalFraction, x, x, x)
+LACKING(fmi3GetShiftDecimal, x)
+LACKING(fmi3GetShiftFraction, x, x)
+LACKING(fmi3SetIntervalDecimal, x)
+LACKING(fmi3SetIntervalFraction, x, x)
+LACKING(fmi3SetShiftDecimal, x)
+LACKING(fmi3SetShiftFraction, x, x)
+LACKING(fmi3GetOutputDerivatives, x, x, n)
 
 #define CALL(Function, status) \
     static int run_##Function(Slot *s) { return (int)(status); }
 #define PLAIN(Function) CALL(Function, Function(s->c))
 #define ABSENT(Function, ...) CALL(Function, (want.given = LACKED, Function(s->c, __VA_ARGS__)))
-PLAIN(fmi2Terminate) PLAIN(fmi2EnterEventMode) PLAIN(fmi2EnterContinuousTimeMode) PLAIN(fmi2CancelStep)
-PLAIN(fmi3Terminate) PLAIN(fmi3EnterEventMode) PLAIN(fmi3EnterContinuousTimeMode) PLAIN(fmi3EvaluateDiscreteStates)
-PLAIN(fmi3EnterStepMode) PLAIN(fmi3EnterConfigurationMode) PLAIN(fmi3ExitConfigurationMode)
-ABSENT(fmi3ActivateModelPartition, 1, 0.0) ABSENT(fmi3GetNumberOfVariableDependencies, 1, NULL)
+PLAIN(fmi2Terminate)
+PLAIN(fmi2EnterEventMode)
+PLAIN(fmi2EnterContinuousTimeMode)
+PLAIN(fmi2CancelStep)
+PLAIN(fmi3Terminate)
+PLAIN(fmi3EnterEventMode)
+PLAIN(fmi3EnterContinuousTimeMode)
+PLAIN(fmi3EvaluateDiscreteStates)
+PLAIN(fmi3EnterStepMode)
+PLAIN(fmi3EnterConfigurationMode)
+PLAIN(fmi3ExitConfigurationMode)
+ABSENT(fmi3ActivateModelPartition, 1, 0.0)
+ABSENT(fmi3GetNumberOfVariableDependencies, 1, NULL)
 ABSENT(fmi3GetVariableDependencies, 1, NULL, NULL, NULL, NULL, 0)
 
 static int run_reset(Slot *s)
@@ -177,7 +217,8 @@ static int run_logging(Slot *s)
     if (n > 0 && (null || (n == 3 && (!names[2] || *names[2] == 'u'))))
         want_bad("log category");
     note("%d, %zu", on, n);
-    int status = s->version == 2 ? (int)fmi2SetDebugLogging(s->c, on, n, null ? NULL : names) : (int)fmi3SetDebugLogging(s->c, on, n, null ? NULL : names);
+    int status = s->version == 2 ? (int)fmi2SetDebugLogging(s->c, on, n, null ? NULL : names)
+                                 : (int)fmi3SetDebugLogging(s->c, on, n, null ? NULL : names);
     s->silent = status == 0 ? !on : s->silent;
     return status;
 }
@@ -186,7 +227,10 @@ static int run_logging(Slot *s)
 static int run_start(Slot *s)
 {
     static const double good[] = {0, 5, -3, 0.125, 1000}, far[] = {1.9e9, -1.9e9, 1e7}, bad[] = {LATEST, -1e308, 9.1e9};
-    double start = once_in(8) ? not_finite() : once_in(8) ? bad[below(3)] : rough && once_in(4) ? far[below(3)] : good[below(5)];
+    double start = once_in(8)            ? not_finite()
+                   : once_in(8)          ? bad[below(3)]
+                   : rough && once_in(4) ? far[below(3)]
+                                         : good[below(5)];
     int stop = (int)below(2);
     note("%g", start);
     if (!(fabs(start) < LATEST))
@@ -259,7 +303,8 @@ static int run_size(Slot *s)
     size_t size = memory_size;
     if (null || !stash[j].state)
         want_bad("null pointer");
-    int status = s->version == 2 ? (int)fmi2SerializedFMUstateSize(s->c, stash[j].state, null ? NULL : &size) : (int)fmi3SerializedFMUStateSize(s->c, stash[j].state, null ? NULL : &size);
+    int status = s->version == 2 ? (int)fmi2SerializedFMUstateSize(s->c, stash[j].state, null ? NULL : &size)
+                                 : (int)fmi3SerializedFMUStateSize(s->c, stash[j].state, null ? NULL : &size);
     LAW(size == memory_size, "a state has another size");
     return status;
 }
@@ -272,7 +317,8 @@ static int run_serialize(Slot *s)
     note("state %u, %zu bytes", j, size);
     if (!bytes || !stash[j].state || size != memory_size)
         want_bad(bytes && stash[j].state ? "size" : "null pointer");
-    int status = s->version == 2 ? (int)fmi2SerializeFMUstate(s->c, stash[j].state, (char *)bytes, size) : (int)fmi3SerializeFMUState(s->c, stash[j].state, bytes, size);
+    int status = s->version == 2 ? (int)fmi2SerializeFMUstate(s->c, stash[j].state, (char *)bytes, size)
+                                 : (int)fmi3SerializeFMUState(s->c, stash[j].state, bytes, size);
     if (status == 0) {
         free(written.bytes);
         written.bytes = bytes;
@@ -305,7 +351,12 @@ static int run_deserialize(Slot *s)
     int agreed = flips && below(2); /* with a check sum that agrees: by somebody who means it */
     if (agreed)
         sum_up(bytes, size - sizeof(uint64_t));
-    note("state %u, %zu bytes, %s", j, size, !bytes ? "null" : agreed ? "forged" : flips ? "flipped" : how == 3 ? "random" : "as written");
+    note("state %u, %zu bytes, %s", j, size,
+         !bytes     ? "null"
+         : agreed   ? "forged"
+         : flips    ? "flipped"
+         : how == 3 ? "random"
+                    : "as written");
     if (!bytes || size != memory_size)
         want_bad(bytes ? "size" : "null pointer");
     else if (how == 3 || !written.bytes || written.model_exchange != s->model_exchange)
@@ -315,7 +366,8 @@ static int run_deserialize(Slot *s)
     else if (flips)
         want.given = OPEN;
     void *old = stash[j].state, **state = &stash[j].state;
-    int status = s->version == 2 ? (int)fmi2DeSerializeFMUstate(s->c, (char *)bytes, size, state) : (int)fmi3DeserializeFMUState(s->c, bytes, size, state);
+    int status = s->version == 2 ? (int)fmi2DeSerializeFMUstate(s->c, (char *)bytes, size, state)
+                                 : (int)fmi3DeserializeFMUState(s->c, bytes, size, state);
     LAW(status == 0 || old == *state, "a state that was refused is there");
     if (status == 0) {
         Memory peek; /* a flipped bit may have made another state of it, a good one as far as anybody can tell */
@@ -335,9 +387,15 @@ static int run_deserialize(Slot *s)
 
 /* Derivatives */
 
-static int is_unknown(const Slot *s, unsigned r) { return (void)s, within(r, block.outputs) || within(r, block.derivatives) || within(r, block.states); }
+static int is_unknown(const Slot *s, unsigned r)
+{
+    return (void)s, within(r, block.outputs) || within(r, block.derivatives) || within(r, block.states);
+}
 
-static int is_known(const Slot *s, unsigned r) { return (void)s, r == 0 || within(r, block.inputs) || within(r, block.states) || within(r, block.parameters); }
+static int is_known(const Slot *s, unsigned r)
+{
+    return (void)s, r == 0 || within(r, block.inputs) || within(r, block.states) || within(r, block.parameters);
+}
 
 static int sensitivity(Slot *s, int adjoint)
 {
@@ -411,12 +469,17 @@ static int vector(Slot *s, Vector *function, int set)
     return status;
 }
 
-#define VECTOR(Function, set)                                                               \
+#define VECTOR(Function, set)                                                                     \
     static int vector_##Function(void *c, double *x, size_t n) { return (int)Function(c, x, n); } \
     static int run_##Function(Slot *s) { return vector(s, vector_##Function, set); }
-VECTOR(fmi2SetContinuousStates, 1) VECTOR(fmi2GetContinuousStates, 0) VECTOR(fmi2GetDerivatives, 0)
-VECTOR(fmi2GetNominalsOfContinuousStates, 0) VECTOR(fmi3SetContinuousStates, 1) VECTOR(fmi3GetContinuousStates, 0)
-VECTOR(fmi3GetContinuousStateDerivatives, 0) VECTOR(fmi3GetNominalsOfContinuousStates, 0)
+VECTOR(fmi2SetContinuousStates, 1)
+VECTOR(fmi2GetContinuousStates, 0)
+VECTOR(fmi2GetDerivatives, 0)
+VECTOR(fmi2GetNominalsOfContinuousStates, 0)
+VECTOR(fmi3SetContinuousStates, 1)
+VECTOR(fmi3GetContinuousStates, 0)
+VECTOR(fmi3GetContinuousStateDerivatives, 0)
+VECTOR(fmi3GetNominalsOfContinuousStates, 0)
 CALL(fmi2GetEventIndicators, fmi2GetEventIndicators(s->c, room, lacking()))
 CALL(fmi3GetEventIndicators, fmi3GetEventIndicators(s->c, room, lacking()))
 
@@ -479,9 +542,11 @@ CALL(fmi2GetStringStatus, fmi2GetStringStatus(s->c, inquiry(NONE_KNOWN), (void *
 
 static int run_step(Slot *s)
 {
-    static const double sizes[] = {0.001, 0.0004, 0.003, 0.01}, odd[] = {0, -0.0, -0.001, NAN, INFINITY, -INFINITY, 1e308, 2e10, 1e-13, 5e-324, 5e4, 2e5};
+    static const double sizes[] = {0.001, 0.0004, 0.003, 0.01},
+                        odd[] = {0, -0.0, -0.001, NAN, INFINITY, -INFINITY, 1e308, 2e10, 1e-13, 5e-324, 5e4, 2e5};
     double at = s->m.time, rest = sampled ? limit(&s->m) - at : 0, size = sampled ? rest / (1 + below(2)) : sizes[below(4)];
-    double misfits[] = {at + 1e-6, at - 0.001, NAN, INFINITY, -1.9e9, 1.9e9, 1e308, at + 4e-10, at - 4e-10}, time = once_in(12) ? misfits[below(9)] : at;
+    double misfits[] = {at + 1e-6, at - 0.001, NAN, INFINITY, -1.9e9, 1.9e9, 1e308, at + 4e-10, at - 4e-10},
+           time = once_in(12) ? misfits[below(9)] : at;
     size = once_in(5) ? odd[below(12)] : sampled && once_in(8) ? rest + period() * (0.1 + below(3)) : size;
     note("%.17g, %.17g", time, size);
     int null = s->version == 3 && once_in(40);
@@ -506,9 +571,11 @@ static int run_step(Slot *s)
         s->end = time + size;
         s->inner_sets = s->asked = 0;
     }
-    int status = s->version == 2 ? (int)fmi2DoStep(s->c, time, size, 1) : (int)fmi3DoStep(s->c, time, size, 1, &event, &terminate, &early, null ? NULL : &last);
+    int status = s->version == 2 ? (int)fmi2DoStep(s->c, time, size, 1)
+                                 : (int)fmi3DoStep(s->c, time, size, 1, &event, &terminate, &early, null ? NULL : &last);
     LAW(!event && !terminate && (!early || (s->asked && s->early)), "what the step reports");
-    LAW(status != 0 || s->version == 2 || s->m.wild || (early ? last < s->end && last == s->seen : last == s->end), "last successful time %.17g", last);
+    LAW(status != 0 || s->version == 2 || s->m.wild || (early ? last < s->end && last == s->seen : last == s->end),
+        "last successful time %.17g", last);
     want.after = s->m; /* an intermediate update may have set inputs */
     want.after.time = early ? last : s->end;
     want.after.samples += sampled && at >= s->m.start + (double)s->m.samples * period() - 1e-9;

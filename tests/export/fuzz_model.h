@@ -5,9 +5,13 @@ static const struct {
     char letter;
     State state;
     const char *name;
-} states[] = {{'i', INSTANTIATED, "instantiated"}, {'n', INITIALIZATION, "initialization mode"}, {'s', STEP, "step mode"},
-              {'e', EVENT, "event mode"},          {'c', CONTINUOUS, "continuous-time mode"},
-              {'u', INTERMEDIATE, "intermediate update mode"}, {'t', TERMINATED, "terminated"}};
+} states[] = {{'i', INSTANTIATED, "instantiated"},
+              {'n', INITIALIZATION, "initialization mode"},
+              {'s', STEP, "step mode"},
+              {'e', EVENT, "event mode"},
+              {'c', CONTINUOUS, "continuous-time mode"},
+              {'u', INTERMEDIATE, "intermediate update mode"},
+              {'t', TERMINATED, "terminated"}};
 
 /* Where this FMU knowingly does other than the standards (FMI 2.0.5, 3.0.2). `call` with a * stands for all that begin so; a
    row without states is about arguments or about what a state is. Each must be met, or it is no deviation any more. */
@@ -29,7 +33,8 @@ static struct {
     {"fmi2GetIntegerStatus", "", "t", MADE, "as fmi2GetStatus", 0},
     {"fmi2GetBooleanStatus", "", "t", MADE, "as fmi2GetStatus", 0},
     {"fmi2GetStringStatus", "", "t", MADE, "as fmi2GetStatus", 0},
-    {"fmi3GetFloat64", "i", "i", REFUSED, "3.0: 2.3.2 table of equations: start values may be read (not in its list of calls)", 0},
+    {"fmi3GetFloat64", "i", "i", REFUSED, "3.0: 2.3.2 table of equations: start values may be read (not in its list of calls)",
+     0},
     {"fmi3GetInt64", "i", "i", REFUSED, "as fmi3GetFloat64", 0},
     {"fmi3GetBoolean", "i", "i", REFUSED, "as fmi3GetFloat64", 0},
     {"fmi3Set*", "t", "t", MADE_IF_EMPTY, "3.0: 2.3.8: no setting; without references nothing is set", 0},
@@ -38,15 +43,20 @@ static struct {
     {"fmi3GetNumberOfEventIndicators", "", "nct", MADE, "3.0: 2.3.2, 2.3.5: when instantiated and in event mode", 0},
     {"fmi3GetNumberOfContinuousStates", "", "nct", MADE, "as fmi3GetNumberOfEventIndicators", 0},
     {"fmi3GetOutputDerivatives", "", "t", MADE_IF_EMPTY, "3.0: 2.3.8: not in model exchange", 0},
-    {"clock functions", "insut", "inect", MADE_IF_EMPTY, "3.0: 2.3.3, 2.3.5: clocks in some states only; without references nothing is done", 0},
-    {"no error state", "", "", MADE, "2.0: 2.1.3, 3.2.3, 4.2.4; 3.0: 2.2.3, 2.3.1: after an Error only reading, restoring, resetting and freeing", 0},
+    {"clock functions", "insut", "inect", MADE_IF_EMPTY,
+     "3.0: 2.3.3, 2.3.5: clocks in some states only; without references nothing is done", 0},
+    {"no error state", "", "", MADE,
+     "2.0: 2.1.3, 3.2.3, 4.2.4; 3.0: 2.2.3, 2.3.1: after an Error only reading, restoring, resetting and freeing", 0},
     {"no set-up", "", "", MADE, "2.0: 2.1.6: fmi2SetupExperiment before fmi2EnterInitializationMode", 0},
     {"reading after setting", "", "", MADE, "2.0: 4.2.4, 3.0: 4.2.1: a step between setting and getting in co-simulation", 0},
-    {"any variable", "", "", MADE, "2.0: 3.2.3, 4.2.4, condition 2: in initialization mode outputs and initial unknowns only", 0},
+    {"any variable", "", "", MADE, "2.0: 3.2.3, 4.2.4, condition 2: in initialization mode outputs and initial unknowns only",
+     0},
     {"any intermediate variable", "", "", MADE, "3.0: 4.2.2: those named at instantiation only, no reading after setting", 0},
-    {"state set one by one", "", "", REFUSED, "2.0: 3.2.3, condition 5; 3.0: 2.3.5, 3.2.1: a state by fmiXSetReal/Float64 after initialization", 0},
+    {"state set one by one", "", "", REFUSED,
+     "2.0: 3.2.3, condition 5; 3.0: 2.3.5, 3.2.1: a state by fmiXSetReal/Float64 after initialization", 0},
     {"step of no size", "", "", MADE, "2.0: 4.2.2, 3.0: 4.2.1: a step's size is above 0", 0},
-    {"time goes back", "", "", MADE, "2.0: 3.2.1, 3.0: 3.2.1: not before the start, the last event or the second last completed step", 0},
+    {"time goes back", "", "", MADE,
+     "2.0: 3.2.1, 3.0: 3.2.1: not before the start, the last event or the second last completed step", 0},
     {"any known", "", "", MADE, "2.0: 2.1.9, 3.0: 2.2.11: derivatives by and of what a state's equations have only", 0},
     {"blank name", "", "", MADE, "2.0: 2.1.5, 3.0: 2.3.1: an instance's name is not empty", 0},
     {"told all the same", "", "", MADE, "2.0: 2.1.5, 3.0: 2.3.1: no messages if logging is off, or of a category that is", 0},
@@ -59,10 +69,11 @@ static struct {
 
 typedef struct {
     State state;
-    double start, time;  /* as the importer knows them */
-    long samples;        /* taken by a sampled block */
+    double start, time;          /* as the importer knows them */
+    long samples;                /* taken by a sampled block */
     int set_up, failed, written; /* for the deviations */
-    int wild_inputs, wild; /* inputs; parameters, states or times: were given senseless values, so that a refusal is no surprise */
+    int wild_inputs,
+        wild; /* inputs; parameters, states or times: were given senseless values, so that a refusal is no surprise */
 } Model;
 
 typedef struct {
@@ -71,7 +82,7 @@ typedef struct {
     Model m;
     double begin, end, seen; /* the step that is being made, and the intermediate updates so far */
     int inner_sets, asked;
-    void *before;            /* a saved state, only to compare */
+    void *before; /* a saved state, only to compare */
     unsigned char *bytes;
 } Slot;
 
@@ -173,7 +184,8 @@ static void hear(Slot *s, int status, const char *category, const char *text)
     for (const char *p = text; *p; p++)
         LAW(*p >= ' ' && *p <= '~', "a message that cannot be read: %s", text);
     for (const char *e = strchr(text, 'e'); e; e = strchr(e + 1, 'e'))
-        LAW(!((e[1] == '-' || e[1] == '+') && e[2] >= '0' && e[2] <= '9') || (e > text && e[-1] >= '0' && e[-1] <= '9'), "a number that cannot be read: %s", text);
+        LAW(!((e[1] == '-' || e[1] == '+') && e[2] >= '0' && e[2] <= '9') || (e > text && e[-1] >= '0' && e[-1] <= '9'),
+            "a number that cannot be read: %s", text);
     if (s && s->silent)
         deviates("told all the same");
 }
@@ -189,7 +201,10 @@ static void hear2(fmi2ComponentEnvironment e, fmi2String name, fmi2Status status
     hear(e, (int)status, category, text);
 }
 
-static void hear3(fmi3InstanceEnvironment e, fmi3Status status, fmi3String category, fmi3String text) { hear(e, (int)status, category, text); }
+static void hear3(fmi3InstanceEnvironment e, fmi3Status status, fmi3String category, fmi3String text)
+{
+    hear(e, (int)status, category, text);
+}
 
 /* Chance */
 
@@ -236,7 +251,10 @@ static int settable(const Slot *s, unsigned r)
     int access = block.value[r].access, c = letter(s->m.state);
     if (access == START && (c == 'c' || (c == 'e' && s->version == 3)) && !deviates("state set one by one"))
         return 1;
-    return access == READ_ONLY ? 0 : c == 'i' || c == 'n' ? 1 : c == 's' || c == 'e' ? access == INPUT || access == TUNABLE : (c == 'c' || c == 'u') && access == INPUT;
+    return access == READ_ONLY    ? 0
+           : c == 'i' || c == 'n' ? 1
+           : c == 's' || c == 'e' ? access == INPUT || access == TUNABLE
+                                  : (c == 'c' || c == 'u') && access == INPUT;
 }
 
 static void want_bad(const char *name)
@@ -264,14 +282,21 @@ static double limit(const Model *m)
 
 /* Pointers into the interface, by version. */
 
-static int get_state(Slot *s, void **state) { return s->version == 2 ? (int)fmi2GetFMUstate(s->c, state) : (int)fmi3GetFMUState(s->c, state); }
+static int get_state(Slot *s, void **state)
+{
+    return s->version == 2 ? (int)fmi2GetFMUstate(s->c, state) : (int)fmi3GetFMUState(s->c, state);
+}
 
-static int free_state(Slot *s, void **state) { return s->version == 2 ? (int)fmi2FreeFMUstate(s->c, state) : (int)fmi3FreeFMUState(s->c, state); }
+static int free_state(Slot *s, void **state)
+{
+    return s->version == 2 ? (int)fmi2FreeFMUstate(s->c, state) : (int)fmi3FreeFMUState(s->c, state);
+}
 
 static void snapshot(Slot *s, unsigned char *bytes)
 {
-    int ok = get_state(s, &s->before) == 0
-             && (s->version == 2 ? (int)fmi2SerializeFMUstate(s->c, s->before, (char *)bytes, memory_size) : (int)fmi3SerializeFMUState(s->c, s->before, bytes, memory_size)) == 0;
+    int ok = get_state(s, &s->before) == 0 &&
+             (s->version == 2 ? (int)fmi2SerializeFMUstate(s->c, s->before, (char *)bytes, memory_size)
+                              : (int)fmi3SerializeFMUState(s->c, s->before, bytes, memory_size)) == 0;
     LAW(ok, "the state cannot be saved");
 }
 
@@ -282,12 +307,14 @@ static int same(const Slot *s, const unsigned char *a, const unsigned char *b, i
     Memory x, y;
     memcpy(&x, a, sizeof x);
     memcpy(&y, b, sizeof y);
-    if (x.identity != y.identity || x.state != y.state || x.start != y.start || x.next_sample != y.next_sample || memcmp(&x.clock, &y.clock, sizeof x.clock))
+    if (x.identity != y.identity || x.state != y.state || x.start != y.start || x.next_sample != y.next_sample ||
+        memcmp(&x.clock, &y.clock, sizeof x.clock))
         return 0;
     for (unsigned r = 1; r < (unsigned)(block.values + block.states.count); r++) {
         int held = sampled && !is_in(s->m.state, "in"); /* outputs are a sampled block's memory between samples */
         int computed = within(r, block.derivatives) || (within(r, block.outputs) && !held);
-        if (!computed && !(inputs && within(r, block.inputs)) && memcmp(a + values + r * sizeof(double), b + values + r * sizeof(double), sizeof(double)))
+        if (!computed && !(inputs && within(r, block.inputs)) &&
+            memcmp(a + values + r * sizeof(double), b + values + r * sizeof(double), sizeof(double)))
             return 0;
     }
     return 1;

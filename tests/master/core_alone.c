@@ -77,10 +77,25 @@ static double run_ring(int64_t ticks, int64_t record_ratio)
             recorded[s * WIDTH + i] = &out[s][i];
         }
         Batch all = {three ? 1 : WIDTH, WIDTH};
-        slave[s] = (Slave){.fmi = three ? 3 : 2, .instance = &trivial[s], .set2 = set2, .get2 = get2, .step2 = step2, .set3 = set3,
-                           .get3 = get3, .step3 = step3, .inputs = all, .used = all, .outputs = all, .input = references,
-                           .output = references, .input_value = in[s], .output_value = out[s], .wires = WIDTH,
-                           .target = target[s], .source = source[s], .ratio = 1};
+        slave[s] = (Slave){.fmi = three ? 3 : 2,
+                           .instance = &trivial[s],
+                           .set2 = set2,
+                           .get2 = get2,
+                           .step2 = step2,
+                           .set3 = set3,
+                           .get3 = get3,
+                           .step3 = step3,
+                           .inputs = all,
+                           .used = all,
+                           .outputs = all,
+                           .input = references,
+                           .output = references,
+                           .input_value = in[s],
+                           .output_value = out[s],
+                           .wires = WIDTH,
+                           .target = target[s],
+                           .source = source[s],
+                           .ratio = 1};
     }
     Core core;
     memset(&core, 0, sizeof core);
@@ -100,7 +115,8 @@ static double run_ring(int64_t ticks, int64_t record_ratio)
     clock_gettime(CLOCK_MONOTONIC, &end);
     /* Once round the ring adds one a slave, and a value goes round in two instants: controllers hand it on at once. */
     double last = row[(core.rows - 1) * SLAVES * WIDTH + (SLAVES - 1) * WIDTH];
-    bool right = ended == DONE && core.rows == ticks / record_ratio + 1 && last == out[SLAVES - 1][0] && last > 1.9 * (double)(ticks - 3);
+    bool right = ended == DONE && core.rows == ticks / record_ratio + 1 && last == out[SLAVES - 1][0] &&
+                 last > 1.9 * (double)(ticks - 3);
     free(row_time);
     free(row);
     double spent = (double)(end.tv_sec - begin.tv_sec) * 1e9 + (double)(end.tv_nsec - begin.tv_nsec);

@@ -68,9 +68,9 @@ typedef struct {
     const double *const *recorded;
     double *row_time, *row;
     int64_t rows;
-    volatile int64_t at;      /* the next instant; may be read from any thread */
-    volatile int cancel;      /* may be set from any thread: the next instant is the last */
-    int index;                /* of the slave or limit that stopped the run */
+    volatile int64_t at; /* the next instant; may be read from any thread */
+    volatile int cancel; /* may be set from any thread: the next instant is the last */
+    int index;           /* of the slave or limit that stopped the run */
     Operation operation;
     int status;
 } Core;

@@ -15,10 +15,7 @@ static double seconds(int64_t time)
     return (double)time / 1e9; /* correctly rounded as long as `time` is below 2^53 ns, 104 days */
 }
 
-static int64_t least(int64_t a, int64_t b)
-{
-    return a < b ? a : b;
-}
+static int64_t least(int64_t a, int64_t b) { return a < b ? a : b; }
 
 /* The end of the run in `failed`, if `status` says so. */
 static bool fails(Core *core, int index, Operation operation, int status)

@@ -2,10 +2,7 @@
 
 enum { WARNING = 1 };
 
-static int failure(int status)
-{
-    return status > WARNING ? status : 0;
-}
+static int failure(int status) { return status > WARNING ? status : 0; }
 
 void take_inputs(const Slave *s)
 {

@@ -57,7 +57,8 @@ Status instance_sample(Instance *c, const double *x)
     block.update(&m->clock, at(c, block.parameters), at(c, block.inputs), x, c->scratch, outputs, margins);
     if (check_margins(c, block.running_requirement, block.running_requirements, margins) != OK)
         return ERROR;
-    if (instance_check_finite(c, block.states.first, block.states.count + block.outputs.count, c->scratch, " at this sample; check the inputs") != OK)
+    if (instance_check_finite(c, block.states.first, block.states.count + block.outputs.count, c->scratch,
+                              " at this sample; check the inputs") != OK)
         return ERROR;
     memcpy(at(c, block.outputs), outputs, (size_t)block.outputs.count * sizeof(double));
     m->outputs_valid = ALL;
@@ -86,7 +87,8 @@ Status instance_update_outputs(Instance *c, Outputs wanted)
     equations(&m->clock, at(c, block.parameters), at(c, block.inputs), x, at(c, block.outputs), margins, 0);
     if (check_margins(c, block.running_requirement, block.running_requirements, margins) != OK)
         return ERROR;
-    if (instance_check_finite(c, block.outputs.first, count, at(c, block.outputs), "; check states, inputs and parameters") != OK)
+    if (instance_check_finite(c, block.outputs.first, count, at(c, block.outputs), "; check states, inputs and parameters") !=
+        OK)
         return ERROR;
     m->outputs_valid = (int)wanted;
     return OK;
@@ -99,7 +101,8 @@ Status instance_update_rates(Instance *c)
     if (m->rates_valid || block.derivatives.count == 0)
         return OK;
     block.rates(&m->clock, at(c, block.parameters), at(c, block.inputs), instance_present_states(c), rates, 0, 0);
-    if (instance_check_finite(c, block.derivatives.first, block.derivatives.count, rates, "; check states, inputs and parameters") != OK)
+    if (instance_check_finite(c, block.derivatives.first, block.derivatives.count, rates,
+                              "; check states, inputs and parameters") != OK)
         return ERROR;
     m->rates_valid = 1;
     return OK;

@@ -7,10 +7,10 @@
 #include "instance.h"
 
 /* Every call first: is there an instance, may it be called now, are its arrays given? */
-#define ALLOW(states, given)                                                              \
-    do {                                                                                  \
-        if (!c || instance_allow((Instance *)c, __func__, (states), (given)) != OK)       \
-            return fmi2Error;                                                             \
+#define ALLOW(states, given)                                                        \
+    do {                                                                            \
+        if (!c || instance_allow((Instance *)c, __func__, (states), (given)) != OK) \
+            return fmi2Error;                                                       \
     } while (0)
 #define ALIVE (INSTANTIATED | INITIALIZED)
 
@@ -44,7 +44,8 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String token, 
     const char *refusal = instance_refusal(name, token, type == fmi2ModelExchange);
     Instance *c = refusal ? NULL : instance_new(name, type == fmi2ModelExchange);
     if (!c && callbacks && callbacks->logger)
-        callbacks->logger(callbacks->componentEnvironment, name ? name : "", fmi2Error, "logStatusError", "%s", refusal ? refusal : NO_MEMORY);
+        callbacks->logger(callbacks->componentEnvironment, name ? name : "", fmi2Error, "logStatusError", "%s",
+                          refusal ? refusal : NO_MEMORY);
     if (!c)
         return NULL;
     if (callbacks) {
@@ -166,7 +167,10 @@ fmi2Status fmi2SetBoolean(fmi2Component c, const fmi2ValueReference reference[],
     return set_integers(c, reference, n, value, BOOLEAN);
 }
 
-static fmi2Status none(fmi2Component c, size_t n, const char *what) { return n == 0 ? fmi2OK : status(instance_lacks(c, what)); }
+static fmi2Status none(fmi2Component c, size_t n, const char *what)
+{
+    return n == 0 ? fmi2OK : status(instance_lacks(c, what));
+}
 
 fmi2Status fmi2GetString(fmi2Component c, const fmi2ValueReference reference[], size_t n, fmi2String value[])
 {
@@ -254,7 +258,8 @@ fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c)
     return fmi2OK;
 }
 
-fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean no_set_state, fmi2Boolean *enter_event, fmi2Boolean *terminate)
+fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean no_set_state, fmi2Boolean *enter_event,
+                                       fmi2Boolean *terminate)
 {
     (void)no_set_state;
     ALLOW(CONTINUOUS | MODEL_EXCHANGE, enter_event && terminate);
@@ -302,16 +307,16 @@ fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component c, fmi2Real nominals[
 
 /* Co-simulation */
 
-fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference reference[], size_t n, const fmi2Integer order[],
-                                       const fmi2Real value[])
+fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference reference[], size_t n,
+                                       const fmi2Integer order[], const fmi2Real value[])
 {
     (void)reference, (void)order, (void)value;
     ALLOW(INSTANTIATED | INITIALIZATION | STEP, 1);
     return none(c, n, "input derivatives");
 }
 
-fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference reference[], size_t n, const fmi2Integer order[],
-                                        fmi2Real value[])
+fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference reference[], size_t n,
+                                        const fmi2Integer order[], fmi2Real value[])
 {
     (void)reference, (void)order, (void)value;
     ALLOW(STEP | TERMINATED, 1);
@@ -333,12 +338,12 @@ fmi2Status fmi2CancelStep(fmi2Component c)
 
 /* Steps are never pending: of all that these functions could tell, only the last successful time means something. */
 
-#define NOTHING_TO_TELL(Name, Type)                                                                                     \
-    fmi2Status Name(fmi2Component c, const fmi2StatusKind kind, Type *value)                                           \
-    {                                                                                                                  \
-        (void)kind;                                                                                                    \
-        ALLOW(STEP | TERMINATED, value != NULL);                                                                       \
-        return fmi2Discard;                                                                                            \
+#define NOTHING_TO_TELL(Name, Type)                                          \
+    fmi2Status Name(fmi2Component c, const fmi2StatusKind kind, Type *value) \
+    {                                                                        \
+        (void)kind;                                                          \
+        ALLOW(STEP | TERMINATED, value != NULL);                             \
+        return fmi2Discard;                                                  \
     }
 
 NOTHING_TO_TELL(fmi2GetStatus, fmi2Status)

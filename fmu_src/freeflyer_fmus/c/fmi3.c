@@ -7,10 +7,10 @@
 #include "instance.h"
 
 /* Every call first: is there an instance, may it be called now, are its arrays given? */
-#define ALLOW(states, given)                                                              \
-    do {                                                                                  \
-        if (!c || instance_allow((Instance *)c, __func__, (states), (given)) != OK)       \
-            return fmi3Error;                                                             \
+#define ALLOW(states, given)                                                        \
+    do {                                                                            \
+        if (!c || instance_allow((Instance *)c, __func__, (states), (given)) != OK) \
+            return fmi3Error;                                                       \
     } while (0)
 #define ALIVE (INSTANTIATED | INITIALIZED)
 #define BETWEEN (ALIVE & ~INTERMEDIATE) /* not from within an intermediate update */
@@ -52,7 +52,8 @@ static Instance *instantiate(fmi3String name, fmi3String token, int model_exchan
 }
 
 fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
-                                          fmi3Boolean logging, fmi3InstanceEnvironment environment, fmi3LogMessageCallback logger)
+                                          fmi3Boolean logging, fmi3InstanceEnvironment environment,
+                                          fmi3LogMessageCallback logger)
 {
     (void)resources, (void)visible, (void)logging;
     return instantiate(name, token, 1, environment, logger);
@@ -192,39 +193,39 @@ fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference reference[], 
 
 /* Enumerations and Booleans of this runtime are scalars. */
 
-#define SCALARS(Type, kind, FROM)                                                                                              \
-    fmi3Status fmi3Get##Type(fmi3Instance c, const fmi3ValueReference r[], size_t nr, fmi3##Type value[], size_t n)            \
-    {                                                                                                                          \
-        ALLOW(INITIALIZED, (nr == 0 || r) && (n == 0 || value));                                                               \
-        if (check_elements(c, r, nr, n) != OK)                                                                                 \
-            return fmi3Error;                                                                                                  \
-        for (size_t i = 0; i < nr; i++) {                                                                                      \
-            double number;                                                                                                     \
-            References one = {&r[i], 1};                                                                                       \
-            if (instance_get(c, one, 1, kind, &number) != OK)                                                                  \
-                return fmi3Error;                                                                                              \
-            value[i] = (fmi3##Type)number;                                                                                     \
-        }                                                                                                                      \
-        return fmi3OK;                                                                                                         \
-    }                                                                                                                          \
-    fmi3Status fmi3Set##Type(fmi3Instance c, const fmi3ValueReference r[], size_t nr, const fmi3##Type value[], size_t n)      \
-    {                                                                                                                          \
-        ALLOW(ALIVE, (nr == 0 || r) && (n == 0 || value));                                                                     \
-        if (check_elements(c, r, nr, n) != OK)                                                                                 \
-            return fmi3Error;                                                                                                  \
-        for (size_t i = 0; i < nr; i++) {                                                                                      \
-            double number = FROM(value[i]);                                                                                    \
-            References one = {&r[i], 1};                                                                                       \
-            Status s = instance_check(c, one, 1, kind, &number);                                                               \
-            if (s != OK)                                                                                                       \
-                return status(s);                                                                                              \
-        }                                                                                                                      \
-        for (size_t i = 0; i < nr; i++) {                                                                                      \
-            double number = FROM(value[i]);                                                                                    \
-            References one = {&r[i], 1};                                                                                       \
-            instance_put(c, one, 1, &number);                                                                                  \
-        }                                                                                                                      \
-        return fmi3OK;                                                                                                         \
+#define SCALARS(Type, kind, FROM)                                                                                         \
+    fmi3Status fmi3Get##Type(fmi3Instance c, const fmi3ValueReference r[], size_t nr, fmi3##Type value[], size_t n)       \
+    {                                                                                                                     \
+        ALLOW(INITIALIZED, (nr == 0 || r) && (n == 0 || value));                                                          \
+        if (check_elements(c, r, nr, n) != OK)                                                                            \
+            return fmi3Error;                                                                                             \
+        for (size_t i = 0; i < nr; i++) {                                                                                 \
+            double number;                                                                                                \
+            References one = {&r[i], 1};                                                                                  \
+            if (instance_get(c, one, 1, kind, &number) != OK)                                                             \
+                return fmi3Error;                                                                                         \
+            value[i] = (fmi3##Type)number;                                                                                \
+        }                                                                                                                 \
+        return fmi3OK;                                                                                                    \
+    }                                                                                                                     \
+    fmi3Status fmi3Set##Type(fmi3Instance c, const fmi3ValueReference r[], size_t nr, const fmi3##Type value[], size_t n) \
+    {                                                                                                                     \
+        ALLOW(ALIVE, (nr == 0 || r) && (n == 0 || value));                                                                \
+        if (check_elements(c, r, nr, n) != OK)                                                                            \
+            return fmi3Error;                                                                                             \
+        for (size_t i = 0; i < nr; i++) {                                                                                 \
+            double number = FROM(value[i]);                                                                               \
+            References one = {&r[i], 1};                                                                                  \
+            Status s = instance_check(c, one, 1, kind, &number);                                                          \
+            if (s != OK)                                                                                                  \
+                return status(s);                                                                                         \
+        }                                                                                                                 \
+        for (size_t i = 0; i < nr; i++) {                                                                                 \
+            double number = FROM(value[i]);                                                                               \
+            References one = {&r[i], 1};                                                                                  \
+            instance_put(c, one, 1, &number);                                                                             \
+        }                                                                                                                 \
+        return fmi3OK;                                                                                                    \
     }
 
 #define FROM_INTEGER(value) (double)(value)
@@ -236,18 +237,18 @@ SCALARS(Boolean, BOOLEAN, FROM_BOOLEAN)
 
 static fmi3Status none(fmi3Instance c, size_t n, const char *what) { return n == 0 ? fmi3OK : status(instance_lacks(c, what)); }
 
-#define NO_TYPE(Type)                                                                                                          \
-    fmi3Status fmi3Get##Type(fmi3Instance c, const fmi3ValueReference r[], size_t nr, fmi3##Type value[], size_t n)            \
-    {                                                                                                                          \
-        (void)r, (void)value, (void)n;                                                                                         \
-        ALLOW(INITIALIZED, 1);                                                                                                 \
-        return none(c, nr, #Type " variables");                                                                                \
-    }                                                                                                                          \
-    fmi3Status fmi3Set##Type(fmi3Instance c, const fmi3ValueReference r[], size_t nr, const fmi3##Type value[], size_t n)      \
-    {                                                                                                                          \
-        (void)r, (void)value, (void)n;                                                                                         \
-        ALLOW(ALIVE, 1);                                                                                                       \
-        return none(c, nr, #Type " variables");                                                                                \
+#define NO_TYPE(Type)                                                                                                     \
+    fmi3Status fmi3Get##Type(fmi3Instance c, const fmi3ValueReference r[], size_t nr, fmi3##Type value[], size_t n)       \
+    {                                                                                                                     \
+        (void)r, (void)value, (void)n;                                                                                    \
+        ALLOW(INITIALIZED, 1);                                                                                            \
+        return none(c, nr, #Type " variables");                                                                           \
+    }                                                                                                                     \
+    fmi3Status fmi3Set##Type(fmi3Instance c, const fmi3ValueReference r[], size_t nr, const fmi3##Type value[], size_t n) \
+    {                                                                                                                     \
+        (void)r, (void)value, (void)n;                                                                                    \
+        ALLOW(ALIVE, 1);                                                                                                  \
+        return none(c, nr, #Type " variables");                                                                           \
     }
 
 NO_TYPE(Float32)
@@ -267,33 +268,42 @@ fmi3Status fmi3GetBinary(fmi3Instance c, const fmi3ValueReference r[], size_t nr
     return none(c, nr, "Binary variables");
 }
 
-fmi3Status fmi3SetBinary(fmi3Instance c, const fmi3ValueReference r[], size_t nr, const size_t sizes[], const fmi3Binary value[],
-                         size_t n)
+fmi3Status fmi3SetBinary(fmi3Instance c, const fmi3ValueReference r[], size_t nr, const size_t sizes[],
+                         const fmi3Binary value[], size_t n)
 {
     (void)r, (void)sizes, (void)value, (void)n;
     ALLOW(ALIVE, 1);
     return none(c, nr, "Binary variables");
 }
 
-#define NO_CLOCK(Name, ...)                                                                                                    \
-    fmi3Status Name(fmi3Instance c, const fmi3ValueReference r[], size_t n, __VA_ARGS__)
-#define NO_CLOCK_BODY(...)                                                                                                     \
-    {                                                                                                                          \
-        (void)r, __VA_ARGS__;                                                                                                  \
-        ALLOW(ALIVE, 1);                                                                                                       \
-        return none(c, n, "clocks");                                                                                           \
+#define NO_CLOCK(Name, ...) fmi3Status Name(fmi3Instance c, const fmi3ValueReference r[], size_t n, __VA_ARGS__)
+#define NO_CLOCK_BODY(...)           \
+    {                                \
+        (void)r, __VA_ARGS__;        \
+        ALLOW(ALIVE, 1);             \
+        return none(c, n, "clocks"); \
     }
 
-NO_CLOCK(fmi3GetClock, fmi3Clock a[]) NO_CLOCK_BODY((void)a)
-NO_CLOCK(fmi3SetClock, const fmi3Clock a[]) NO_CLOCK_BODY((void)a)
-NO_CLOCK(fmi3GetIntervalDecimal, fmi3Float64 a[], fmi3IntervalQualifier b[]) NO_CLOCK_BODY((void)a, (void)b)
-NO_CLOCK(fmi3GetIntervalFraction, fmi3UInt64 a[], fmi3UInt64 b[], fmi3IntervalQualifier d[]) NO_CLOCK_BODY((void)a, (void)b, (void)d)
-NO_CLOCK(fmi3GetShiftDecimal, fmi3Float64 a[]) NO_CLOCK_BODY((void)a)
-NO_CLOCK(fmi3GetShiftFraction, fmi3UInt64 a[], fmi3UInt64 b[]) NO_CLOCK_BODY((void)a, (void)b)
-NO_CLOCK(fmi3SetIntervalDecimal, const fmi3Float64 a[]) NO_CLOCK_BODY((void)a)
-NO_CLOCK(fmi3SetIntervalFraction, const fmi3UInt64 a[], const fmi3UInt64 b[]) NO_CLOCK_BODY((void)a, (void)b)
-NO_CLOCK(fmi3SetShiftDecimal, const fmi3Float64 a[]) NO_CLOCK_BODY((void)a)
-NO_CLOCK(fmi3SetShiftFraction, const fmi3UInt64 a[], const fmi3UInt64 b[]) NO_CLOCK_BODY((void)a, (void)b)
+NO_CLOCK(fmi3GetClock, fmi3Clock a[])
+NO_CLOCK_BODY((void)a)
+NO_CLOCK(fmi3SetClock, const fmi3Clock a[])
+NO_CLOCK_BODY((void)a)
+NO_CLOCK(fmi3GetIntervalDecimal, fmi3Float64 a[], fmi3IntervalQualifier b[])
+NO_CLOCK_BODY((void)a, (void)b)
+NO_CLOCK(fmi3GetIntervalFraction, fmi3UInt64 a[], fmi3UInt64 b[], fmi3IntervalQualifier d[])
+NO_CLOCK_BODY((void)a, (void)b, (void)d)
+NO_CLOCK(fmi3GetShiftDecimal, fmi3Float64 a[])
+NO_CLOCK_BODY((void)a)
+NO_CLOCK(fmi3GetShiftFraction, fmi3UInt64 a[], fmi3UInt64 b[])
+NO_CLOCK_BODY((void)a, (void)b)
+NO_CLOCK(fmi3SetIntervalDecimal, const fmi3Float64 a[])
+NO_CLOCK_BODY((void)a)
+NO_CLOCK(fmi3SetIntervalFraction, const fmi3UInt64 a[], const fmi3UInt64 b[])
+NO_CLOCK_BODY((void)a, (void)b)
+NO_CLOCK(fmi3SetShiftDecimal, const fmi3Float64 a[])
+NO_CLOCK_BODY((void)a)
+NO_CLOCK(fmi3SetShiftFraction, const fmi3UInt64 a[], const fmi3UInt64 b[])
+NO_CLOCK_BODY((void)a, (void)b)
 
 /* Whatever the state: this FMU does not have it. */
 static fmi3Status absent(fmi3Instance c, const char *what) { return c ? status(instance_lacks(c, what)) : fmi3Error; }
@@ -337,7 +347,8 @@ fmi3Status fmi3GetDirectionalDerivative(fmi3Instance c, const fmi3ValueReference
                                         const fmi3ValueReference known[], size_t nk, const fmi3Float64 seed[], size_t ns,
                                         fmi3Float64 sensitivity[], size_t nv)
 {
-    ALLOW(INITIALIZED & ~INTERMEDIATE, (nu == 0 || unknown) && (nk == 0 || known) && (ns == 0 || seed) && (nv == 0 || sensitivity));
+    ALLOW(INITIALIZED & ~INTERMEDIATE,
+          (nu == 0 || unknown) && (nk == 0 || known) && (ns == 0 || seed) && (nv == 0 || sensitivity));
     References unknowns = {unknown, nu}, knowns = {known, nk};
     return status(instance_sensitivity(c, unknowns, knowns, 1, 0, seed, ns, sensitivity, nv));
 }
@@ -346,7 +357,8 @@ fmi3Status fmi3GetAdjointDerivative(fmi3Instance c, const fmi3ValueReference unk
                                     const fmi3ValueReference known[], size_t nk, const fmi3Float64 seed[], size_t ns,
                                     fmi3Float64 sensitivity[], size_t nv)
 {
-    ALLOW(INITIALIZED & ~INTERMEDIATE, (nu == 0 || unknown) && (nk == 0 || known) && (ns == 0 || seed) && (nv == 0 || sensitivity));
+    ALLOW(INITIALIZED & ~INTERMEDIATE,
+          (nu == 0 || unknown) && (nk == 0 || known) && (ns == 0 || seed) && (nv == 0 || sensitivity));
     References unknowns = {unknown, nu}, knowns = {known, nk};
     return status(instance_sensitivity(c, unknowns, knowns, 1, 1, seed, ns, sensitivity, nv));
 }
@@ -416,7 +428,8 @@ fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance c)
     return fmi3OK;
 }
 
-fmi3Status fmi3CompletedIntegratorStep(fmi3Instance c, fmi3Boolean no_set_state, fmi3Boolean *enter_event, fmi3Boolean *terminate)
+fmi3Status fmi3CompletedIntegratorStep(fmi3Instance c, fmi3Boolean no_set_state, fmi3Boolean *enter_event,
+                                       fmi3Boolean *terminate)
 {
     (void)no_set_state;
     ALLOW(CONTINUOUS | MODEL_EXCHANGE, enter_event && terminate);

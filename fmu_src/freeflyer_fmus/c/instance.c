@@ -44,7 +44,8 @@ Instance *instance_new(const char *name, int model_exchange)
     size_t name_size = (length / sizeof(double) + 1) * sizeof(double);
     /* `scratch` has room for an integration, or for an evaluation with its margins. */
     int n = block.states.count, evaluated = n + block.outputs.count;
-    int margins = 2 * (block.running_requirements > block.static_requirements ? block.running_requirements : block.static_requirements);
+    int margins =
+        2 * (block.running_requirements > block.static_requirements ? block.running_requirements : block.static_requirements);
     int work = INTEGRATE_SCRATCH(n) > evaluated + margins ? INTEGRATE_SCRATCH(n) : evaluated + margins;
     size_t scratch = (size_t)(work + 2 * n + block.inputs.count + n + 3 * block.values) * sizeof(double);
     char *memory = calloc(1, sizeof(Instance) + name_size + instance_memory_size() + scratch);
@@ -95,9 +96,10 @@ Status instance_allow(Instance *c, const char *function, int states, int given)
     static const struct {
         State state;
         const char *name;
-    } names[] = {{INSTANTIATED, "instantiated"}, {INITIALIZATION, "initialization mode"}, {STEP, "step mode"},
-                 {EVENT, "event mode"},          {CONTINUOUS, "continuous-time mode"},    {INTERMEDIATE, "intermediate update mode"},
-                 {TERMINATED, "terminated"}};
+    } names[] = {
+        {INSTANTIATED, "instantiated"}, {INITIALIZATION, "initialization mode"}, {STEP, "step mode"},
+        {EVENT, "event mode"},          {CONTINUOUS, "continuous-time mode"},    {INTERMEDIATE, "intermediate update mode"},
+        {TERMINATED, "terminated"}};
     if (((int)c->memory->state & states) && given && (c->model_exchange || !(states & MODEL_EXCHANGE)))
         return OK;
     message_begin(&c->message, function);

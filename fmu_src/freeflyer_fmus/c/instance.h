@@ -15,9 +15,9 @@ typedef enum { OK, WARNING, DISCARD, ERROR, FATAL } Status;
 typedef enum {
     INSTANTIATED = 1,
     INITIALIZATION = 2,
-    STEP = 4,        /* co-simulation, between steps */
-    EVENT = 8,       /* model exchange */
-    CONTINUOUS = 16, /* model exchange */
+    STEP = 4,          /* co-simulation, between steps */
+    EVENT = 8,         /* model exchange */
+    CONTINUOUS = 16,   /* model exchange */
     INTERMEDIATE = 32, /* co-simulation, inside a step: the importer's intermediate update runs */
     TERMINATED = 64,
     MODEL_EXCHANGE = 128 /* no state: a function's remark that it belongs to model exchange */
@@ -50,11 +50,11 @@ typedef struct Instance {
     void *update_target[2];
     int may_return_early;
     Message message;
-    double *scratch; /* of one evaluation or integration */
-    double *saved;   /* states, lost digits and inputs before a step */
-    double *initial; /* states as initialisation makes them */
+    double *scratch;              /* of one evaluation or integration */
+    double *saved;                /* states, lost digits and inputs before a step */
+    double *initial;              /* states as initialisation makes them */
     double *seed, *result, *part; /* of a sensitivity, each as long as the value vector */
-    Memory *memory; /* everything that a saved FMU state holds */
+    Memory *memory;               /* everything that a saved FMU state holds */
 } Instance;
 
 /* Why an instance cannot be made, or NULL. */

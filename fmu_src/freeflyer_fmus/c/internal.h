@@ -10,12 +10,12 @@
 /* Log categories: a wrong call, and a run that has left what the equations hold for. The description declares both. */
 #define MISUSE "logStatusError"
 #define REQUIREMENT "logRequirement"
-#define ROUNDING 4.5e-16   /* relative, of two times that were computed in two ways */
-#define NANOSECOND 1       /* tolerance when times that were doubles are compared */
-#define DRIFT 100          /* and the part of a step by which an importer's sum of steps may be off when a sample is due */
-#define LARGEST_TIME 2e9   /* s; sums of three such times in nanoseconds must fit into 64 bits */
+#define ROUNDING 4.5e-16 /* relative, of two times that were computed in two ways */
+#define NANOSECOND 1     /* tolerance when times that were doubles are compared */
+#define DRIFT 100        /* and the part of a step by which an importer's sum of steps may be off when a sample is due */
+#define LARGEST_TIME 2e9 /* s; sums of three such times in nanoseconds must fit into 64 bits */
 #define TIMES "a finite time below 2e9 s is expected"
-#define LARGEST_COUNT 1e7  /* inner steps of one communication step: some 20 s of computation */
+#define LARGEST_COUNT 1e7 /* inner steps of one communication step: some 20 s of computation */
 
 static inline double *at(Instance *c, Range range) { return c->memory->value + range.first; }
 

@@ -66,9 +66,10 @@ static const char *fault(const Instance *c, const Memory *m)
     for (int i = 0; i < block.values + block.states.count; i++) {
         const Value *value = &block.value[i < block.values ? i : 0];
         /* What an evaluation that failed has left behind is not used. */
-        int stale = (inside((unsigned)i, block.outputs) && i >= block.outputs.first + computed_outputs(m)) || (inside((unsigned)i, block.derivatives) && !m->rates_valid);
-        if ((!is_finite(m->value[i]) && !stale) || (value->kind == BOOLEAN && m->value[i] != 0 && m->value[i] != 1)
-            || (value->kind == ENUMERATION && !(m->value[i] >= 1 && m->value[i] <= value->maximum)))
+        int stale = (inside((unsigned)i, block.outputs) && i >= block.outputs.first + computed_outputs(m)) ||
+                    (inside((unsigned)i, block.derivatives) && !m->rates_valid);
+        if ((!is_finite(m->value[i]) && !stale) || (value->kind == BOOLEAN && m->value[i] != 0 && m->value[i] != 1) ||
+            (value->kind == ENUMERATION && !(m->value[i] >= 1 && m->value[i] <= value->maximum)))
             return "its bytes are damaged";
     }
     return NULL;

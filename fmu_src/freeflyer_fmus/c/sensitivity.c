@@ -9,7 +9,10 @@ static int is_known(unsigned i)
     return i == TIME || inside(i, block.inputs) || inside(i, block.states) || (real && inside(i, block.parameters));
 }
 
-static int is_unknown(unsigned i) { return inside(i, block.outputs) || inside(i, block.states) || inside(i, block.derivatives); }
+static int is_unknown(unsigned i)
+{
+    return inside(i, block.outputs) || inside(i, block.states) || inside(i, block.derivatives);
+}
 
 /* Sum of the elements; or -1, and the message says which reference is wrong. */
 static long count(Instance *c, References list, int whole, int (*allowed)(unsigned), const char *kind)
@@ -125,7 +128,8 @@ Status instance_sensitivity(Instance *c, References unknowns, References knowns,
         reverse(c, x, c->seed, c->result);
     else
         forward(c, x, c->seed, c->result);
-    if (instance_check_finite(c, 0, block.values, c->result, ": that is a derivative along the seed; check seed, states and inputs") != OK)
+    if (instance_check_finite(c, 0, block.values, c->result,
+                              ": that is a derivative along the seed; check seed, states and inputs") != OK)
         return instance_say(c, ERROR, REQUIREMENT);
     gather(is_reverse ? knowns : unknowns, whole, c->result, result);
     return OK;

@@ -28,11 +28,20 @@ static INLINED void sin_cos(double x, double *s, double *c)
     double hi = rest + tail, lo = (rest - hi) + tail;
     /* Taylor polynomials on [-pi/4, pi/4]: the first term left out is below 2^-59 of the result. */
     double z = hi * hi;
-    double p = z * (-0x1.5555555555555p-3 + z * (0x1.1111111111111p-7 + z * (-0x1.a01a01a01a01ap-13 + z * (0x1.71de3a556c734p-19
-             + z * (-0x1.ae64567f544e4p-26 + z * (0x1.6124613a86d09p-33 + z * (-0x1.ae7f3e733b81fp-41 + z * 0x1.952c77030ad4ap-49)))))));
+    double p =
+        z * (-0x1.5555555555555p-3 +
+             z * (0x1.1111111111111p-7 +
+                  z * (-0x1.a01a01a01a01ap-13 +
+                       z * (0x1.71de3a556c734p-19 +
+                            z * (-0x1.ae64567f544e4p-26 +
+                                 z * (0x1.6124613a86d09p-33 + z * (-0x1.ae7f3e733b81fp-41 + z * 0x1.952c77030ad4ap-49)))))));
     double sine = hi + (hi * p + lo * (1.0 - 0.5 * z));
-    double q = z * z * (0x1.5555555555555p-5 + z * (-0x1.6c16c16c16c17p-10 + z * (0x1.a01a01a01a01ap-16 + z * (-0x1.27e4fb7789f5cp-22
-             + z * (0x1.1eed8eff8d898p-29 + z * (-0x1.93974a8c07c9dp-37 + z * 0x1.ae7f3e733b81fp-45))))));
+    double q = z * z *
+               (0x1.5555555555555p-5 +
+                z * (-0x1.6c16c16c16c17p-10 +
+                     z * (0x1.a01a01a01a01ap-16 +
+                          z * (-0x1.27e4fb7789f5cp-22 +
+                               z * (0x1.1eed8eff8d898p-29 + z * (-0x1.93974a8c07c9dp-37 + z * 0x1.ae7f3e733b81fp-45))))));
     double half = 0.5 * z, one = 1.0 - half;
     double cosine = one + (((1.0 - one) - half) + (q - hi * lo));
     int quadrant = (int)n;

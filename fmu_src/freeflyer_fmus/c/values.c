@@ -69,9 +69,10 @@ Status instance_refuse(Instance *c, unsigned index, double value, const char *re
 static Status refuse_access(Instance *c, const Value *variable)
 {
     message_begin(&c->message, variable->name);
-    message_add(&c->message, variable->access == READ_ONLY                       ? " cannot be set: it is computed"
-                             : variable->access == FIXED || variable->access == START ? " cannot be set any more: it is fixed once the run has begun"
-                                                                                  : " cannot be set in this state");
+    message_add(&c->message, variable->access == READ_ONLY ? " cannot be set: it is computed"
+                             : variable->access == FIXED || variable->access == START
+                                 ? " cannot be set any more: it is fixed once the run has begun"
+                                 : " cannot be set in this state");
     return instance_say(c, ERROR, MISUSE);
 }
 
