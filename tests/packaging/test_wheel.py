@@ -7,6 +7,7 @@ import hashlib
 import os
 import subprocess
 import sys
+import tarfile
 import zipfile
 from pathlib import Path
 
@@ -24,21 +25,37 @@ def run(*command: str, folder: Path, **environment: str) -> str:
     return done.stdout
 
 
-@pytest.fixture(scope="module")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """This distribution's wheel without what the build hook compiles."""
-    folder = tmp_path_factory.mktemp("wheel")
-    command = [sys.executable, "-P", "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)]
-    run(*command, folder=ROOT, HATCH_BUILD_NO_HOOKS="true")
-    (path,) = folder.glob("*.whl")
+def built(target: str, source: Path, folder: Path) -> Path:
+    """A wheel or sdist, without what the build hook compiles."""
+    command = [sys.executable, "-P", "-m", "hatchling", "build", "-t", target, "-d", str(folder)]
+    run(*command, folder=source, HATCH_BUILD_NO_HOOKS="true")
+    (path,) = folder.iterdir()
     return path
 
 
-def test_the_wheel_holds_three_packages_and_nothing_else(wheel: Path) -> None:
+def names_in(wheel: Path) -> set[str]:
     with zipfile.ZipFile(wheel) as archive:
-        names = {name.partition("/")[0] for name in archive.namelist()}
+        return set(archive.namelist())
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return built("wheel", ROOT, tmp_path_factory.mktemp("wheel"))
+
+
+def test_the_wheel_holds_three_packages_and_nothing_else(wheel: Path) -> None:
+    names = {name.partition("/")[0] for name in names_in(wheel)}
     assert sorted(name for name in names if not name.endswith(".dist-info")) == sorted(ROOTS)
     assert len(names) == len(ROOTS) + 1
+
+
+def test_the_sdist_gives_the_same_wheel(wheel: Path, tmp_path: Path) -> None:
+    with tarfile.open(built("sdist", ROOT, tmp_path / "sdist")) as archive:
+        archive.extractall(tmp_path / "unpacked", filter="data")
+    (source,) = (tmp_path / "unpacked").iterdir()
+    own = names_in(built("wheel", source, tmp_path / "wheel"))
+    assert own == {name for name in names_in(wheel) if "/prebuilt/" not in name}  # a checkout may have compiled files
+    assert {"freeflyer/__init__.pyi", "freeflyer/scenarios/facility.toml", "freeflyer_fmus/c/fmi3.c"} <= own
 
 
 def other_wheel(name: str, modules: list[str], folder: Path) -> Path:
