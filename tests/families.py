@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 
 import pytest
 
@@ -19,3 +19,8 @@ def family(members: Iterable[object], now: int | Collection[object] = 1) -> list
 def _slow(member: object) -> object:
     """A tuple is one value for each of several parameters."""
     return pytest.param(*member if isinstance(member, tuple) else (member,), marks=pytest.mark.slow)
+
+
+def alternating(versions: Sequence[object], names: Iterable[object]) -> list[object]:
+    """Each name once, with the versions in turn: (version, name)."""
+    return [(versions[k % len(versions)], name) for k, name in enumerate(names)]

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import argparse
 import io
-import os
 import signal
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from importlib import import_module
 from typing import TYPE_CHECKING, NoReturn, Protocol
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 GROUP = "freeflyer.commands"
-"""Entry points of other packages' commands: the class is a `Command` with its line of help as `help`."""
+"""Entry points of other packages' commands: NAME = "MODULE:CALLABLE" gives a `Command`, whose line of help is its `help`."""
 COMMANDS: Mapping[str, tuple[str, str]] = {
     "audit": (
         "freeflyer.audit.command:AuditCommand",
@@ -80,8 +80,6 @@ class Command(Protocol):
 
 def main() -> int:
     """The process's entry point. SIGTERM ends a command as Ctrl-C does."""
-    # Inherited by every Python process that is started from here: none runs a folder of the working directory as a module.
-    os.environ["PYTHONSAFEPATH"] = "1"
     try:
         signal.signal(signal.SIGTERM, _interrupt)
         return call(sys.argv[1:])
@@ -99,20 +97,24 @@ def call(arguments: Sequence[str]) -> int:
     parser = Parser(prog="freeflyer", description="Multi-rate co-simulation of a free-flying space robot.")
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    name = arguments[0] if arguments else ""
     try:
-        command = _chosen(arguments)
+        command = _loaded(name) if name in COMMANDS or name in plugins(GROUP) else None
         if command is None:
-            for name, text in _listing():
-                subparsers.add_parser(name, help=text)
+            for listed, text in _listing(with_help=name.startswith(("-h", "--h"))):
+                subparsers.add_parser(listed, help=text)
             parser.parse_args(arguments)  # exits: with the help, the version, or one sentence
-            raise AssertionError(arguments)
-        name = arguments[0]
-        text = COMMANDS[name][1] if name in COMMANDS else str(getattr(command, "help", ""))
-        command.configure(subparsers.add_parser(name, description=text))
-        parsed = parser.parse_args(arguments)
+            parser.error("a command is expected first")
+        subparser = subparsers.add_parser(name, description=_help(name, command))
+        with _one_sentence(name):
+            command.configure(subparser)
+    except CosimError as error:
+        return complain(str(error), error.exit_code)
+    parsed = parser.parse_args(arguments)
 
-        from freeflyer.console import PlainConsole
+    from freeflyer.console import PlainConsole
 
+    try:
         return command.execute(parsed, PlainConsole(highlight=False, markup=False))
     except CosimError as error:
         return complain(str(error), error.exit_code)
@@ -136,26 +138,43 @@ class _Version(argparse.Action):
         parser.exit(message=f"freeflyer-cosim {version('freeflyer-cosim')}\n")
 
 
-def _chosen(arguments: Sequence[str]) -> Command | None:
-    """Load the subcommand that the arguments begin with; None where they name none. Raises CosimError."""
-    name = arguments[0] if arguments else ""
-    if name in COMMANDS:
+def _loaded(name: str) -> Command:
+    """Load one subcommand. Raises CosimError for one of another package that cannot be loaded, whatever it raises."""
+    with _one_sentence(name):
+        if name not in COMMANDS:
+            command: Command = load(plugins(GROUP)[name])()
+            return command
         module, _, attribute = COMMANDS[name][0].partition(":")
-        found: Command = getattr(import_module(module), attribute)()
-        return found
-    point = None if not name or name.startswith("-") else plugins(GROUP).get(name)
-    return None if point is None else load(point)()
+        own: Command = getattr(import_module(module), attribute)()
+        return own
 
 
-def _listing() -> Iterator[tuple[str, str]]:
-    """Every subcommand with its line of help; one of another package that cannot be loaded says so in its line."""
+def _help(name: str, command: Command) -> str:
+    return COMMANDS[name][1] if name in COMMANDS else str(getattr(command, "help", ""))
+
+
+def _listing(*, with_help: bool) -> Iterator[tuple[str, str]]:
+    """Every subcommand with its line of help, for which those of other packages are loaded; in its place, why one cannot be."""
     others = plugins(GROUP)
     for name in sorted({*COMMANDS, *others}):
-        try:
-            text = COMMANDS[name][1] if name in COMMANDS else str(load(others[name]).help)
-        except CosimError as error:
-            text = str(error)
+        text = ""
+        if with_help:
+            try:
+                text = COMMANDS[name][1] if name in COMMANDS else _help(name, _loaded(name))
+            except CosimError as error:
+                text = str(error)
         yield name, text.replace("%", "%%")
+
+
+@contextmanager
+def _one_sentence(name: str) -> Iterator[None]:
+    """Turn whatever another package's command raises into a CosimError; errors of our own commands pass."""
+    try:
+        yield
+    except Exception as error:
+        if name in COMMANDS or isinstance(error, CosimError):
+            raise
+        raise CosimError(f"command {name} of {plugins(GROUP)[name].value} failed: {type(error).__name__}: {error}") from error
 
 
 def _interrupt(number: int, frame: object) -> None:

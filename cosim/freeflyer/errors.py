@@ -47,6 +47,6 @@ class StepFailed(Exception):
 
 
 def complain(sentence: str, code: int) -> int:
-    """Print the one sentence that a command fails with; give its exit code back."""
+    """Print the one sentence that a command fails with; return its exit code."""
     print(f"freeflyer: {sentence}", file=sys.stderr)
     return code

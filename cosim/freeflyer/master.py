@@ -25,6 +25,7 @@ from freeflyer.errors import ComponentError, CosimError, StepFailed
 from freeflyer.graph import Graph
 from freeflyer.interrupts import interrupts
 from freeflyer.limits import Limit, Watch
+from freeflyer.plugins import renamed
 from freeflyer.record import Record
 from freeflyer.schedule import Schedule
 from freeflyer.slaves import Slave, Slaves
@@ -221,4 +222,4 @@ def told(error: Exception) -> str:
     if hasattr(error, "left_validity"):
         return " ".join(str(error).split())
     place = traceback.extract_tb(error.__traceback__)[-1]
-    return " ".join(f"{type(error).__name__}: {error} ({place.filename}, line {place.lineno})".split())
+    return " ".join(f"{type(error).__name__}: {error} ({place.filename}, line {place.lineno}){renamed(error)}".split())

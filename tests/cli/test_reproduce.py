@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from matplotlib import pyplot
 
-from freeflyer import command, experiment, scenario
+from freeflyer import command, experiment, plots, scenario
 from freeflyer.experiment import Result
 from freeflyer.interrupts import interrupts
 from freeflyer.scenario import Scenario
@@ -55,6 +56,26 @@ def test_reproduce_that_is_interrupted_keeps_the_cases_that_are_done(
     assert all(case.keys() >= KEYS for case in cases.values())
     assert {path.name for path in tmp_path.iterdir()} == {"continuous", "multirate_unstable", "summary.json"}
     assert (tmp_path / "continuous" / "record.parquet").is_file()
+
+
+def test_reproduce_of_the_first_21_seconds_writes_figures_page_and_table(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Small pictures; what they look like in full is for the slow test."""
+    load = scenario.load
+
+    def small(figure: Any, path: Path) -> None:
+        figure.savefig(path, dpi=30)
+        pyplot.close(figure)
+
+    monkeypatch.setattr(scenario, "load", lambda name: load(name, ["stop_s=21"]))
+    monkeypatch.setattr(plots, "save", small)
+    assert command.call(["reproduce", "--out", str(tmp_path)]) == 3  # what diverges needs longer
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "The paper's statements beside what was measured" in shown
+    assert "Not as expected: multirate_unstable" in shown
+    assert len(list(tmp_path.glob("fig*.png"))) == 12
+    assert (tmp_path / "report.html").read_text().count("data:image/png;base64,") == 15
 
 
 @pytest.mark.slow

@@ -83,6 +83,48 @@ def test_a_command_of_another_package_is_loaded_only_if_it_is_called_or_listed(t
     assert "other" not in python(f"{called('run', '--help')}\nprint(*sys.modules)", place).split()
 
 
+ODD = """\
+class Late:
+    def __init__(self):
+        self.help = "its help is made late"
+
+    def configure(self, parser):
+        raise OSError("no such library")
+
+def factory():
+    return Late()
+
+class Silent:
+    def configure(self, parser): ...
+    def execute(self, arguments, console):
+        return 0
+
+class Bad:
+    def __init__(self):
+        raise OSError("no such file")
+"""
+
+
+def test_odd_commands_of_other_packages_are_listed_and_their_errors_are_sentences(tmp_path: Path) -> None:
+    place = installed(tmp_path, late="odd:Late", made="odd:factory", silent="odd:Silent", bad="odd:Bad", module="odd")
+    (place / "odd.py").write_text(ODD)
+    shown = " ".join(python(called("--help"), place).split())
+    assert shown.count("its help is made late") == 2
+    assert "command bad of odd:Bad failed: OSError: no such file" in shown
+    assert "command module of odd failed: TypeError" in shown
+    assert python(called("silent"), place).split() == ["code", "0"]
+    for name in ("late", "made", "bad", "module"):
+        assert python(called(name), place).split() == ["code", "2"]
+
+
+@pytest.mark.parametrize("word", ["--version", "no-such-command", "--no-such-option", "--"])
+def test_a_command_of_another_package_is_not_loaded_to_say_something_else(tmp_path: Path, word: str) -> None:
+    place = installed(tmp_path, hello="other:Hello")
+    shown = python(f"{called(word)}\nprint(*sys.modules)", place).split()
+    assert "code" in shown
+    assert "other" not in shown
+
+
 def test_a_command_that_cannot_be_loaded_spoils_no_other(tmp_path: Path) -> None:
     place = installed(tmp_path, broken="nowhere.to_be:Found", hello="other:Hello", old="adapters.cli:HilCommand")
     shown = " ".join(python(called("--help"), place).split())

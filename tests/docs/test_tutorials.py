@@ -79,7 +79,7 @@ def test_the_users_python_component_in_the_loop(
         ("import adapters.pose", "freeflyer_adapters"),
     ],
 )
-def test_files_of_0_1_0_are_told_the_new_name(
+def test_an_import_name_of_0_1_0_is_refused_with_the_new_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], old: str, new: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -88,9 +88,11 @@ def test_files_of_0_1_0_are_told_the_new_name(
     kick = example("python", "class Kick").replace("from freeflyer import Port, PythonComponent", old)
     Path("kick.py").write_text(kick)
     Path("kick.toml").write_text('stop_s = 1\n[components.kick]\nkind = "python"\nobject = "kick.py:Kick"\nstep_s = 0.01\n')
-    assert old in block
-    assert old in kick
-    for words in (["fmus", "--block", "thruster_lag.py"], ["run", "kick.toml"]):
+    inside = example("python", "class Kick").replace("        kick =", f"        {old}\n        kick =")
+    Path("inside.py").write_text(inside)
+    Path("inside.toml").write_text(Path("kick.toml").read_text().replace("kick.py", "inside.py"))
+    assert all(old in text for text in (block, kick, inside))
+    for words in (["fmus", "--block", "thruster_lag.py"], ["run", "kick.toml"], ["run", "inside.toml"]):
         code, error = said(capsys, *words)
         assert code == 2
         assert f"since 0.2.0 {old.split()[1].split('.')[0]} is {new}: see the table in CHANGELOG.md" in error

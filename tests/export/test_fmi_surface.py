@@ -14,7 +14,7 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
-from families import family
+from families import alternating, family
 from fmpy.fmi1 import FMICallException
 from fmpy.fmi3 import FMU3Slave
 from fmpy.model_description import read_model_description
@@ -28,7 +28,6 @@ from freeflyer_fmus.shipped import BLOCKS
 
 VERSIONS = (2, 3)
 EVERY = [(version, name) for version in VERSIONS for name in BLOCKS]
-ALTERNATING = [(VERSIONS[k % 2], name) for k, name in enumerate(BLOCKS)]
 MS = 1e-3
 
 
@@ -51,7 +50,7 @@ def driven(instance: Instance, robot: Robot, random: np.random.Generator) -> Cal
 # Saved states
 
 
-@pytest.mark.parametrize(("version", "name"), family(EVERY, ALTERNATING))
+@pytest.mark.parametrize(("version", "name"), family(EVERY, alternating(VERSIONS, BLOCKS)))
 def test_a_state_saved_at_any_instant_resumes_bit_for_bit(fmus: Path, robot: Robot, version: int, name: str) -> None:
     """In the same instance and, from its bytes, in another one."""
     random = np.random.default_rng(version)

@@ -11,7 +11,7 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
-from families import family
+from families import alternating, family
 from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 
@@ -23,10 +23,9 @@ from freeflyer_fmus.shipped import BLOCKS
 
 VERSIONS = ("fmi2", "fmi3")
 EVERY = [(version, name) for version in VERSIONS for name in BLOCKS]
-ALTERNATING = [(VERSIONS[k % 2], name) for k, name in enumerate(BLOCKS)]
 
 
-@pytest.mark.parametrize(("version", "name"), family(EVERY, ALTERNATING))
+@pytest.mark.parametrize(("version", "name"), family(EVERY, alternating(VERSIONS, BLOCKS)))
 def test_fmpy_finds_nothing_to_complain_about(fmus: Path, version: str, name: str) -> None:
     assert validate_fmu(str(fmus / version / f"{name}.fmu")) == []
 
@@ -60,8 +59,7 @@ def fresh_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         yield
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["reference_trajectory", "free_flyer", "manipulator_controller", "base_controller"])
+@pytest.mark.parametrize("name", family(["reference_trajectory", "free_flyer", "manipulator_controller", "base_controller"]))
 def test_two_builds_of_the_same_source_are_the_same_files(
     robot: Robot, fmus: Path, tmp_path: Path, fresh_cache: None, name: str
 ) -> None:

@@ -60,7 +60,7 @@ def met() -> dict[str, int]:
     return {}
 
 
-@pytest.mark.parametrize("name", family(BLOCKS, ["reference_trajectory"]))
+@pytest.mark.parametrize("name", family(BLOCKS, ["hand_kinematics"]))
 def test_any_sequence_of_calls_is_survived(
     robot: Robot, tmp_path: Path, runtime: list[str], met: dict[str, int], name: str
 ) -> None:

@@ -179,7 +179,7 @@ def assert_same(block: Block, values: Array, expected: Array) -> None:
 
 
 @pytest.mark.parametrize("machine", family(["aarch64_linux", "x86_64_windows"]))
-@pytest.mark.parametrize("name", family(MAKERS, ["reference_trajectory"]))
+@pytest.mark.parametrize("name", family(MAKERS, ["base_robot"]))
 def test_another_platform_computes_the_same_bits(
     robot: Robot, built: Built, here: Machine, request: pytest.FixtureRequest, machine: str, name: str
 ) -> None:
@@ -193,7 +193,7 @@ def test_another_platform_computes_the_same_bits(
 # Sources
 
 
-@pytest.mark.parametrize("name", family(MAKERS, ["reference_trajectory"]))
+@pytest.mark.parametrize("name", family(MAKERS, ["base_robot"]))
 @pytest.mark.parametrize("version", [2, 3])
 def test_fmus_with_all_their_parts_are_valid(built: Built, version: int, name: str) -> None:
     path = built(name, PLATFORMS["aarch64-linux"]) / f"fmi{version}" / f"{name}.fmu"

@@ -124,7 +124,7 @@ def test_ten_million_steps_end_exactly_where_they_should(
 
 
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="no system gcc: the sanitizers need one (CI has it)")
-@pytest.mark.parametrize("name", family(BLOCKS, ["reference_trajectory"]))
+@pytest.mark.parametrize("name", family(BLOCKS, ["hand_kinematics"]))
 def test_the_runtime_is_clean_under_sanitizers_and_gcc_warnings(robot: Robot, tmp_path: Path, name: str) -> None:
     """Both interfaces, legal and illegal calls, with address, leak and undefined-behaviour checks."""
     block = BLOCKS[name](robot)

@@ -57,10 +57,24 @@ def test_no_folder_of_the_working_directory_is_executed_by_hil(hostile: Path) ->
     assert (hostile / "freeflyer_out/hil_facility/recording.mcap").is_file()
 
 
+@pytest.mark.slow
 def test_no_folder_of_the_working_directory_is_executed_by_sweep(hostile: Path) -> None:
     (hostile / "two.toml").write_text(SWEEP)
     freeflyer(hostile, "sweep", "./two.toml", "--set", "stop_s=0.1", "--workers", "1")
     assert (hostile / "freeflyer_out/two/results.parquet").is_file()
+
+
+def test_a_sweep_that_a_script_calls_executes_none_either_and_leaves_the_environment_as_it_was(hostile: Path) -> None:
+    (hostile / "two.toml").write_text(SWEEP)
+    code = "import os; from freeflyer.command import call\nif __name__ == '__main__':\n    before = dict(os.environ)\n"
+    code += "    assert call(['sweep', './two.toml', '--set', 'stop_s=0.1', '--workers', '1']) == 0\n"
+    code += "    assert os.environ.get('PYTHONSAFEPATH') is before.get('PYTHONSAFEPATH') is None\n"
+    (hostile / "elsewhere").mkdir()
+    (hostile / "elsewhere" / "script.py").write_text(code)
+    done = subprocess.run(
+        [sys.executable, "elsewhere/script.py"], cwd=hostile, capture_output=True, text=True, check=False, timeout=120
+    )
+    assert done.returncode == 0, done.stderr
 
 
 def test_no_folder_of_the_working_directory_is_executed_by_the_real_time_part_of_reproduce(

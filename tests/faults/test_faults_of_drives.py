@@ -17,22 +17,19 @@ from freeflyer_adapters.facility.virtual_cia402 import VirtualCia402
 BEGIN = 0.1
 
 
-@pytest.mark.parametrize(
-    ("kind", "how", "reason"),
-    family(
-        [
-            ("cut", {}, "cycles? in a row were lost"),
-            ("cut", {"direction": "to_device"}, "EMCY|left Operation enabled|fault|lost"),
-            ("cut", {"direction": "to_controller"}, "cycles? in a row were lost"),
-            ("loss", {"probability": 0.01, "direction": "to_controller"}, None),
-            ("bus_off", {}, "cycles? in a row were lost"),
-            ("hung", {}, "cycles? in a row were lost"),
-            ("dead", {}, "cycles? in a row were lost"),
-            ("device_fault", {}, "left Operation enabled by itself: it is in Fault"),
-        ],
-        3,
-    ),
-)
+FAULTS: list[tuple[str, dict[str, object], str | None]] = [
+    ("cut", {}, "cycles? in a row were lost"),
+    ("cut", {"direction": "to_device"}, "EMCY|left Operation enabled|fault|lost"),
+    ("cut", {"direction": "to_controller"}, "cycles? in a row were lost"),
+    ("loss", {"probability": 0.01, "direction": "to_controller"}, None),
+    ("bus_off", {}, "cycles? in a row were lost"),
+    ("hung", {}, "cycles? in a row were lost"),
+    ("dead", {}, "cycles? in a row were lost"),
+    ("device_fault", {}, "left Operation enabled by itself: it is in Fault"),
+]
+
+
+@pytest.mark.parametrize(("kind", "how", "reason"), family(FAULTS, [FAULTS[0], FAULTS[3], FAULTS[7]]))
 def test_a_fault_of_the_drives_stops_the_loop_and_ends_with_brakes(
     kind: str, how: dict[str, object], reason: str | None
 ) -> None:

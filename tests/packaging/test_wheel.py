@@ -55,7 +55,8 @@ def test_the_sdist_gives_the_same_wheel(wheel: Path, tmp_path: Path) -> None:
     (source,) = (tmp_path / "unpacked").iterdir()
     own = names_in(built("wheel", source, tmp_path / "wheel"))
     assert own == {name for name in names_in(wheel) if "/prebuilt/" not in name}  # a checkout may have compiled files
-    assert {"freeflyer/__init__.pyi", "freeflyer/scenarios/facility.toml", "freeflyer_fmus/c/fmi3.c"} <= own
+    assert {"freeflyer/scenarios/facility.toml", "freeflyer_fmus/c/fmi3.c"} <= own
+    assert {f"{root}/{file}" for root in ROOTS for file in ("__init__.pyi", "py.typed")} <= own
 
 
 def other_wheel(name: str, modules: list[str], folder: Path) -> Path:

@@ -145,7 +145,7 @@ def test_two_instances_in_one_process_do_not_touch_each_other(fmus: Path, name: 
 
 @pytest.mark.parametrize(
     "name",
-    family(["free_flyer", "manipulator_controller", "base_controller", "reference_trajectory"], ["reference_trajectory"]),
+    family(["hand_kinematics", "free_flyer", "manipulator_controller", "base_controller", "reference_trajectory"]),
 )
 @pytest.mark.parametrize("robot_name", family(["gantry", "ur5"]))
 def test_other_robots_go_the_whole_way(robot_name: str, name: str, tmp_path: Path) -> None:

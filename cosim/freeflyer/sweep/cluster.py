@@ -24,6 +24,8 @@ START = 60.0
 ANSWER = 10.0
 """How long a scheduler may take to answer, and to have a worker [s]."""
 PACKAGE = "freeflyer-cosim"
+SAFE_PATH = "PYTHONSAFEPATH"
+"""As `-P` for the processes that Dask and multiprocessing start, also later: none runs a folder of the working directory as a module."""
 CONFIGURATION = {
     # A worker that dies takes its task with it; somebody else repeats it twice before the task is blamed.
     "distributed.scheduler.allowed-failures": 2,
@@ -53,6 +55,8 @@ def _local(workers: int) -> Iterator[Client]:
     """One process a worker and one thread a process, reached on the loopback only. Dask gives them one BLAS thread each."""
     folder = Path(tempfile.mkdtemp(prefix="freeflyer-sweep-"))
     cluster = client = None
+    before = os.environ.get(SAFE_PATH)
+    os.environ[SAFE_PATH] = "1"
     try:
         try:
             with _deaf_to_ctrl_c():
@@ -77,6 +81,9 @@ def _local(workers: int) -> Iterator[Client]:
             if opened is not None:
                 with suppress(Exception):
                     opened.close(timeout=10)
+        os.environ.pop(SAFE_PATH)
+        if before is not None:
+            os.environ[SAFE_PATH] = before
         shutil.rmtree(folder, ignore_errors=True)
 
 
