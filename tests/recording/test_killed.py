@@ -87,9 +87,11 @@ def test_with_both_killed_the_next_start_saves_the_last_seconds_and_nothing_is_l
             if held_up:
                 os.kill(made.recorder, signal.SIGSTOP)
                 made.wait_for_rows(moment(seed) + round(held_up * 1000))
-            for pid in (made.recorder, made.process.pid):
+            recorder = made.recorder
+            for pid in (recorder, made.process.pid):
                 os.kill(pid, signal.SIGKILL)
             made.process.wait()
+            wait_until_gone(recorder)
             stamp = last_stamp(made)
             written = made.ring.written if made.ring else 0
         assert flights(out) == []
@@ -124,9 +126,11 @@ def test_the_command_recovers_a_directory_with_all_that_was_left(
         ring = made.wait_for_rows(400)
         assert command.call(["recover", str(ring.path)]) == 2  # it is somebody's
         assert "is still running" in capsys.readouterr().err
-        for pid in (made.recorder, made.process.pid):
+        recorder = made.recorder
+        for pid in (recorder, made.process.pid):
             os.kill(pid, signal.SIGKILL)
         made.process.wait()
+        wait_until_gone(recorder)
     assert len(list(unfinished(tmp_path))) == 2
     assert command.call(["recover", str(tmp_path)]) == 0
     said = capsys.readouterr().out
