@@ -123,7 +123,7 @@ def call(arguments: Sequence[str]) -> int:
 
 
 class Parser(argparse.ArgumentParser):
-    """Says what is wrong with the arguments in one sentence."""
+    """Reports a mistake in the arguments in one sentence."""
 
     def error(self, message: str) -> NoReturn:
         self.exit(BAD_INPUT, f"freeflyer: {message}; `{self.prog} --help` tells what is expected\n")
