@@ -33,7 +33,8 @@ def find_fmu(name: str, options: Mapping[str, Any], directory: Path) -> Path:
     if fmu.endswith(".fmu"):
         return directory / fmu
     known: list[str] = []
-    for point in plugins("freeflyer.fmus").values():
+    # Ours first: a package of others that is broken does not keep a shipped FMU from being found.
+    for point in sorted(plugins("freeflyer.fmus").values(), key=lambda point: point.name != "default"):
         folder = Path(load(point)()) / f"fmi{version}"
         path = folder / f"{fmu}.fmu"
         if path.is_file():

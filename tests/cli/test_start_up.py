@@ -56,13 +56,13 @@ def test_a_run_loads_what_it_uses(tmp_path: Path) -> None:
     assert loaded & HEAVY == {"fmpy", "numpy", "pyarrow", "rich"}
 
 
-def installed(folder: Path, **commands: str) -> Path:
-    """A package of others with commands, as an installer leaves it."""
+def installed(folder: Path, group: str = "freeflyer.commands", **points: str) -> Path:
+    """A package of others with entry points, as an installer leaves it."""
     about = folder / "other-1.0.dist-info"
     about.mkdir(parents=True)
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: other\nVersion: 1.0\n")
-    lines = [f"{name} = {place}" for name, place in commands.items()]
-    (about / "entry_points.txt").write_text("\n".join(["[freeflyer.commands]", *lines, ""]))
+    lines = [f"{name} = {place}" for name, place in points.items()]
+    (about / "entry_points.txt").write_text("\n".join([f"[{group}]", *lines, ""]))
     (folder / "other.py").write_text(PLUGIN)
     return folder
 
@@ -138,3 +138,10 @@ def test_a_command_that_cannot_be_loaded_spoils_no_other(tmp_path: Path) -> None
 def test_a_package_of_others_does_not_take_the_place_of_our_commands(tmp_path: Path) -> None:
     place = installed(tmp_path, run="other:Hello")
     assert "SCENARIO" in python(called("run", "--help"), place)
+
+
+def test_broken_fmus_of_another_package_do_not_hide_the_shipped_ones(tmp_path: Path) -> None:
+    place = installed(tmp_path, "freeflyer.fmus", aaa="nowhere:directory")
+    run = ["run", "multirate_passive", "--set", "stop_s=0.01", "--out", str(tmp_path / "out")]
+    assert python(called(*run), place).endswith("code 0\n")
+    assert python(called(*run, "--set", 'free_flyer.fmu="none_of_that_name"'), place).endswith("code 2\n")
