@@ -1,4 +1,4 @@
-"""Robots and FMUs that the tests share."""
+"""Robots and FMUs that the tests share, and how tests are shared out to processes."""
 
 from __future__ import annotations
 
@@ -50,9 +50,17 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Groups:
     return Groups(config, log)
 
 
+def cpu(those: int) -> float:
+    usage = resource.getrusage(those)
+    return usage.ru_utime + usage.ru_stime
+
+
+EARLIER = cpu(resource.RUSAGE_CHILDREN)
+"""Of what a shell did before it became this process: `pip install ... && pytest`."""
+
+
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    used = [resource.getrusage(those) for those in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    seconds = sum(usage.ru_utime + usage.ru_stime for usage in used)
+    seconds = cpu(resource.RUSAGE_SELF) + cpu(resource.RUSAGE_CHILDREN) - EARLIER
     terminalreporter.write_line(f"{seconds:.0f} s of CPU, with collection and child processes")
 
 
