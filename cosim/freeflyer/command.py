@@ -154,7 +154,9 @@ def _help(name: str, command: Command) -> str:
 
 
 def _listing(*, with_help: bool) -> Iterator[tuple[str, str]]:
-    """Every subcommand with its line of help, for which those of other packages are loaded; in its place, why one cannot be."""
+    """Yield every subcommand and its line of help. For that line, commands of other packages are loaded; the line of one that cannot
+    be loaded is the reason.
+    """
     others = plugins(GROUP)
     for name in sorted({*COMMANDS, *others}):
         text = ""

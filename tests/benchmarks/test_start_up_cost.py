@@ -63,3 +63,4 @@ def test_time_to_the_first_integration_step(tmp_path: Path) -> None:
     numpy = statistics.median(cpu([sys.executable, "-c", "import numpy"]) for _ in range(ROUNDS))
     first = statistics.median(times)
     print(f"\nfirst integration step after {first:.2f} s of CPU, {first / numpy:.1f} x `import numpy`")
+    assert first < 8.0 * numpy  # gross regressions only

@@ -81,7 +81,7 @@ def _local(workers: int) -> Iterator[Client]:
             if opened is not None:
                 with suppress(Exception):
                     opened.close(timeout=10)
-        os.environ.pop(SAFE_PATH)
+        os.environ.pop(SAFE_PATH, None)
         if before is not None:
             os.environ[SAFE_PATH] = before
         shutil.rmtree(folder, ignore_errors=True)
