@@ -1,4 +1,4 @@
-"""Each test's own place for rings, short enough for the names of sockets, and in memory as in earnest."""
+"""Each test's own place for rings, short enough for the names of sockets, and in memory as in earnest; and clocks that it sets."""
 
 from __future__ import annotations
 
@@ -9,6 +9,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from clocks import Clocks
+
+from freeflyer_adapters import outside
 
 
 @pytest.fixture
@@ -18,3 +21,10 @@ def runtime(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(path))
     yield path
     shutil.rmtree(path, ignore_errors=True)
+
+
+@pytest.fixture
+def clocks() -> Iterator[Clocks]:
+    made = Clocks()
+    with outside.within(made):
+        yield made

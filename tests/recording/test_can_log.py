@@ -17,6 +17,7 @@ from freeflyer_adapters.local_can import LocalBus
 from freeflyer_adapters.recording.can_log import FORMATS, CanLog
 from freeflyer_adapters.recording.run_head import CanChannel
 from freeflyer_adapters.recording.tap import can_channels
+from freeflyer_adapters.recording.wall_clock import WallClock
 
 FRAMES = 200
 READERS: dict[str, Callable[[Path], Any]] = {"blf": can.BLFReader, "asc": lambda path: can.ASCReader(path, base="hex")}
@@ -39,7 +40,7 @@ def sent(i: int) -> can.Message:
 @pytest.mark.parametrize("killed", [False, True], ids=["closed", "killed"])
 def test_a_log_has_every_frame_in_order(form: str, killed: bool, tmp_path: Path, runtime: Path) -> None:
     path, copy = tmp_path / f"can.{form}", tmp_path / f"copy.{form}"
-    log = CanLog(channel("log"), path)
+    log = CanLog(channel("log"), path, WallClock.start())
     with LocalBus("log", fd=True) as node:
         for first in range(0, FRAMES, 50):
             for i in range(first, first + 50):
@@ -59,7 +60,7 @@ def test_a_log_has_every_frame_in_order(form: str, killed: bool, tmp_path: Path,
 
 def test_the_times_of_a_killed_log_are_those_of_the_frames(tmp_path: Path, runtime: Path) -> None:
     path = tmp_path / "can.blf"
-    log = CanLog(channel("times"), path)
+    log = CanLog(channel("times"), path, WallClock.start())
     moments = []
     with LocalBus("times", fd=True) as node:
         for i in range(50):

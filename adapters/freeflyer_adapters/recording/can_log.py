@@ -9,7 +9,9 @@ import can
 from can.io.blf import FILE_HEADER_SIZE
 
 from freeflyer_adapters.arm.link import open_bus
+from freeflyer_adapters.recording.frame_times import STAMPED_BY_THE_WALL_CLOCK, FrameTimes
 from freeflyer_adapters.recording.run_head import CanChannel
+from freeflyer_adapters.recording.wall_clock import WallClock
 
 FORMATS = ("blf", "asc")
 COMPRESSION = 1
@@ -36,9 +38,13 @@ class WholeBlfWriter(can.BLFWriter):
 class CanLog:
     """One channel's log. Raises OSError of the file, DeviceError if the bus cannot be opened."""
 
-    def __init__(self, channel: CanChannel, path: Path) -> None:
+    def __init__(self, channel: CanChannel, path: Path, clock: WallClock | None = None) -> None:
+        """Without `clock`, times are the interface's own in any case."""
         self.path = path
         self.frames = 0
+        self._times: FrameTimes | None = None
+        if clock is not None and channel.interface in STAMPED_BY_THE_WALL_CLOCK:
+            self._times = FrameTimes(clock)
         self._bus = open_bus(channel.interface, channel.channel, channel.is_fd, [], channel.bus)
         try:
             self._writer: Any
@@ -55,17 +61,17 @@ class CanLog:
 
     def take(self) -> None:
         """Everything that has come; then to the system, where it outlives this process."""
-        came = False
-        for _ in range(MOST):
-            message = self._received()
-            if message is None:
-                break
+        frames: list[can.Message] = []
+        while len(frames) < MOST and (frame := self._received()) is not None:
+            frames.append(frame)
+        if self._times is not None:
+            frames = self._times.put_right(frames, is_all=len(frames) < MOST)
+        for frame in frames:
             # Every format counts channels from one and takes a number only.
-            message.channel = 0
-            self._writer.on_message_received(message)
+            frame.channel = 0
+            self._writer.on_message_received(frame)
             self.frames += 1
-            came = True
-        if came:
+        if frames:
             self._save()
 
     def _received(self) -> can.Message | None:

@@ -67,7 +67,7 @@ class Layout:
         return len(self._template)
 
     def bytes_of(self, rows: Rows) -> list[bytes]:
-        """One message for each row, stamped with the row's wall clock."""
+        """One message for each row, stamped with the row's wall time."""
         block = np.tile(np.frombuffer(bytes(self._template), dtype=np.uint8), (len(rows), 1))
         stamps = np.stack(np.divmod(rows.times[:, 0], 1_000_000_000), axis=1).astype("<i4")
         block[:, 4:12].view("<i4")[...] = stamps

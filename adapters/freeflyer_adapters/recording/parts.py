@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import re
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import BinaryIO
 
@@ -114,7 +114,7 @@ def started(path: Path) -> str | None:
     return None
 
 
-def save_rest(ring: RingReader, recorder: str) -> Path | None:
+def save_rest(ring: RingReader, recorder: str, clock_steps: Sequence[str] = ()) -> Path | None:
     """What a ring has and the recording has not, as a further part; None if nothing is missing, or nothing was to be recorded.
 
     OutputError if it cannot be written.
@@ -141,7 +141,7 @@ def save_rest(ring: RingReader, recorder: str) -> Path | None:
         for i in np.flatnonzero([bool(names) and names != every for names in absent]):
             file.add(rows.where(np.arange(len(rows)) == i), absent[i])  # an instant in the middle of which a chunk ended
         file.add(rows.where(whole))
-        file.finish(stop_of(ring, recorder))
+        file.finish(stop_of(ring, recorder, clock_steps))
 
     if len(ours) == len(there):
         return save(part(directory, number_of(there[-1]) + 1 if there else 1), write)
@@ -154,7 +154,7 @@ def number_of(path: Path) -> int:
 
 
 def _recorded(paths: list[Path], times: set[int], tail: int) -> dict[int, set[str]]:
-    """Which topics the ends of some parts have at these times [ns of the wall clock]."""
+    """Which topics the ends of some parts have at these times [ns since the epoch]."""
     found: dict[int, set[str]] = defaultdict(set)
     for path in paths:
         with path.open("rb") as file:

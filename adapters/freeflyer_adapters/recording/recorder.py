@@ -22,8 +22,9 @@ from freeflyer_adapters import pacing
 from freeflyer_adapters.device import DeviceError
 from freeflyer_adapters.recording.can_log import CanLog
 from freeflyer_adapters.recording.parts import PartedRecording
-from freeflyer_adapters.recording.recording_file import save_flight, stop_of
+from freeflyer_adapters.recording.recording_file import FLIGHT, save_flight, stop_of
 from freeflyer_adapters.recording.ring import RingReader
+from freeflyer_adapters.recording.wall_clock import WallClock
 
 PERIOD = 0.05
 """Between two looks at the ring [s]."""
@@ -38,7 +39,9 @@ GOODBYE = b"."
 
 @dataclass(kw_only=True)
 class Written:
-    """What a recorder leaves behind. `missing`: sentences about what could not be written. `recording`: its parts."""
+    """What a recorder leaves behind. `missing`: sentences about what could not be written. `recording`: its parts. `clock_steps`:
+    sentences about steps of this machine's wall clock.
+    """
 
     recording: list[str] = field(default_factory=list)
     can: list[str] = field(default_factory=list)
@@ -46,6 +49,7 @@ class Written:
     rows: int = 0
     rows_lost: int = 0
     missing: list[str] = field(default_factory=list)
+    clock_steps: list[str] = field(default_factory=list)
 
 
 class Recorder:
@@ -55,6 +59,8 @@ class Recorder:
         self.ring, self._complain = ring, complain
         self.written = Written()
         self._directory = Path(ring.head.directory)
+        offset = ring.head.clock_offset
+        self._clock = None if offset is None else WallClock(offset, ring.head.started)
         self._file: PartedRecording | None = None
         self._logs: list[CanLog] = []
         if not ring.head.records:
@@ -67,7 +73,7 @@ class Recorder:
         for channel in ring.head.can:
             name = f"can_{channel.name}" if several else "can"
             with self._watched(f"the log of CAN channel {channel.channel}"):
-                self._logs.append(CanLog(channel, self._directory / f"{name}.{ring.head.can_format}"))
+                self._logs.append(CanLog(channel, self._directory / f"{name}.{ring.head.can_format}", self._clock))
 
     @contextlib.contextmanager
     def _watched(self, subject: str) -> Iterator[None]:
@@ -82,6 +88,7 @@ class Recorder:
     def step(self) -> None:
         """What has come since the last look."""
         self._take_frames()  # first: their buffers are the smaller ones
+        self._look_at_the_clock()
         behind = True
         while behind:
             rows = self.ring.take(BATCH)
@@ -97,6 +104,14 @@ class Recorder:
             self.written.rows += len(rows)
         self._take_frames()
         self.written.rows_lost = self.ring.lost
+
+    def _look_at_the_clock(self) -> None:
+        if self._clock is None:
+            return
+        step = self._clock.look()
+        if step is not None:
+            self.written.clock_steps.append(step)
+            self._complain(step)
 
     def _take_frames(self) -> None:
         logs, self._logs = self._logs, []
@@ -115,13 +130,13 @@ class Recorder:
         self.step()
         if self._file is not None:
             with self._watched("the recording"):
-                self._file.finish(stop_of(self.ring, "the recorder"))
+                self._file.finish(stop_of(self.ring, "the recorder", self.written.clock_steps))
         for log in self._logs:
             with self._watched(f"CAN log {log.path.name}"):
                 log.close()
                 self.written.can.append(str(log.path))
         with self._watched("the flight recording"):
-            flight = save_flight(self.ring, "the recorder")
+            flight = save_flight(self.ring, "the recorder", FLIGHT, self.written.clock_steps)
             self.written.flight = None if flight is None else str(flight)
         return self.written
 

@@ -32,6 +32,8 @@ RECORDING, FLIGHT = "recording.mcap", "flight_recording.mcap"
 RUN, STOP = "freeflyer.run", "freeflyer.stop"
 """Metadata of a file: what was run, from the begin on; why and how it stopped, at the end."""
 STARTED = "started_ns"
+CLOCK_STEPS = "clock steps"
+"""Of the metadata at the end, if there were any: a line for each."""
 ORIGIN = "origin.json"
 MESSAGE_OVERHEAD = 31
 """Bytes of a message's record beside its data."""
@@ -76,7 +78,7 @@ class RecordingFile:
         self._again = max(1, round(DEFINITIONS_EVERY * 1e9 / head.tick))
 
     def add(self, rows: Rows, only: Collection[str] | None = None) -> None:
-        """Every row's messages, or those of some topics, with the row's wall clock for their time."""
+        """Every row's messages, or those of some topics, with the row's wall time for theirs."""
         if not len(rows):
             return
         if self._number // self._again > self._repeated:
@@ -111,16 +113,18 @@ def chosen(head: RunHead) -> list[Signal]:
     return [signal for signal in head.signals if signal.name in head.chosen]
 
 
-def stop_of(ring: RingReader, recorder: str) -> dict[str, str]:
-    return {
+def stop_of(ring: RingReader, recorder: str, clock_steps: Sequence[str] = ()) -> dict[str, str]:
+    """`clock_steps`: sentences about steps of the wall clock during the run."""
+    stop = {
         "reason": ring.reason or SILENT,
         "rows written by the loop": str(ring.written),
         "rows lost by the recorder": str(ring.lost),
         "written by": recorder,
     }
+    return {**stop, CLOCK_STEPS: "\n".join(clock_steps)} if clock_steps else stop
 
 
-def save_flight(ring: RingReader, recorder: str, name: str = FLIGHT) -> Path | None:
+def save_flight(ring: RingReader, recorder: str, name: str = FLIGHT, clock_steps: Sequence[str] = ()) -> Path | None:
     """The last seconds before the stop, every signal at every instant; None if there was no instant.
 
     Where the run's directory cannot be written, a private one under the temporary directory takes it. OutputError if that cannot
@@ -129,14 +133,19 @@ def save_flight(ring: RingReader, recorder: str, name: str = FLIGHT) -> Path | N
     rows = ring.last(FLIGHT_SECONDS)
     if not len(rows):
         return None
-    return save(Path(ring.head.directory) / name, lambda stream: write_rows(stream, ring, rows, ring.head.signals, recorder))
+    return save(
+        Path(ring.head.directory) / name,
+        lambda stream: write_rows(stream, ring, rows, ring.head.signals, recorder, clock_steps),
+    )
 
 
-def write_rows(stream: BinaryIO, ring: RingReader, rows: Rows, signals: Sequence[Signal], recorder: str) -> None:
+def write_rows(
+    stream: BinaryIO, ring: RingReader, rows: Rows, signals: Sequence[Signal], recorder: str, clock_steps: Sequence[str] = ()
+) -> None:
     """A whole file of rows that a ring has."""
     file = RecordingFile(stream, ring.head, signals, FLIGHT_SECONDS / 4)
     file.add(rows)
-    file.finish(stop_of(ring, recorder))
+    file.finish(stop_of(ring, recorder, clock_steps))
 
 
 def save(path: Path, write: Callable[[BinaryIO], object]) -> Path:

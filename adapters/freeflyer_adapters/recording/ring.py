@@ -1,9 +1,11 @@
 """The last seconds of a loop in memory that outlives it: one row for every instant, in a file of the user's runtime directory or /dev/shm.
 
 The loop only copies numbers; there is no lock, no system call and nothing that grows. The file is a page with the numbers below, the
-run's head as JSON, and the rows. A row is [number + 1, wall clock (ns), monotonic clock (ns), instant k], the values, and once more
+run's head as JSON, and the rows. A row is [number + 1, wall time (ns), monotonic clock (ns), instant k], the values, and once more
 number + 1: zero while the row is being written, so that nobody takes a torn one. (Stores are seen in order on x86; on other
-processors the second number narrows the gap but does not close it.)
+processors the second number narrows the gap but does not close it.) The wall time is the monotonic clock and one
+offset, the head's `clock_offset` if it has one, so that it does not jump when the wall clock is set; in rings of earlier versions it is
+the wall clock of that moment.
 
 Everybody who works on a ring holds a shared lock on its file, which goes with its process, however that ends: a ring whose lock is
 free has been left behind.
@@ -28,6 +30,7 @@ from freeflyer.component import Array
 from freeflyer.errors import RecordError
 from freeflyer_adapters import outside, private_directory
 from freeflyer_adapters.recording.run_head import RunHead
+from freeflyer_adapters.recording.wall_clock import offset_of
 
 MAGIC = b"FFRING1\n"
 FIXED = struct.Struct("<8sQQQQ")
@@ -47,7 +50,7 @@ MOST_WRITTEN = 2**60
 
 @dataclass(frozen=True)
 class Rows:
-    """`times` (rows, 3): wall clock, monotonic clock [ns], instant; `values` (rows, width)."""
+    """`times` (rows, 3): wall time, monotonic clock [ns], instant; `values` (rows, width)."""
 
     times: NDArray[np.int64]
     values: Array
@@ -110,6 +113,7 @@ class RingWriter:
         self._written = np.frombuffer(self._memory, dtype="<u8", count=1, offset=WRITTEN_AT)
         self._count = 0
         self._outside = outside.present()
+        self._offset = offset_of(self._outside) if head.clock_offset is None else head.clock_offset
         # The magic last: a file without it is no ring yet.
         self._memory[: FIXED.size] = FIXED.pack(MAGIC, self.rows, self.width, len(text), first)
 
@@ -118,8 +122,8 @@ class RingWriter:
         count = self._count
         row = self._words[count % self.rows]
         row[0] = row[-1] = 0
-        row[1] = self._outside.time_ns()
-        row[2] = self._outside.monotonic_ns()
+        row[2] = now = self._outside.monotonic_ns()
+        row[1] = now + self._offset
         row[3] = k
         self._values[count % self.rows] = line
         self._count = count = count + 1

@@ -48,6 +48,8 @@ class RunHead:
     """Whether the whole run is recorded, or its last seconds only."""
     can: Sequence[CanChannel] = ()
     can_format: str = "blf"
+    clock_offset: int | None = None
+    """Wall clock minus monotonic clock at the start [ns]; None where the recorder has other clocks, and in rings of earlier versions."""
 
     @property
     def width(self) -> int:
@@ -78,6 +80,8 @@ class RunHead:
             if not all(isinstance(text, str) for text in texts) or not isinstance(head.origin, dict):
                 raise ValueError("a text is none")
             if type(head.tick) is not int or head.tick <= 0 or type(head.started) is not int or not 0 < head.width <= WIDEST:
+                raise ValueError("its numbers do not fit")
+            if head.clock_offset is not None and type(head.clock_offset) is not int:
                 raise ValueError("its numbers do not fit")
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
             raise RecordError(f"the head of a ring does not say what is in it: {error}") from error

@@ -22,15 +22,15 @@ from freeflyer.master import Master
 from freeflyer.parameters import Values
 from freeflyer.record import Signal
 from freeflyer.scenario import Scenario
-from freeflyer_adapters import outside
 from freeflyer_adapters.device import Device
 from freeflyer_adapters.live_view import STATE
 from freeflyer_adapters.recording.parts import parts, save_rest
 from freeflyer_adapters.recording.recorder import GOODBYE, READY, Written
-from freeflyer_adapters.recording.recording_file import save_flight
+from freeflyer_adapters.recording.recording_file import FLIGHT, save_flight
 from freeflyer_adapters.recording.rescue import set_aside
 from freeflyer_adapters.recording.ring import RingReader, RingWriter
 from freeflyer_adapters.recording.run_head import CanChannel, RunHead
+from freeflyer_adapters.recording.wall_clock import WallClock
 
 COUNTERS_EVERY = 10
 """Instants between two looks at the devices' counters; their states are looked at in every one."""
@@ -84,11 +84,13 @@ class Tap:
         states = [f"{device.name}{STATE}" for device in devices]
         self._counters = [(device, tuple(device.report())) for device in devices]
         counts = [f"{device.name}: {name.replace('_', ' ')}" for device, names in self._counters for name in names]
+        self._clock = WallClock.start()
         head = RunHead(
             scenario=scenario.name,
             title=scenario.title,
             tick=master.schedule.tick,
-            started=outside.present().time_ns(),
+            started=self._clock.started,
+            clock_offset=self._clock.offset if self._clock.is_the_machines else None,
             directory=str(wanted.directory.absolute()),
             signals=signals,
             chosen=frozenset(master.record.signals),
@@ -160,20 +162,21 @@ class Tap:
                 self._states[i] = device.state.now
             self._ring.write(k, self._line)
         self._ring.say_reason(reason)
-        written = self._written()
+        # The recorder names steps with their moments; the difference of start and end is for one that has died, or has other clocks.
+        written = self._written(self._clock.whole_step())
         self._ring.close()
         return {**asdict(written), "missing": [*self._missing, *written.missing]}
 
     def _add_rest(self, reader: RingReader, written: Written) -> None:
         try:
-            save_rest(reader, "the loop, without its recorder")
+            save_rest(reader, "the loop, without its recorder", written.clock_steps)
             if reader.head.records and self._directory.is_dir():
                 written.recording = [str(path) for path in parts(self._directory)]
         except (OSError, CosimError) as error:
             written.missing.append(f"what the ring had of the recording's end is not written: {error}")
 
-    def _written(self) -> Written:
-        """By the recorder; what it has not done is done here."""
+    def _written(self, clock_steps: list[str]) -> Written:
+        """By the recorder; what it has not done is done here, and `clock_steps` stand for what it has not named."""
         said = b""
         why = "the recorder did not live to the end; `freeflyer recover` makes its files whole"
         if self._recorder is not None:
@@ -187,11 +190,12 @@ class Tap:
             written = Written(**json.loads(said))
         except (ValueError, TypeError):
             written = Written(missing=[why])
+        written.clock_steps = written.clock_steps or clock_steps
         if written.flight is not None or self._ring.last_instant < 0:
             return written
         try:
             with closing(RingReader(self._ring.path)) as reader:
-                flight = save_flight(reader, "the loop, without its recorder")
+                flight = save_flight(reader, "the loop, without its recorder", FLIGHT, written.clock_steps)
                 written.flight = None if flight is None else str(flight)
                 if self._recorder is None or self._recorder.poll() is not None:
                     self._add_rest(reader, written)

@@ -1,0 +1,167 @@
+"""The CAN log's times when the wall clock, which stamps the frames, is set: those of the recording beside it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from clocks import MONOTONIC, Clocks, run_head
+from hypothesis import given
+from hypothesis import strategies as st
+from loops import START, TICK
+from test_can_log import READERS
+
+from freeflyer_adapters import outside
+from freeflyer_adapters.recording.can_log import FORMATS, CanLog
+from freeflyer_adapters.recording.frame_times import FOLLOWED
+from freeflyer_adapters.recording.recorder import Recorder
+from freeflyer_adapters.recording.ring import RingReader, RingWriter
+from freeflyer_adapters.recording.run_head import CanChannel
+from freeflyer_adapters.recording.wall_clock import WallClock
+
+SECOND = 1_000_000_000
+LOOK = 50
+"""Instants between two looks of the recorder."""
+
+
+def channel(interface: str) -> CanChannel:
+    return CanChannel(name="arm", interface=interface, channel="can0", is_fd=False)
+
+
+def log_of(path: Path, interface: str = "socketcan") -> CanLog:
+    return CanLog(channel(interface), path, WallClock(START - MONOTONIC, START))
+
+
+def times(path: Path) -> list[float]:
+    return [frame.timestamp for frame in READERS[path.suffix[1:]](path)]
+
+
+def logged(clocks: Clocks, log: CanLog, steps: dict[int, int], count: int = 400) -> list[float]:
+    """A frame each instant, the clock set by `steps[k]` [ns] before instant k; their true times [s]."""
+    true = []
+    for k in range(count):
+        clocks.set_by += steps.get(k, 0)
+        true.append(clocks.come(k))
+        clocks.passed += TICK
+        if k % LOOK == LOOK - 1:
+            log.take()
+    log.take()
+    log.close()
+    return true
+
+
+@pytest.mark.parametrize("form", FORMATS)
+@pytest.mark.parametrize("step", [-SECOND, SECOND, -20_000_000, 20_000_000, -3600 * SECOND])
+def test_frames_have_the_times_of_a_clock_that_was_not_set(step: int, form: str, tmp_path: Path, clocks: Clocks) -> None:
+    path = tmp_path / f"can.{form}"
+    true = logged(clocks, log_of(path), {220: step})
+    found = times(path)
+    assert found == sorted(found)
+    since_the_first = [time - found[0] for time in found]
+    assert since_the_first == pytest.approx([time - true[0] for time in true], abs=2e-6)
+    if form == "blf":
+        assert found == pytest.approx(true, abs=2e-6)
+
+
+def test_the_recorders_log_has_the_times_of_its_rows(tmp_path: Path, runtime: Path, clocks: Clocks) -> None:
+    ring = RingWriter(run_head(tmp_path, [channel("socketcan")]))
+    recorder = Recorder(RingReader(ring.path), print)
+    for k in range(200):
+        clocks.set_by = -SECOND if k >= 120 else 0
+        clocks.come(k)
+        clocks.passed += TICK
+        if k % LOOK == LOOK - 1:
+            recorder.step()
+    written = recorder.finish()
+    ring.close()
+    (path,) = written.can
+    assert times(Path(path)) == pytest.approx([(START + k * TICK) * 1e-9 for k in range(200)], abs=2e-6)
+    assert len(written.clock_steps) == 1
+
+
+@pytest.mark.parametrize("step", [-20_000_000, -30 * SECOND])
+def test_a_clock_that_was_set_before_the_log_was_opened_is_seen(step: int, tmp_path: Path, clocks: Clocks) -> None:
+    clocks.passed, clocks.set_by = SECOND, step
+    path = tmp_path / "can.blf"
+    log = log_of(path)
+    clocks.passed += 40 * TICK
+    assert logged(clocks, log, {}) == pytest.approx(times(path), abs=2e-6)
+
+
+@pytest.mark.parametrize("step", [-5 * SECOND, 5 * SECOND])
+def test_a_clock_that_is_set_and_set_right_between_two_looks_puts_frames_wrong_by_a_look_at_most(
+    step: int, tmp_path: Path, clocks: Clocks
+) -> None:
+    path = tmp_path / "can.blf"
+    true = logged(clocks, log_of(path), {220: step, 230: -step})
+    found = times(path)
+    assert found == sorted(found)
+    assert found == pytest.approx(true, abs=LOOK * TICK * 1e-9)
+
+
+def test_differences_of_a_millisecond_leave_the_stamps_as_they_are(tmp_path: Path, clocks: Clocks) -> None:
+    path = tmp_path / "can.blf"
+    true = logged(clocks, log_of(path), {220: 1_000_000})
+    late = [time - expected for time, expected in zip(times(path), true, strict=True)]
+    assert late == pytest.approx([0.0] * 220 + [1e-3] * 180, abs=2e-6)
+
+
+def test_a_wall_clock_that_drifts_is_followed(tmp_path: Path, clocks: Clocks) -> None:
+    path = tmp_path / "can.blf"
+    true = logged(clocks, log_of(path), dict.fromkeys(range(400), -100000))
+    found = times(path)
+    assert found == sorted(found)
+    assert found == pytest.approx(true, abs=(FOLLOWED + LOOK * 100_000) * 1e-9 + 2e-6)
+
+
+def test_stamps_of_other_interfaces_are_left_alone(tmp_path: Path, clocks: Clocks) -> None:
+    path = tmp_path / "can.blf"
+    true = logged(clocks, log_of(path, "pcan"), {220: SECOND})
+    expected = [time + (1.0 if k >= 220 else 0.0) for k, time in enumerate(true)]
+    assert times(path) == pytest.approx(expected, abs=2e-6)
+
+
+@pytest.mark.parametrize("step", [-SECOND, SECOND])
+def test_a_frame_between_the_last_look_at_the_bus_and_the_one_at_the_clock_keeps_its_time(
+    step: int, tmp_path: Path, clocks: Clocks
+) -> None:
+    path = tmp_path / "can.blf"
+    log = log_of(path)
+    frame, late = clocks.come(), clocks.waiting.pop()
+    clocks.passed += TICK
+    clocks.set_by = step
+    log.take()
+    clocks.waiting.append(late)
+    clocks.passed += LOOK * TICK
+    log.take()
+    log.close()
+    assert times(path) == pytest.approx([frame], abs=2e-6)
+
+
+def test_frames_of_several_senders_are_in_the_order_of_their_times(tmp_path: Path, clocks: Clocks) -> None:
+    """A held-up recorder takes them in turn, one that sends rarely long before its time."""
+    path = tmp_path / "can.blf"
+    log = log_of(path)
+    clocks.passed = 100 * SECOND
+    true = []
+    for k in range(100):
+        true += [clocks.come(k, late=(200 - k) * TICK), clocks.come(k, late=(200 - 2 * k) * TICK)]
+    log.take()
+    log.close()
+    assert times(path) == pytest.approx(sorted(true), abs=2e-6)
+
+
+@given(
+    steps=st.dictionaries(st.integers(0, 7), st.tuples(st.integers(0, LOOK - 1), st.integers(-5 * SECOND, 5 * SECOND)), max_size=8)
+)  # fmt: skip
+def test_whatever_is_set_once_a_look_frames_are_in_order_and_nearly_at_their_times(
+    steps: dict[int, tuple[int, int]], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    path = tmp_path_factory.mktemp("log") / "can.blf"
+    clocks = Clocks()
+    with outside.within(clocks):
+        by_instant = {LOOK * look + k: step for look, (k, step) in steps.items()}
+        true = logged(clocks, log_of(path), by_instant)
+    found = times(path)
+    assert found == sorted(found)
+    assert found == pytest.approx(true, abs=2.5 * FOLLOWED * 1e-9)
