@@ -24,9 +24,11 @@ from freeflyer_adapters.base.notices import notices
 from freeflyer_adapters.facility import settings as facility_settings
 from freeflyer_adapters.facility.accelerated import accelerated
 from freeflyer_adapters.facility.server import Facility
+from freeflyer_adapters.graded_stop import NOTHING_ACTIVE
 from freeflyer_adapters.recording.can_log import FORMATS
 from freeflyer_adapters.recording.rescue import rescue
 from freeflyer_adapters.recording.tap import Recording
+from freeflyer_adapters.stop_notice import StopNotice, check_log_to
 
 AFTERWARDS = 1.0
 """[s] of virtual time in which the devices come to rest after the controllers have gone."""
@@ -62,11 +64,18 @@ class HilCommand:
             default=True,
             help="recording.mcap and the CAN log (default: yes); flight_recording.mcap, the last 2 s, is written in any case",
         )
+        parser.add_argument(
+            "--log-to",
+            metavar="LOG",
+            help="the reason of the stop to the system log, too: syslog (that is /dev/log), syslog:PATH or syslog:HOST:PORT",
+        )
         parser.add_argument("--can-log", choices=FORMATS, default=FORMATS[0], help=f"format of it (default: {FORMATS[0]})")
 
     def execute(self, arguments: argparse.Namespace, console: Console) -> int:
         chosen = scenario.load(arguments.scenario, arguments.overrides)
-        facility_settings.read(chosen.facility)  # its mistakes are told on both sides
+        chosen = facility_settings.with_watchdogs(chosen)
+        if arguments.log_to is not None:
+            check_log_to(arguments.log_to)
         if arguments.check:
             return _check(chosen, arguments, console)
         directory = arguments.out or Path("freeflyer_out") / f"hil_{chosen.name}"
@@ -84,7 +93,8 @@ class HilCommand:
         recording = Recording(
             directory=directory, everything=arguments.record, can=not arguments.accelerated, can_format=arguments.can_log
         )
-        with _facility_beside(chosen, arguments, say):
+        stop = StopNotice(directory=directory, log_to=arguments.log_to, scenario=chosen.name, say=say)
+        with closing(stop), _facility_beside(chosen, arguments, say), _reason_kept(stop):
             result, report = hil.run(
                 chosen,
                 real_time=arguments.real_time and not arguments.accelerated,
@@ -92,15 +102,17 @@ class HilCommand:
                 view=view and not arguments.accelerated,
                 fmi=arguments.fmi,
                 recording=recording,
+                notice=stop,
                 say=say,
             )
+        for problem in stop.problems:
+            say(problem)
         experiment.write(result, directory)
         console.print(result_table(result))
         console.print(times_table(report.times))
         console.print(counts_table(report.devices))
-        console.print(f"Stop: {report.stop}", soft_wrap=True)
-        console.print(f"Results in {directory}: record.parquet, summary.json", soft_wrap=True)
-        for sentence in recording_told(report.recording or {}):
+        console.print(f"Results in {directory}: record.parquet, summary.json, stop.json", soft_wrap=True)
+        for sentence in (*report.remarks, *recording_told(report.recording or {})):
             console.print(sentence, soft_wrap=True)
         return verdict(result)
 
@@ -155,6 +167,8 @@ def _check(chosen: Scenario, arguments: argparse.Namespace, console: Console) ->
             units = list(dict.fromkeys(unit or "" for unit in looked.units[variable]))
             table.add_row(variable.replace("_", " "), ", ".join(units), "  ".join(f"{value:.5g}" for value in values))
         console.print(table)
+    for sentence in hil.limitations({name: looked.cannot_refuse for name, looked in found.items()}):
+        console.print(sentence, soft_wrap=True)
     refusals = [looked.refusal for looked in found.values() if looked.refusal]
     for refusal in refusals:
         complain(refusal, BAD_INPUT)
@@ -162,6 +176,17 @@ def _check(chosen: Scenario, arguments: argparse.Namespace, console: Console) ->
         return BAD_INPUT
     console.print("Every device answers as the scenario expects, and could be activated. Nothing was.", soft_wrap=True)
     return DONE
+
+
+@contextmanager
+def _reason_kept(stop: StopNotice) -> Iterator[None]:
+    """What ends a run before its devices are prepared is a reason, too; the command prints it."""
+    try:
+        yield
+    except BaseException as error:
+        reason = hil.INTERRUPTED if isinstance(error, KeyboardInterrupt) else str(error) or repr(error)
+        stop.give(reason, NOTHING_ACTIVE, orderly=isinstance(error, KeyboardInterrupt), quiet=True)
+        raise
 
 
 @contextmanager
@@ -206,7 +231,7 @@ def recording_told(recording: Mapping[str, Any]) -> list[str]:
     said = [f"Recorded: {', '.join(path for path in paths if path)}"] if any(paths) else []
     if recording.get("rows_lost"):
         said.append(f"The recorder was held up: {recording['rows_lost']} instants are missing in the recording")
-    return [*said, *(f"Missing: {sentence}" for sentence in recording.get("missing", ()))]
+    return [*said, *recording.get("clock_steps", ()), *(f"Missing: {sentence}" for sentence in recording.get("missing", ()))]
 
 
 def times_table(times: Mapping[str, Mapping[str, float]]) -> Table:

@@ -1,13 +1,14 @@
 """What simulated, virtual and real devices have in common: their life cycle, their calls, and how they fail.
 
-Calls come in this order: `configure`, `check_start`, `activate`, then `read` and `write` in turn once a cycle, at last `deactivate`; `on_error`
-may come at any time and leaves the device in safe stop or fault. The states and what leads from one to another are those of
+Calls come in this order: `configure`, `check_start`, `prepare`, `activate`, then `read` and `write` in turn once a cycle, then `revoke` and
+`ramp_down`, at last `deactivate`; `on_error` may come at any time and leaves the device in safe stop or fault. Up to `check_start`, which is
+where `--check` ends, nothing is sent that changes the device. The states and what leads from one to another are those of
 `TRANSITIONS`; both ends of a link (the host's device and the device itself) keep to them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from enum import IntEnum
 from typing import Protocol
 
@@ -82,6 +83,18 @@ class Device(Protocol):
     def step(self) -> float:
         """How often `read` and `write` are called [s]."""
 
+    @property
+    def may_have_power(self) -> bool:
+        """Whether anything was sent that may have given the device power, also where its activation was given up half-way."""
+
+    @property
+    def cannot_refuse(self) -> Sequence[str]:
+        """What the device itself cannot refuse or report, a sentence for each; known once it is configured."""
+
+    @property
+    def remarks(self) -> Sequence[str]:
+        """After a run: what else the operator should know of it, a sentence for each."""
+
     def configure(self) -> None:
         """Open the link, compare the device with what the scenario expects, read the first measurement.
 
@@ -90,6 +103,12 @@ class Device(Protocol):
 
     def check_start(self) -> None:
         """Whether the device may be activated now; asked of every device before any is. DeviceError, with both numbers."""
+
+    def prepare(self) -> None:
+        """The first half of an activation, of every device before any is active: whatever changes the device but gives no power.
+
+        DeviceError if that cannot be done.
+        """
 
     def stay(self) -> None:
         """Called in every cycle while another device takes its time to become active."""
@@ -105,6 +124,9 @@ class Device(Protocol):
 
     def write(self) -> None:
         """Send the commands, within their limits; SafeStop if they must not be sent."""
+
+    def revoke(self, reason: str) -> None:
+        """The loop has a reason to stop: from now on only what lowers is sent. Nothing gives this activation's power back."""
 
     def ramp_down(self, elapsed: float) -> bool:
         """One cycle of the graded stop, `elapsed` [s] after its begin; True once there is nothing left to do for it."""

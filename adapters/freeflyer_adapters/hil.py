@@ -7,7 +7,7 @@ ramp-down under the arm's own clock, then brakes. The arm's state frame is the c
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext, suppress
+from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,26 +16,23 @@ from freeflyer import metrics
 from freeflyer.assemble import assembled, make
 from freeflyer.clock import seconds
 from freeflyer.component import Array
-from freeflyer.errors import CosimError, StepFailed
+from freeflyer.errors import StepFailed
 from freeflyer.experiment import Result, origin
 from freeflyer.graph import Connection, split
-from freeflyer.interrupts import interrupts
-from freeflyer.master import Master, Outcome, told
+from freeflyer.interrupts import interrupts, no_interrupts
+from freeflyer.master import InstantHook, Master, Outcome
 from freeflyer.parameters import Values, current
 from freeflyer.scenario import ComponentSpec, Measure, Scenario
-from freeflyer_adapters import outside, pacing
-from freeflyer_adapters.device import SIMULATED, Device, DeviceError, LifeCycle, SafeStop
+from freeflyer_adapters import activation, pacing
+from freeflyer_adapters.device import SIMULATED, Device, DeviceError
 from freeflyer_adapters.device_component import DeviceComponent
-from freeflyer_adapters.histogram import Histogram
-from freeflyer_adapters.live_view import STATE, LiveValues
-from freeflyer_adapters.pacing import Pacer
+from freeflyer_adapters.graded_stop import NOTHING_ACTIVE, stop
+from freeflyer_adapters.live_view import LiveValues
+from freeflyer_adapters.loop_hooks import CommandWriting, Observation, Pacing
 from freeflyer_adapters.recording.tap import Recording, Tap
+from freeflyer_adapters.stop_notice import StopNotice
 
-INTERRUPTED = "interrupted by the user"
-LONGEST_STOP = 5.0
-"""After so long [s] the graded stop is given up, and the devices are left to their own watchdogs."""
-VIEW_EVERY = 100
-"""Instants between two sets of numbers for the live view."""
+INTERRUPTED, FINISHED = "interrupted by the user", "the scenario is over"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,6 +44,8 @@ class LoopReport:
     devices: Mapping[str, Mapping[str, float]]
     stop: str
     """Why the loop ended, and how the devices were left."""
+    remarks: Sequence[str] = ()
+    """What else the operator should know, a sentence for each."""
     recording: Mapping[str, Any] | None = None
     """Where it was recorded, and what is missing there."""
 
@@ -56,6 +55,7 @@ class LoopReport:
             "times": {name: dict(times) for name, times in self.times.items()},
             "devices": {name: dict(counts) for name, counts in self.devices.items()},
             "stop": self.stop,
+            "remarks": list(self.remarks),
             "recording": self.recording,
         }
 
@@ -112,101 +112,6 @@ def _ports(specs: Sequence[ComponentSpec], directory: Path) -> dict[str, frozens
     return found
 
 
-def _guarded(device: Device, call: Callable[[], object]) -> None:
-    """A driver fails in its own ways; what was recorded is kept all the same."""
-    try:
-        call()
-    except (StepFailed, CosimError):
-        raise
-    except Exception as error:
-        raise SafeStop(device.name, told(error)) from error
-
-
-class _Pace:
-    """The loop's own times, and its picture."""
-
-    def __init__(
-        self,
-        devices: Sequence[Device],
-        watched: Master,
-        energies: Sequence[str],
-        errors: Mapping[str, Callable[[], float]],
-        asked_to_stop: Callable[[], bool],
-    ) -> None:
-        clocks = [device for device in devices if device.is_clock]
-        self.period = watched.schedule.tick
-        self.pacer = None if clocks else Pacer(self.period)
-        self.compute = Histogram()
-        self.devices = devices
-        self._in_order = sorted(devices, key=lambda device: not device.is_clock)
-        self.view: LiveValues | None = None
-        self.tap: Tap | None = None
-        self._clock = clocks[0] if clocks else None
-        self._woken = 0
-        self._master, self._energies, self._errors = watched, energies, errors
-        self._times = {name: h for device in devices for name, h in device.histograms().items()}
-        if self.pacer is not None:
-            self._times["loop: wake-up"] = self.pacer.lateness
-        self._pictured = 0.0
-        self._asked_to_stop = asked_to_stop
-        self._outside = outside.present()
-
-    def begin(self, k: int) -> str | None:
-        if k == 0:
-            # As late as can be, and the arm last: from then on it waits for its commands.
-            for device in self._in_order:
-                _guarded(device, device.check_start)
-            for device in reversed(self._in_order):
-                if self._asked_to_stop():
-                    return INTERRUPTED
-                _guarded(device, lambda device=device: device.activate(self._meanwhile))  # type: ignore[misc]
-        if self.pacer is not None:
-            self._woken = self.pacer.wait()
-        return None
-
-    def end(self, k: int) -> None:
-        # The arm's answer first: it is waited for.
-        for device in self._in_order:
-            self._master.hand_over(device.name)
-            _guarded(device, device.write)
-        woken = self._clock.woken if self._clock is not None else self._woken
-        if self.tap is not None:
-            self.tap.write(k)
-        self.compute.add(self._outside.monotonic_ns() - woken)
-        if self.view is not None and k % VIEW_EVERY == 0:
-            self.view.write(self.numbers(k))
-
-    def _meanwhile(self) -> bool:
-        for device in self.devices:
-            device.stay()
-        return self._asked_to_stop()
-
-    @property
-    def times(self) -> Mapping[str, Histogram]:
-        return {"loop: compute": self.compute, **self._times}
-
-    @property
-    def names(self) -> list[str]:
-        times = ["time [s]", "rate [Hz]", "longest compute [us]", *(f"longest: {name} [us]" for name in self._times)]
-        states = [f"{device.name}{STATE}" for device in self.devices]
-        errors = [f"{name} error [{'m' if name.endswith('position') else 'deg'}]" for name in self._errors]
-        counts = [f"{device.name}: {name.replace('_', ' ')}" for device in self.devices for name in device.report()]
-        return [*times, *states, *errors, *(f"least {name} [J]" for name in self._energies), *counts]
-
-    def numbers(self, k: int) -> list[float]:
-        """In the order of `names`; times since the last picture, all else as it is."""
-        now = self._outside.monotonic()
-        rate = VIEW_EVERY / max(now - self._pictured, 1e-9)
-        self._pictured = now
-        return [
-            seconds(k * self.period), rate, self.compute.take_recent(), *(h.take_recent() for h in self._times.values()),
-            *(float(device.state.now) for device in self.devices),
-            *(error() for error in self._errors.values()),
-            *(float(self._master.value(name).min()) for name in self._energies),
-            *(value for device in self.devices for value in device.report().values()),
-        ]  # fmt: skip
-
-
 def _present_errors(scenario: Scenario, master: Master, values: Values) -> dict[str, Callable[[], float]]:
     """The scenario's errors as functions of the present instant."""
 
@@ -231,15 +136,19 @@ def run(
     view: bool = False,
     fmi: int | None = None,
     recording: Recording | None = None,
-    say: Any = print,
+    notice: StopNotice | None = None,
+    say: Callable[[str], None] = print,
 ) -> tuple[Result, LoopReport]:
-    """Configure, activate, run, stop. Raises CosimError before anything moves; afterwards everything is in the result."""
+    """Configure, activate, run, stop. Raises CosimError before anything moves; afterwards everything is in the result.
+
+    `notice` gets the reason of the stop before anything else is written.
+    """
     scenario = with_devices(scenario, simulated=simulated, fmi=fmi)
     pacing.prepare_links(real_time)
     try:
         # Until something is active, Ctrl-C is an ordinary exception, which closes what was opened.
-        with assembled(scenario, fmi) as (master, values), interrupts() as asked:
-            return _run(scenario, master, values, real_time, view, recording, asked, say)
+        with assembled(scenario, fmi) as (master, values):
+            return _run(scenario, master, values, real_time, view, recording, notice, say)
     finally:
         pacing.leave_real_time()
 
@@ -251,6 +160,8 @@ class Looked:
     measured: Mapping[str, Array]
     units: Mapping[str, tuple[str | None, ...]]
     refusal: str | None
+    cannot_refuse: Sequence[str] = ()
+    """What the device itself cannot refuse, a sentence for each."""
 
 
 def look(scenario: Scenario, *, simulated: bool = False, fmi: int | None = None) -> dict[str, Looked]:
@@ -271,8 +182,14 @@ def look(scenario: Scenario, *, simulated: bool = False, fmi: int | None = None)
                 measured={port.name: device.values[port.name].copy() for port in outputs},
                 units={port.name: port.units for port in outputs},
                 refusal=refusal,
+                cannot_refuse=tuple(device.cannot_refuse),
             )
     return found
+
+
+def limitations(found: Mapping[str, Sequence[str]]) -> list[str]:
+    """What devices cannot refuse by themselves, for the operator."""
+    return [f"{name} cannot refuse everything by itself: {sentence}" for name, said in found.items() for sentence in said]
 
 
 def _run(
@@ -282,53 +199,114 @@ def _run(
     real_time: bool,
     view: bool,
     recording: Recording | None,
-    asked: list[float],
-    say: Any,
+    notice: StopNotice | None,
+    say: Callable[[str], None],
 ) -> tuple[Result, LoopReport]:
     metrics.check(scenario, master.graph.components)
     devices = [c.device for c in master.graph.components.values() if isinstance(c, DeviceComponent)]
+    period = master.schedule.tick
     for device in devices:
-        step = seconds(master.schedule.ratios[device.name] * master.schedule.tick)
+        step = seconds(master.schedule.ratios[device.name] * period)
         if abs(step - device.step) > 1e-9:
             raise DeviceError(f"device {device.name} works in steps of {device.step:g} s; its step_s is {step:g} s")
-    period = master.schedule.tick
-    live = None
-    errors = _present_errors(scenario, master, values)
-    pace = _Pace(devices, master, list(scenario.observed_energy.values()), errors, lambda: bool(asked))
+    deadlines = Pacing(devices, period)
+    observation = Observation(
+        devices, master, deadlines, list(scenario.observed_energy.values()), _present_errors(scenario, master, values)
+    )
+    hooks: list[InstantHook] = [deadlines, CommandWriting(devices, master), observation]
     pacing.leave_real_time()  # or viewer and recorder would inherit the priority of the links
-    if view:
-        live = pace.view = LiveValues(f"{scenario.title} (Ctrl-C stops it in order)", pace.names)
-        live.show()
-    reason, end, left, recorded = "the loop could not be activated", None, "", None
-    try:
-        if recording is not None:
-            pace.tap = Tap(recording, scenario, master, values, devices)
-        granted = pacing.enter_real_time(real_time)
-        say("Real time: " + ", ".join(granted))
-        orderly = False
-        with pacing.no_collection() if real_time else nullcontext():
-            try:
-                outcome = master.run(pace=pace)
-                outcome.interrupted = outcome.interrupted or outcome.cause == INTERRUPTED
-                reason = outcome.cause or "the scenario is over"
-                orderly = outcome.interrupted or outcome.cause is None
+    outcome, end, recorded = master.outcome(), None, None
+    stopping = _Stopping(devices, period, observation, notice, say)
+    with ExitStack() as until_the_end:
+        try:
+            if view:
+                try:
+                    observation.view = LiveValues(f"{scenario.title} (Ctrl-C stops it in order)", observation.names)
+                    observation.view.show()
+                except OSError as error:
+                    say(f"there is no live view: {error.strerror or error}; the loop runs without it")
+            if recording is not None:
+                observation.tap = Tap(recording, scenario, master, values, devices)
+            granted = pacing.enter_real_time(real_time)
+            say("Real time: " + ", ".join(granted))
+            for sentence in limitations({device.name: device.cannot_refuse for device in devices}):
+                say(sentence)
+            with pacing.no_collection() if real_time else nullcontext(), stopping:
+                activation.prepare(devices)
+                asked = until_the_end.enter_context(interrupts())
+                outcome = _loop(master, outcome, devices, hooks, asked)
+                stopping.reason = outcome.cause or FINISHED
+                stopping.orderly = outcome.interrupted or outcome.cause is None
                 end = round(outcome.simulated * 1e9 / period)
-            finally:
-                left = stop(devices, period, reason, orderly=orderly)
-    finally:
-        if live is not None:
-            live.close()
-        pacing.leave_real_time()
-        if pace.tap is not None:
-            recorded = pace.tap.close(f"{reason}; {left}", end)
+        finally:
+            if observation.view is not None:
+                observation.view.close()
+            pacing.leave_real_time()
+            if observation.tap is not None:
+                recorded = observation.tap.close(stopping.sentence, end)
     report = LoopReport(
         granted=granted,
-        times={name: histogram.summary() for name, histogram in pace.times.items()},
+        times={name: histogram.summary() for name, histogram in observation.times.items()},
         devices={device.name: device.report() for device in devices},
-        stop=f"{reason}; {left}",
+        stop=stopping.sentence,
+        remarks=[f"{device.name}: {sentence}" for device in devices for sentence in device.remarks],
         recording=recorded,
     )
     return _result(scenario, master, values, outcome, report), report
+
+
+def _loop(
+    master: Master, outcome: Outcome, devices: Sequence[Device], hooks: Sequence[InstantHook], asked: Sequence[float]
+) -> Outcome:
+    """Activate as late as can be, then run to the end."""
+    try:
+        if activation.activate(devices, lambda: bool(asked)):
+            outcome = master.run(hooks=hooks)
+        else:
+            outcome.interrupted, outcome.cause = True, INTERRUPTED
+            master.finish(outcome, 0, whole=True)
+    except StepFailed as error:  # a driver that fails in its activation; what was measured is kept
+        outcome.stopped_by(error)
+        master.finish(outcome, 0, whole=False)
+    return outcome
+
+
+class _Stopping:
+    """Whatever ends its block: the devices are stopped, then the reason is given, before anything else is done."""
+
+    def __init__(
+        self,
+        devices: Sequence[Device],
+        period: int,
+        observation: Observation,
+        notice: StopNotice | None,
+        say: Callable[[str], None],
+    ) -> None:
+        self._devices, self._period, self._observation = devices, period, observation
+        self._notice, self._say = notice, say
+        self.reason, self.left, self.orderly = "", "", False
+
+    @property
+    def sentence(self) -> str:
+        return f"{self.reason}; {self.left}" if self.left else self.reason
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, place: object) -> None:
+        if error is not None:
+            self.reason = INTERRUPTED if isinstance(error, KeyboardInterrupt) else " ".join(str(error).split()) or repr(error)
+            self.orderly = isinstance(error, KeyboardInterrupt)
+        with no_interrupts():
+            self.left = stop(self._devices, self._period, self.reason, orderly=self.orderly)
+            if self._observation.view is not None:
+                self._observation.view.end()  # or it would draw over the sentence
+            # A refusal before anything was active is printed by the command, once.
+            quiet = error is not None and self.left == NOTHING_ACTIVE
+            if self._notice is not None:
+                self._notice.give(self.reason, self.left, orderly=self.orderly, quiet=quiet)
+            elif not quiet:
+                self._say(f"Stop: {self.sentence}")
 
 
 def _result(scenario: Scenario, master: Master, values: Values, outcome: Outcome, report: LoopReport) -> Result:
@@ -336,43 +314,3 @@ def _result(scenario: Scenario, master: Master, values: Values, outcome: Outcome
     series = metrics.errors(scenario, outcome.record, master.graph.components, values)
     summary = {**metrics.summary(scenario, outcome, series), "real_time": report.summary()}
     return Result(scenario=scenario, outcome=outcome, errors=series, summary=summary)
-
-
-def stop(devices: Sequence[Device], period: int, reason: str, *, orderly: bool) -> str:
-    """The graded stop of every device that is active; says how they were left. `orderly`: nothing has failed."""
-    active = [device for device in devices if device.state.now is LifeCycle.active]
-    if not active:
-        return "nothing was active"
-    now = outside.present().monotonic
-    begin = now()
-    pacer = None if any(device.is_clock for device in active) else Pacer(period)
-    going = list(active)
-    broken: list[Device] = []
-    while going and now() - begin < LONGEST_STOP:
-        if pacer is not None:
-            pacer.wait()
-        elapsed = now() - begin
-        # Who is done goes on holding until all are.
-        done = [_ramped(device, elapsed, broken) for device in active]
-        going = [device for device, is_done in zip(active, done, strict=True) if not is_done]
-    took = now() - begin
-    unsure = [device.name for device in active if device in broken or not device.at_rest]
-    for device in active:
-        with suppress(Exception):  # one that fails even now must not keep the others from their end
-            if not orderly or device.name in unsure:
-                device.on_error(reason)
-            device.deactivate()
-    if unsure:
-        return f"after {took:.2f} s {', '.join(unsure)} had not confirmed to be at rest, and is left to its own watchdog"
-    return f"all devices were brought to rest in {took:.2f} s"
-
-
-def _ramped(device: Device, elapsed: float, broken: list[Device]) -> bool:
-    """Whether the device is done; one whose driver fails is left alone from then on."""
-    if device in broken:
-        return True
-    try:
-        return device.ramp_down(elapsed)
-    except Exception:
-        broken.append(device)
-        return True

@@ -7,7 +7,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 
 from freeflyer_adapters import settings
-from freeflyer_adapters.arm.frames import MESSAGES, SHIPPED_DBC, ArmFrames, FrameMapping, Mode
+from freeflyer_adapters.arm.frames import MESSAGES, NEEDED, PROMISES, SHIPPED_DBC, ArmFrames, FrameMapping, Mode
 from freeflyer_adapters.arm.signals import load
 from freeflyer_adapters.base import access_control, rmw_zenoh, ros_messages
 from freeflyer_adapters.base.options import LinkOptions
@@ -80,10 +80,44 @@ def _can() -> Iterator[str]:
         "torque acts from the arm's next cycle on, for one cycle.",
         "3. `EchoedCycle` of the next state frame says which answer the arm has used: the controller counts those that came late or "
         "not at all, and so does the arm (`CommandAge`).",
-        f"4. `Mode` {int(Mode.torque)} makes an inactive arm active, `Mode` {int(Mode.brake)} engages the brakes, `Mode` "
-        f"{int(Mode.reset)} leaves safe stop or fault; in `Mode` {int(Mode.idle)} nothing moves, but the arm learns who asks.",
-        "5. The arm obeys the first controller that it hears, and nobody else until that one has been silent for a second. A second "
-        "one reads the other's number in `ArmState` and is refused before anything moves.",
+        f"4. Every activation has a session number of its own, a random one, in `Controller`. `Mode` {int(Mode.reset)} claims it: an arm "
+        "that obeys no session, and has not used this number up, echoes it from its next state frame on; from safe stop or fault, with "
+        "brakes engaged, it goes to inactive. Another number is not obeyed until the present one has been silent for a second.",
+        f"5. `Mode` {int(Mode.activate)} activates an inactive arm, if it has the echoed number, and if the state frame that it answers has "
+        "carried the echo and is younger than the arm's watchdog: the challenge is the arm's, and an old frame cannot meet it.",
+        f"6. `Mode` {int(Mode.torque)} commands an active arm; in any other state it is ignored and counted. `Mode` {int(Mode.brake)} engages "
+        f"the brakes. `Mode` {int(Mode.idle)} keeps a session alive and moves nothing.",
+        "7. Leaving active in any way uses the session number up, and so does `Mode` 2: no frame of that session gives power again, across "
+        "the arm's own restarts of the dialogue. (An arm that is switched off and on may forget its used numbers; its cycle numbers must "
+        "then not go on where they were.)",
+        "8. The controllers' end is the other lock. Its permit to send more than modes 0 and 2 is lost for good at the first reason to stop, "
+        "when the loop was held up for longer than the arm's watchdog (`watchdog_cycles`), and at the first state frame of another state "
+        "than active. The torques of the graded stop need an echo of one of its own answers that is younger than the watchdog.",
+    )
+    yield "\n### What a DBC may lack\n"
+    yield (
+        "A user's own DBC needs the four joint signals and `cycle`. Each other role that is missing costs a promise. Without one of those "
+        'marked *explicit*, the arm itself cannot refuse an activation; then the scenario must say `activation = "implicit"`, a torque '
+        "frame activates the arm, and `freeflyer hil` and `--check` print what this arm cannot refuse. Only the controllers' lock holds then. "
+        "It is safe on a link that does not hold frames up, with an arm that does not forget its controller sooner than the loop stops for "
+        "want of state frames (`lost_consecutive`, `state_age_limit`).\n"
+    )
+    yield "| missing | needed for | promise lost: without it |\n|---|---|---|"
+    for name, lost in PROMISES.items():
+        yield f"| `{name}` | {'*explicit*' if name in NEEDED else ''} | {lost} |"
+    yield (
+        "\nA DBC with every message and signal name of the shipped profile, and without mappings, counts as the shipped profile. Command and "
+        "state frame must have different identifiers."
+    )
+    yield "\n### One arm, one controller\n"
+    yield (
+        "One node sends an identifier (ISO 11898-1). The controllers look at 40 state frames before they send anything, and at all of them "
+        "in the loop: two streams of frames with right checksums that continue two different counters are two arms, which are refused or "
+        "stop the loop. Repeated, late and reordered frames, a frozen counter and one that jumps are faults of one sender. Command frames "
+        "of another sender, three within 20 cycles, are a second controller.\n\nWhat cannot be told apart: two arms that send the same content "
+        "with the same counter; a second sender at a sixteenth of the rate or less; more than two; frames without E2E protection and "
+        "without a cycle number of their own. How soon two are found: `tests/links/test_second_sender.py` (15 cycles on average, 39 at most "
+        "without loss)."
     )
 
 
@@ -102,7 +136,9 @@ def _zenoh() -> Iterator[str]:
     yield (
         f"\nEvery sample has rmw_zenoh's attachment of {rmw_zenoh.ATTACHMENT.size} bytes: sequence number (int64), source time stamp "
         "(int64, ns since the epoch), then 16 as a length, then the publisher's GID (16 bytes); little-endian. A sample is used if its "
-        "attachment is whole, its GID that of the first sample, its sequence number and its stamp greater than the last one's. "
+        "attachment is whole, its frames are those of the scenario (`frame`, `child_frame`), its GID is that of the first sample, its sequence "
+        "number is greater than the last one's, and its stamp another one. Stamps are compared by differences only: a later sample with an "
+        "earlier stamp means that the sender's clock was set back, which is counted (`clock_steps`) and changes nothing else. "
         "Only the freshest sample is kept (RingChannel(1)). Priority REAL_TIME, express, congestion control DROP. Publishers and "
         "subscriptions announce themselves by rmw_zenoh's liveliness tokens (best effort, keep last 1)."
     )
@@ -114,10 +150,22 @@ def _zenoh() -> Iterator[str]:
         "options other than zero is held to it; a plain ROS 2 node's are zero, and nothing is checked."
     )
     yield (
-        "\nOdometry does not say whether a set point is taken. So a base robot may tell it by a liveliness token of this project, "
-        f"`{rmw_zenoh.obedience_token(o.domain, o.setpoint_topic, 'GID')}` with the GID (hexadecimal) of the publisher that it obeys, or "
-        f"`{rmw_zenoh.NOBODY}`: the controller then is refused where another is obeyed, activates the arm only once the base has taken its "
-        "set points, and stops when the token is withdrawn. The virtual base robot does; without such a token (a plain ROS node) the limits on following error and age watch."
+        "\nOdometry has no field for a session. So the session is the publisher: the controllers declare a new one for every activation, "
+        "with a GID of its own, and undeclare it at the stop. Odometry does not say whether a set point is taken, either. So a base robot may "
+        f"tell it by a liveliness token of this project, `{rmw_zenoh.obedience_token(o.domain, o.setpoint_topic, 'GID')}` with the GID "
+        f"(hexadecimal) of the publisher that it obeys, or `{rmw_zenoh.NOBODY}`: the controller then is refused where another is obeyed, "
+        "activates the arm only once the base has taken its set points, and stops when the token is withdrawn. The virtual base robot does. "
+        "It obeys a publisher once its set points have come for 40 ms as their stamps advance (what was held up comes all at once), and "
+        "never again after active has ended, nor one that has sent while another was obeyed; a set point that is later than its watchdog, by "
+        "differences of stamps, is not used.\n\n**A plain ROS 2 node** has the controllers' lock only: after a stop, a hold-up of the loop "
+        "included, nothing is published any more. What the node itself must do: hold its place when set points stay away for longer than its "
+        "watchdog; follow no set point whose stamp has not advanced as its arrival has; follow none of a publisher (GID, or the publisher "
+        "that its middleware names) whose set points have stayed away once; not go on by itself when they come again."
+    )
+    yield (
+        "\nTwo publishers of the measured topic, by their tokens or by samples of two GIDs in turn, are refused before activation and stop a "
+        "running loop; so does a new publisher of the set-point topic. Peers that are connected with the base robot only do not see each "
+        "other's tokens: there it is the base robot that ignores, and by its token names, the other one."
     )
     yield (
         f"\nSessions are peers that listen on {', '.join(f'`{e}`' for e in o.listen)} (the controller) and {', '.join(f'`{e}`' for e in o.connect)} "

@@ -15,6 +15,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from rich.console import Console
@@ -43,7 +44,8 @@ class LiveValues:
         handle, path = tempfile.mkstemp(prefix="freeflyer-view-")
         self.path = Path(path)
         size = self._first + SEQUENCE.size + self._values.size
-        os.ftruncate(handle, size)
+        # Space for every byte: on a full disk, a write into memory that has none would end the process.
+        os.posix_fallocate(handle, 0, size) if hasattr(os, "posix_fallocate") else os.write(handle, bytes(size))
         self._memory = mmap.mmap(handle, size)
         os.close(handle)
         self._memory[: self._first] = HEADER.pack(len(head)) + head
@@ -66,9 +68,16 @@ class LiveValues:
         self._values.pack_into(self._memory, place + SEQUENCE.size, *values)
         SEQUENCE.pack_into(self._memory, place, self._sequence)
 
-    def close(self) -> None:
+    def end(self) -> None:
+        """End the picture; waits for half a second at most."""
         if self.viewer is not None:
             self.viewer.terminate()
+            with suppress(subprocess.TimeoutExpired):
+                self.viewer.wait(0.5)
+
+    def close(self) -> None:
+        self.end()
+        if self.viewer is not None:
             try:
                 self.viewer.wait(2.0)
             except subprocess.TimeoutExpired:

@@ -34,6 +34,10 @@ BIT_RATE_SWITCH, ERROR_STATE, FD_FORMAT = 0x01, 0x02, 0x04
 CHANNEL = re.compile(r"[A-Za-z0-9._-]{1,32}")
 IGNORED = ("bitrate", "data_bitrate", "timing", "state", "single_handle", "ignore_config")
 """Settings of real interfaces that mean nothing here, and do no harm."""
+MOST_UNWANTED, MOST_PEERS = 64, 16
+"""Frames that the filters reject, and new nodes, in one receive: more cannot hold it."""
+SLICE = 2e-4
+"""[s] of sleep after so many rejected frames."""
 SO_TIMESTAMPNS = 35
 TIMESPEC = struct.Struct("=qq")
 
@@ -138,7 +142,7 @@ class LocalBus(BusABC):
         peer.close()
 
     def _accept(self) -> None:
-        while True:
+        for _ in range(MOST_PEERS):
             try:
                 peer, _ = self._listener.accept()
             except BlockingIOError:
@@ -190,9 +194,9 @@ class LocalBus(BusABC):
             except BlockingIOError:
                 self.dropped += 1
             except OSError as error:
+                # One that has left is removed once what it sent before is read.
                 if error.errno not in (errno.EPIPE, errno.ECONNRESET, errno.ENOTCONN, errno.ECONNREFUSED):
                     raise CanOperationError(f"{self.channel_info}: {error.strerror}") from error
-                self._remove(peer)
         if self._own is not None:
             with contextlib.suppress(BlockingIOError):
                 self._own.send(packet)
@@ -200,6 +204,7 @@ class LocalBus(BusABC):
     def _recv_internal(self, timeout: float | None) -> tuple[Message | None, bool]:
         self._check_open()
         deadline = None if timeout is None else time.monotonic() + timeout
+        unwanted = 0
         while True:
             left = -1.0 if deadline is None else max(0.0, deadline - time.monotonic())
             # One frame at a time: the kernel hands out ready peers in turn, and `fileno` stays readable while frames are left.
@@ -212,14 +217,21 @@ class LocalBus(BusABC):
                 # Filtered here, or a frame for others would end a `recv` that does not wait.
                 if message is not None and self._matches_filters(message):
                     return message, True
+                unwanted += message is not None
+                if message is not None and unwanted % MOST_UNWANTED == 0 and left:
+                    time.sleep(SLICE)  # in a flood, too, the processor is not this process's alone
+            if deadline is not None and unwanted >= MOST_UNWANTED and time.monotonic() >= deadline:
+                raise CanOperationError(
+                    f"{self.channel_info}: a flood, {unwanted} frames that the filters reject in one receive"
+                )
             if not events and deadline is not None and time.monotonic() >= deadline:
                 return None, True
 
     def _take(self, peer: socket.socket) -> Message | None:
         try:
             packet, extra, _, _ = peer.recvmsg(FRAME.size + 1, 64)
-        except BlockingIOError:
-            return None
+        except (BlockingIOError, ConnectionResetError):
+            return None  # reset, by a node that left with unread frames: what it sent before comes next, then its end
         except OSError:
             packet, extra = b"", []
         if not packet:  # the peer has left or died

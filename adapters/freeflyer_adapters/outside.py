@@ -7,7 +7,7 @@ can be run in virtual time (`freeflyer_adapters.facility.virtual_time`) without 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any
@@ -19,17 +19,15 @@ import zenoh
 class Outside:
     """The real one."""
 
-    def monotonic_ns(self) -> int:
-        """[ns], from an unknown beginning; it never goes back."""
-        return time.monotonic_ns()
+    # Asked for some twenty times in a cycle of 1 ms: the system's own functions, without a call of ours around them.
+    monotonic_ns: Callable[[], int] = staticmethod(time.monotonic_ns)
+    """[ns], from an unknown beginning; it never goes back."""
+    time_ns: Callable[[], int] = staticmethod(time.time_ns)
+    """[ns since the epoch], as the system's clock has it; it may be set."""
 
     def monotonic(self) -> float:
         """[s]"""
         return self.monotonic_ns() * 1e-9
-
-    def time_ns(self) -> int:
-        """[ns since the epoch], as the system's clock has it; it may be set."""
-        return time.time_ns()
 
     def sleep(self, duration: float) -> None:
         """[s]"""

@@ -88,13 +88,23 @@ class SimulatedDevice:
     def check_start(self) -> None:
         pass
 
+    cannot_refuse = remarks = ()
+    may_have_power = False
+    """It is a model in this process: no actuator, and no permit."""
+
+    def prepare(self) -> None:
+        pass
+
     def stay(self) -> None:
         pass
 
+    def revoke(self, reason: str) -> None:
+        pass
+
     def activate(self, meanwhile: Callable[[], bool]) -> None:
+        self.state.to(LifeCycle.active)
         self._brake(False)
         self._last_torque[:] = 0.0
-        self.state.to(LifeCycle.active)
 
     def read(self) -> None:
         self._cycle()

@@ -60,8 +60,8 @@ class StopNotice:
             self.close()
             raise
 
-    def give(self, reason: str, left: str, *, orderly: bool) -> None:
-        """Put it everywhere, once; nothing that a disk, a terminal or a socket does raises or keeps it from the other places.
+    def give(self, reason: str, left: str, *, orderly: bool, quiet: bool = False) -> None:
+        """Put it everywhere, once (`quiet`: not on standard output); nothing that a disk, a terminal or a socket does raises or keeps it from the other places.
 
         A terminal or pipe that takes nothing comes last, and may block then.
         """
@@ -73,8 +73,8 @@ class StopNotice:
         sentence = f"Stop: {reason}; {left}"
         texts = {name: _cut(text, LONGEST[name]) for name, text in (("reason", reason), ("left", left))}
         self._fields |= {"stopped": True, "orderly": orderly, **texts, "stopped_ns": stopped_ns, "after_s": after_s}
-        at_once = _takes(sentence)
-        if at_once:
+        at_once = quiet or _takes(sentence)
+        if at_once and not quiet:
             self._put("standard output", lambda: self._print(sentence))
         # The log before the file: it never blocks, but a dying disk may.
         if (log := self._log) is not None:

@@ -16,6 +16,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, NoReturn, Protocol
 
 from freeflyer.errors import BAD_INPUT, STOPPED, CosimError, complain
+from freeflyer.interrupts import ENDING
 from freeflyer.plugins import load, plugins
 
 if TYPE_CHECKING:
@@ -79,9 +80,11 @@ class Command(Protocol):
 
 
 def main() -> int:
-    """The process's entry point. SIGTERM ends a command as Ctrl-C does."""
+    """The process's entry point. SIGTERM, and the end of its terminal, end a command as Ctrl-C does."""
     try:
-        signal.signal(signal.SIGTERM, _interrupt)
+        for number in ENDING:
+            if number != signal.SIGINT and signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, _interrupt)
         return call(sys.argv[1:])
     except KeyboardInterrupt:
         print("freeflyer: interrupted; what was written until now is whole", file=sys.stderr)

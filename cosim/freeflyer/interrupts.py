@@ -8,6 +8,8 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+"""Signals that end a run in order; one that is ignored (nohup) stays so."""
 _noted: list[list[float]] = []
 """The list of the outermost `interrupts`, while there is one."""
 
@@ -32,11 +34,25 @@ def interrupts() -> Iterator[list[float]]:
         if seen[-1] - seen[0] > 2.0:
             raise KeyboardInterrupt
 
-    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.signal(number, note) for number in ENDING if signal.getsignal(number) is not signal.SIG_IGN}
     _noted.append(seen)
     try:
         yield seen
     finally:
         _noted.clear()
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def no_interrupts() -> Iterator[None]:
+    """Nothing of the kind reaches the block, which must be short: the stop of devices is not stopped."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.signal(number, signal.SIG_IGN) for number in ENDING}
+    try:
+        yield
+    finally:
         for number, handler in before.items():
             signal.signal(number, handler)

@@ -53,15 +53,15 @@ class Outcome:
 Progress = Callable[[float], None]
 
 
-class Pace(Protocol):
-    """What ties a run's instants to the outside: both are called at every instant, before anything happens and after all has.
+class InstantHook(Protocol):
+    """Ties a run's instants to the outside: called at every instant k, before anything happens and after all has.
 
-    `begin` gives a reason to end the run before this instant, or None.
+    `before` returns a reason to end the run before this instant, or None.
     """
 
-    def begin(self, k: int) -> str | None: ...
+    def before(self, k: int) -> str | None: ...
 
-    def end(self, k: int) -> None: ...
+    def after(self, k: int) -> None: ...
 
 
 class Master:
@@ -107,31 +107,37 @@ class Master:
         return self.slaves.value(signal)
 
     def hand_over(self, name: str) -> None:
-        """Give a component its inputs at the end of an instant, delayed ones too: for a `Pace` that sends commands there."""
+        """Give a component its inputs at the end of an instant, delayed ones too: for a hook that sends commands there."""
         self.slaves[name].take_present_inputs()
         self.slaves[name].write()
 
-    def run(self, progress: Progress | None = None, pace: Pace | None = None) -> Outcome:
+    def run(self, progress: Progress | None = None, hooks: Sequence[InstantHook] = ()) -> Outcome:
         outcome = self.outcome()
         begin = time.perf_counter()
         with interrupts() as interrupted:
-            for _ in self.instants(outcome, interrupted, progress, pace):
+            for _ in self.instants(outcome, interrupted, progress, hooks):
                 pass
         outcome.wall = time.perf_counter() - begin
         return outcome
 
     def instants(
-        self, outcome: Outcome, interrupted: Sequence[float] = (), progress: Progress | None = None, pace: Pace | None = None
+        self,
+        outcome: Outcome,
+        interrupted: Sequence[float] = (),
+        progress: Progress | None = None,
+        hooks: Sequence[InstantHook] = (),
     ) -> Iterator[None]:
         """One instant after another, for who has other things to do between them; `outcome` is whole once there are no more.
 
         The run ends where `interrupted` is no longer empty.
         """
         schedule = self.schedule
+        before, after = [hook.before for hook in hooks], [hook.after for hook in hooks]
         k, whole = 0, True
         try:
             for k in range(schedule.ticks + 1):
-                outcome.cause = pace.begin(k) if pace else None
+                for call in before:
+                    outcome.cause = outcome.cause or call(k)
                 if outcome.cause:
                     break
                 outcome.interrupted = bool(interrupted) and k < schedule.ticks
@@ -144,11 +150,11 @@ class Master:
                     break
                 if progress and k % 1000 == 0:
                     progress(seconds(k * schedule.tick))
-                if pace:
-                    pace.end(k)
+                for done in after:
+                    done(k)
                 yield
         except StepFailed as error:
-            if pace is None:
+            if not hooks:
                 self.refuse_at_start(k, error)
             outcome.stopped_by(error)
             whole = False

@@ -65,10 +65,12 @@ class End:
         self.other: End | None = None
         self.joints: Joints | None = None
         self.since_sync = TICKS
+        self.sent: list[can.Message] = []
         self.dropped: set[int] = set()
         """Identifiers that get lost on their way from this end."""
 
     def send(self, message: can.Message) -> None:
+        self.sent.append(message)
         if message.arbitration_id == 0x80 and self.joints is not None:
             while self.since_sync < TICKS:
                 self._tick()
@@ -107,11 +109,20 @@ class Pair:
     def drives(self) -> list[Any]:
         return self.joints.virtual.drives
 
-    def activated(self) -> Pair:
+    def prepared(self) -> Pair:
         self.host.configure()
         self.host.check_start()
-        self.host.activate(lambda: False)
+        self.host.prepare()
         return self
+
+    def activated(self) -> Pair:
+        self.prepared().host.activate(lambda: False)
+        return self
+
+    def controlwords(self, node_id: int, since: int = 0) -> list[int]:
+        """Of the cyclic frames that the host has sent to a drive."""
+        frames = [m for m in self.host_end.sent[since:] if m.arbitration_id == 0x200 + node_id]
+        return [int.from_bytes(m.data[:2], "little") for m in frames]
 
     def cycle(self, *torque: float) -> None:
         self.host.read()
@@ -144,6 +155,7 @@ def pair(patch: pytest.MonkeyPatch, watchdog: int = 4, drives: dict[str, Any] | 
     arm.values["joint_effort_limit"][:] = (100.0, 40.0)
     arm.values["torque_rate_limit"][:] = 1e6
     arm.values["configure_timeout"][:] = 0.3
+    arm.values["watchdog_cycles"][:] = 1000  # the host's own is of the real clock, the drives' is not
     for key, value in host.items():
         if key not in keys:
             arm.values[key][:] = value

@@ -25,6 +25,7 @@ from freeflyer_adapters.cia402.state_machine import DriveState
 from freeflyer_adapters.device import DeviceError
 from freeflyer_adapters.facility.settings import FacilitySettings
 from freeflyer_adapters.facility.virtual_cia402 import VirtualCia402
+from freeflyer_adapters.permit import Permit
 
 channels = itertools.count()
 
@@ -176,7 +177,7 @@ def remote(channel: str) -> Iterator[tuple[RemoteDrive, canopen.LocalNode]]:
     node.sdo[0x608F][1].raw, node.sdo[0x6091][1].raw = 4096, 100
     here = PolledNetwork(can.Bus(interface="virtual", channel=channel))
     try:
-        yield RemoteDrive("arm", 0, 3, options, here, patience=2.0), node
+        yield RemoteDrive("arm", 0, 3, options, here, patience=2.0, permit=Permit("arm", watchdog=16_000_000)), node
     finally:
         here.disconnect()
         there.disconnect()

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +20,18 @@ from freeflyer_adapters.device import DeviceError, LifeCycle, SafeStop
 STATES = DriveState
 
 
-def refused(bench: Pair, sentence: str) -> None:
+def refused(bench: Pair, sentence: str, call: Callable[[], object] | None = None) -> None:
+    """By `configure`, if no other call is named."""
     with pytest.raises(DeviceError, match=re.escape(sentence)):
-        bench.host.configure()
+        (call or bench.host.configure)()
     assert all(drive.braked for drive in bench.logics)
+
+
+def stored(bench: Pair) -> list[dict[tuple[int, int], str]]:
+    """What each drive's own objects are."""
+    return [
+        {(i, s): data.hex() for i, subs in drive.node.data_store.items() for s, data in subs.items()} for drive in bench.drives
+    ]
 
 
 def stopped(bench: Pair, sentence: str, cycles: int = 40) -> None:
@@ -52,23 +62,40 @@ def test_activation_is_bumpless_and_the_arm_then_obeys(monkeypatch: pytest.Monke
         np.testing.assert_allclose(bench.host.values["joint_velocity"], bench.joints.velocity, atol=0.02)
 
 
+@pytest.mark.parametrize("faulty", [False, True])
+def test_configuring_and_checking_leave_every_drive_as_it_was_found(monkeypatch: pytest.MonkeyPatch, faulty: bool) -> None:
+    with pair(monkeypatch) as bench:
+        if faulty:
+            bench.joints.virtual.fail(2)
+        before = stored(bench), [drive.node.nmt.state for drive in bench.drives], [drive.state for drive in bench.logics]
+        bench.host.configure()
+        bench.host.check_start()
+        bench.host.stay()
+        bench.host.deactivate()
+        for _ in range(2 * TICKS):
+            bench.joints.tick()
+        assert before == (stored(bench), [d.node.nmt.state for d in bench.drives], [d.state for d in bench.logics])
+        # Nothing but requests to read: 40h is SDO's initiate upload.
+        assert {m.arbitration_id for m in bench.host_end.sent} == {0x603, 0x607}
+        assert {m.data[0] for m in bench.host_end.sent} == {0x40}
+
+
 def test_what_the_host_wrote_is_what_the_profile_says(monkeypatch: pytest.MonkeyPatch) -> None:
     with pair(monkeypatch) as bench:
-        bench.host.configure()
-        for node, drive in zip((3, 7), bench.drives, strict=True):
-            stored = {(i, s): data.hex() for i, subs in drive.node.data_store.items() for s, data in subs.items()}
+        bench.prepared()
+        for node, written in zip((3, 7), stored(bench), strict=True):
             # Numbers little-endian; a mapping entry is object, sub-index, bits; bit 30 of a COB-ID: no remote frames.
-            assert stored[0x6060, 0] == "0a"
-            assert (stored[0x60C2, 1], stored[0x60C2, 2]) == ("04", "fd")
-            assert stored[0x1006, 0] == (4000).to_bytes(4, "little").hex()
-            assert stored[0x1016, 1] == (127 << 16 | 50).to_bytes(4, "little").hex()
-            assert stored[0x1017, 0] == "1400"
-            assert stored[0x605A, 0] == "0200"
-            assert [stored[0x1600, k] for k in range(3)] == ["02", "10004060", "10007160"]
-            assert [stored[0x1A00, k] for k in range(4)] == ["03", "10004160", "10007760", "20006460"]
-            assert [stored[0x1A01, k] for k in range(2)] == ["01", "20006c60"]
-            assert (stored[0x1400, 1], stored[0x1400, 2]) == ((0x4000_0200 + node).to_bytes(4, "little").hex(), "01")
-            assert (stored[0x1800, 1], stored[0x1801, 1]) == tuple(
+            assert written[0x6060, 0] == "0a"
+            assert (written[0x60C2, 1], written[0x60C2, 2]) == ("04", "fd")
+            assert written[0x1006, 0] == (4000).to_bytes(4, "little").hex()
+            assert written[0x1016, 1] == (127 << 16 | 50).to_bytes(4, "little").hex()
+            assert written[0x1017, 0] == "1400"
+            assert written[0x605A, 0] == "0200"
+            assert [written[0x1600, k] for k in range(3)] == ["02", "10004060", "10007160"]
+            assert [written[0x1A00, k] for k in range(4)] == ["03", "10004160", "10007760", "20006460"]
+            assert [written[0x1A01, k] for k in range(2)] == ["01", "20006c60"]
+            assert (written[0x1400, 1], written[0x1400, 2]) == ((0x4000_0200 + node).to_bytes(4, "little").hex(), "01")
+            assert (written[0x1800, 1], written[0x1801, 1]) == tuple(
                 (0x4000_0000 + base + node).to_bytes(4, "little").hex() for base in (0x180, 0x280)
             )
 
@@ -135,7 +162,8 @@ def test_further_pdos_of_a_drives_own_eds_are_switched_off(monkeypatch: pytest.M
         assert bench.drives[0].node.get_data(0x1802, 1)[3] & 0x80
     own.write_text(objects.SHIPPED_EDS.read_text(encoding="utf-8") + FURTHER_PDO.format(access="ro"))
     with pair(monkeypatch, drives={"eds": str(own)}, eds=str(own)) as bench:
-        refused(bench, "drive of joint 1 (node 3) does not switch off its further PDO (1802h): SDO abort, Code 0x06010002")
+        sentence = "drive of joint 1 (node 3) does not switch off its further PDO (1802h): SDO abort, Code 0x06010002"
+        refused(bench, sentence, bench.prepared)
 
 
 def test_a_torque_acts_from_the_sync_after_the_one_that_it_answers(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -217,9 +245,8 @@ def test_a_device_that_is_no_such_drive_is_refused(
 def test_an_sdo_abort_is_said_with_drive_object_and_reason(monkeypatch: pytest.MonkeyPatch) -> None:
     with pair(monkeypatch) as bench:
         bench.drives[0].node.object_dictionary[0x605A].access_type = "ro"
-        refused(
-            bench, "drive of joint 1 (node 3) does not take 2 for quick stop option code (605Ah): SDO abort, Code 0x06010002"
-        )
+        sentence = "drive of joint 1 (node 3) does not take 2 for quick stop option code (605Ah): SDO abort, Code 0x06010002"
+        refused(bench, sentence, bench.prepared)
 
 
 def test_an_arm_that_stands_elsewhere_is_refused_with_both_poses(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -229,33 +256,39 @@ def test_an_arm_that_stands_elsewhere_is_refused_with_both_poses(monkeypatch: py
             bench.host.check_start()
 
 
-def test_before_any_device_is_activated_the_drives_are_on_and_braked_and_giving_up_switches_them_off(
+def test_before_any_device_is_activated_the_drives_are_off_and_giving_up_takes_them_out_of_operational(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     with pair(monkeypatch) as bench:
-        bench.host.configure()
-        bench.host.check_start()
-        assert [drive.state for drive in bench.logics] == [STATES.switched_on] * 2
-        assert bench.joints.virtual.logic.braked
+        bench.prepared()
         for _ in range(10):
+            assert [drive.state for drive in bench.logics] == [STATES.switch_on_disabled] * 2
+            assert bench.joints.virtual.logic.braked
             bench.host.stay()
-        assert [drive.state for drive in bench.logics] == [STATES.switched_on] * 2
+        assert [drive.node.nmt.state for drive in bench.drives] == ["OPERATIONAL"] * 2
+        assert set(bench.controlwords(3) + bench.controlwords(7)) == {0x00}
         bench.host.deactivate()
         bench.joints.tick()
         assert [drive.state for drive in bench.logics] == [STATES.switch_on_disabled] * 2
         assert [drive.node.nmt.state for drive in bench.drives] == ["PRE-OPERATIONAL"] * 2
+
+
+def test_a_fault_that_stays_after_its_reset_is_told_with_its_code_and_nothing_is_switched_on(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     with pair(monkeypatch) as bench:
-        bench.host.configure()
-        monkeypatch.setattr(bench.logics[1], "obey", lambda word: bench.logics[1].fail(0x4310))
-        with pytest.raises(
-            DeviceError, match=re.escape("drive of joint 2 (node 7) does not come to Switched on: it is in Fault")
-        ):
-            bench.host.check_start()
+        bench.joints.virtual.fail(2, 0x4310)
+        monkeypatch.setattr(bench.logics[1], "obey", lambda word: None)
+        refused(bench, "drive of joint 2 (node 7) stays in Fault (statusword 0x0218", bench.prepared)
+        bench.host.deactivate()
+        bench.joints.tick()
+        assert not bench.controlwords(3)
+        assert [drive.node.nmt.state for drive in bench.drives] == ["PRE-OPERATIONAL"] * 2
 
 
 def test_a_drive_that_does_not_become_enabled_is_named_with_its_state_and_error(monkeypatch: pytest.MonkeyPatch) -> None:
     with pair(monkeypatch) as bench:
-        bench.host.configure()
+        bench.prepared()
         monkeypatch.setattr(bench.logics[1], "obey", lambda word: bench.logics[1].fail(0x4310))
         with pytest.raises(
             DeviceError, match=re.escape("drive of joint 2 (node 7) does not come to Operation enabled: it is in Fault")
@@ -266,6 +299,34 @@ def test_a_drive_that_does_not_become_enabled_is_named_with_its_state_and_error(
         for _ in range(TICKS):
             bench.joints.tick()
         assert bench.joints.virtual.logic.braked
+        assert [drive.node.nmt.state for drive in bench.drives] == ["PRE-OPERATIONAL"] * 2
+
+
+def test_each_step_to_operation_enabled_answers_the_statusword_of_the_step_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pair(monkeypatch) as bench:
+        bench.prepared()
+        seen: list[tuple[int, int]] = []
+        send, take = bench.host_end.send, bench.drive_end.send
+        # The bus as it is heard: controlwords, and statuswords of TPDOs.
+        for end, call, first in ((bench.host_end, send, 0x200), (bench.drive_end, take, 0x180)):
+
+            def heard(message: can.Message, call: Callable[..., None] = call, first: int = first) -> None:
+                if message.arbitration_id in (first + 3, first + 7):
+                    seen.append((message.arbitration_id, int.from_bytes(message.data[:2], "little") & 0x6F))
+                call(message)
+
+            monkeypatch.setattr(end, "send", heard)
+        bench.host.activate(lambda: False)
+        needs = {0x06: (0x40,), 0x07: (0x21,), 0x0F: (0x23, 0x27)}
+        for node in (3, 7):
+            said, words = 0x40, []  # Switch on disabled, as preparing has heard
+            for identifier, word in seen:
+                if identifier == 0x180 + node:
+                    said = word
+                elif identifier == 0x200 + node:
+                    assert said in needs[word], (node, word, said)
+                    words.append(word)
+            assert list(dict.fromkeys(words)) == [0x06, 0x07, 0x0F]
 
 
 def test_a_fault_of_before_is_reset_by_activation(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -274,6 +335,29 @@ def test_a_fault_of_before_is_reset_by_activation(monkeypatch: pytest.MonkeyPatc
         assert bench.logics[0].state is STATES.fault
         bench.activated()
         assert bench.logics[0].state is STATES.operation_enabled
+        # Once, by SDO (2Bh: download of two bytes), and before the drives process PDOs.
+        sent = bench.host_end.sent
+        words = [m.data[4] for m in sent if m.arbitration_id == 0x603 and m.data[:3] == bytes.fromhex("2b 40 60")]
+        assert words == [0x00, 0x80, 0x00]
+        started = next(k for k, m in enumerate(sent) if m.arbitration_id == 0 and m.data[0] == 1)
+        assert all(m.arbitration_id not in (0x203, 0x207) for m in sent[:started])
+        assert all(m.data[:3] != bytes.fromhex("2b 40 60") for m in sent[started:])
+
+
+def test_no_cyclic_frame_resets_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pair(monkeypatch) as bench:
+        bench.joints.virtual.fail(1)
+        bench.activated()
+        bench.cycles(10, 1.0, 1.0)
+        bench.joints.virtual.fail(2, 0x2310)
+        stopped(bench, "left Operation enabled by itself")
+        ramped_down(bench)
+        bench.host.on_error("tried")
+        bench.host.deactivate()
+        for _ in range(300):
+            bench.joints.tick()
+        assert bench.logics[1].state is STATES.fault
+        assert not [word for node in (3, 7) for word in bench.controlwords(node) if word & 0x80]
 
 
 def test_a_fault_is_reset_by_an_edge_even_if_the_bit_was_left_set(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -395,6 +479,74 @@ def test_a_strange_sync_stops_a_running_loop(monkeypatch: pytest.MonkeyPatch) ->
         bench.activated()
         bench.host_end.waiting.append(can.Message(arbitration_id=0x80, is_extended_id=False))
         stopped(bench, "another controller sends SYNC", cycles=1)
+
+
+def test_targets_of_another_controller_are_a_second_controller(monkeypatch: pytest.MonkeyPatch) -> None:
+    def theirs() -> can.Message:
+        return can.Message(arbitration_id=0x207, is_extended_id=False, data=bytes.fromhex("0f00 0000"))
+
+    with pair(monkeypatch) as bench:
+        bench.host.configure()
+        bench.host_end.waiting.append(theirs())
+        refused(bench, "another controller sends SYNC, targets", bench.host.check_start)
+    with pair(monkeypatch) as bench:
+        bench.activated()
+        bench.host_end.waiting.append(theirs())
+        stopped(bench, "another controller sends SYNC, targets", cycles=1)
+
+
+def stopped_in_order(bench: Pair) -> None:
+    bench.host.revoke("tried")
+    ramped_down(bench)
+
+
+@pytest.mark.parametrize(
+    "stop",
+    [stopped_in_order, lambda bench: bench.host.on_error("tried"), lambda bench: None],
+    ids=["graded", "error", "at once"],
+)
+def test_after_every_stop_no_controllers_frames_move_the_drives(
+    monkeypatch: pytest.MonkeyPatch, stop: Callable[[Pair], None]
+) -> None:
+    with pair(monkeypatch) as bench:
+        bench.activated()
+        bench.cycles(20, 8.0, -4.0)
+        stop(bench)
+        bench.host.deactivate()
+        for _ in range(1000):
+            bench.joints.tick()
+        assert [drive.node.nmt.state for drive in bench.drives] == ["PRE-OPERATIONAL"] * 2
+        for word in (0x00, 0x80, 0x00, 0x06, 0x07, 0x0F, 0x0F):
+            for node in (3, 7):
+                data = word.to_bytes(2, "little") + bytes.fromhex("6400")
+                bench.drive_end.waiting.append(can.Message(arbitration_id=0x200 + node, is_extended_id=False, data=data))
+            bench.drive_end.waiting.append(can.Message(arbitration_id=0x80, is_extended_id=False))
+            for _ in range(TICKS):
+                bench.joints.tick()
+                assert bench.joints.virtual.logic.braked
+                assert all(drive.braked for drive in bench.logics)
+
+
+def test_a_loop_that_was_held_up_stops_for_good_and_enables_nothing_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pair(monkeypatch, watchdog_cycles=25) as bench:  # 0.1 s of the real clock
+        bench.activated()
+        bench.cycles(20, 8.0, -4.0)
+        time.sleep(0.12)
+        for _ in range(700):  # meanwhile the drives' own watchdogs have acted
+            bench.joints.tick()
+        assert {drive.state for drive in bench.logics} == {STATES.fault}
+        begin = len(bench.host_end.sent)
+        stopped(bench, "the loop was held up for 0.", cycles=1)
+        bench.host.write()
+        assert bench.host_end.sent[begin:] == []
+        bench.host.revoke("the loop was held up")
+        ramped_down(bench)
+        bench.host.deactivate()
+        for _ in range(50):
+            bench.joints.tick()
+        words = {word for node in (3, 7) for word in bench.controlwords(node, begin)}
+        assert words <= {0x00, 0x02}, words
+        assert {drive.state for drive in bench.logics} == {STATES.fault}
 
 
 def test_the_graded_stop_ends_with_brakes_and_silent_drives_are_not_called_at_rest(monkeypatch: pytest.MonkeyPatch) -> None:

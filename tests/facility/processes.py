@@ -14,12 +14,16 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pandas
 
 from freeflyer.errors import RecordError
+from freeflyer_adapters.arm.frames import ArmFrames, FrameMapping, Mode
+from freeflyer_adapters.arm.link import open_bus
+from freeflyer_adapters.device import LifeCycle
 from freeflyer_adapters.recording.ring import RingReader
 from freeflyer_adapters.recording.ring import folder as rings
 
@@ -28,13 +32,18 @@ numbers = itertools.count()
 # What a shared machine does to two processes at 1 kHz is not what these tests are about: holes of up to a second are counted, but
 # stop nobody. The rules themselves are tested without a clock (tests/links).
 PATIENT_FACILITY = ("facility.arm_watchdog_cycles=1000", "facility.base_watchdog_s=1.0")
-PATIENT_LOOP = (
+PATIENT_ARM = (
     "devices.arm_drive.parameters.lost_consecutive=1000",
     "devices.arm_drive.parameters.state_age_limit=1.0",
+    "devices.arm_drive.parameters.watchdog_cycles=1000",
+)
+PATIENT_BASE = (
     "devices.base_robot.parameters.lost_consecutive=250",
     "devices.base_robot.parameters.lost_in_window=0",
     "devices.base_robot.parameters.age_limit=1.0",
+    "devices.base_robot.parameters.watchdog=1.0",
 )
+PATIENT_LOOP = (*PATIENT_ARM, *PATIENT_BASE)
 
 
 def free_port() -> int:
@@ -106,8 +115,95 @@ kind = "simulated"
 lost_consecutive = 250
 lost_in_window = 0
 age_limit = 1.0
+watchdog = 1.0
 """
 """A scenario whose arm is a model beside the controllers, so that only the base is on a link."""
+
+
+@dataclass(frozen=True)
+class State:
+    """A state frame; `at` [s of the wall clock] is the kernel's stamp."""
+
+    at: float
+    life: LifeCycle | None
+    brakes: bool
+
+    @property
+    def has_power(self) -> bool:
+        return self.life is LifeCycle.active or not self.brakes
+
+
+class Listener:
+    """Another node of a rig's CAN channel, with a thread that hears everything: `states`, and `commands` as (when, mode)."""
+
+    def __init__(self, channel: str) -> None:
+        self.frames = ArmFrames(FrameMapping(), 6)
+        self.states: list[State] = []
+        self.commands: list[tuple[float, Mode | None]] = []
+        self._bus = open_bus("local", channel, True, [self.frames.state, self.frames.command], {})
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._listen, daemon=True)
+        self._thread.start()
+
+    def _listen(self) -> None:
+        state, command = self.frames.state, self.frames.command
+        while not self._ended.is_set():
+            message = self._bus.recv(0.1)
+            if message is not None and message.arbitration_id == state.identifier:
+                said = state.unpack(message.data)
+                self.states.append(
+                    State(message.timestamp, self.frames.life_cycle(said["life_cycle"][0]), said["brakes"][0] > 0.5)
+                )
+            elif message is not None:
+                self.commands.append((message.timestamp, self.frames.mode(command.unpack(message.data)["mode"][0])))
+
+    def after_the_first_brake(self) -> list[State]:
+        """All states from the first engaged brake on, of an arm that has had power."""
+        first = next(k for k, state in enumerate(self.states) if state.has_power)
+        braked = next(k for k, state in enumerate(self.states) if k > first and state.brakes)
+        return self.states[braked:]
+
+    def end(self) -> None:
+        self._ended.set()
+        self._thread.join()
+        self._bus.shutdown()
+
+
+class Door:
+    """A TCP forwarder in front of a port of this machine; while `held`, what comes in waits, and then goes on at once."""
+
+    def __init__(self, port: int) -> None:
+        self.held = threading.Event()
+        self._target = port
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self.endpoint = f"tcp/127.0.0.1:{self._server.getsockname()[1]}"
+        self._ends = [self._server]
+        threading.Thread(target=self._serve, daemon=True).start()
+
+    def _serve(self) -> None:
+        with suppress(OSError):
+            while True:
+                near, _ = self._server.accept()
+                far = socket.create_connection(("127.0.0.1", self._target))
+                self._ends += [near, far]
+                for end in (near, far):
+                    end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                threading.Thread(target=self._forward, args=(near, far, True), daemon=True).start()
+                threading.Thread(target=self._forward, args=(far, near, False), daemon=True).start()
+
+    def _forward(self, source: socket.socket, target: socket.socket, inwards: bool) -> None:
+        with suppress(OSError):
+            while data := source.recv(65536):
+                while inwards and self.held.is_set():
+                    time.sleep(0.002)
+                target.sendall(data)
+            target.shutdown(socket.SHUT_WR)
+
+    def end(self) -> None:
+        for end in self._ends:
+            with suppress(OSError):
+                end.shutdown(socket.SHUT_RDWR)
+            end.close()
 
 
 class Rig:
@@ -118,6 +214,7 @@ class Rig:
         self.channel = f"test-{os.getpid()}-{next(numbers)}"
         self.endpoint = f"tcp/127.0.0.1:{free_port()}"
         self.started: list[Process] = []
+        self.ends: list[Listener | Door] = []
 
     @property
     def links(self) -> list[str]:
@@ -139,6 +236,15 @@ class Rig:
         sets = [word for setting in settings for word in ("--set", setting)]
         out = str(self.folder / out)
         return self.start("hil", self.scenario, *self.links, *sets, "--no-view", "--out", out, *options)
+
+    def listener(self) -> Listener:
+        self.ends.append(made := Listener(self.channel))
+        return made
+
+    def door(self) -> Door:
+        """In front of the facility's base robot."""
+        self.ends.append(made := Door(int(self.endpoint.rpartition(":")[2])))
+        return made
 
     def wait_for_instants(self, out: str = "hil", timeout: float = 30.0) -> None:
         """Until the loop has been through an instant: a stop before the first leaves no flight recording."""
@@ -174,6 +280,12 @@ def rig(folder: Path, scenario: str = "facility") -> Iterator[Rig]:
     finally:
         for process in made.started:
             process.end()
+        for end in made.ends:
+            end.end()
+
+
+def activations(report: dict[str, Any], device: str) -> int:
+    return sum("-> active" in event for event in events(report, device))
 
 
 def events(report: dict[str, Any], device: str) -> list[str]:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from commands import said
 from families import family
-from processes import PATIENT_FACILITY, Process, Rig, events, rig
+from processes import PATIENT_FACILITY, PATIENT_LOOP, Process, Rig, events, rig
 
 OWN_DBC = """VERSION ""
 NS_ :
@@ -24,7 +24,9 @@ BO_ 385 STATE: 48 Drive
 """
 
 
-def own_dbc(folder: Path, torque_scale: float = 0.01, state_size: int = 48, left_out: str = "") -> str:
+def own_dbc(
+    folder: Path, torque_scale: float = 0.01, state_size: int = 48, left_out: str = "", activation: str = "implicit"
+) -> str:
     """A small arm of six joints; a scenario beside it that uses it."""
     command = [f' SG_ C{i + 1} : {16 * i}|16@1- ({torque_scale},0) [0|0] "Nm" Drive' for i in range(6)]
     state, first = [], 8
@@ -37,9 +39,8 @@ def own_dbc(folder: Path, torque_scale: float = 0.01, state_size: int = 48, left
     )
     (folder / "own.dbc").write_text(text.replace("STATE: 48", f"STATE: {state_size}"))
     (folder / "own.toml").write_text(
+        f'extends = "facility"\n[devices.arm_drive]\nactivation = "{activation}"'
         """
-extends = "facility"
-[devices.arm_drive]
 dbc = "own.dbc"
 messages = { command = "CMD", state = "STATE" }
 signals = { cycle = "N", joint_torque_command = "C{}", joint_position = "Q{}", joint_velocity = "W{}", joint_torque = "T{}" }
@@ -141,6 +142,7 @@ def test_a_scenario_that_cannot_be_is_refused(
         ({"left_out": "Q3"}, "lacks the signal 'Q3' of signals.joint_position"),
         ({"state_size": 50}, "50 bytes long, which no CAN FD frame is"),
         ({"state_size": 24}, "cannot be used"),
+        ({"activation": "explicit"}, "so that the arm cannot refuse a late activation itself"),
         ({"torque_scale": 0.001}, r"signal C1 holds -32.768 to 32.767 N.m, but the robot needs -176 to 176 N.m"),
     ],
 )
@@ -264,11 +266,7 @@ def test_a_base_further_away_is_approached_when_asked(tmp_path: Path) -> None:
         loop = bench.hil(
             "devices.base_robot.parameters.approach=true",
             "devices.base_robot.parameters.approach_speed=[0.05, 0.1]",
-            "devices.base_robot.parameters.age_limit=1.0",
-            "devices.base_robot.parameters.lost_consecutive=250",
-            "devices.base_robot.parameters.lost_in_window=0",
-            "devices.arm_drive.parameters.lost_consecutive=1000",
-            "devices.arm_drive.parameters.state_age_limit=1.0",
+            *PATIENT_LOOP,
             "stop_s=0.5",
         )
         assert loop.finish() == 0, loop.text

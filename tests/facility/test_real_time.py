@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from families import family
 from flights import WITHIN, flight_of
-from processes import BASE_ALONE, PATIENT_FACILITY, PATIENT_LOOP, Rig, events, rig
+from processes import BASE_ALONE, PATIENT_BASE, PATIENT_FACILITY, PATIENT_LOOP, Rig, events, rig
 
 from freeflyer import experiment, real_time, scenario
 from freeflyer.assemble import find_fmu
@@ -60,6 +60,7 @@ def test_over_real_bytes_the_experiment_is_what_it_is_without_a_wall_clock(bench
     assert virtual["commands_late_or_lost"] <= arm["commands_late_or_lost"] + arm["cycles_lost"] + 5
     times = summary["real_time"]["times"]
     assert times["arm_drive: answer to it"]["count"] >= instants - arm["cycles_lost"]
+    assert times["arm_drive: wake-up after the state frame"]["count"] >= instants - arm["cycles_lost"]
     assert report["times"]["arm_drive: round trip of state frame and command"]["count"] > 0.5 * instants
     assert [event for event in events(report, "arm_drive") if "->" in event] == [
         "inactive -> active: commanded",
@@ -142,7 +143,7 @@ def test_the_arm_is_safe_within_five_cycles_of_its_controllers_death_and_the_bas
 @pytest.mark.slow
 def test_the_controller_stops_in_order_when_the_facility_dies(bench: Rig) -> None:
     facility = bench.facility(*PATIENT_FACILITY)
-    loop = bench.hil(*PATIENT_LOOP[2:])  # the arm's own rule: 20 cycles in a row, 20 ms
+    loop = bench.hil(*PATIENT_BASE)  # the arm's own rule: 20 cycles in a row, 20 ms
     facility.wait_for("inactive -> active: commanded")
     bench.wait_for_instants()
     facility.send(signal.SIGKILL)
@@ -171,23 +172,26 @@ def test_ctrl_c_on_the_controller_is_an_orderly_stop(bench: Rig, number: signal.
     facility.wait_for("active -> inactive: brakes commanded")
 
 
-def test_ctrl_c_while_the_arm_is_waited_for_ends_at_once(bench: Rig) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_the_arm_is_waited_for_ends_at_once(bench: Rig, number: signal.Signals) -> None:
     loop = bench.hil("devices.arm_drive.parameters.configure_timeout=60")
     deadline = time.monotonic() + 30.0
     while not any(directory(bench.channel).glob("*-*")) and time.monotonic() < deadline:
         time.sleep(0.05)
     time.sleep(0.3)
     begin = time.monotonic()
-    loop.send(signal.SIGINT)
+    loop.send(number)
     assert loop.finish() == 3
-    assert time.monotonic() - begin < 10.0
+    took = time.monotonic() - begin
+    print(f"ended {took:.2f} s after {number.name}, before activation")
+    assert took < 3.0  # 1 s is the promise; a shared machine may take longer
     assert "interrupted" in loop.text
 
 
 @pytest.mark.slow
 def test_ctrl_c_on_the_facility_is_an_orderly_stop_for_both(bench: Rig) -> None:
     facility = bench.facility(*PATIENT_FACILITY)
-    loop = bench.hil(*PATIENT_LOOP[2:])
+    loop = bench.hil(*PATIENT_BASE)
     facility.wait_for("inactive -> active: commanded")
     bench.wait_for_instants()
     facility.send(signal.SIGINT)
@@ -223,7 +227,7 @@ def test_a_second_controller_of_a_base_alone_is_refused_with_both_names(tmp_path
         facility.wait_for("set points came")
         second = bench.start("hil", str(path), "--set", base, "--no-view", "--out", str(tmp_path / "second"))
         assert second.finish() == 2
-        assert re.search(r"obeys publisher [0-9a-f]{32} already; this is publisher [0-9a-f]{32}", second.text), second.text
+        assert re.search(r"obeys publisher [0-9a-f]{32} already; this is session [0-9a-f]{32}", second.text), second.text
         assert first.popen.poll() is None
         first.send(signal.SIGINT)
         assert first.finish() == 3

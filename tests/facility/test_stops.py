@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
+import json
 import os
+import signal
+import socket
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from commands import said
 
-from freeflyer import experiment, scenario
+from freeflyer import command, experiment, scenario
+from freeflyer.interrupts import interrupts, no_interrupts
 from freeflyer.scenario import Scenario
-from freeflyer_adapters import hil
-from freeflyer_adapters.device import DeviceError
+from freeflyer_adapters import graded_stop, hil
+from freeflyer_adapters.device import DeviceError, LifeCycle, State
 from freeflyer_adapters.live_view import LiveValues
+from freeflyer_adapters.recording.tap import Tap
 from freeflyer_adapters.simulated import SimulatedDevice
+from freeflyer_adapters.stop_notice import StopNotice
 
 
 def loaded(folder: Path, text: str = "", overrides: tuple[str, ...] = ("stop_s=0.5",)) -> Scenario:
@@ -144,3 +152,80 @@ def test_a_driver_that_fails_in_its_own_way_loses_no_record_and_stops_the_others
         assert "the driver broke" in stop
     if call == "ramp_down":
         assert "base_robot had not confirmed to be at rest" in stop
+
+
+def test_the_reason_comes_before_any_file_and_goes_to_the_system_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    done: list[str] = []
+
+    def noted(name: str, original: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*arguments: Any, **keywords: Any) -> Any:
+            done.append(name)
+            return original(*arguments, **keywords)
+
+        return call
+
+    monkeypatch.setattr(hil, "stop", noted("devices stopped", hil.stop))
+    monkeypatch.setattr(StopNotice, "give", noted("reason given", StopNotice.give))
+    monkeypatch.setattr(Tap, "close", noted("recording closed", Tap.close))
+    monkeypatch.setattr(experiment, "write", noted("results written", experiment.write))
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as log:
+        log.bind(str(tmp_path / "log"))
+        out = tmp_path / "out"
+        arguments = ("hil", "facility", "--simulated", "--no-real-time", "--no-view", "--set", "stop_s=0.1", "--out", str(out))
+        assert command.call((*arguments, "--log-to", f"syslog:{tmp_path / 'log'}")) == 0
+        assert b"Stop: the scenario is over; all devices were brought to rest" in log.recv(4096)
+    assert done == ["devices stopped", "reason given", "recording closed", "results written"]
+    written = json.loads((out / "stop.json").read_text())
+    assert written["stopped"] is True
+    assert written["reason"] == "the scenario is over"
+
+
+def test_a_log_that_cannot_be_is_refused_before_anything_is_opened(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, sentence = said(capsys, "hil", "facility", "--simulated", "--out", str(tmp_path), "--log-to", "sysloog")
+    assert code == 2
+    assert "did you mean" in sentence
+    assert not (tmp_path / "stop.json").exists()
+
+
+def test_a_second_signal_does_not_stop_the_stop() -> None:
+    with interrupts() as asked:
+        with no_interrupts():
+            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+                os.kill(os.getpid(), number)
+        assert not asked
+        os.kill(os.getpid(), signal.SIGHUP)  # the terminal has gone
+        assert len(asked) == 1
+
+
+class HalfActivated:
+    """A device whose activation was given up after something had gone out."""
+
+    name, is_clock, may_have_power = "half", False, True
+
+    def __init__(self, comes_to_rest: bool) -> None:
+        self.state, self.calls, self._comes = State("half"), [], comes_to_rest
+        self.state.to(LifeCycle.inactive)
+
+    def revoke(self, reason: str) -> None:
+        self.calls.append("revoke")
+
+    def ramp_down(self, elapsed: float) -> bool:
+        self.calls.append("ramp_down")
+        return True
+
+    @property
+    def at_rest(self) -> bool:
+        return self._comes and "ramp_down" in self.calls
+
+    def on_error(self, reason: str) -> None: ...
+
+    def deactivate(self) -> None:
+        self.calls.append("deactivate")
+
+
+@pytest.mark.parametrize("comes_to_rest", [True, False])
+def test_a_device_whose_activation_was_given_up_half_way_is_seen_to_come_to_rest(comes_to_rest: bool) -> None:
+    device: Any = HalfActivated(comes_to_rest)
+    left = graded_stop.stop([device], 1_000_000, "a drive failed", orderly=False)
+    assert device.calls == ["revoke", "ramp_down", "deactivate"]
+    assert ("half had not confirmed to be at rest" in left) is not comes_to_rest

@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from dataclasses import replace as replaced
+from itertools import pairwise
 from typing import Any
 
 import can
@@ -82,6 +83,8 @@ class Observed:
     """Of the arm in every cycle: state, brakes, torque."""
     delivered: list[tuple[int, list[bytes]]] = field(default_factory=list)
     """For every cycle: its number, and the frames that came out of the link for the arm before it."""
+    lives: dict[str, list[tuple[float, LifeCycle]]] = field(default_factory=lambda: {ARM: [], BASE: []})
+    """Of each device in every cycle: when, and its state."""
     followed: list[tuple[Array, Array]] = field(default_factory=list)
     """Set points that the base robot was given in every cycle."""
     devices: dict[str, Any] = field(default_factory=dict)
@@ -102,7 +105,7 @@ class Observed:
 
     def since(self, device: str, begin: float, moment: float) -> float:
         """[s] from a fault's begin (counted from the device's activation) until a moment."""
-        return moment - (self.active_at[device] + begin)
+        return round(moment - (self.active_at[device] + begin), 9)  # the clock counts nanoseconds
 
 
 def run(chosen: Scenario) -> Observed:
@@ -195,6 +198,7 @@ def _is_over(seen: Observed, now: float) -> bool:
 
 
 def _note_state(seen: Observed, name: str, state: LifeCycle, now: float) -> None:
+    seen.lives[name].append((now, state))
     if state is LifeCycle.active:
         seen.active_at.setdefault(name, now)
     elif state in (LifeCycle.safe_stop, LifeCycle.fault):
@@ -225,6 +229,7 @@ def assert_safe(seen: Observed) -> None:
     _assert_nothing_corrupted_was_used(seen, frames)
     _assert_commands_within_limits(seen, frames)
     _assert_an_unheard_arm_stops(seen, frames)
+    _assert_one_activation(seen, frames)
     for name, state in seen.at_the_end.items():
         # One that hangs for ever does nothing any more.
         hangs = any(f.kind == "hung" and f.device == name and f.duration_s > AFTERWARDS for f in seen.faults)
@@ -274,6 +279,19 @@ def _assert_an_unheard_arm_stops(seen: Observed, frames: ArmFrames) -> None:
         # `cycle` is the number of the state frame to come; the last one was the cycle before.
         hung = any(fault.kind == "hung" and fault.device == ARM for fault in seen.faults)
         assert life is not LifeCycle.active or cycle - 1 - newest < watchdog or hung
+
+
+def _assert_one_activation(seen: Observed, frames: ArmFrames) -> None:
+    """What has left active stays so, and the loop's stop ends activations; the arm is activated by mode 4 and nothing else."""
+    for name, lives in seen.lives.items():
+        begun = [now for (_, before), (now, state) in pairwise(lives) if state is not before and state is LifeCycle.active]
+        said = [event for event in seen.events[name] if event.split(":")[0].endswith("-> active")]
+        assert len(begun) == len(said) <= 1, (name, begun, said)
+        assert not begun or not begun[0] > seen.stopped_at, (name, begun, seen.stopped_at)
+    for (_, came), (before, _, _), (life, _, _) in zip(seen.delivered[1:], seen.applied, seen.applied[1:], strict=False):
+        if life is LifeCycle.active and before is not life:
+            whole = [data for data in came if len(data) == frames.command.size and e2e_p05_check(data, frames.command.data_id)]
+            assert Mode.activate in [frames.mode(frames.command.unpack(data)["mode"][0]) for data in whole]
 
 
 def _assert_commands_within_limits(seen: Observed, frames: ArmFrames) -> None:

@@ -5,8 +5,10 @@ python tests/faults/fault_matrix.py > docs/fault_matrix.md
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 ARM, BASE = "arm_drive", "base_robot"
@@ -188,35 +190,35 @@ def _base_rows() -> Iterator[Row]:
         reaction="every other set point is followed",
         counted=("setpoints_refused", "setpoints_skipped"),
     )
-    yield Row(
-        device=BASE, direction=TO_CONTROLLER, kind="clock_jump", how={"jump_s": 3600.0}, reaction="stamps need only go on: none"
-    )
-    yield Row(device=BASE, direction=TO_CONTROLLER, kind="clock_jump", how={"jump_s": -3600.0}, stop=BASE_SILENT, within=0.02,
-              reaction="stamps of the past are refused, as if lost: two cycles in a row")  # fmt: skip
-    yield Row(device=BASE, direction=TO_CONTROLLER, kind="clock_jump", how={"jump_s": 3600.0, "duration_s": 0.1}, stop=BASE_SILENT, within=0.12,
-              reaction="back again, stamps are of the past: two cycles in a row")  # fmt: skip
-    yield Row(
-        device=BASE, direction=TO_DEVICE, kind="clock_jump", how={"jump_s": 3600.0}, reaction="stamps need only go on: none"
-    )
-    yield Row(device=BASE, direction=TO_DEVICE, kind="clock_jump", how={"jump_s": -3600.0}, stop=BASE_WATCHDOG, within=0.028, device_within=0.026,
-              reaction="stamps of the past are refused: the base's watchdog after 20 ms")  # fmt: skip
+    set_to = "a clock set {} is noticed and counted; ages are counted anew"
+    for direction in (TO_CONTROLLER, TO_DEVICE):
+        yield Row(device=BASE, direction=direction, kind="clock_jump", how={"jump_s": 3600.0}, reaction=set_to.format("forward"),
+                  counted=("clock_steps",))  # fmt: skip
+        yield Row(device=BASE, direction=direction, kind="clock_jump", how={"jump_s": -3600.0}, reaction=set_to.format("back"),
+                  counted=("clock_steps",))  # fmt: skip
+        yield Row(device=BASE, direction=direction, kind="clock_jump", how={"jump_s": 3600.0, "duration_s": 0.1},
+                  reaction=set_to.format("back"), counted=("clock_steps",))  # fmt: skip
     yield Row(device=BASE, kind="hung", stop=BASE_SILENT, within=0.02, reaction="two cycles in a row")
     yield Row(device=BASE, kind="dead", stop=BASE_SILENT, within=0.02, reaction="it stands; two cycles in a row")
 
 
 ROWS = (*_arm_rows(), *_base_rows())
 
-_FACILITY, _RUNS, _KILLED = (
+_FACILITY, _STOPS, _TWO, _RUNS, _KILLED = (
     "tests/facility/test_process_faults.py",
+    "tests/facility/test_stops_stay.py",
+    "tests/facility/test_two_devices.py",
     "tests/recording/test_runs.py",
     "tests/recording/test_killed.py",
 )
 PROCESS_ROWS = (
     ProcessRow(what="SIGKILL of the controllers", reaction="the arm's own watchdog: damped ramp-down, brakes; the base holds its place",
                within="5 cycles; base 20 ms", test="tests/facility/test_real_time.py::test_the_arm_is_safe_within_five_cycles_of_its_controllers_death_and_the_base_holds"),
-    ProcessRow(what="SIGSTOP of the controllers", reaction="as SIGKILL; continued, they find the arm in safe stop and end", within="5 cycles; base 20 ms",
-               test=f"{_FACILITY}::test_controllers_that_are_stopped_find_the_arm_safe_when_they_go_on"),
-    ProcessRow(what="controller overrun: one cycle takes 50 ms", reaction="the arm's own watchdog, which the controllers learn from its next frame",
+    ProcessRow(what="SIGSTOP of the controllers for 2.5 s", reaction="as SIGKILL; continued, they stop because they were held up, and nothing gets power again",
+               within="5 cycles; base 20 ms", test=f"{_FACILITY}::test_controllers_that_are_held_up_never_give_a_braked_arm_its_power_back"),
+    ProcessRow(what="controller overrun: one cycle takes 50 ms", reaction="the arm's own watchdog; the loop says that it was held up",
+               within="5 cycles", test=f"{_FACILITY}::test_an_overrun_of_the_controllers_is_told_as_one_by_the_loop"),
+    ProcessRow(what="the same, with a loop that forgives it", reaction="the arm's own watchdog, which the controllers learn from its next frame",
                within="5 cycles", test=f"{_FACILITY}::test_an_overrun_of_the_controllers_is_stopped_by_the_arms_watchdog"),
     ProcessRow(what="SIGKILL of the facility", reaction="20 lost cycles; says that the arm has not confirmed to be at rest", within="21.5 ms",
                test="tests/facility/test_real_time.py::test_the_controller_stops_in_order_when_the_facility_dies"),
@@ -224,6 +226,30 @@ PROCESS_ROWS = (
                test=f"{_FACILITY}::test_a_facility_that_is_stopped_stops_the_controllers_and_brakes_when_it_goes_on"),
     ProcessRow(what="20 % loss both ways over real sockets", reaction="the arm's own watchdog; nothing that was changed or lost is used",
                within="some 90 cycles on average", test=f"{_FACILITY}::test_loss_and_corruption_over_real_sockets_are_never_used"),
+    ProcessRow(what="a torque frame after the brake command, or any other of its session", reaction="the arm stays inactive and braked; counted",
+               within="", test=f"{_STOPS}::test_frames_that_come_after_the_brake_command_move_nothing"),
+    ProcessRow(what="set points held up for 0.8 s on the way", reaction="the base's watchdog, and the controllers on its word; what comes late activates nothing",
+               within="its watchdog", test=f"{_STOPS}::test_set_points_that_were_held_up_on_the_way_do_not_wake_a_base_that_has_stopped"),
+    ProcessRow(what="set points held up from the first one on", reaction="the controllers give up; what comes late activates nothing", within="3 s",
+               test=f"{_STOPS}::test_set_points_that_come_after_their_loop_has_given_up_activate_nothing"),
+    ProcessRow(what="two arms on one channel", reaction="refused before activation, as two senders of the state frame", within="40 cycles",
+               test=f"{_TWO}::test_of_two_arms_on_one_channel_neither_is_activated_and_it_is_said"),
+    ProcessRow(what="a second arm appears", reaction="the loop stops and names it", within="30 cycles",
+               test=f"{_TWO}::test_a_second_arm_that_appears_stops_the_loop_and_is_named"),
+    ProcessRow(what="two base robots on one topic", reaction="refused before activation, both named", within="25 samples",
+               test=f"{_TWO}::test_of_two_base_robots_on_one_topic_neither_is_commanded_and_both_are_named"),
+    ProcessRow(what="a second base robot appears", reaction="the loop stops and names it", within="its announcement, or 20 samples",
+               test=f"{_TWO}::test_a_second_base_robot_that_appears_stops_the_loop_and_is_named"),
+    ProcessRow(what="a base robot that reports other frames", reaction="refused by --check with the names of both", within="3 s",
+               test=f"{_TWO}::test_a_base_that_reports_other_frames_is_refused_by_a_check_with_both_names"),
+    ProcessRow(what="the base's clock is set back by 1 s", reaction="goes on, counted", within="",
+               test=f"{_FACILITY}::test_a_base_whose_clock_is_set_back_goes_on_and_that_is_counted"),
+    ProcessRow(what="a flood of frames of another node, then SIGTERM", reaction="the loop answers on and stops in order", within="2 s more than without; brakes 0.1 s",
+               test=f"{_STOPS}::test_a_flood_of_frames_neither_stops_the_arm_nor_makes_the_loop_deaf"),
+    ProcessRow(what="SIGTERM or SIGINT before activation", reaction="the process ends", within="1 s",
+               test="tests/facility/test_real_time.py::test_a_signal_while_the_arm_is_waited_for_ends_at_once"),
+    ProcessRow(what="the disk of the results is full, then SIGINT", reaction="the reason is said before anything about files, and stop.json has it", within="at the stop",
+               test=f"{_STOPS}::test_with_a_full_disk_the_reason_is_said_once_and_stop_json_is_whole"),
     ProcessRow(what="the disk is full while recording", reaction="told once; the loop goes on; what was written is whole, the last 2 s are written elsewhere or stay in the ring",
                within="its next write", test=f"{_RUNS}::test_a_full_disk_is_told_once_and_what_was_written_is_kept"),
     ProcessRow(what="the directory of the recording vanishes", reaction="told once; the loop goes on; it is made again for the last 2 s",
@@ -234,10 +260,17 @@ PROCESS_ROWS = (
                within="8 s", test=f"{_RUNS}::test_a_recorder_that_is_held_up_loses_nothing_and_holds_nobody_up"),
     ProcessRow(what="SIGKILL of controllers and recorder", reaction="as SIGKILL of the controllers; the next start, or `freeflyer recover`, saves all that was not written yet",
                within="8 s of ring", test=f"{_KILLED}::test_with_both_killed_the_next_start_saves_the_last_seconds_and_nothing_is_lost"),
+    ProcessRow(what="this machine's clock is set back while recording", reaction="the loop does not see it; recordings' times go on; the step is named with its size",
+               within="0.05 s", test="tests/recording/test_clock_steps.py::test_a_set_wall_clock_is_named_and_the_times_go_on_by_the_tick"),
+    ProcessRow(what="the disk is full at the start", reaction="refused before anything is opened; an earlier run's reason is kept",
+               within="the start", test="tests/recording/test_stop_notice.py::test_a_disk_that_is_full_at_the_start_is_refused_and_an_earlier_stop_json_is_kept"),
+    ProcessRow(what="the terminal is closed, or a second signal comes during the stop", reaction="an orderly stop, which no further signal interrupts",
+               within="as SIGTERM", test="tests/facility/test_stops.py::test_a_second_signal_does_not_stop_the_stop"),
 )  # fmt: skip
 
 
 def _document() -> Iterator[str]:
+    sys.path.append(str(Path(__file__).parents[1]))  # what the tests share
     from test_fault_matrix import observed, reaction_times
 
     yield "# Fault matrix"
@@ -268,7 +301,8 @@ What the facility's links, devices and processes may do, what then happens, and 
 (`tests/faults/test_fault_matrix.py`): the shipped `facility` with every rule at its default, both ends in virtual time
 (`freeflyer hil --accelerated`), where the same frames, samples, limits, monitors and state machines give the same instants every time.
 *Within* is what the test demands, *found* what this run gave, from the fault's begin on. In every row, too: no value that the other side has
-not sent is used, no command is beyond its limits or NaN, no state is illegal, and at the end the arm is braked and the base holds its place.
+not sent is used, no command is beyond its limits or NaN, no state is illegal, no device becomes active a second time or after the loop's
+stop has begun, and at the end the arm is braked and the base holds its place.
 
 A stop is a reaction. After it the controllers ramp the torque down (0.25 s), the arm brakes, and the base holds; an arm that does not
 hear them does so by itself. Faults begin 0.1 s after activation and last to the end, unless a duration is named.

@@ -26,6 +26,7 @@ HOW = (
     ("lost state frames", "(state frames of arm_drive"),
     ("lost measurements of the base", "(measurements of base_robot"),
     ("the base's watchdog", "does not take set points any more"),
+    ("a second publisher", "two publishers send topic"),
     ("too old", "old, its limit is"),
     ("a joint beyond its range", "its range is"),
     ("a joint too fast", "rad/s, its limit is"),

@@ -220,6 +220,9 @@ def read_dbc(data: bytes) -> str:
         for frame in (arm.command, arm.state):
             values = frame.unpack(frame.pack({role: [f.most for f in fields] for role, fields in frame.fields.items()}))
             link_targets.check_values(arm, frame, values)
+        assert (arm.command.identifier, arm.command.extended) != (arm.state.identifier, arm.state.extended)
+        arm.check_activation("arm", implicit=False)  # the mapping has what an activation needs, whatever the numbers are
+        assert not arm.cannot_refuse(implicit=False)
     finally:
         path.unlink()
     return "frames"

@@ -8,6 +8,7 @@ import tempfile
 from functools import cache
 from pathlib import Path
 from random import Random
+from typing import Any
 
 import can
 import mutation
@@ -31,6 +32,8 @@ BO_ 512 TORQUES: 16 PC
  SG_ Mode : 7|8@0+ (1,0) [0|0] "" Drive
  SG_ Tau_A : 15|16@0- (0.01,0) [0|0] "Nm" Drive
  SG_ Tau_B : 31|16@0- (0.01,0) [0|0] "Nm" Drive
+ SG_ Answers : 47|8@0+ (1,0) [0|0] "" Drive
+ SG_ Run : 55|8@0+ (1,0) [0|0] "" Drive
 BO_ 2147484161 STATUS: 32 Drive
  SG_ N : 7|8@0+ (1,0) [0|0] "" PC
  SG_ Q_A : 15|16@0- (0.01,0) [0|0] "deg" PC
@@ -44,21 +47,30 @@ BO_ 2147484161 STATUS: 32 Drive
  SG_ Heat m1 : 144|32@1- (1,0) [0|0] "" PC
  SG_ Amps m2 : 144|16@1- (1,0) [0|0] "A" PC
  SG_ Volts : 176|32@1- (1,0) [0|0] "V" PC
+ SG_ RunEcho : 208|8@1+ (1,0) [0|0] "" PC
+ SG_ Held : 216|1@1+ (1,0) [0|0] "" PC
+ SG_ Echo : 224|8@1+ (1,0) [0|0] "" PC
 SIG_VALTYPE_ 2147484161 Heat : 1;
 SIG_VALTYPE_ 2147484161 Volts : 1;
 VAL_ 2147484161 State 0 "Off" 1 "On" ;
 """
-OWN_MAPPING = {
+OWN_MAPPING: dict[str, dict[str, Any]] = {
     "messages": {"command": "TORQUES", "state": "STATUS"},
     "signals": {
         "cycle": "N",
         "life_cycle": "State",
         "mode": "Mode",
+        "controller": "Run",
+        "obeyed_controller": "RunEcho",
+        "answered_cycle": "Answers",
+        "echoed_cycle": "Echo",
+        "brakes": "Held",
         "joint_torque_command": ["Tau_A", "Tau_B"],
         "joint_position": ["Q_A", "Q_B"],
         "joint_velocity": ["W_A", "W_B"],
         "joint_torque": ["T_A", "T_B"],
     },
+    "mode_values": {"activate": 4},
 }
 
 

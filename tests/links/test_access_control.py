@@ -21,7 +21,7 @@ from freeflyer_adapters.base.access_control import Protection
 from freeflyer_adapters.base.certificate_authority import HOSTS, CertificateAuthority
 from freeflyer_adapters.base.certificates import Identity
 from freeflyer_adapters.base.endpoint import Endpoint
-from freeflyer_adapters.base.link import OdometryLink, is_usable
+from freeflyer_adapters.base.link import OdometryLink, Received, is_usable
 from freeflyer_adapters.base.options import LinkOptions
 from freeflyer_adapters.base.session import open_session
 from freeflyer_adapters.device import DeviceError
@@ -78,13 +78,17 @@ def send(link: OdometryLink) -> None:
     link.publish(np.zeros(3), UPRIGHT, np.zeros(6))
 
 
+def usable(received: Received) -> bool:
+    return is_usable(received.odometry)
+
+
 def arrives(sender: OdometryLink, receiver: OdometryLink, timeout: float = 5.0) -> bool:
     """Whether one of the samples that are sent again and again comes."""
 
     def one() -> bool:
         send(sender)
         time.sleep(0.005)
-        return receiver.receive(is_usable) is not None
+        return receiver.receive(usable) is not None
 
     return waited(one, timeout)
 
@@ -105,7 +109,7 @@ def test_controller_and_base_robot_talk_to_each_other(lab: Lab, stack: ExitStack
     assert waited(lambda: commanders.announced(host.session, options) == ["controller"])
     robot.link.tell_obeyed(True)
     assert waited(lambda: host.obeyed() == host.gid)
-    assert host.other_publishers(options.setpoint_topic) == []
+    assert host.publishers(options.setpoint_topic) == []
 
 
 @pytest.mark.parametrize("protocol", ["tls", "quic"])
@@ -133,7 +137,7 @@ def test_without_access_control_the_same_observer_would_command_announce_and_del
     token = observer.session.liveliness().declare_token(forged)
     assert waited(lambda: "observer" in commanders.announced(robot.session, options))
     observer.session.delete(key(options, options.setpoint_topic))
-    assert waited(lambda: (robot.link.receive(is_usable), robot.link.counts.malformed == 1)[1])
+    assert waited(lambda: (robot.link.receive(usable), robot.link.counts.malformed == 1)[1])
     assert token
 
 
@@ -165,7 +169,7 @@ def test_an_observer_cannot_announce_what_it_has_no_right_to(lab: Lab, stack: Ex
     assert commanders.announced(host.session, options) == ["controller"]
     assert commanders.announced(robot.session, options) == ["controller"]
     assert commanders.announced(observer, options)
-    assert host.other_publishers(options.setpoint_topic) == []
+    assert host.publishers(options.setpoint_topic) == []
     assert tokens
 
 
@@ -183,7 +187,7 @@ def test_an_observer_neither_hears_set_points_nor_queries_nor_deletes(lab: Lab, 
     assert heard == [] or set(heard) == {key(options, options.measured_topic)}
     link.session.delete(key(options, options.setpoint_topic))
     time.sleep(0.2)
-    robot.link.receive(is_usable)
+    robot.link.receive(usable)
     assert robot.link.counts.malformed == 0
     assert asked == []
     spy.undeclare()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 import threading
+import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -19,13 +20,18 @@ from freeflyer_adapters.device import DeviceError, LifeCycle, SafeStop
 from freeflyer_adapters.quality import QualityMonitor
 
 N = 6
+UNWATCHED = 100_000.0
+"""Cycles of the arm's watchdog, where a test takes its time between two calls."""
 numbers = itertools.count()
 
 
 class ScriptedArm:
-    """Sends what it is told to; while `serving`, answers as an arm does until it is active."""
+    """Sends what it is told to; while `serving`, answers as an arm does until it is active. `implicit`: it knows no claim, and a
+    torque frame activates it.
+    """
 
-    def __init__(self, channel: str) -> None:
+    def __init__(self, channel: str, *, implicit: bool = False) -> None:
+        self.implicit = implicit
         self.frames = ArmFrames(FrameMapping(), N)
         assert self.frames.description is not None
         self.bus = open_bus("local", channel, True, [self.frames.command], {})
@@ -34,6 +40,10 @@ class ScriptedArm:
         self.commands = Receiver(self.frames.command)
         self.cycle, self.obeyed, self.life = 100, 0, LifeCycle.inactive
         self.position = np.zeros(N)
+        self.echoed = 0
+        """Of an implicit arm; the other uses each answer at once."""
+        self.is_deaf = self.is_stubborn = False
+        """It takes no command; it takes no activation."""
         self.received: list[dict[str, list[float]]] = []
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
@@ -43,7 +53,7 @@ class ScriptedArm:
             self.cycle = cycle
         values = {
             "cycle": (float(self.cycle),),
-            "echoed_cycle": (float((self.cycle - 1) % 2**24),),
+            "echoed_cycle": (float(self.echoed if self.implicit else (self.cycle - 1) % 2**24),),
             "obeyed_controller": (float(self.obeyed),),
             "life_cycle": (float(self.life),),
             "brakes": (float(self.life is not LifeCycle.active),),
@@ -63,6 +73,8 @@ class ScriptedArm:
             if found is not None:
                 newest = found
                 self.received.append(found)
+                if found["mode"][0] == Mode.torque:
+                    self.echoed = int(found["answered_cycle"][0])
         return newest
 
     def serve(self) -> None:
@@ -72,16 +84,27 @@ class ScriptedArm:
 
     def _serve(self) -> None:
         while not self._stop.wait(0.001):
+            echoed = self.obeyed
             command = self.take()
-            if command is not None and not self.obeyed:
-                self.obeyed = int(command["controller"][0])
-            if command is not None and command["mode"][0] == Mode.torque and self.life is LifeCycle.inactive:
-                self.life = LifeCycle.active
-            if command is not None and command["mode"][0] == Mode.reset:
-                self.life = LifeCycle.inactive
+            if command is not None:
+                self._obey(int(command["controller"][0]), command["mode"][0], echoed)
             limits = {role: [1.0 if "lower" not in role else -1.0] * N for role in LIMIT_ROLES}
             self.description.send({"joint_count": (float(N),), "cycle_time": (0.001,), **limits})
             self.send()
+
+    def _obey(self, number: int, mode: float, echoed: int) -> None:
+        """`echoed`: what the last state frame said."""
+        if self.is_deaf:
+            return
+        if not self.obeyed and (self.implicit or mode == Mode.reset):
+            self.obeyed = number
+        if number != self.obeyed:
+            return
+        if mode == Mode.reset:
+            self.life = LifeCycle.inactive
+        wanted = mode == Mode.torque if self.implicit else mode == Mode.activate and number == echoed
+        if wanted and self.life is LifeCycle.inactive and not self.is_stubborn:
+            self.life = LifeCycle.active
 
     def pause(self) -> None:
         self._stop.set()
@@ -97,6 +120,7 @@ def link() -> Iterator[tuple[CanArm, ScriptedArm]]:
     for name in ("joint_effort_limit", "joint_velocity_limit", "joint_upper_limit"):
         arm.values[name][:] = 1.0
     arm.values["joint_lower_limit"][:] = -1.0
+    arm.values["watchdog_cycles"][:] = UNWATCHED
     there = ScriptedArm(channel)
     yield arm, there
     there.pause()
@@ -104,15 +128,20 @@ def link() -> Iterator[tuple[CanArm, ScriptedArm]]:
     there.bus.shutdown()
 
 
+def begun(arm: CanArm) -> None:
+    arm.configure()
+    arm.check_start()
+    arm.prepare()
+    arm.activate(lambda: False)
+
+
 @pytest.fixture
 def active(link: tuple[CanArm, ScriptedArm]) -> tuple[CanArm, ScriptedArm]:
     arm, there = link
     there.serve()
-    arm.configure()
-    arm.check_start()
-    arm.activate(lambda: False)
+    begun(arm)
     there.pause()
-    arm._drain()
+    arm._states.drain()
     there.take()
     there.received.clear()
     there.send()
@@ -224,9 +253,9 @@ def test_the_arms_own_safe_stop_ends_the_loop_with_its_word(active: tuple[CanArm
 
 def test_an_arm_that_obeys_somebody_else_ends_the_loop_with_both_numbers(active: tuple[CanArm, ScriptedArm]) -> None:
     arm, there = active
-    there.obeyed = arm.controller % 0xFFFF + 1
+    there.obeyed = arm.session.number % 0xFFFF + 1
     there.send()
-    with pytest.raises(SafeStop, match=f"obeys controller {there.obeyed}; this is controller {arm.controller}"):
+    with pytest.raises(SafeStop, match=f"obeys controller {there.obeyed}; this is controller {arm.session.number}"):
         arm.read()
 
 
@@ -256,13 +285,12 @@ def test_an_arm_in_safe_stop_is_reset_before_it_is_activated(link: tuple[CanArm,
     arm, there = link
     there.life = LifeCycle.safe_stop
     there.serve()
-    arm.configure()
-    arm.check_start()
-    arm.activate(lambda: False)
+    begun(arm)
     there.pause()
+    there.take()
     modes = [command["mode"][0] for command in there.received]
     assert Mode.reset in modes
-    assert modes.index(Mode.reset) < modes.index(Mode.torque)
+    assert modes.index(Mode.reset) < modes.index(Mode.activate) < modes.index(Mode.torque)
 
 
 def test_giving_up_an_activation_brakes(link: tuple[CanArm, ScriptedArm]) -> None:
@@ -270,8 +298,8 @@ def test_giving_up_an_activation_brakes(link: tuple[CanArm, ScriptedArm]) -> Non
     arm.values["configure_timeout"][:] = 0.2
     there.serve()
     arm.configure()
+    arm.prepare()
     there.pause()
-    there.life = LifeCycle.inactive
 
     def stubborn() -> None:
         while not done.wait(0.001):
@@ -322,6 +350,7 @@ def test_a_joint_too_fast_or_beyond_its_range_stops(active: tuple[CanArm, Script
 
 def brought_to_rest(arm: CanArm, there: ScriptedArm, seconds: float = 2.0) -> list[dict[str, list[float]]]:
     """The commands of a ramp-down, each answered by a state frame a cycle."""
+    arm.revoke("a test")
     there.take()
     there.received.clear()
     for k in range(round(seconds * 1000)):
@@ -337,22 +366,20 @@ def test_an_arm_that_tells_nothing_is_ramped_down_all_the_same(link: tuple[CanAr
     """Without life cycle and brakes in its DBC, an arm is not taken to stand before the ramp is over."""
     _, there = link
     channel = link[0].options.channel
-    arm = CanArm("arm", ArmOptions(channel=channel))
-    arm.values["joint_effort_limit"][:] = 5.0
+    there.implicit = True
+    arm = CanArm("arm", ArmOptions(channel=channel, implicit=True))
     for role in ("life_cycle", "brakes"):
         arm.frames.state.fields.pop(role)
-    arm._tells_state, arm._arm_state = False, LifeCycle.active
+    arm.values["watchdog_cycles"][:] = UNWATCHED
     for name in ("joint_velocity_limit", "joint_upper_limit"):
         arm.values[name][:] = 1.0
     arm.values["joint_lower_limit"][:] = -1.0
     arm.values["joint_effort_limit"][:] = 1.0
     there.serve()
     try:
-        arm.configure()
-        arm.check_start()
-        arm.activate(lambda: False)
+        begun(arm)
         there.pause()
-        arm._drain()
+        arm._states.drain()
         arm._last_torque = np.full(N, 0.5)
         commands = brought_to_rest(arm, there)
         torques = [c["joint_torque_command"][0] for c in commands if c["mode"][0] == Mode.torque]
@@ -365,9 +392,33 @@ def test_an_arm_that_tells_nothing_is_ramped_down_all_the_same(link: tuple[CanAr
         arm.deactivate()
 
 
+def test_an_arm_that_tells_nothing_is_activated_although_the_base_took_its_time(link: tuple[CanArm, ScriptedArm]) -> None:
+    """Between the two halves of an activation nobody reads its frames: what is old then says nothing of the arm."""
+    _, there = link
+    there.implicit = True
+    arm = CanArm("arm", ArmOptions(channel=link[0].options.channel, implicit=True))
+    for role in ("life_cycle", "brakes", "echoed_cycle"):
+        arm.frames.state.fields.pop(role)
+    for name in ("joint_effort_limit", "joint_velocity_limit", "joint_upper_limit"):
+        arm.values[name][:] = 1.0
+    arm.values["joint_lower_limit"][:] = -1.0
+    arm.values["watchdog_cycles"][:] = 100.0
+    there.serve()
+    try:
+        arm.configure()
+        arm.check_start()
+        arm.prepare()
+        time.sleep(0.3)
+        arm.activate(lambda: False)
+        assert arm.session.permit.lost is None
+    finally:
+        arm.deactivate()
+
+
 def test_an_arm_that_tells_is_at_rest_once_it_says_so(active: tuple[CanArm, ScriptedArm]) -> None:
     arm, there = active
     arm._last_torque = np.full(N, 0.5)
+    arm.revoke("a test")
     there.received.clear()
     for k in range(400):
         there.send()
@@ -382,6 +433,7 @@ def test_an_arm_that_tells_is_at_rest_once_it_says_so(active: tuple[CanArm, Scri
 def test_an_arm_in_a_stop_of_its_own_is_left_to_it(active: tuple[CanArm, ScriptedArm]) -> None:
     """Its own damped ramp must not be cut short by our brakes."""
     arm, there = active
+    arm.revoke("a test")
     there.life = LifeCycle.safe_stop
     there.received.clear()
     for k in range(100):
@@ -420,6 +472,7 @@ def test_a_claim_is_kept_while_others_take_their_time(link: tuple[CanArm, Script
     arm, there = link
     there.serve()
     arm.configure()
+    arm.prepare()
     there.pause()
     there.take()
     there.received.clear()
@@ -427,7 +480,7 @@ def test_a_claim_is_kept_while_others_take_their_time(link: tuple[CanArm, Script
     arm.stay()
     command = there.take()
     assert command is not None
-    assert (command["mode"][0], command["controller"][0]) == (Mode.idle, arm.controller)
+    assert (command["mode"][0], command["controller"][0]) == (Mode.idle, arm.session.number)
 
 
 @pytest.mark.parametrize(("ours", "refused"), [(1.0, False), (0.5, False), (1.1, True)])
@@ -443,3 +496,288 @@ def test_speeds_and_torques_may_be_narrower_than_the_arms_own_but_not_wider(
             arm.configure()
     else:
         arm.configure()
+
+
+# Before the activation
+
+
+def test_configuration_and_the_check_of_the_start_only_listen(link: tuple[CanArm, ScriptedArm]) -> None:
+    arm, there = link
+    there.serve()
+    arm.configure()
+    arm.check_start()
+    there.pause()
+    assert there.take() is None
+    assert there.received == []
+    assert there.obeyed == 0
+    assert arm.state.now is LifeCycle.inactive
+
+
+def test_the_first_half_of_an_activation_claims_a_number_and_leaves_the_brakes(link: tuple[CanArm, ScriptedArm]) -> None:
+    arm, there = link
+    there.life = LifeCycle.fault
+    there.serve()
+    arm.configure()
+    arm.prepare()
+    there.pause()
+    there.take()
+    assert {c["mode"][0] for c in there.received} == {Mode.reset}
+    assert {c["controller"][0] for c in there.received} == {there.obeyed} == {arm.session.number}
+    assert there.life is LifeCycle.inactive
+    assert not arm.session.permit.is_held
+
+
+def test_every_activation_has_a_session_of_its_own(link: tuple[CanArm, ScriptedArm]) -> None:
+    arm, there = link
+    there.serve()
+    arm.configure()
+    arm.prepare()
+    first = arm.session
+    arm.activate(lambda: False)
+    with pytest.raises(RuntimeError, match="a permit is taken once"):
+        arm.activate(lambda: False)
+    there.obeyed, there.life = 0, LifeCycle.inactive
+    arm.prepare()
+    assert arm.session is not first
+    assert arm.session.permit is not first.permit
+
+
+def test_an_arm_that_takes_no_claim_is_refused_with_whom_it_obeys(link: tuple[CanArm, ScriptedArm]) -> None:
+    arm, there = link
+    arm.values["configure_timeout"][:] = 0.3
+    there.is_deaf = True
+    there.serve()
+    arm.configure()
+    with pytest.raises(DeviceError, match=r"sends its state \(inactive\), but does not take .* commands: it obeys none"):
+        arm.prepare()
+
+
+@pytest.mark.parametrize("life", [LifeCycle.inactive, LifeCycle.active])
+def test_an_arm_that_obeys_another_controller_is_refused_with_both_numbers(
+    link: tuple[CanArm, ScriptedArm], life: LifeCycle
+) -> None:
+    arm, there = link
+    there.obeyed, there.life = 4711, life
+    there.serve()
+    with pytest.raises(DeviceError, match=r"obeys controller 4711 already; this is controller \d+: stop that one first"):
+        arm.configure()
+    there.pause()
+    assert there.take() is None
+
+
+def test_an_arm_that_is_claimed_by_another_at_the_last_moment_is_refused(link: tuple[CanArm, ScriptedArm]) -> None:
+    arm, there = link
+    there.serve()
+    arm.configure()
+    there.obeyed = 4711
+    with pytest.raises(DeviceError, match="obeys controller 4711 already"):
+        arm.prepare()
+
+
+def test_an_arm_that_is_active_for_nobody_is_refused(link: tuple[CanArm, ScriptedArm]) -> None:
+    arm, there = link
+    there.life = LifeCycle.active
+    there.serve()
+    with pytest.raises(DeviceError, match="is active already, and this run has not activated it"):
+        arm.configure()
+
+
+def test_nothing_is_commanded_before_the_activation(link: tuple[CanArm, ScriptedArm]) -> None:
+    arm, there = link
+    there.serve()
+    arm.configure()
+    arm.prepare()
+    there.pause()
+    there.take()
+    there.received.clear()
+    with pytest.raises(SafeStop, match="it has not been activated"):
+        arm.write()
+    assert there.take() is None
+
+
+class Foreign:
+    """Another controller's command frames, or another arm's state frames, one each millisecond."""
+
+    def __init__(self, channel: str, frame: str) -> None:
+        frames = ArmFrames(FrameMapping(), N)
+        self.bus = open_bus("local", channel, True, [frames.description], {})  # type: ignore[list-item]
+        self.sender = Sender(self.bus, getattr(frames, frame))
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+
+    def _run(self) -> None:
+        cycle = 1000
+        while not self._stop.wait(0.001):
+            cycle += 1
+            self.sender.send({"controller": (4711.0,), "cycle": (float(cycle),)})
+
+    def __enter__(self) -> Foreign:
+        for _ in range(128):  # far from the other arm's counter
+            self.sender._protector.protect(bytearray(64))  # type: ignore[union-attr]
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._thread.join()
+        self.bus.shutdown()
+
+
+@pytest.mark.parametrize(
+    ("frame", "sentence"),
+    [
+        ("command", "another controller sends the command frame ArmCommand .*, of session 4711; stop that one first"),
+        ("state", "two senders send the state frame ArmState"),
+    ],
+)
+def test_a_second_controller_or_a_second_arm_is_refused_before_anything_is_sent(
+    link: tuple[CanArm, ScriptedArm], frame: str, sentence: str
+) -> None:
+    arm, there = link
+    there.serve()
+    with Foreign(arm.options.channel, frame), pytest.raises(DeviceError, match=sentence):
+        arm.configure()
+    there.pause()
+    there.take()
+    assert [c for c in there.received if c["controller"][0] != 4711.0] == []
+
+
+def test_a_second_controller_stops_a_loop(active: tuple[CanArm, ScriptedArm]) -> None:
+    arm, there = active
+    frames = ArmFrames(FrameMapping(), N)
+    bus = open_bus("local", arm.options.channel, True, [frames.state], {})
+    try:
+        foreign = Sender(bus, frames.command)
+        for _ in range(3):
+            foreign.send({"controller": (4711.0,), "mode": (float(Mode.torque),)})
+        there.send()
+        with pytest.raises(SafeStop, match=r"another controller sends the command frame .* of session 4711"):
+            arm.read()
+    finally:
+        bus.shutdown()
+
+
+# Hold-ups
+
+
+def held_up(arm: CanArm) -> None:
+    """The loop stands still for longer than the arm's watchdog."""
+    arm.session.permit.watchdog = 10_000_000
+    time.sleep(0.05)
+
+
+def test_after_a_hold_up_no_torque_goes_out(active: tuple[CanArm, ScriptedArm]) -> None:
+    arm, there = active
+    arm.values["joint_torque_command"][:] = 0.5
+    held_up(arm)
+    with pytest.raises(SafeStop, match=r"the loop was held up for 0\.\d+ s, longer than the watchdog of the arm \(0\.01 s\)"):
+        arm.write()
+    assert there.take() is None
+
+
+def test_a_hold_up_is_noticed_when_the_next_state_frame_is_read(active: tuple[CanArm, ScriptedArm]) -> None:
+    arm, there = active
+    held_up(arm)
+    there.send()
+    with pytest.raises(SafeStop, match="the loop was held up for"):
+        arm.read()
+
+
+def test_the_ramp_down_after_a_hold_up_has_no_torque_and_ends_with_the_brakes(active: tuple[CanArm, ScriptedArm]) -> None:
+    """No state frame that is young enough says that the arm is active still."""
+    arm, there = active
+    arm._last_torque = np.full(N, 0.5)
+    arm._stopping_torque = np.full(N, 0.5)
+    held_up(arm)
+    arm.revoke("the loop was held up")
+    there.received.clear()
+    for k in range(10):
+        arm.ramp_down(k * 1e-3)
+    arm.ramp_down(arm.ramp.time)
+    there.take()
+    assert [c["mode"][0] for c in there.received] == [Mode.idle] * 10 + [Mode.brake]
+    assert all(not any(c["joint_torque_command"]) for c in there.received)
+
+
+def test_a_hold_up_during_the_activation_ends_it_with_the_brakes(link: tuple[CanArm, ScriptedArm]) -> None:
+    arm, there = link
+    there.is_stubborn = True
+    there.serve()
+    arm.configure()
+    arm.prepare()
+
+    def meanwhile() -> bool:
+        held_up(arm)
+        return False
+
+    with pytest.raises(DeviceError, match="was not activated: the loop was held up for"):
+        arm.activate(meanwhile)
+    there.pause()
+    there.take()
+    assert there.received[-1]["mode"][0] == Mode.brake
+    assert arm.state.now is LifeCycle.inactive
+
+
+def test_a_frame_that_is_not_permitted_any_more_once_it_is_ready_is_not_sent(active: tuple[CanArm, ScriptedArm]) -> None:
+    arm, there = active
+    sent = arm._sender.sent
+    assert not arm._sender.send({"mode": (float(Mode.torque),)}, lambda: False)
+    assert arm._sender.sent == sent
+    assert there.take() is None
+
+
+# The end
+
+
+def test_after_a_reason_to_stop_only_the_ramp_down_sends(active: tuple[CanArm, ScriptedArm]) -> None:
+    arm, there = active
+    arm.values["joint_torque_command"][:] = 0.5
+    arm.revoke("the user stopped")
+    with pytest.raises(SafeStop, match="the user stopped"):
+        arm.write()
+    assert there.take() is None
+    assert {c["mode"][0] for c in brought_to_rest(arm, there)} == {Mode.torque, Mode.brake}
+
+
+def test_an_arm_that_stops_during_the_ramp_down_gets_no_torque_any_more(active: tuple[CanArm, ScriptedArm]) -> None:
+    """It has stopped by itself, and torque is for an active one."""
+    arm, there = active
+    arm._last_torque = np.full(N, 0.5)
+    arm.revoke("the user stopped")
+    for k in range(20):
+        there.send()
+        arm.ramp_down(k * 1e-3)
+    there.life = LifeCycle.inactive
+    there.send()
+    arm.ramp_down(0.02)
+    there.take()
+    there.received.clear()
+    for k in range(21, 40):
+        there.send()
+        arm.ramp_down(k * 1e-3)
+    there.take()
+    assert Mode.torque not in {c["mode"][0] for c in there.received}
+
+
+def test_frames_that_wait_in_the_interface_are_thrown_away_by_a_reason_to_stop(
+    active: tuple[CanArm, ScriptedArm], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arm, _ = active
+    asked = []
+
+    def flush() -> None:
+        asked.append(True)
+        raise NotImplementedError
+
+    monkeypatch.setattr(arm._bus, "flush_tx_buffer", flush)
+    arm.revoke("the user stopped")
+    assert asked
+    assert arm.session.permit.lost == "the user stopped"
+
+
+def test_lost_cycles_under_a_flood_say_so(active: tuple[CanArm, ScriptedArm]) -> None:
+    arm, _ = active
+    arm._states.others = 10 * arm._states.receiver.accepted
+    with pytest.raises(SafeStop, match=r"cycles in a row were lost.*; a flood of frames: \d+ of other identifiers came beside"):  # noqa: PT012
+        for _ in range(20):
+            arm.read()

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from freeflyer_adapters.arm.frames import SHIPPED_DBC, ArmFrames, FrameMapping
+from freeflyer_adapters.arm.can_arm import CanArm
+from freeflyer_adapters.arm.frames import NEEDED, PROMISES, SHIPPED_DBC, ArmFrames, FrameMapping, Mode
+from freeflyer_adapters.arm.options import ArmOptions, options_from
 from freeflyer_adapters.bus_load import bus_load, frame_time
 from freeflyer_adapters.device import DeviceError
 
@@ -146,3 +149,153 @@ def test_a_scale_that_cannot_hold_the_torque_range_is_refused_with_the_numbers(t
 
 def test_the_shipped_dbc_is_where_the_package_says() -> None:
     assert SHIPPED_DBC.is_file()
+
+
+# What a DBC may lack
+
+WHOLE = OWN.replace(
+    "BO_ 513",
+    ' SG_ Order : 39|8@0+ (1,0) [0|0] "" Drive\n'
+    ' SG_ Who : 47|8@0+ (1,0) [0|0] "" Drive\n'
+    ' SG_ To : 55|8@0+ (1,0) [0|0] "" Drive\n'
+    "BO_ 513",
+) + (
+    ' SG_ Whose : 111|8@0+ (1,0) [0|0] "" PC\n'
+    ' SG_ Life : 119|4@0+ (1,0) [0|0] "" PC\n'
+    ' SG_ Brakes : 115|1@0+ (1,0) [0|0] "" PC\n'
+    ' SG_ Echo : 127|8@0+ (1,0) [0|0] "" PC\n'
+)
+EVERYTHING = {
+    **SIGNALS,
+    "mode": "Order",
+    "controller": "Who",
+    "answered_cycle": "To",
+    "obeyed_controller": "Whose",
+    "life_cycle": "Life",
+    "brakes": "Brakes",
+    "echoed_cycle": "Echo",
+}
+OPTIONAL = [name for name in PROMISES if name not in NEEDED]
+
+
+def mapped(folder: Path, *without: str) -> FrameMapping:
+    signals = {role: name for role, name in EVERYTHING.items() if role not in without}
+    values = {} if "mode_values.activate" in without else {"activate": 4}
+    return FrameMapping(dbc=own(folder, WHOLE), messages=MESSAGES, signals=signals, mode_values=values)
+
+
+def test_a_dbc_with_everything_is_accepted_and_lacks_nothing(tmp_path: Path) -> None:
+    frames = ArmFrames(mapped(tmp_path), 2)
+    frames.check_activation("arm", implicit=False)
+    assert frames.lacking == []
+    assert frames.cannot_refuse(implicit=False) == []
+    CanArm("arm", ArmOptions(joints=2, frames=mapped(tmp_path)))
+
+
+@pytest.mark.parametrize("name", NEEDED)
+def test_a_dbc_without_what_an_activation_needs_is_refused_unless_the_scenario_says_implicit(tmp_path: Path, name: str) -> None:
+    mapping = mapped(tmp_path, name)
+    frames = ArmFrames(mapping, 2)
+    sentence = rf'arm: DBC .* has no {name}, so that the arm cannot refuse .* write activation = "implicit"'
+    with pytest.raises(DeviceError, match=sentence):
+        frames.check_activation("arm", implicit=False)
+    with pytest.raises(DeviceError, match=sentence):
+        CanArm("arm", ArmOptions(joints=2, frames=mapping))
+    frames.check_activation("arm", implicit=True)
+    arm = CanArm("arm", ArmOptions(joints=2, frames=mapping, implicit=True))
+    assert arm.cannot_refuse == [f"without {name} {PROMISES[name]}"]
+
+
+@pytest.mark.parametrize("name", OPTIONAL)
+def test_a_dbc_without_what_only_tells_more_is_accepted_and_said(tmp_path: Path, name: str) -> None:
+    arm = CanArm("arm", ArmOptions(joints=2, frames=mapped(tmp_path, name)))
+    assert arm.cannot_refuse == [f"without {name} {PROMISES[name]}"]
+
+
+def test_all_that_is_missing_is_named_at_once(tmp_path: Path) -> None:
+    frames = ArmFrames(mapped(tmp_path, *PROMISES), 2)
+    with pytest.raises(DeviceError) as caught:
+        frames.check_activation("arm", implicit=False)
+    assert all(name in str(caught.value) for name in NEEDED)
+    assert not any(name in str(caught.value) for name in OPTIONAL)
+    assert len(frames.cannot_refuse(implicit=True)) == len(PROMISES)
+
+
+def test_a_number_for_activate_without_a_signal_for_it_is_none(tmp_path: Path) -> None:
+    frames = ArmFrames(mapped(tmp_path, "mode"), 2)
+    assert "mode_values.activate" in frames.lacking
+
+
+def test_an_arm_that_could_refuse_but_is_used_as_implicit_says_what_is_lost() -> None:
+    arm = CanArm("arm", ArmOptions(implicit=True))
+    assert arm.cannot_refuse == [f'with activation = "implicit" {PROMISES["mode_values.activate"]}']
+    assert CanArm("arm", ArmOptions()).cannot_refuse == []
+
+
+@pytest.mark.parametrize(
+    ("said", "implicit"), [({}, False), ({"activation": "explicit"}, False), ({"activation": "implicit"}, True)]
+)
+def test_a_scenario_says_how_the_arm_is_activated(tmp_path: Path, said: dict[str, Any], implicit: bool) -> None:
+    assert options_from("arm", said, tmp_path).implicit is implicit
+
+
+def test_another_word_for_the_activation_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(DeviceError, match="activation is 'automatic'; 'explicit' or 'implicit' is expected"):
+        options_from("arm", {"activation": "automatic"}, tmp_path)
+
+
+def test_a_copy_of_the_shipped_dbc_counts_as_the_shipped_profile(tmp_path: Path) -> None:
+    mapping = FrameMapping(dbc=own(tmp_path, SHIPPED_DBC.read_text()))
+    assert mapping.has_shipped_names
+    frames = ArmFrames(mapping, 6)
+    assert frames.lacking == []
+    assert frames.mode_number(Mode.activate) == Mode.activate
+
+
+OPTIONAL_SIGNALS = ["AnsweredCycle", "Mode", "EchoedCycle", "LifeCycle", "BrakesEngaged", "CommandAge"]
+
+
+@pytest.mark.parametrize("name", OPTIONAL_SIGNALS)
+def test_a_copy_with_one_other_name_does_not(tmp_path: Path, name: str) -> None:
+    text = SHIPPED_DBC.read_text().replace(f" {name} ", f" {name}X ")
+    mapping = FrameMapping(dbc=own(tmp_path, text))
+    assert not mapping.has_shipped_names
+    with pytest.raises(DeviceError, match=r"has no mode_values\.activate, controller"):
+        ArmFrames(mapping, 6).check_activation("arm", implicit=False)
+
+
+def test_a_copy_of_the_shipped_dbc_with_a_mapping_has_what_the_mapping_says(tmp_path: Path) -> None:
+    mapping = FrameMapping(dbc=own(tmp_path, SHIPPED_DBC.read_text()), signals={"mode": "Mode"})
+    assert not mapping.has_shipped_names
+    assert "controller" in ArmFrames(mapping, 6).lacking
+
+
+@pytest.mark.parametrize(
+    ("text", "messages"),
+    [(OWN, {"command": "STATUS", "state": "STATUS"}), (OWN.replace("BO_ 513", "BO_ 512"), MESSAGES)],
+)
+def test_command_and_state_frame_with_one_identifier_are_refused(tmp_path: Path, text: str, messages: dict[str, str]) -> None:
+    signals = SIGNALS if messages == MESSAGES else {**SIGNALS, "joint_torque_command": ["T_A", "T_B"]}
+    with pytest.raises(DeviceError, match=r"have one identifier, 0x20[01], which two nodes cannot send") as caught:
+        ArmFrames(FrameMapping(dbc=own(tmp_path, text), messages=messages, signals=signals), 2)
+    assert "\n" not in str(caught.value)
+
+
+def test_one_number_as_a_short_and_as_a_long_identifier_is_two(tmp_path: Path) -> None:
+    text = OWN.replace("BO_ 513", f"BO_ {512 + (1 << 31)}")
+    frames = ArmFrames(FrameMapping(dbc=own(tmp_path, text), messages=MESSAGES, signals=SIGNALS), 2)
+    assert frames.command.identifier == frames.state.identifier == 512
+
+
+@pytest.mark.parametrize(
+    ("values", "sentence"),
+    [
+        ({"activate": 3}, "mode_values: .* has the number 3, and so has another"),
+        ({"activate": 256}, "activate has the number 256, but its signal Order holds 255 at most"),
+        ({"activated": 4}, "did you mean 'activate'"),
+    ],
+)
+def test_a_number_for_activate_that_cannot_be_is_refused(tmp_path: Path, values: dict[str, int], sentence: str) -> None:
+    mapping = FrameMapping(dbc=own(tmp_path, WHOLE), messages=MESSAGES, signals=EVERYTHING, mode_values=values)
+    with pytest.raises(DeviceError, match=sentence):
+        ArmFrames(mapping, 2)

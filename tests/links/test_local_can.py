@@ -220,3 +220,24 @@ def test_a_frame_for_others_does_not_end_a_recv_that_does_not_wait(local: Opener
     found = receiver.recv(0.0)
     assert found is not None
     assert found.arbitration_id == 0x181
+
+
+def test_what_a_node_sent_before_it_left_arrives_although_frames_waited_for_it(opened: Opener) -> None:
+    """The brakes that a controller commands last, of an arm whose state frames it has not read to the end."""
+    leaving, staying = opened(), opened()
+    staying.send(FRAMES[4])
+    leaving.send(FRAMES[0])
+    leaving.shutdown()
+    found = staying.recv(1.0)
+    assert found is not None
+    assert found.arbitration_id == FRAMES[0].arbitration_id
+
+
+def test_what_a_node_sent_before_it_left_arrives_although_something_is_sent_first(opened: Opener) -> None:
+    leaving, staying = opened(), opened()
+    leaving.send(FRAMES[0])
+    leaving.shutdown()
+    staying.send(FRAMES[4])
+    found = staying.recv(1.0)
+    assert found is not None
+    assert found.arbitration_id == FRAMES[0].arbitration_id

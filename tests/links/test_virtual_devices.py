@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -20,32 +23,68 @@ STILL = np.zeros(N)
 IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
 
 
-def logic(watchdog: int = 4, silence: int = 100) -> ArmLogic:
-    return ArmLogic(N, cycle=1e-3, watchdog=watchdog, silence=silence, ramp=RampDown(time=0.25, damping=5.0))
+def logic(watchdog: int = 4, silence: int = 100, cycles: int = 2**24, implicit: bool = False) -> ArmLogic:
+    ramp = RampDown(time=0.25, damping=5.0)
+    return ArmLogic(N, cycle=1e-3, watchdog=watchdog, silence=silence, ramp=ramp, cycles=cycles, implicit=implicit)
 
 
 def command(arm: ArmLogic, mode: Mode = Mode.torque, controller: int = OURS, behind: int = 0, torque: float = 1.0) -> Command:
-    return Command(controller=controller, mode=mode, answered=arm.cycle - behind, torque=np.full(N, torque))
+    return Command(controller=controller, mode=mode, answered=(arm.cycle - behind) % arm.cycles, torque=np.full(N, torque))
+
+
+def claimed(arm: ArmLogic, controller: int = OURS) -> ArmLogic:
+    arm.begin([command(arm, Mode.reset, controller)], STILL)
+    assert arm.controller == controller
+    return arm
+
+
+def activated(arm: ArmLogic, controller: int = OURS) -> ArmLogic:
+    """Claimed, activated, and given its first torque."""
+    claimed(arm, controller)
+    arm.begin([command(arm, Mode.activate, controller)], STILL)
+    arm.begin([command(arm, Mode.torque, controller)], STILL)
+    assert arm.life.now is LifeCycle.active
+    return arm
 
 
 def active(watchdog: int = 4) -> ArmLogic:
     arm = logic(watchdog)
     arm.begin([], STILL)
-    arm.begin([command(arm)], STILL)
-    assert arm.life.now is LifeCycle.active
+    return activated(arm)
+
+
+def braked(arm: ArmLogic) -> ArmLogic:
+    """Left alone until its brakes are engaged."""
+    while not arm.braked:
+        arm.begin([], STILL)
     return arm
 
 
-def test_it_is_braked_without_torque_until_a_controller_takes_over() -> None:
+def forgotten(arm: ArmLogic) -> ArmLogic:
+    """Left alone until it obeys nobody."""
+    while arm.controller:
+        arm.begin([], STILL)
+    return arm
+
+
+def test_it_is_braked_without_torque_until_a_controller_activates_it() -> None:
     arm = logic()
-    for _ in range(10):
-        arm.begin([command(arm, Mode.idle)], STILL)
-        assert arm.braked
-        assert not arm.torque.any()
-        assert arm.controller == OURS
-    arm.begin([command(arm)], STILL)
+    claimed(arm)
+    for mode in (Mode.idle, Mode.reset, Mode.torque):
+        for _ in range(10):
+            arm.begin([command(arm, mode)], STILL)
+            assert arm.braked
+            assert not arm.torque.any()
+            assert arm.controller == OURS
+    arm.begin([command(arm, Mode.activate)], STILL)
     assert not arm.braked
+    assert not arm.torque.any()
+    assert arm.echoed == arm.cycle - 1
+    arm.begin([command(arm)], STILL)
     assert (arm.torque == 1.0).all()
+    assert arm.echoed == arm.cycle - 1
+    arm.begin([command(arm, controller=OTHER)], STILL)
+    assert arm.echoed == arm.cycle - 2, "one that is not used is not echoed"
 
 
 @pytest.mark.parametrize("watchdog", [1, 2, 4])
@@ -79,7 +118,8 @@ def test_safe_stop_ramps_the_torque_down_against_the_motion_and_then_brakes() ->
 def test_a_command_that_is_too_old_does_not_keep_it_alive() -> None:
     arm = active()
     for _ in range(10):
-        arm.begin([command(arm, behind=4)], STILL)
+        arm.begin([command(arm, behind=4, torque=9.0)], STILL)
+        assert (np.abs(arm.torque) <= 1.0).all(), "its torque was used"
     assert arm.life.now is LifeCycle.safe_stop
 
 
@@ -99,23 +139,25 @@ def test_another_controller_is_not_obeyed_until_the_first_is_silent() -> None:
         arm.begin([command(arm, torque=1.0), command(arm, controller=OTHER, torque=9.0)], STILL)
         assert (arm.torque == 1.0).all()
     assert arm.strangers == 3
-    for _ in range(102):
-        arm.begin([], STILL)
+    for _ in range(99):
+        arm.begin([command(arm, Mode.reset, controller=OTHER)], STILL)
+        assert arm.controller == OURS
+    arm.begin([], STILL)
     assert arm.controller == 0
     assert arm.session_is_over
-    arm.begin([command(arm, Mode.idle, controller=OTHER)], STILL)
-    assert arm.controller == OTHER
+    claimed(braked(arm), OTHER)
 
 
-def test_safe_stop_is_left_by_reset_only() -> None:
-    arm = active()
-    while not arm.braked:
-        arm.begin([], STILL)
-    for mode in (Mode.torque, Mode.idle, Mode.brake):
+def test_safe_stop_is_left_by_the_claim_of_a_new_number_only() -> None:
+    arm = braked(active())
+    for mode in Mode:
         arm.begin([command(arm, mode)], STILL)
         assert arm.life.now is LifeCycle.safe_stop
-    arm.begin([command(arm, Mode.reset)], STILL)
+    forgotten(arm)
+    assert arm.life.now is LifeCycle.safe_stop
+    claimed(arm, OTHER)
     assert arm.life.now is LifeCycle.inactive
+    assert arm.braked
 
 
 def test_a_brake_command_ends_it_in_order() -> None:
@@ -133,15 +175,49 @@ def test_a_failed_arm_brakes_and_says_fault() -> None:
 
 
 commands = st.tuples(
-    st.sampled_from([*Mode, None]), st.sampled_from([0, OURS, OTHER]), st.integers(-3, 10), st.floats(-50.0, 50.0)
+    st.sampled_from([*Mode, Mode.reset, Mode.activate, None]),
+    st.sampled_from([0, OURS, OURS, OTHER]),
+    st.sampled_from([0, 0, 0, 1, 2, 3, 4, -1, 10]),
+    st.floats(-50.0, 50.0),
 )
 
 
-@given(st.lists(st.lists(commands, max_size=3), max_size=80))
+@given(st.lists(st.lists(commands, max_size=3), max_size=80), st.booleans())
+def test_whatever_is_commanded_only_an_activation_of_a_new_session_that_was_echoed_activates(
+    cycles: list[list[tuple[Mode | None, int, int, float]]], is_claimed: bool
+) -> None:
+    watchdog = 4
+    arm = logic(watchdog, silence=10)
+    if is_claimed:
+        claimed(arm)
+    echoed = [arm.controller]  # by each state frame, the last one first
+    used: set[int] = set()
+    for sent in cycles:
+        was, controller = arm.life.now, arm.controller
+        arm.begin(
+            [
+                Command(controller=c, mode=m, answered=(arm.cycle - behind) % 2**24, torque=np.full(N, torque))
+                for m, c, behind, torque in sent
+            ],
+            STILL,
+        )
+        if arm.life.now is LifeCycle.active and was is not LifeCycle.active:
+            activations = [(c, behind) for m, c, behind, _ in sent if m is Mode.activate and c == controller != 0]
+            answered = [b for c, b in activations if 0 <= b < watchdog and echoed[: b + 1] == [c] * (b + 1)]
+            assert answered, "it was activated by something else"
+            assert controller not in used
+        if was is LifeCycle.active and arm.life.now is not LifeCycle.active:
+            used.add(controller)
+        echoed.insert(0, arm.controller)
+
+
+@given(st.lists(st.lists(commands, max_size=3), max_size=80), st.booleans())
 def test_whatever_is_commanded_a_braked_arm_has_no_torque_and_an_inactive_one_is_braked(
-    cycles: list[list[tuple[Mode | None, int, int, float]]],
+    cycles: list[list[tuple[Mode | None, int, int, float]]], is_active: bool
 ) -> None:
     arm = logic(silence=10)
+    if is_active:
+        activated(arm)
     for sent in cycles:
         arm.begin(
             [
@@ -160,13 +236,237 @@ def test_whatever_is_commanded_a_braked_arm_has_no_torque_and_an_inactive_one_is
 
 def test_the_cycle_number_runs_over() -> None:
     arm = logic()
-    arm.cycle = 2**24 - 2
-    arm.begin([], STILL)
-    arm.begin([command(arm)], STILL)
+    arm.cycle = 2**24 - 4
+    activated(arm)
+    assert arm.cycle == 2**24 - 1
     for _ in range(5):
         arm.begin([command(arm)], STILL)
         assert arm.life.now is LifeCycle.active
         assert arm.lost == 0
+
+
+# Whom the arm obeys, and what activates it
+
+
+@pytest.mark.parametrize("mode", [Mode.idle, Mode.torque, Mode.brake, Mode.activate, None])
+def test_only_a_reset_claims(mode: Mode | None) -> None:
+    arm = logic()
+    for _ in range(5):
+        arm.begin([Command(controller=OURS, mode=mode, answered=arm.cycle, torque=STILL)], STILL)
+    assert arm.controller == 0
+    assert arm.strangers == 5
+    assert arm.life.now is LifeCycle.inactive
+
+
+def test_the_number_of_nobody_claims_nothing() -> None:
+    arm = logic()
+    arm.begin([command(arm, Mode.reset, controller=0)], STILL)
+    assert arm.controller == 0
+    assert arm.strangers == 1
+
+
+def test_an_arm_that_is_obeying_is_not_claimed_by_another() -> None:
+    arm = claimed(logic())
+    arm.begin([command(arm, Mode.reset, controller=OTHER)], STILL)
+    assert arm.controller == OURS
+    assert arm.strangers == 1
+
+
+def test_an_arm_that_is_not_braked_is_claimed_and_stays_in_safe_stop() -> None:
+    """Its own ramp-down is not cut short."""
+    arm = forgotten(active())
+    assert not arm.braked
+    while not arm.braked:
+        arm.begin([command(arm, Mode.reset, controller=OTHER)], STILL)
+        assert arm.controller == OTHER
+        assert arm.life.now is LifeCycle.safe_stop
+    arm.begin([command(arm, Mode.reset, controller=OTHER)], STILL)
+    assert arm.life.now is LifeCycle.inactive
+
+
+def by_silence(arm: ArmLogic) -> None:
+    braked(arm)
+
+
+def by_brakes(arm: ArmLogic) -> None:
+    arm.begin([command(arm, Mode.brake)], STILL)
+
+
+def by_fault(arm: ArmLogic) -> None:
+    arm.fail("a drive is too hot")
+
+
+@pytest.mark.parametrize("leave", [by_silence, by_brakes, by_fault])
+def test_a_number_is_used_up_by_leaving_active_in_any_way(leave: Callable[[ArmLogic], None]) -> None:
+    arm = active()
+    leave(arm)
+    left = arm.life.now
+    assert left is not LifeCycle.active
+    for mode in (Mode.reset, Mode.activate, Mode.torque):
+        arm.begin([command(arm, mode)], STILL)
+        assert arm.life.now is left
+    forgotten(arm)
+    arm.begin([command(arm, Mode.reset)], STILL)
+    assert arm.controller == 0
+    assert arm.life.now is left
+    activated(arm, OTHER)
+
+
+def test_a_number_is_used_up_by_a_brake_command_also_before_it_was_active() -> None:
+    arm = claimed(logic())
+    arm.begin([command(arm, Mode.brake)], STILL)
+    arm.begin([command(arm, Mode.activate)], STILL)
+    assert arm.life.now is LifeCycle.inactive
+    assert arm.ignored == 1
+
+
+def test_a_number_that_was_only_claimed_can_be_claimed_again() -> None:
+    arm = forgotten(claimed(logic()))
+    activated(arm)
+
+
+def test_used_numbers_and_the_cycle_number_outlive_a_session_of_the_facility() -> None:
+    arm = active()
+    by_brakes(arm)
+    following = arm.again()
+    assert following.cycle == arm.cycle
+    assert following.life.now is LifeCycle.inactive
+    following.begin([command(following, Mode.reset)], STILL)
+    assert following.controller == 0
+    activated(following, OTHER)
+
+
+def test_the_oldest_used_number_is_forgotten_and_not_the_newest() -> None:
+    ramp = RampDown(time=0.25, damping=5.0)
+    arm = ArmLogic(N, cycle=1e-3, watchdog=4, silence=10, ramp=ramp, used=deque([1, 2], maxlen=2))
+    by_brakes(activated(arm))
+    assert list(arm.used) == [2, OURS]
+
+
+def test_an_activation_that_comes_with_its_claim_does_not_count() -> None:
+    """No state frame has carried the number yet: the arm's own word is what is answered."""
+    arm = logic()
+    arm.begin([command(arm, Mode.reset), command(arm, Mode.activate)], STILL)
+    assert arm.life.now is LifeCycle.inactive
+    assert arm.ignored == 1
+
+
+def test_an_activation_that_answers_a_state_frame_from_before_the_echo_does_not_count() -> None:
+    arm = logic()
+    arm.begin([], STILL)
+    claimed(arm)
+    arm.begin([command(arm, Mode.activate, behind=1)], STILL)
+    assert arm.life.now is LifeCycle.inactive
+    arm.begin([command(arm, Mode.activate, behind=1)], STILL)
+    assert arm.life.now is LifeCycle.active
+
+
+@pytest.mark.parametrize("behind", range(7))
+def test_an_activation_is_younger_than_the_watchdog(behind: int) -> None:
+    arm = claimed(logic(watchdog=4))
+    for _ in range(20):
+        arm.begin([command(arm, Mode.idle)], STILL)
+    arm.begin([command(arm, Mode.activate, behind=behind)], STILL)
+    assert (arm.life.now is LifeCycle.active) is (behind < 4)
+    assert arm.ignored == (behind >= 4)
+
+
+def test_an_activation_of_another_number_does_not_count() -> None:
+    arm = claimed(logic())
+    arm.begin([command(arm, Mode.activate, controller=OTHER)], STILL)
+    assert arm.life.now is LifeCycle.inactive
+    assert arm.strangers == 1
+
+
+def test_an_activation_gives_no_torque_and_feeds_no_watchdog() -> None:
+    arm = active()
+    for _ in range(3):
+        arm.begin([command(arm, Mode.activate, torque=9.0)], STILL)
+        assert (arm.torque == 1.0).all()
+    assert arm.life.now is LifeCycle.active
+    arm.begin([command(arm, Mode.activate, torque=9.0)], STILL)
+    assert arm.life.now is LifeCycle.safe_stop
+    assert arm.ignored == 0
+
+
+def test_torque_outside_active_is_ignored_and_counted() -> None:
+    arm = claimed(logic())
+    for k in range(1, 4):
+        arm.begin([command(arm)], STILL)
+        assert arm.ignored == k
+    assert arm.braked
+    by_brakes(activated(forgotten(arm)))
+    before = arm.ignored
+    arm.begin([command(arm)], STILL)
+    assert arm.ignored == before + 1
+    assert arm.life.now is LifeCycle.inactive
+
+
+def test_a_reset_of_an_active_arm_changes_nothing() -> None:
+    arm = active()
+    arm.begin([command(arm, Mode.reset), command(arm)], STILL)
+    assert arm.life.now is LifeCycle.active
+    assert not arm.used
+
+
+@pytest.mark.parametrize("torque", [5.1, -5.1, np.nan])
+def test_a_command_beyond_the_joints_effort_is_counted_and_not_used(torque: float) -> None:
+    arm = active()
+    arm.effort = np.full(N, 5.0)
+    arm.begin([command(arm, torque=torque)], STILL)
+    assert (arm.torque == 1.0).all()
+    assert arm.excessive == 1
+    claiming = claimed(logic())
+    claiming.effort = np.full(N, 5.0)
+    claiming.begin([command(claiming, Mode.activate, torque=torque)], STILL)
+    assert claiming.life.now is LifeCycle.inactive
+
+
+# An arm without session numbers and without the mode `activate`
+
+
+@pytest.mark.parametrize("mode", list(Mode))
+def test_an_implicit_arm_obeys_whoever_comes_first(mode: Mode) -> None:
+    arm = logic(implicit=True)
+    arm.begin([command(arm, mode)], STILL)
+    assert arm.controller == OURS
+    arm.begin([command(arm, mode, controller=OTHER)], STILL)
+    assert arm.controller == OURS
+    assert arm.strangers == 1
+
+
+def test_an_implicit_arm_is_activated_by_torque_and_has_it_at_once() -> None:
+    arm = logic(implicit=True)
+    arm.begin([command(arm, Mode.idle)], STILL)
+    assert arm.braked
+    arm.begin([command(arm)], STILL)
+    assert arm.life.now is LifeCycle.active
+    assert (arm.torque == 1.0).all()
+
+
+def test_an_implicit_arm_is_activated_again_after_brakes_and_after_a_reset() -> None:
+    """What it cannot refuse, and the explicit one does."""
+    arm = logic(implicit=True)
+    arm.begin([command(arm)], STILL)
+    by_brakes(arm)
+    arm.begin([command(arm)], STILL)
+    assert arm.life.now is LifeCycle.active
+    braked(arm)
+    assert arm.life.now is LifeCycle.safe_stop
+    arm.begin([command(arm)], STILL)
+    assert arm.life.now is LifeCycle.safe_stop
+    arm.begin([command(arm, Mode.reset)], STILL)
+    assert arm.life.now is LifeCycle.inactive
+
+
+def test_a_torque_frame_as_old_as_the_watchdog_does_not_activate_an_implicit_arm() -> None:
+    arm = logic(implicit=True)
+    for _ in range(10):
+        arm.begin([], STILL)
+    arm.begin([command(arm, behind=4)], STILL)
+    assert arm.life.now is LifeCycle.inactive
+    arm.begin([command(arm, behind=3)], STILL)
+    assert arm.life.now is LifeCycle.active
 
 
 # The base
@@ -212,6 +512,107 @@ def test_a_set_point_that_is_no_number_is_refused_and_the_last_one_held(bad: flo
     assert robot.refused == 2
 
 
+A, B = b"a" * 16, b"b" * 16
+
+
+def taken(robot: BaseLogic, publisher: bytes = A, x: float = 0.0, delay: float = 0.0) -> bool:
+    return robot.take(np.array([x, 0.0, 0.0]), IDENTITY, np.zeros(6), POSE, publisher, delay)
+
+
+def quiet(robot: BaseLogic, calls: int = 30) -> None:
+    for _ in range(calls):
+        robot.tick()
+
+
+def test_one_publisher_is_one_activation() -> None:
+    robot = base()
+    assert taken(robot, A)
+    quiet(robot)
+    assert robot.life.now is LifeCycle.safe_stop
+    for _ in range(3):
+        assert not taken(robot, A)
+        robot.tick()
+    assert robot.life.now is LifeCycle.safe_stop
+    assert taken(robot, B)
+    assert robot.life.now is LifeCycle.active
+    assert robot.publisher == B
+    quiet(robot)
+    assert not taken(robot, A)
+    assert not taken(robot, B)
+
+
+def test_an_active_base_takes_the_set_points_of_its_publisher_only() -> None:
+    robot = base()
+    taken(robot, A)
+    for _ in range(21):
+        assert not taken(robot, B)
+        robot.tick()
+    assert robot.life.now is LifeCycle.safe_stop, "another's set points have kept it active"
+    assert robot.refused == 21
+    assert taken(robot, B), "one that was refused only is not used up"
+
+
+def test_used_publishers_outlive_a_session_of_the_facility() -> None:
+    used: deque[bytes] = deque(maxlen=2)
+    robot = BaseLogic(period=1e-3, watchdog=20, silence=100, jump=(0.01, 0.02), used=used)
+    robot.hold(*POSE)
+    taken(robot, A)
+    quiet(robot)
+    following = BaseLogic(period=1e-3, watchdog=20, silence=100, jump=(0.01, 0.02), used=used)
+    following.hold(*POSE)
+    assert not taken(following, A)
+    assert following.life.now is LifeCycle.inactive
+    assert taken(following, B)
+
+
+def test_a_set_point_that_is_later_than_the_watchdog_is_refused() -> None:
+    robot = base()
+    assert not taken(robot, delay=0.0201)
+    assert robot.life.now is LifeCycle.inactive
+    assert taken(robot, delay=0.0199)
+    assert not taken(robot, x=0.001, delay=0.0201)
+    assert not robot.position.any()
+    assert robot.refused == 2
+
+
+def test_set_points_in_time_feed_the_watchdog() -> None:
+    robot = base()
+    for _ in range(5):
+        assert taken(robot)
+        quiet(robot, 20)
+    assert robot.life.now is LifeCycle.active
+    robot.tick()
+    assert robot.life.now is LifeCycle.safe_stop
+
+
+def test_late_set_points_do_not_feed_the_watchdog() -> None:
+    robot = base()
+    taken(robot)
+    for _ in range(21):
+        taken(robot, delay=0.1)
+        robot.tick()
+    assert robot.life.now is LifeCycle.safe_stop
+
+
+def test_a_set_point_far_from_the_one_before_is_refused() -> None:
+    robot = base()
+    taken(robot, x=0.009)
+    assert not taken(robot, x=0.02)
+    assert taken(robot, x=0.018)
+    assert not taken(robot, x=0.0)
+
+
+def test_a_new_publisher_far_from_the_robot_does_not_lead_out_of_safe_stop() -> None:
+    robot = base()
+    taken(robot, A)
+    quiet(robot)
+    assert not taken(robot, B, x=0.02)
+    assert robot.life.now is LifeCycle.safe_stop
+    assert not taken(robot, B, delay=0.1)
+    assert robot.life.now is LifeCycle.safe_stop
+    assert taken(robot, B)
+
+
 def test_a_command_that_answers_an_older_cycle_than_the_last_one_is_not_used() -> None:
     arm = active()
     newer, older = command(arm, torque=1.0), command(arm, behind=1, torque=9.0)
@@ -221,7 +622,7 @@ def test_a_command_that_answers_an_older_cycle_than_the_last_one_is_not_used() -
 
 @pytest.mark.parametrize("cycles", [64, 256])
 def test_a_narrow_cycle_number_runs_over_again_and_again(cycles: int) -> None:
-    arm = ArmLogic(N, cycle=1e-3, watchdog=4, silence=500, ramp=RampDown(time=0.25, damping=5.0), cycles=cycles)
+    arm = activated(logic(silence=500, cycles=cycles))
     for _ in range(1000):
         arm.begin([command(arm)], STILL)
         assert 0 <= arm.cycle < cycles
@@ -236,3 +637,50 @@ def test_a_narrow_cycle_number_runs_over_again_and_again(cycles: int) -> None:
         arm.begin([], STILL)
     assert arm.braked
     assert arm.controller == 0
+
+
+# What proves that set points come in time
+
+
+def proving() -> BaseLogic:
+    made = BaseLogic(period=1e-3, watchdog=20, silence=100, jump=(0.01, 0.02), proof=40)
+    made.hold(np.zeros(3), IDENTITY)
+    return made
+
+
+def come(robot: BaseLogic, calls: int, every: int = 4, late: float = 0.0, stamps_per_call: float = 1e-3) -> None:
+    """Set points every so many calls, `late` [s]; their stamps advance by so much a call."""
+    begin = robot._calls
+    while robot._calls - begin < calls:
+        if (robot._calls - begin) % every == 0:
+            robot.take(np.zeros(3), IDENTITY, np.zeros(6), POSE, b"one", 0.0, (robot._calls - begin) * stamps_per_call - late)
+        robot.tick()
+
+
+def test_set_points_activate_once_they_have_come_for_the_proof_as_their_stamps_advance() -> None:
+    robot = proving()
+    come(robot, 40)
+    assert robot.life.now is LifeCycle.inactive
+    assert robot.refused == 0
+    come(robot, 44)
+    assert robot.life.now is LifeCycle.active
+
+
+@pytest.mark.parametrize(
+    ("every", "stamps_per_call"),
+    [(21, 1e-3), (4, 0.4e-3), (4, 1.6e-3), (4, 0.0)],
+    ids=["with gaps", "ever later", "released in a burst", "with a frozen stamp"],
+)
+def test_set_points_that_do_not_come_as_they_were_sent_activate_nothing(every: int, stamps_per_call: float) -> None:
+    robot = proving()
+    come(robot, 400, every=every, stamps_per_call=stamps_per_call)
+    assert robot.life.now is LifeCycle.inactive
+
+
+def test_two_set_points_far_apart_prove_nothing() -> None:
+    robot = proving()
+    come(robot, 1)
+    for _ in range(10_000):
+        robot.tick()
+    robot.take(np.zeros(3), IDENTITY, np.zeros(6), POSE, b"one", 0.0, 10.001)
+    assert robot.life.now is LifeCycle.inactive

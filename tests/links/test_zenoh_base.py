@@ -2,35 +2,38 @@
 
 from __future__ import annotations
 
+import re
 import socket
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from threading import Event, Thread
 
 import numpy as np
 import pytest
+from lab import waited
 
-from freeflyer_adapters.base.link import OdometryLink, is_usable
+from freeflyer_adapters.base.link import OdometryLink, Received, is_usable
 from freeflyer_adapters.base.options import LinkOptions
 from freeflyer_adapters.base.rmw_zenoh import Attachment
 from freeflyer_adapters.base.ros_messages import Odometry, OdometryWriter
+from freeflyer_adapters.base.sealed_odometry import sealed
 from freeflyer_adapters.base.session import open_session
 from freeflyer_adapters.base.zenoh_base import ZenohBase
 from freeflyer_adapters.device import DeviceError, LifeCycle, SafeStop
 
+UNWATCHED = 60.0
+"""[s] of the base's watchdog, where a test takes its time between two calls."""
 IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
 STILL = np.zeros(6)
 
 
-def waited(condition: Callable[[], bool], timeout: float = 5.0) -> bool:
-    end = time.monotonic() + timeout
-    while not condition() and time.monotonic() < end:
-        time.sleep(0.002)
-    return condition()
+def usable(received: Received) -> bool:
+    return is_usable(received.odometry)
 
 
 class ScriptedBase:
-    """Publishes what it is told to, and keeps every set point; it does not tell whom it obeys."""
+    """Publishes what it is told to, and keeps every set point; it does not tell whom it obeys unless it is asked to."""
 
     def __init__(self, options: LinkOptions) -> None:
         self.session = open_session([], options.connect, "scripted")
@@ -40,8 +43,16 @@ class ScriptedBase:
     def send(self, position: np.ndarray | None = None, orientation: np.ndarray = IDENTITY) -> None:
         self.link.publish(np.zeros(3) if position is None else position, orientation, STILL)
 
+    def send_as(
+        self, sequence: int, stamp: int, *, gid: bytes | None = None, frame: str = "inertial", child: str = "base"
+    ) -> None:
+        """One sample at the origin, whatever was sent before."""
+        attachment = Attachment(sequence, stamp, self.link._gid if gid is None else gid).pack()
+        payload = OdometryWriter(frame, child).write(stamp, np.zeros(3), IDENTITY, STILL)
+        self.link.put(sealed(payload, attachment), attachment)
+
     def take(self) -> None:
-        received = self.link.receive(is_usable)
+        received = self.link.receive(usable)
         if received is not None:
             self.setpoints.append(received.odometry)
 
@@ -64,13 +75,14 @@ def there() -> Iterator[ScriptedBase]:
 def here(there: ScriptedBase) -> Iterator[ZenohBase]:
     base = ZenohBase("base", there.link.options)
     base.values["orientation_setpoint"][:] = IDENTITY
+    base.values["watchdog"][:] = UNWATCHED
     yield base
     base.deactivate()
 
 
-def configured(base: ZenohBase, there: ScriptedBase, position: np.ndarray | None = None) -> None:
-    """Samples flow until the base has one, as they do from a robot."""
-
+@contextmanager
+def flowing(there: ScriptedBase, position: np.ndarray | None = None) -> Iterator[None]:
+    """The robot sends its measurements, each cycle one."""
     done = Event()
 
     def flow() -> None:
@@ -80,12 +92,19 @@ def configured(base: ZenohBase, there: ScriptedBase, position: np.ndarray | None
     thread = Thread(target=flow)
     thread.start()
     try:
-        base.configure()
-        base.check_start()
-        base.activate(lambda: False)
+        yield
     finally:
         done.set()
         thread.join()
+
+
+def configured(base: ZenohBase, there: ScriptedBase, position: np.ndarray | None = None) -> None:
+    """Samples flow until the base has one, as they do from a robot."""
+    with flowing(there, position):
+        base.configure()
+        base.check_start()
+        base.prepare()
+        base.activate(lambda: False)
     base._sequence = 0  # what flowed while nobody read is no loss
     fresh(base, there, position)
     base._steps = 0
@@ -198,24 +217,33 @@ def test_samples_that_cannot_be_used_are_counted_and_change_nothing(here: ZenohB
         here._take()
         return counts.malformed + counts.stale + counts.strangers
 
-    writer = OdometryWriter("inertial", "base")
-    gid, sequence = there.link._gid, there.link._sequence
-    good = writer.write(time.time_ns(), np.full(3, 0.1), IDENTITY, STILL)
-    nan = writer.write(time.time_ns(), np.full(3, np.nan), IDENTITY, STILL)
-    later = Attachment(sequence + 1, time.time_ns(), gid).pack()
-    for payload, attachment in (
-        (good[:100], later),
-        (good, later[:-1]),
-        (good, None),
-        (nan, later),
-        (good, Attachment(sequence, time.time_ns(), gid).pack()),
-        (good, Attachment(sequence + 1, 1, gid).pack()),
-        (good, Attachment(sequence + 1, time.time_ns(), bytes(16)).pack()),
+    last = link._last
+    assert last is not None
+    gid, sequence, stamp = there.link._gid, last.sequence, last.stamp + 1000
+    good = OdometryWriter("inertial", "base").write(stamp, np.full(3, 0.1), IDENTITY, STILL)
+    nan = OdometryWriter("inertial", "base").write(stamp, np.full(3, np.nan), IDENTITY, STILL)
+    elsewhere = OdometryWriter("inertial", "gripper").write(stamp, np.full(3, 0.1), IDENTITY, STILL)
+    later = Attachment(sequence + 1, stamp, gid).pack()
+    for payload, attachment, why in (
+        (good[:100], later, "byte"),
+        (good, later[:-1], "32 bytes"),
+        (good, b"", "0 bytes"),
+        (nan, later, "cannot be used"),
+        (elsewhere, later, "a pose of 'gripper' in 'inertial'"),
+        (good, Attachment(sequence, stamp, gid).pack(), f"sequence number {sequence} after {sequence}"),
+        (good, Attachment(sequence - 1, stamp, gid).pack(), f"sequence number {sequence - 1} after {sequence}"),
+        (good, Attachment(sequence + 1, last.stamp, gid).pack(), "its stamp 0 s later"),
+        (good, Attachment(sequence + 1, stamp, bytes(16)).pack(), "a sample from 00000000"),
+        (None, later, "does not fit its checksum"),
     ):
         seen = refused()
-        there.link._publisher.put(payload, attachment=attachment)
-        assert waited(lambda seen=seen: refused() == seen + 1), (payload[:8], attachment)  # type: ignore[misc]
+        there.link.put(good if payload is None else sealed(payload, attachment), attachment)
+        assert waited(lambda seen=seen: refused() == seen + 1), why  # type: ignore[misc]
+        assert why in counts.last_fault
         assert np.array_equal(here.values["base_position"], before)
+    there.link.put(sealed(good, later), later)
+    assert waited(here._take), "the same sample as it should be is used"
+    assert here.values["base_position"] == pytest.approx(np.full(3, 0.1))
 
 
 def test_the_freshest_of_many_samples_is_read(here: ZenohBase, there: ScriptedBase) -> None:
@@ -244,3 +272,302 @@ def test_a_silent_base_is_said_to_be_silent(there: ScriptedBase) -> None:
             base.configure()
     finally:
         base.deactivate()
+
+
+# What is published, and when
+
+
+def test_configuration_and_the_check_of_the_start_publish_and_announce_nothing(here: ZenohBase, there: ScriptedBase) -> None:
+    with flowing(there):
+        here.configure()
+        here.check_start()
+        here.prepare()
+    assert here._link is not None
+    assert here._link.gid == ""
+    assert there.link.publishers(there.link.options.setpoint_topic) == []
+    there.take()
+    assert there.setpoints == []
+    assert here.published == 0
+
+
+def test_each_activation_is_a_publisher_of_its_own(here: ZenohBase, there: ScriptedBase) -> None:
+    configured(here, there)
+    link = here._link
+    assert link is not None
+    topic = there.link.options.setpoint_topic
+    assert waited(lambda: there.link.publishers(topic) == [link.identity])
+    first = link.gid
+    link.end_publishing()
+    assert waited(lambda: there.link.publishers(topic) == [])
+    link.begin_publishing()
+    assert link.gid != first
+    assert len(bytes.fromhex(link.gid)) == 16
+    assert waited(lambda: there.link.publishers(topic) == [link.identity])
+
+
+def test_without_a_publisher_nothing_goes_out(here: ZenohBase, there: ScriptedBase) -> None:
+    configured(here, there)
+    assert waited(lambda: (there.take(), bool(there.setpoints))[1])
+    assert here._link is not None
+    here._link.end_publishing()
+    there.take()
+    there.setpoints.clear()
+    here._link.publish(np.zeros(3), IDENTITY, STILL)
+    time.sleep(0.05)
+    there.take()
+    assert there.setpoints == []
+
+
+def test_another_commander_keeps_the_base_from_being_configured(here: ZenohBase, there: ScriptedBase) -> None:
+    options = there.link.options
+    other = OdometryLink(there.session, options, options.setpoint_topic, options.measured_topic)
+    try:
+        with (
+            flowing(there),
+            pytest.raises(DeviceError, match=f"session {other.identity} commands topic base_robot/setpoint already"),
+        ):
+            here.configure()
+    finally:
+        other.close()
+
+
+def test_a_base_that_reports_whom_it_obeys_is_waited_for_and_its_ceasing_stops(here: ZenohBase, there: ScriptedBase) -> None:
+    there.link.tell_obeyed(False)
+    done = Event()
+
+    def obey() -> None:
+        while not done.wait(0.001):
+            there.take()
+            there.link.tell_obeyed(bool(there.setpoints))
+
+    thread = Thread(target=obey)
+    thread.start()
+    try:
+        configured(here, there)
+    finally:
+        done.set()
+        thread.join()
+    assert here.cannot_refuse == []
+    assert here._link is not None
+    assert here._link.obedience() is None
+    fresh(here, there)
+    there.link.tell_obeyed(False)
+    end = time.monotonic() + 5.0
+    with pytest.raises(SafeStop, match="the base robot does not take set points any more; it holds its place"):  # noqa: PT012
+        while time.monotonic() < end:
+            fresh(here, there)
+            here._steps = here._ratio - 1
+            here.read()
+    assert here.permit.lost
+
+
+def test_a_base_that_reports_somebody_elses_publisher_is_refused(here: ZenohBase, there: ScriptedBase) -> None:
+    there.link._source = bytes(range(16))
+    there.link.tell_obeyed(True)
+    with (
+        flowing(there),
+        pytest.raises(DeviceError, match=f"base obeys publisher {bytes(range(16)).hex()} already; this is session"),
+    ):
+        here.configure()
+
+
+def test_a_base_that_does_not_report_whom_it_obeys_is_said_to_be_one(here: ZenohBase, there: ScriptedBase) -> None:
+    configured(here, there)
+    assert len(here.cannot_refuse) == 1
+    assert "does not report which publisher it obeys" in here.cannot_refuse[0]
+
+
+# Hold-ups, and late samples
+
+
+def held_up(base: ZenohBase) -> None:
+    """The loop stands still for longer than the base's watchdog."""
+    base.permit.watchdog = 20_000_000
+    time.sleep(0.05)
+
+
+def test_after_a_hold_up_no_set_point_goes_out_and_none_of_the_graded_stop(here: ZenohBase, there: ScriptedBase) -> None:
+    configured(here, there)
+    held_up(here)
+    published = here.published
+    with pytest.raises(
+        SafeStop, match=r"the loop was held up for 0\.\d+ s, longer than the watchdog of the base robot \(0\.02 s\)"
+    ):
+        here.write()
+    here.revoke("the loop was held up")
+    for k in range(20):
+        assert here.ramp_down(k * 1e-3)
+    assert here.published == published
+    assert here._link is not None
+    assert waited(lambda: there.link.publishers(there.link.options.setpoint_topic) == [])
+
+
+def test_a_hold_up_is_noticed_when_the_next_sample_is_read(here: ZenohBase, there: ScriptedBase) -> None:
+    here.values["age_limit"][:] = 10.0
+    here.values["lost_consecutive"][:] = 1000.0
+    here.values["lost_in_window"][:] = 0.0
+    configured(here, there)
+    held_up(here)
+    there.send()
+    with pytest.raises(SafeStop, match="the loop was held up for"):
+        here.read()
+
+
+def test_the_graded_stop_holds_the_last_set_point_without_velocity(here: ZenohBase, there: ScriptedBase) -> None:
+    here.values["watchdog"][:] = 10.0
+    configured(here, there)
+    here.values["position_setpoint"][:] = [0.001, 0.0, 0.0]
+    here.values["velocity_setpoint"][:] = 0.01
+    here.write()
+    here.revoke("the user stopped")
+    with pytest.raises(SafeStop, match="the user stopped"):
+        here.write()
+    there.setpoints.clear()
+    for k in range(3 * here._ratio):
+        there.send()
+        here.ramp_down(k * 1e-3)
+    assert waited(lambda: (there.take(), bool(there.setpoints) and there.setpoints[-1].position[0] > 0.0)[1])
+    assert there.setpoints[-1].position == pytest.approx([0.001, 0.0, 0.0])
+    assert not there.setpoints[-1].velocity.any()
+
+
+def test_a_sample_that_was_held_up_on_its_way_is_old_although_it_has_just_come(here: ZenohBase, there: ScriptedBase) -> None:
+    here.values["lost_consecutive"][:] = 1000.0
+    here.values["lost_in_window"][:] = 0.0
+    configured(here, there)
+    assert here._link is not None
+    last = here._link._last
+    assert last is not None
+    time.sleep(0.06)
+    there.send_as(last.sequence + 1, last.stamp + 4_000_000)
+    assert waited(here._take)
+    here._steps = here._ratio - 1
+    with pytest.raises(SafeStop, match=r"the last measurement is 0\.0[5-9]\d* s old, its limit is 0\.02 s"):
+        here.read()
+
+
+@pytest.mark.parametrize("step", [-3600.0, -1.0, 1.0, 3600.0])
+def test_a_base_whose_clock_is_set_is_followed_and_the_step_is_counted(
+    here: ZenohBase, there: ScriptedBase, step: float
+) -> None:
+    configured(here, there)
+    there.link._wall += round(step * 1e9)
+    for _ in range(5):
+        fresh(here, there)
+    assert here.report()["clock_steps"] == 1.0
+    assert here.report()["samples_refused"] == 0.0
+
+
+# One link, sample by sample
+
+
+@pytest.fixture
+def receiving(there: ScriptedBase) -> Iterator[OdometryLink]:
+    options = there.link.options
+    session = open_session(options.connect, options.listen, "receiver")
+    link = OdometryLink(session, options, options.setpoint_topic, options.measured_topic, publishes=False)
+    assert waited(lambda: bool(session.info.peers_zid()))
+    there.send()
+    assert waited(lambda: link.take() is not None or (there.send(), False)[1])
+    time.sleep(0.02)
+    link.take()
+    yield link
+    link.close()
+    session.close()
+
+
+def received(link: OdometryLink, judge: Callable[[Received], bool] = usable) -> Received | None:
+    """The next sample, or None if it was refused."""
+    before = link.counts.malformed + link.counts.stale + link.counts.strangers
+    found: list[Received] = []
+
+    def came() -> bool:
+        one = link.receive(judge)
+        found.extend([] if one is None else [one])
+        return bool(found) or link.counts.malformed + link.counts.stale + link.counts.strangers > before
+
+    assert waited(came)
+    return found[0] if found else None
+
+
+NOW = 1_700_000_000_000_000_000
+
+
+@pytest.mark.parametrize(
+    ("frame", "child", "sentence"),
+    [
+        ("world", "base", r"a pose of 'base' in 'world' \(child_frame_id, header.frame_id\); 'base' in 'inertial' is expected"),
+        ("inertial", "arm", "a pose of 'arm' in 'inertial'"),
+        ("base", "inertial", "a pose of 'inertial' in 'base'"),
+        ("", "", "a pose of '' in ''"),
+    ],
+)
+def test_a_pose_of_other_frames_is_refused(
+    there: ScriptedBase, receiving: OdometryLink, frame: str, child: str, sentence: str
+) -> None:
+    there.send_as(1, NOW, frame=frame, child=child)
+    assert received(receiving) is None
+    assert re.search(sentence, receiving.counts.last_fault)
+    assert receiving.counts.malformed == 1
+    there.send_as(2, NOW)
+    assert received(receiving) is not None, "a refused sample makes its publisher no source"
+
+
+def test_stamps_set_back_are_a_clock_step_and_equal_ones_are_stale(there: ScriptedBase, receiving: OdometryLink) -> None:
+    there.send_as(1, NOW)
+    assert received(receiving) is not None
+    there.send_as(2, NOW - 10**9)
+    found = received(receiving)
+    assert found is not None
+    assert found.delay < 5_000_000
+    assert receiving.counts.clock_steps == 1
+    there.send_as(3, NOW - 10**9)
+    assert received(receiving) is None
+    assert receiving.counts.stale == 1
+    there.send_as(2, NOW)
+    assert received(receiving) is None
+    assert receiving.counts.stale == 2
+    assert (receiving.counts.accepted, receiving.counts.clock_steps) == (2, 1)
+
+
+def test_what_the_judge_refuses_is_counted_and_makes_its_publisher_no_source(
+    there: ScriptedBase, receiving: OdometryLink
+) -> None:
+    seen: list[Received] = []
+
+    def refuses(one: Received) -> bool:
+        seen.append(one)
+        return False
+
+    there.send_as(1, NOW, gid=b"a" * 16)
+    assert received(receiving, refuses) is None
+    assert (seen[0].attachment.gid, seen[0].odometry.frame) == (b"a" * 16, "inertial")
+    assert receiving.counts.malformed == 1
+    there.send_as(1, NOW, gid=b"b" * 16)
+    assert received(receiving) is not None
+    there.send_as(2, NOW + 1, gid=b"a" * 16)
+    assert received(receiving) is None
+    assert receiving.counts.strangers == 1
+
+
+@pytest.mark.parametrize("ahead", [-3600.0, -0.5, 0.5, 3600.0])
+def test_the_clock_of_a_refused_publisher_makes_no_other_one_late(
+    there: ScriptedBase, receiving: OdometryLink, ahead: float
+) -> None:
+    """Two hosts' clocks are never set alike; a publisher that is used up, or too far away, is refused before the right one comes."""
+    there.send_as(1, NOW + round(ahead * 1e9), gid=b"a" * 16)
+    assert received(receiving, lambda _: False) is None
+    time.sleep(0.6)
+    there.send_as(1, NOW + 600_000_000, gid=b"b" * 16)
+    found = received(receiving)
+    assert found is not None
+    assert found.delay < 20_000_000
+    assert receiving.counts.clock_steps == 0
+
+
+def test_a_watchdog_shorter_than_two_cycles_is_refused_with_both_numbers(here: ZenohBase) -> None:
+    here.values["watchdog"][:] = 0.003
+    with pytest.raises(
+        DeviceError, match=r"base\.watchdog is 0\.003 s; two cycles of set points or more are expected, 0\.008 s"
+    ):
+        here.configure()

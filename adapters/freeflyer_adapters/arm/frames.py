@@ -29,6 +29,9 @@ class Mode(IntEnum):
     torque = 1
     brake = 2
     reset = 3
+    """Claims the session number, and leads from safe stop or fault to inactive."""
+    activate = 4
+    """Releases the brakes of an inactive arm whose echo of the session number it answers."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,6 +76,18 @@ ROLES: Mapping[str, tuple[Role, ...]] = {
         ("joint_effort_limit", "TorqueLimit{}", "N.m", True, False),
     ),
 }
+PROMISES: Mapping[str, str] = {
+    "mode_values.activate": "a torque frame alone activates the arm, also a late one",
+    "controller": "a command of an earlier run, or of another controller, counts as one of this run",
+    "obeyed_controller": "the controllers cannot see which run the arm obeys, nor that it obeys another one",
+    "answered_cycle": "the arm cannot tell a late command from a fresh one",
+    "life_cycle": "the controllers cannot see that the arm has stopped by itself",
+    "brakes": "the controllers do not see whether the brakes are engaged, and take the end of the ramp-down for rest",
+    "echoed_cycle": "late commands are not counted by the controllers, and a state frame that was held up on its way passes for a fresh one",
+}
+"""What is lost without a role, or without a number for the mode `activate`."""
+NEEDED = ("mode_values.activate", "controller", "obeyed_controller", "answered_cycle", "life_cycle")
+"""Without one of these the arm itself cannot refuse an activation that no run has asked for."""
 MESSAGES = {"command": "ArmCommand", "state": "ArmState", "description": "ArmDescription"}
 LIMIT_ROLES = ("joint_lower_limit", "joint_upper_limit", "joint_velocity_limit", "joint_effort_limit")
 
@@ -92,6 +107,29 @@ class FrameMapping:
     e2e_offset: int = 0
     mode_values: Mapping[str, int] = field(default_factory=dict)
     life_cycle_values: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def has_shipped_names(self) -> bool:
+        """Whether messages and signals are those of the shipped profile: in its own DBC, or in a copy of it with every name."""
+        if self.dbc == SHIPPED_DBC:
+            return True
+        if self.messages or self.signals:
+            return False
+        frames = {message.name: {signal.name for signal in message.signals} for message in load(self.dbc).messages}
+        return all(
+            role.signal.replace("{}", "1") in frames.get(MESSAGES[kind], ())
+            for kind in ("command", "state")
+            for role in ROLES[kind]
+        )
+
+    @property
+    def has_description(self) -> bool:
+        """Whether the arm describes itself: by a mapped message, or by that of the shipped profile."""
+        if "description" in self.messages or self.dbc == SHIPPED_DBC:
+            return True
+        frames = {message.name: {signal.name for signal in message.signals} for message in load(self.dbc).messages}
+        signals = frames.get(MESSAGES["description"], set())
+        return self.has_shipped_names and all(role.signal.replace("{}", "1") in signals for role in ROLES["description"])
 
 
 class Frame:
@@ -162,8 +200,7 @@ def _check_header(message: Any, subject: str, bound: set[str], offset: int) -> N
 
 def _names(role: Role, mapping: FrameMapping, joints: int, present: set[str]) -> list[str]:
     given = mapping.signals.get(role.name)
-    shipped = mapping.dbc == SHIPPED_DBC
-    if given is None and not shipped and not role.required:
+    if given is None and not role.required and not mapping.has_shipped_names:
         return []  # a user's own DBC has what its mapping says, and nothing by chance
     pattern = role.signal if given is None else given
     if not role.per_joint:
@@ -235,8 +272,13 @@ class ArmFrames:
         self.mapping, self.joints = mapping, joints
         self.command = Frame("command", mapping, joints)
         self.state = Frame("state", mapping, joints)
+        if (self.command.identifier, self.command.extended) == (self.state.identifier, self.state.extended):
+            raise DeviceError(
+                f"DBC {mapping.dbc}: {self.command.message.name} and {self.state.message.name} have one identifier, "
+                f"0x{self.state.identifier:X}, which two nodes cannot send; an identifier for each is expected"
+            )
         self.description: Frame | None = None
-        if mapping.dbc == SHIPPED_DBC or "description" in mapping.messages:
+        if mapping.has_description:
             self.description = Frame("description", mapping, joints)
         numbers = [f.fields[r][0].most for f in (self.command, self.state) for r in CYCLE_ROLES if r in f]
         self.cycles = int(min(numbers)) + 1
@@ -250,6 +292,8 @@ class ArmFrames:
         self.controllers = int(min(named, default=0xFFFF))
         """How many controllers can be told apart."""
         self._modes = {mode: int(mapping.mode_values.get(mode.name, mode)) for mode in Mode}
+        if not mapping.has_shipped_names and "activate" not in mapping.mode_values:
+            del self._modes[Mode.activate]
         self._states = {int(mapping.life_cycle_values.get(state.name, state)): state for state in LifeCycle}
         _check_values("mode_values", self._modes, self.command.fields.get("mode"))
         _check_values("life_cycle_values", {s: r for r, s in self._states.items()}, self.state.fields.get("life_cycle"))
@@ -259,6 +303,30 @@ class ArmFrames:
             )
         self._mode_of = {raw: mode for mode, raw in self._modes.items()}
         self._state_of = {state: raw for raw, state in self._states.items()}
+
+    @property
+    def lacking(self) -> list[str]:
+        """What the DBC's mapping lacks of `PROMISES`."""
+        there = {"mode_values.activate": Mode.activate in self._modes and "mode" in self.command}
+        roles = {*self.command.fields, *self.state.fields}
+        return [name for name in PROMISES if not there.get(name, name in roles)]
+
+    def check_activation(self, subject: str, implicit: bool) -> None:
+        """DeviceError for an arm that cannot refuse an activation of its own accord, unless the scenario accepts that."""
+        missing = [name for name in self.lacking if name in NEEDED]
+        if missing and not implicit:
+            raise DeviceError(
+                f"{subject}: DBC {self.mapping.dbc} has no {', '.join(missing)}, so that the arm cannot refuse a late activation "
+                f'itself (interface control document, "What a DBC may lack"); map what the arm has, or write '
+                f'activation = "implicit"'
+            )
+
+    def cannot_refuse(self, implicit: bool) -> list[str]:
+        """What this arm cannot refuse or report by itself, a sentence for each."""
+        said = [f"without {name} {PROMISES[name]}" for name in self.lacking]
+        if implicit and not any(name in NEEDED for name in self.lacking):
+            said.append(f'with activation = "implicit" {PROMISES["mode_values.activate"]}')
+        return said
 
     @property
     def is_fd(self) -> bool:

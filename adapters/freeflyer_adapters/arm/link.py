@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 import can
 
 from freeflyer.near import did_you_mean
 from freeflyer_adapters import outside
-from freeflyer_adapters.arm.e2e import Checker, Protector
+from freeflyer_adapters.arm.e2e import Checker, Protector, Status
 from freeflyer_adapters.arm.frames import Frame
+from freeflyer_adapters.arm.second_sender import SecondSender
 from freeflyer_adapters.device import DeviceError
 
 FILTERING = ("local", "socketcan")
 """Interfaces that filter before `recv` sees a frame. With the others, a frame for somebody else would end a `recv` that does not
 wait, so they get no filter; identifiers are compared in any case.
 """
+RECENT = 32
 
 
 def open_bus(interface: str, channel: str, is_fd: bool, identifiers: Sequence[Frame], options: Mapping[str, Any]) -> can.BusABC:
@@ -33,8 +35,12 @@ def open_bus(interface: str, channel: str, is_fd: bool, identifiers: Sequence[Fr
             interface=interface, channel=channel, fd=is_fd, can_filters=filters if interface in FILTERING else None, **options
         )
     except Exception as error:  # every interface has errors of its own, and of its driver's
-        text = " ".join(str(error).split())[:300] or type(error).__name__
-        raise DeviceError(f"CAN interface {interface!r}, channel {channel!r}, cannot be opened: {text}") from error
+        raise DeviceError(f"CAN interface {interface!r}, channel {channel!r}, cannot be opened: {said(error)}") from error
+
+
+def said(error: Exception) -> str:
+    """The driver's own text, on one line."""
+    return " ".join(str(error).split())[:300] or type(error).__name__
 
 
 class Sending(Protocol):
@@ -50,13 +56,23 @@ class Sender:
         self.bus, self.frame = bus, frame
         self._protector = None if frame.data_id is None else Protector(frame.data_id, frame.e2e_offset)
         self.failed = 0
+        self.error = ""
+        """The driver's own text of the last failure."""
         self.sent = 0
+        self.recent: deque[bytearray] = deque(maxlen=RECENT)
+        """What went out last: some interfaces give own frames back."""
 
-    def send(self, numbers: Mapping[str, Sequence[float]]) -> bool:
-        """Whether the interface took the frame; one that it did not take is a lost one, not an end."""
+    def send(self, numbers: Mapping[str, Sequence[float]], permitted: Callable[[], bool] | None = None) -> bool:
+        """Whether the interface took the frame; one that it did not take is a lost one, not an end.
+
+        `permitted` is asked when the frame is ready, and only then it goes out.
+        """
         data = self.frame.pack(numbers)
         if self._protector is not None:
             self._protector.protect(data)
+        if permitted is not None and not permitted():
+            return False
+        self.recent.append(data)
         try:
             self.bus.send(
                 can.Message(
@@ -67,8 +83,9 @@ class Sender:
                     data=data,
                 )
             )
-        except can.CanError:
+        except can.CanError as error:
             self.failed += 1
+            self.error = said(error)
             return False
         self.sent += 1
         return True
@@ -80,8 +97,13 @@ class Receiver:
     def __init__(self, frame: Frame) -> None:
         self.frame = frame
         self._checker = None if frame.data_id is None else Checker(frame.data_id, frame.e2e_offset)
+        # Without E2E protection a state frame's cycle number serves as its counter.
+        self._counts_cycles = self._checker is None and "cycle" in frame
+        self._counters = 1 << max(int(frame.fields["cycle"][0].most).bit_length(), 5) if self._counts_cycles else 256
         self.rejected: Counter[str] = Counter()
         self.accepted = 0
+        self.senders = SecondSender(self._counters)
+        """Sees every whole frame, also those that are not used."""
 
     @property
     def refused(self) -> int:
@@ -92,6 +114,7 @@ class Receiver:
         """After frames were thrown away unread."""
         if self._checker is not None:
             self._checker.forget()
+        self.senders.forget()
 
     def take(self, message: can.Message) -> dict[str, list[float]] | None:
         """The frame's values by role, or None for one that must not be used."""
@@ -106,8 +129,13 @@ class Receiver:
             return None
         if self._checker is not None:
             status = self._checker.check(data)
+            if status is not Status.wrong_crc:
+                self.senders.see(data[self.frame.e2e_offset + 2], data)
             if not status.accepted:
                 self.rejected[status.value] += 1
                 return None
         self.accepted += 1
-        return self.frame.unpack(data)
+        numbers = self.frame.unpack(data)
+        if self._counts_cycles:
+            self.senders.see(int(numbers["cycle"][0]) % self._counters, data)
+        return numbers

@@ -8,7 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from freeflyer_adapters.arm.frames import FrameMapping
+from freeflyer_adapters.device import DeviceError
 from freeflyer_adapters.options import checked, known_keys
+
+ACTIVATIONS = ("explicit", "implicit")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,12 +23,14 @@ class ArmOptions:
     bus: Mapping[str, Any] = field(default_factory=dict)
     joints: int = 6
     frames: FrameMapping = field(default_factory=FrameMapping)
+    implicit: bool = False
+    """`activation = "implicit"`: the arm has no mode `activate`; a torque frame activates it."""
 
 
 def options_from(name: str, raw: Mapping[str, Any], directory: Path) -> ArmOptions:
     """The device's table as options; DeviceError for a key or value that is none."""
     known_keys(name, raw, ("interface", "channel", "bus", "joints", "dbc", "messages", "signals", "data_ids", "e2e_offset",
-                           "mode_values", "life_cycle_values"))  # fmt: skip
+                           "mode_values", "life_cycle_values", "activation"))  # fmt: skip
     dbc = checked(name, raw, "dbc", str, "")
     mapping = FrameMapping(
         **({"dbc": directory / dbc} if dbc else {}),
@@ -36,10 +41,14 @@ def options_from(name: str, raw: Mapping[str, Any], directory: Path) -> ArmOptio
         mode_values=checked(name, raw, "mode_values", dict, {}),
         life_cycle_values=checked(name, raw, "life_cycle_values", dict, {}),
     )
+    activation = checked(name, raw, "activation", str, ACTIVATIONS[0])
+    if activation not in ACTIVATIONS:
+        raise DeviceError(f"device {name}: activation is {activation!r}; {' or '.join(map(repr, ACTIVATIONS))} is expected")
     return ArmOptions(
         interface=checked(name, raw, "interface", str, "local"),
         channel=str(raw.get("channel", "freeflyer")),
         bus=checked(name, raw, "bus", dict, {}),
         joints=checked(name, raw, "joints", int, 6),
         frames=mapping,
+        implicit=activation == "implicit",
     )

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Mapping
+import itertools
+from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,6 +16,7 @@ from freeflyer.component import Array
 from freeflyer_adapters import outside
 from freeflyer_adapters.base import rmw_zenoh, ros_messages
 from freeflyer_adapters.base.options import LinkOptions
+from freeflyer_adapters.base.peer_clock import PeerClock
 from freeflyer_adapters.base.rmw_zenoh import Attachment, AttachmentError
 from freeflyer_adapters.base.ros_messages import MessageError, Odometry, OdometryWriter
 from freeflyer_adapters.base.sealed_odometry import checksum, is_intact, is_sealable, is_sealed, sealed
@@ -21,6 +24,10 @@ from freeflyer_adapters.base.session import said
 from freeflyer_adapters.device import DeviceError
 from freeflyer_adapters.pose import twist_rotated
 
+LONGEST_QUERY = 0.5
+"""[s] for an answer about liveliness tokens."""
+SECOND, WITHIN = 3, 20
+"""Samples of another publisher in turn with those in use, within so many of these, that make a second publisher."""
 LARGEST = 1e4
 """Of a position [m] or a velocity [m/s, rad/s] in a facility; what is beyond is none."""
 
@@ -34,11 +41,12 @@ def is_usable(odometry: Odometry) -> bool:
 
 @dataclass
 class Received:
-    """The freshest sample, and when it was read [ns of CLOCK_MONOTONIC]."""
+    """The freshest sample, and when it was read [ns of CLOCK_MONOTONIC]; `delay` [ns]: how much later than the quickest before it."""
 
     odometry: Odometry
     attachment: Attachment
     arrived: int
+    delay: int = 0
 
 
 @dataclass
@@ -51,6 +59,10 @@ class Counts:
     """Repeated, reordered or older than the one before."""
     strangers: int = 0
     """From another publisher than the one in use."""
+    undecided: int = 0
+    """Neither used nor refused: they prove first that they come in time."""
+    clock_steps: int = 0
+    """How often the publisher's clock was set."""
     failed: int = 0
     """Samples that Zenoh did not take for sending."""
     last_fault: str = ""
@@ -58,48 +70,73 @@ class Counts:
 
 @dataclass
 class OdometryLink:
-    """Publishes Odometry on one topic and reads the freshest from another."""
+    """Publishes Odometry on one topic and reads the freshest from another.
+
+    Without `publishes` there is no publisher before `begin_publishing`: each one has a GID of its own.
+    """
 
     session: Any
     options: LinkOptions
     out_topic: str
     in_topic: str
+    publishes: bool = True
     counts: Counts = field(default_factory=Counts)
 
     def __post_init__(self) -> None:
         o = self.options
         self._outside = outside.present()
         self._session_id = str(self.session.zid())
-        keys = {t: rmw_zenoh.topic_key(o.domain, t, ros_messages.TYPE_NAME, ros_messages.TYPE_HASH) for t in self._topics}
-        try:
-            self._declare(keys)
-        except zenoh.ZError as error:
-            raise DeviceError(f"Zenoh refuses a topic: {said(error)}") from error
+        # The wall clock is a label: a step of it does not show in what is sent.
+        self._wall = self._outside.time_ns() - self._outside.monotonic_ns()
+        self._publisher: Any = None
+        self._gid = b""
+        self._entities = itertools.count(2)
+        self._tokens: list[Any] = []
         self._writer = OdometryWriter(o.frame, o.child_frame)
         self._sequence = 0
-        self._source: bytes | None = None
-        self._last: Attachment | None = None
-        self._is_sealed = False
-        """Whether the source's samples have a checksum; then all of them have."""
-        self._told = ""
         self._obedience: Any = None
         self._obeyed_tokens: Any = None
+        self._announcements: list[Any] = []
+        self.known: frozenset[str] = frozenset()
+        """Sessions whose announcements are no news: they come again after a link was down."""
+        self._told = ""
+        self.clock = PeerClock()
+        self._source: bytes | None = None
+        self._last: Attachment | None = None
+        self._stranger = b""
+        self._turns: deque[int] = deque(maxlen=SECOND)
+        self._is_sealed = False
+        """Whether the source's samples have a checksum; then all of them have."""
+        try:
+            self._subscriber = self.session.declare_subscriber(self._key(self.in_topic), zenoh.handlers.RingChannel(1))
+            self._tokens.append(self.session.liveliness().declare_token(self._token(self.in_topic, "MS", 1)))
+            if self.publishes:
+                self.begin_publishing()
+        except zenoh.ZError as error:
+            raise DeviceError(f"Zenoh refuses a topic: {said(error)}") from error
 
-    def _declare(self, keys: Mapping[str, str]) -> None:
-        self._subscriber = self.session.declare_subscriber(keys[self.in_topic], zenoh.handlers.RingChannel(1))
+    def begin_publishing(self) -> None:
+        """A new publisher: one that was never obeyed before."""
+        token = self._token(self.out_topic, "MP", next(self._entities))
+        self._gid, self._sequence = rmw_zenoh.gid_of(token), 0
         self._publisher = self.session.declare_publisher(
-            keys[self.out_topic],
+            self._key(self.out_topic),
             congestion_control=zenoh.CongestionControl.DROP,
             priority=zenoh.Priority.REAL_TIME,
             express=True,
         )
-        tokens = [self._token(self.out_topic, "MP", 1), self._token(self.in_topic, "MS", 2)]
-        self._tokens = [self.session.liveliness().declare_token(token) for token in tokens]
-        self._gid = rmw_zenoh.gid_of(tokens[0])
+        self._announcement = self.session.liveliness().declare_token(token)
 
-    @property
-    def _topics(self) -> tuple[str, str]:
-        return self.out_topic, self.in_topic
+    def end_publishing(self) -> None:
+        """Undeclare the publisher; its GID is not used again."""
+        if self._publisher is not None:
+            publisher, self._publisher = self._publisher, None
+            for declared in (self._announcement, publisher):
+                with contextlib.suppress(zenoh.ZError):
+                    declared.undeclare()
+
+    def _key(self, topic: str) -> str:
+        return rmw_zenoh.topic_key(self.options.domain, topic, ros_messages.TYPE_NAME, ros_messages.TYPE_HASH)
 
     def _token(self, topic: str, kind: str, entity: int) -> str:
         return rmw_zenoh.liveliness_token(
@@ -122,19 +159,47 @@ class OdometryLink:
     def identity(self) -> str:
         return self._session_id
 
-    def other_publishers(self, topic: str) -> list[str]:
+    def publishers(self, topic: str) -> list[str]:
         """Sessions, other than this one, that announce to publish a topic."""
-        name = rmw_zenoh.mangled("/" + topic.strip("/"))
-        key = f"@ros2_lv/{self.options.domain}/*/*/*/MP/*/*/*/{name}/**"
         found = set()
-        for reply in self.session.liveliness().get(key, timeout=1.0):
+        for reply in self.session.liveliness().get(self._announcements_of(topic), timeout=LONGEST_QUERY):
             if reply.ok is not None:
                 found.add(rmw_zenoh.session_of(str(reply.ok.key_expr)))
         return sorted(found - {self._session_id})
 
+    def _announcements_of(self, topic: str) -> str:
+        name = rmw_zenoh.mangled("/" + topic.strip("/"))
+        return f"@ros2_lv/{self.options.domain}/*/*/*/MP/*/*/*/{name}/**"
+
+    def watch_publishers(self) -> None:
+        """From now on `new_publisher` reports further publishers of both topics."""
+        liveliness = self.session.liveliness()
+        self._announcements = [
+            (topic, liveliness.declare_subscriber(self._announcements_of(topic), zenoh.handlers.FifoChannel(64)))
+            for topic in (self.in_topic, self.out_topic)
+        ]
+
+    def new_publisher(self) -> str | None:
+        """A publisher that was announced since the last call, in a sentence; never waits."""
+        for topic, subscriber in self._announcements:
+            news = subscriber.try_recv()
+            if news is not None and news.kind == zenoh.SampleKind.PUT:
+                session = rmw_zenoh.session_of(str(news.key_expr))
+                if session != self._session_id and session not in self.known:
+                    return f"session {session} begins to publish topic {topic}, too"
+        return None
+
+    @property
+    def second_source(self) -> str | None:
+        """Two publishers whose samples come in turn, in a sentence."""
+        if len(self._turns) < SECOND or self.counts.accepted - self._turns[0] > WITHIN:
+            return None
+        assert self._source is not None
+        return f"two publishers send topic {self.in_topic}: {self._source.hex()} and {self._stranger.hex()}"
+
     def publish(self, position: Array, orientation: Array, velocity: Array) -> None:
         """Pose of B in I and twist in I (which goes out in B)."""
-        stamp = self._outside.time_ns()
+        stamp = self._outside.monotonic_ns() + self._wall
         self._sequence += 1
         twist = twist_rotated(orientation, velocity, back=True)
         while True:
@@ -147,6 +212,8 @@ class OdometryLink:
 
     def put(self, payload: bytes, attachment: bytes) -> None:
         """A sample into the session; one that it does not take is counted."""
+        if self._publisher is None:
+            return
         try:
             self._publisher.put(payload, attachment=attachment)
         except zenoh.ZError as error:
@@ -165,23 +232,24 @@ class OdometryLink:
         key = rmw_zenoh.obedience_token(self.options.domain, self.options.setpoint_topic, "*")
         found = [
             str(reply.ok.key_expr).rsplit("/", 1)[1]
-            for reply in self.session.liveliness().get(key, timeout=1.0)
+            for reply in self.session.liveliness().get(key, timeout=LONGEST_QUERY)
             if reply.ok is not None
         ]
         # While the token changes there may be two; somebody's name says more than nobody's.
         return next((whom for whom in found if whom != rmw_zenoh.NOBODY), found[0] if found else None)
 
     def watch_obedience(self) -> None:
-        """From now on `is_deserted` tells whether the base robot has ceased to obey."""
+        """From now on `obedience` reports whether the base robot obeys this publisher."""
         key = rmw_zenoh.obedience_token(self.options.domain, self.options.setpoint_topic, self.gid)
         self._obeyed_tokens = self.session.liveliness().declare_subscriber(key, zenoh.handlers.FifoChannel(64))
 
-    def is_deserted(self) -> bool:
-        """Whether the base's word that it obeys this publisher has been withdrawn since the last call; never waits."""
-        withdrawn = False
-        while self._obeyed_tokens is not None and (news := self._obeyed_tokens.try_recv()) is not None:
-            withdrawn = withdrawn or news.kind == zenoh.SampleKind.DELETE
-        return withdrawn
+    def obedience(self) -> bool | None:
+        """What the base robot has reported since the last call: True, it obeys this publisher; False, it has ceased to; None: nothing.
+
+        Never waits.
+        """
+        news = None if self._obeyed_tokens is None else self._obeyed_tokens.try_recv()
+        return None if news is None else news.kind == zenoh.SampleKind.PUT
 
     def tell_obeyed(self, active: bool) -> None:
         """Declare whose set points are taken, if that has changed: the source in use, while the base robot is `active`."""
@@ -193,8 +261,9 @@ class OdometryLink:
             if before is not None:
                 before.undeclare()
 
-    def receive(self, judge: Callable[[Odometry], bool]) -> Received | None:
-        """The freshest sample since the last call, if there is one that can be used and `judge` agrees; never waits.
+    def receive(self, judge: Callable[[Received], bool | None]) -> Received | None:
+        """The freshest sample since the last call, if there is one that can be used and `judge` agrees; never waits. One that it answers
+        with None is neither used nor refused.
 
         The first such sample's publisher is the only one that is listened to from then on.
         """
@@ -203,45 +272,78 @@ class OdometryLink:
             return None
         payload, raw = sample
         if (is_sealed(payload) or self._is_sealed) and not is_intact(payload, raw):
-            self.counts.malformed += 1
-            self.counts.last_fault = "a sample that does not fit its checksum"
-            return None
+            return self._refused("a sample that does not fit its checksum")
         try:
             attachment = rmw_zenoh.read_attachment(raw)
             odometry = ros_messages.read(payload)
         except (AttachmentError, MessageError) as error:
-            self.counts.malformed += 1
-            self.counts.last_fault = str(error)
-            return None
+            return self._refused(str(error))
+        frames, expected = (odometry.frame, odometry.child_frame), (self.options.frame, self.options.child_frame)
+        if frames != expected:
+            return self._refused(
+                f"a pose of {frames[1]!r} in {frames[0]!r} (child_frame_id, header.frame_id); {expected[1]!r} in {expected[0]!r} is "
+                f"expected (child_frame, frame of the device)"
+            )
         if self._source is not None and attachment.gid != self._source:
-            self.counts.strangers += 1
-            self.counts.last_fault = f"a sample from {attachment.gid.hex()}, {self._source.hex()} is in use"
+            self._note_stranger(attachment.gid)
             return None
-        last = self._last
-        if last is not None and (attachment.sequence <= last.sequence or attachment.stamp <= last.stamp):
+        last, arrived = self._last, self._outside.monotonic_ns()
+        if last is not None and (attachment.sequence <= last.sequence or attachment.stamp == last.stamp):
             self.counts.stale += 1
             self.counts.last_fault = f"sequence number {attachment.sequence} after {last.sequence}, its stamp {(attachment.stamp - last.stamp) * 1e-9:.6g} s later"
             return None
-        if not judge(odometry):
-            self.counts.malformed += 1
-            self.counts.last_fault = f"a pose or twist that cannot be used: {odometry.position}, {odometry.orientation}"
+        delay = self.clock.delay(attachment.stamp, arrived)
+        received = Received(odometry, attachment, arrived, delay)
+        judged = judge(received)
+        if judged is None:
+            self.counts.undecided += 1
             return None
+        if not judged:
+            if self._source is None:
+                self.clock.forget()  # the next publisher's clock is another
+            return self._refused(
+                f"a pose or twist that cannot be used: {odometry.position}, {odometry.orientation}, {delay * 1e-9:.3g} s late"
+            )
         if last is not None:
             self.counts.skipped += attachment.sequence - last.sequence - 1
         self._source, self._last, self._is_sealed = attachment.gid, attachment, is_sealed(payload)
         self.counts.accepted += 1
-        return Received(odometry, attachment, self._outside.monotonic_ns())
+        self.counts.clock_steps = self.clock.steps
+        return received
+
+    def _refused(self, why: str) -> Received | None:
+        self.counts.malformed += 1
+        self.counts.last_fault = why
+        return None
+
+    @property
+    def stranger(self) -> bytes:
+        """The publisher, other than the one in use, that came last; empty if there was none."""
+        return self._stranger
+
+    def _note_stranger(self, gid: bytes) -> None:
+        self.counts.strangers += 1
+        self.counts.last_fault = f"a sample from {gid.hex()}, {self._source.hex() if self._source else ''} is in use"
+        self._stranger = gid
+        if not self._turns or self._turns[-1] != self.counts.accepted:
+            self._turns.append(self.counts.accepted)
+
+    def forget_counts(self) -> None:
+        self.counts, self.clock.steps = Counts(), 0
+        self._turns.clear()
 
     def forget_source(self) -> None:
-        """Listen to whoever publishes next."""
+        """Listen to whichever publisher comes next."""
         self._source = self._last = None
-        self._is_sealed = False
+        self._stranger, self._is_sealed = b"", False
+        self._turns.clear()
+        self.clock.forget()
 
     def close(self) -> None:
-        for token in (*self._tokens, *([self._obedience] if self._obedience is not None else [])):
-            with contextlib.suppress(zenoh.ZError):
-                token.undeclare()
-        watched = [] if self._obeyed_tokens is None else [self._obeyed_tokens]
-        for declared in (self._publisher, self._subscriber, *watched):
+        self.end_publishing()
+        watched = [subscriber for _, subscriber in self._announcements]
+        watched += [self._obeyed_tokens] if self._obeyed_tokens is not None else []
+        tokens = [*self._tokens, *([self._obedience] if self._obedience is not None else [])]
+        for declared in (*tokens, *watched, self._subscriber):
             with contextlib.suppress(zenoh.ZError):
                 declared.undeclare()

@@ -16,7 +16,7 @@ from freeflyer_adapters import outside
 from freeflyer_adapters import settings as all_settings
 from freeflyer_adapters.base import access_control, commanders
 from freeflyer_adapters.base import diagnosis as link_diagnosis
-from freeflyer_adapters.base.link import Counts, OdometryLink, Received, is_usable
+from freeflyer_adapters.base.link import OdometryLink, is_usable
 from freeflyer_adapters.base.options import LinkOptions
 from freeflyer_adapters.base.rmw_zenoh import NOBODY
 from freeflyer_adapters.base.session import open_session
@@ -24,13 +24,14 @@ from freeflyer_adapters.device import DeviceError, LifeCycle, SafeStop, State
 from freeflyer_adapters.histogram import Histogram
 from freeflyer_adapters.limits import BaseLimits
 from freeflyer_adapters.pacing import Pacer
+from freeflyer_adapters.permit import Permit
 from freeflyer_adapters.pose import distance, twist_rotated
 from freeflyer_adapters.quality import QualityMonitor
 
 PATIENCE = 1.75
 """A cycle counts as lost when the last sample is so many cycles old; jitter below that is none."""
-DRIFT = 1e-3
-"""More than two clocks that are set now and then run apart: [s/s]."""
+LISTEN = 25
+"""Samples that are looked at before anything is published: a second publisher shows within 20."""
 TWIST = ("m/s",) * 3 + ("rad/s",) * 3
 
 
@@ -64,10 +65,12 @@ class ZenohBase:
         self._sequence = 0
         self._silent = 0
         self._published_at = 0
-        self._quickest: int | None = None
         self._delay = 0
+        self.permit = self._new_permit()
         self._sent: tuple[Array, Array] | None = None
         self._offset = (np.zeros(3), np.zeros(3))
+        self._tells_obedience = False
+        self._clock_sentence = ""
 
     @property
     def woken(self) -> int:
@@ -88,6 +91,10 @@ class ZenohBase:
         self._ratio = round(cycle / self.step)
         if self._ratio < 1 or abs(self._ratio * self.step - cycle) > 1e-9:
             raise DeviceError(f"{self.name}: its cycle of {cycle:g} s is no multiple of its step of {self.step:g} s")
+        if v["watchdog"][0] < 2.0 * cycle:
+            raise DeviceError(
+                f"{self.name}.watchdog is {v['watchdog'][0]:g} s; two cycles of set points or more are expected, {2.0 * cycle:g} s"
+            )
         self.limits = BaseLimits(v)
         self.monitor = QualityMonitor(
             f"measurements of {self.name}",
@@ -99,38 +106,68 @@ class ZenohBase:
         self._late = round(PATIENCE * cycle * 1e9)
         self._age_limit = round(float(v["age_limit"][0]) * 1e9)
         self._session = open_session(o.connect, o.listen, self.name, access_control.controllers_end(o))
-        self._link = OdometryLink(self._session, o, o.setpoint_topic, o.measured_topic)
-        end = self._outside.monotonic() + float(v["configure_timeout"][0])
-        while not self._take():
-            if self._outside.monotonic() > end:
-                counts = self._link.counts
-                why = f"; samples came but were refused: {counts.last_fault}" if counts.last_fault else ""
-                why = why or link_diagnosis.why_silent(self._session, o)
-                raise DeviceError(
-                    f"{self.name} sends nothing on topic {o.measured_topic} by way of {', '.join(o.connect)} within "
-                    f"{v['configure_timeout'][0]:g} s{why}"
-                )
-            self._outside.sleep(0.001)
+        self._link = link = OdometryLink(self._session, o, o.setpoint_topic, o.measured_topic, publishes=False)
+        self.permit = self._new_permit()
+        self._observe(LISTEN)
         if refused := commanders.refusal(self._session, o, self.name):
             raise DeviceError(refused)
-        others = self._link.other_publishers(o.setpoint_topic)
+        others = link.publishers(o.measured_topic)
+        link.known = frozenset(others)
+        if len(others) > 1:
+            raise DeviceError(
+                f"{self.name}: sessions {' and '.join(others)} publish topic {o.measured_topic}: two base robots; stop one of them"
+            )
+        others = link.publishers(o.setpoint_topic)
         if others:
             raise DeviceError(
-                f"{self.name}: session {others[0]} commands topic {o.setpoint_topic} already; this is session {self._link.identity}: "
+                f"{self.name}: session {others[0]} commands topic {o.setpoint_topic} already; this is session {link.identity}: "
                 f"stop that one first"
             )
-        self._refuse_another_controller()
+        self._tells_obedience = self._refuse_another_controller() is not None
         self.state.to(LifeCycle.inactive)
 
+    def _new_permit(self) -> Permit:
+        # A base robot reports no life cycle: after a hold-up nothing is sent any more, not even a set point to hold.
+        return Permit("the base robot", watchdog=round(float(self.values["watchdog"][0]) * 1e9), reports_state=False)
+
+    def _observe(self, samples: int) -> None:
+        """So many samples; nothing is published. DeviceError for silence, and for a second publisher."""
+        assert self._link is not None
+        v, o, link = self.values, self.options, self._link
+        end = self._outside.monotonic() + float(v["configure_timeout"][0])
+        for _ in range(samples):
+            while not self._take():
+                if self._outside.monotonic() > end:
+                    why = f"; samples came but were refused: {link.counts.last_fault}" if link.counts.last_fault else ""
+                    why = why or link_diagnosis.why_silent(self._session, o)
+                    raise DeviceError(
+                        f"{self.name} sends nothing on topic {o.measured_topic} by way of {', '.join(o.connect)} within "
+                        f"{v['configure_timeout'][0]:g} s{why}"
+                    )
+                self._outside.sleep(0.001)
+            if link.second_source:
+                raise DeviceError(f"{self.name}: {link.second_source}: two base robots; stop one of them")
+
     def _refuse_another_controller(self) -> str | None:
-        """Whom the base obeys, where it tells; DeviceError if that is somebody else."""
+        """Which publisher the base obeys, where it reports that; DeviceError if that is another one."""
         assert self._link is not None
         obeyed = self._link.obeyed()
         if obeyed not in (None, NOBODY, self._link.gid):
             raise DeviceError(
-                f"{self.name} obeys publisher {obeyed} already; this is publisher {self._link.gid}: stop that one first"
+                f"{self.name} obeys publisher {obeyed} already; this is {self._link.gid or 'session ' + self._link.identity}: "
+                f"stop that one first"
             )
         return obeyed
+
+    @property
+    def cannot_refuse(self) -> list[str]:
+        """What this base robot cannot refuse or report by itself, a sentence for each."""
+        if self._tells_obedience:
+            return []
+        return [
+            "it does not report which publisher it obeys, as a plain ROS 2 node does not: what ends its motion after a stop, and keeps "
+            "late set points from moving it, is in the node itself (interface control document)"
+        ]
 
     @property
     def _start(self) -> tuple[Array, Array]:
@@ -146,7 +183,7 @@ class ZenohBase:
         return all(size <= most for size, most in zip(self._start_gap, self.values["start_tolerance"], strict=True))
 
     def check_start(self) -> None:
-        self._newest()
+        self._observe(1)
         v, gap = self.values, self._start_gap
         if not self._is_at_start and not v["approach"][0]:
             raise DeviceError(
@@ -154,6 +191,9 @@ class ZenohBase:
                 f"{_shown(*self._start)}: {gap[0]:.4f} m and {np.degrees(gap[1]):.3f} deg apart, {v['start_tolerance'][0]:g} m and "
                 f"{np.degrees(v['start_tolerance'][1]):.3g} deg are allowed; move it there, or set its parameter approach = true"
             )
+
+    def prepare(self) -> None:
+        pass
 
     def stay(self) -> None:
         """While the arm takes its time: the base's watchdog is not to take this for the end."""
@@ -164,10 +204,17 @@ class ZenohBase:
 
     def activate(self, meanwhile: Callable[[], bool]) -> None:
         """The first set point is the measured pose; what lies between it and the start is taken off slowly."""
-        v, start = self.values, self._start
-        assert self._link is not None
-        self._newest()
-        self._link.watch_obedience()  # before it is asked for, so that no withdrawal is missed
+        v, start, link = self.values, self._start, self._link
+        assert link is not None
+        self._observe(1)
+        link.watch_publishers()
+        link.begin_publishing()
+        link.watch_obedience()  # before it is asked for, so that no report is missed
+        if others := link.publishers(self.options.setpoint_topic):
+            raise DeviceError(
+                f"{self.name}: session {others[0]} commands topic {self.options.setpoint_topic}, too; stop one of them"
+            )
+        self.permit.take(self._outside.monotonic_ns())
         self._be_obeyed(meanwhile)
         if not self._is_at_start:
             self._approach(start, meanwhile)
@@ -176,31 +223,36 @@ class ZenohBase:
             v["base_position"] - start[0],
             (measured * Rotation.from_quat(start[1]).inv()).as_rotvec(),
         )
-        self._link.counts = Counts()
+        link.forget_counts()
         self._publish(v["base_position"].copy(), v["base_orientation"].copy(), np.zeros(6))
         self._sequence = 0
         self.state.to(LifeCycle.active)
 
     def _be_obeyed(self, meanwhile: Callable[[], bool]) -> None:
-        """Set points that are where the base is, until a base that tells whom it obeys says that it takes them."""
+        """Set points that are where the base is, until a base that reports which publisher it obeys reports this one."""
         assert self._link is not None
         v, cycle = self.values, float(self.values["cycle"][0])
-        self._publish(v["base_position"].copy(), v["base_orientation"].copy(), np.zeros(6))
-        if self._refuse_another_controller() is None:
-            return
         end = self._outside.monotonic() + float(v["configure_timeout"][0])
-        while self._refuse_another_controller() != self._link.gid:
+        while True:
+            self._publish(v["base_position"].copy(), v["base_orientation"].copy(), np.zeros(6))
+            if not self._tells_obedience or self._link.obedience():
+                return
+            self._refuse_lost_permit()
             if self._outside.monotonic() > end:
+                self._refuse_another_controller()
                 raise DeviceError(
                     commanders.refusal(self._session, self.options, self.name)
                     or f"{self.name} does not take set points of {self.options.setpoint_topic}, although they are where it stands: "
-                    f"it hears no or other messages, or refuses them"
+                    f"it receives none or other messages, or refuses them"
                 )
             if meanwhile():
                 return
             self._take()
-            self._publish(v["base_position"].copy(), v["base_orientation"].copy(), np.zeros(6))
             self._outside.sleep(cycle)
+
+    def _refuse_lost_permit(self) -> None:
+        if self.permit.lost:
+            raise DeviceError(f"{self.name} was not activated: {self.permit.lost}")
 
     def _approach(self, start: tuple[Array, Array], meanwhile: Callable[[], bool]) -> None:
         """Set points from the measured pose to the start, no faster than `approach_speed`."""
@@ -231,6 +283,7 @@ class ZenohBase:
                 reason = f"no measurement for {(self._outside.monotonic_ns() - self._arrived) * 1e-9:.3g} s"
             if reason:
                 raise DeviceError(f"{self.name}: the approach to the start pose was given up: {reason}")
+            self._refuse_lost_permit()
             if meanwhile():
                 return  # the loop ends before its first instant; the base holds where it is
             gap = distance(v["base_position"], v["base_orientation"], *start)
@@ -241,6 +294,10 @@ class ZenohBase:
     # Every cycle
 
     def read(self) -> None:
+        permit, link = self.permit, self._link
+        permit.allows(self._outside.monotonic_ns())
+        if permit.was_held_up:
+            raise SafeStop(self.name, str(permit.lost))
         before = self._sequence
         came = self._take()
         self._steps += 1
@@ -260,8 +317,11 @@ class ZenohBase:
         age = silence + self._delay
         if age > self._age_limit:
             reason = reason or f"the last measurement is {age * 1e-9:.4g} s old, its limit is {self._age_limit * 1e-9:g} s"
-        if self._link is not None and self._link.is_deserted():
-            reason = reason or "the base robot does not take set points any more; it holds its place"
+        if link is not None:
+            reason = link.second_source or link.new_publisher() or reason
+            if link.obedience() is False:
+                reason = reason or "the base robot does not take set points any more; it holds its place"
+                permit.report(False, 0)
         if self._sent is not None:
             reason = reason or self.limits.measured(self.values["base_position"], self.values["base_orientation"], self._sent)
         if reason:
@@ -281,17 +341,28 @@ class ZenohBase:
         if self._offset[1].any():
             orientation = (Rotation.from_rotvec(self._offset[1]) * Rotation.from_quat(_unit(orientation))).as_quat()
         reason = self.limits.setpoint(position, orientation, v["velocity_setpoint"], self._sent)
+        if reason is None and not self.permit.allows(self._outside.monotonic_ns()):
+            reason = self.permit.lost or "it has not been activated"
         if reason:
             raise SafeStop(self.name, reason)
         self._publish(position, orientation.copy(), v["velocity_setpoint"])
 
     # The end
 
+    def revoke(self, reason: str) -> None:
+        """A reason to stop: from now on only the last set point is held; after a hold-up nothing is sent any more."""
+        self.permit.allows(self._outside.monotonic_ns())
+        self.permit.lose(reason)
+        if self.permit.was_held_up and self._link is not None:
+            self._link.end_publishing()
+
     def ramp_down(self, elapsed: float) -> bool:
         """Holds the last set point, without velocity, while the arm comes to rest."""
         self._take()
         self._steps += 1
-        if self._sent is not None and self._link is not None and self._steps % self._ratio == 0:
+        # Not where the activation was given up half-way: holding a place could complete it.
+        is_active = self.state.now is LifeCycle.active
+        if is_active and self._sent is not None and self._link is not None and self._steps % self._ratio == 0:
             self._publish(*self._sent, np.zeros(6))
         return True
 
@@ -310,10 +381,19 @@ class ZenohBase:
         link, self._link = self._link, None
         session, self._session = self._session, None
         if link is not None:
-            self._counts = link.counts
+            self._counts, self._clock_sentence = link.counts, link.clock.sentence
             link.close()
         if session is not None:
             session.close()
+
+    @property
+    def may_have_power(self) -> bool:
+        return self._sent is not None and self._link is not None
+
+    @property
+    def remarks(self) -> list[str]:
+        """What else the operator should know of the run, a sentence for each."""
+        return [self._clock_sentence] if self._clock_sentence else []
 
     def report(self) -> Mapping[str, float]:
         counts = self._link.counts if self._link is not None else self._counts
@@ -321,6 +401,7 @@ class ZenohBase:
             "samples_accepted": float(counts.accepted),
             "samples_skipped": float(counts.skipped),
             "samples_refused": float(counts.malformed + counts.stale + counts.strangers),
+            "clock_steps": float(counts.clock_steps),
             "cycles_lost": float(self.monitor.lost),
             "longest_loss_cycles": float(self.monitor.longest_row),
             "setpoints_published": float(self.published),
@@ -331,17 +412,9 @@ class ZenohBase:
 
     # Samples
 
-    def _newest(self) -> None:
-        """The next sample, so that nothing is decided on an old one."""
-        end = self._outside.monotonic() + float(self.values["configure_timeout"][0])
-        while not self._take():
-            if self._outside.monotonic() > end:
-                raise DeviceError(f"{self.name} sends nothing any more on topic {self.options.measured_topic}")
-            self._outside.sleep(0.0005)
-
     def _take(self) -> bool:
         assert self._link is not None
-        received: Received | None = self._link.receive(is_usable)
+        received = self._link.receive(lambda sample: is_usable(sample.odometry))
         if received is None:
             return False
         odometry, v = received.odometry, self.values
@@ -349,27 +422,23 @@ class ZenohBase:
         v["base_position"][:] = odometry.position
         v["base_orientation"][:] = orientation
         v["base_velocity"][:] = twist_rotated(orientation, odometry.velocity)
-        self._note_delay(received)
+        self._delay = received.delay
+        self.permit.report(True, received.arrived)
         self._arrived, self._sequence = received.arrived, received.attachment.sequence
         if self.state.now is LifeCycle.active:
             self.age.add(max(0, self._outside.time_ns() - received.attachment.stamp))
         return True
 
-    def _note_delay(self, received: Received) -> None:
-        """How much later the sample came than the quickest before it: clocks that differ tell no more. They may drift apart, too,
-        so that what is quick is forgotten slowly.
-        """
-        way = received.arrived - received.attachment.stamp
-        if self._arrived and self._quickest is not None:
-            self._quickest += int(DRIFT * (received.arrived - self._arrived))
-        self._quickest = way if self._quickest is None else min(self._quickest, way)
-        self._delay = way - self._quickest
-
     def _publish(self, position: Array, orientation: Array, velocity: Array) -> None:
+        """What may not be sent, is not; whether that ends the loop is decided where it is noticed."""
         assert self._link is not None
+        now = self._outside.monotonic_ns()
+        if not (self.permit.allows(now) or self.permit.may_ramp_down(now)):
+            return
         self._link.publish(position, orientation, velocity)
+        self.permit.wrote(now)
         self._sent = (np.array(position), np.array(orientation))
-        self._published_at = self._outside.monotonic_ns()
+        self._published_at = now
         self.published += 1
 
 

@@ -8,7 +8,9 @@ and waits for the TPDOs that every drive answers with; `write` sends the targets
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 
+import can
 import numpy as np
 
 from freeflyer.component import Array, Port
@@ -26,6 +28,7 @@ from freeflyer_adapters.device import DeviceError, LifeCycle, SafeStop, State
 from freeflyer_adapters.histogram import Histogram
 from freeflyer_adapters.limits import ArmLimits
 from freeflyer_adapters.pacing import Pacer
+from freeflyer_adapters.permit import Permit
 from freeflyer_adapters.quality import QualityMonitor
 from freeflyer_adapters.ramp_down import RampDown
 
@@ -35,6 +38,9 @@ LISTEN = 0.1
 """Before it sends anything, the host listens so long [s], and three cycles, for another SYNC producer."""
 GIVE_UP = 4.0
 """Drives that have not confirmed their brakes after so many ramp-down times are left to their own watchdogs."""
+SHORT = 0.05
+"""[s] for an answer by SDO in the graded stop."""
+OTHERS = "SYNC, targets, or the host's heartbeat"
 OPERATIONAL = b"\x05"
 """NMT state in a heartbeat."""
 
@@ -57,8 +63,11 @@ class Cia402Arm:
         self.bus_load = 0.0
         self.commands_sent = 0
         self._network: PolledNetwork | None = None
+        self.permit = self._new_permit()
         self._last_torque = np.zeros(n)
         self._stopping_torque: Array | None = None
+        self._is_prepared = False
+        """Whether the drives process PDOs."""
         self._powered = False
         """Whether a controlword may have switched a drive on."""
         self._walking = False
@@ -80,6 +89,24 @@ class Cia402Arm:
     @property
     def step(self) -> float:
         return float(self.values["period"][0])
+
+    def _new_permit(self) -> Permit:
+        v = self.values
+        return Permit("the arm", watchdog=round(float(v["watchdog_cycles"][0] * v["period"][0]) * 1e9))
+
+    remarks = ()
+
+    @property
+    def may_have_power(self) -> bool:
+        return self._powered and self._network is not None
+
+    @property
+    def cannot_refuse(self) -> list[str]:
+        """What drives of this profile cannot refuse by themselves, a sentence for each."""
+        return [
+            "CiA 402 has no session number: a drive in NMT state operational follows any controller's controlwords; between runs NMT "
+            "state pre-operational keeps them out"
+        ]
 
     @property
     def _where(self) -> str:
@@ -109,17 +136,24 @@ class Cia402Arm:
         self._network.subscribe(process_data.SYNC, self._on_strange_sync)
         self._network.subscribe(process_data.HEARTBEAT + o.host_node_id, self._on_strange_sync)
         self._listen()
-        self.drives = [RemoteDrive(self.name, joint, node, o, self._network, patience) for joint, node in enumerate(o.node_ids)]
-        for drive in self.drives:  # all of them before the first is changed
+        self.permit = permit = self._new_permit()
+        self.drives = [
+            RemoteDrive(self.name, joint, node, o, self._network, patience, permit) for joint, node in enumerate(o.node_ids)
+        ]
+        for node in o.node_ids:
+            self._network.subscribe(process_data.TARGET.base + node, self._on_strange_sync)
+        for drive in self.drives:
             drive.identify()
         for drive, effort in zip(self.drives, v["joint_effort_limit"], strict=True):
             drive.compare(float(effort))
-        for drive in self.drives:
-            drive.set_up(self.cycle)
-        for drive in self.drives:
-            drive.node.nmt.state = "OPERATIONAL"
-        self._first_measurement()
+        self._measure()
         self.state.to(LifeCycle.inactive)
+
+    def _measure(self) -> None:
+        """By SDO: the drives stay as they are."""
+        for drive in self.drives:
+            drive.measure()
+        self._take()
 
     def _listen(self) -> None:
         """A bus has one SYNC producer. CANopen has no other word for a second controller."""
@@ -136,8 +170,7 @@ class Cia402Arm:
     def _refuse_another_controller(self) -> None:
         if self._strange_syncs:
             raise DeviceError(
-                f"{self._where}: another controller sends SYNC, or the host's heartbeat (node {self.options.host_node_id}), on this bus; "
-                f"stop that one first"
+                f"{self._where}: another controller sends {OTHERS} (node {self.options.host_node_id}), on this bus; stop that one first"
             )
 
     def _first_measurement(self) -> None:
@@ -155,15 +188,17 @@ class Cia402Arm:
 
     def stay(self) -> None:
         """While other devices take their time: SYNC tells everybody that the bus has its host, and keeps enabled drives from stopping."""
-        if self._network is not None and not self._walking and self.state.now in (LifeCycle.inactive, LifeCycle.active):
+        self.permit.allows(self._outside.monotonic_ns())
+        if self._network is not None and self._is_prepared and not self._walking and not self.permit.was_held_up:
             self._is_host = True
             self._exchange(0.0)
             self._send_targets(self._last_torque)
 
     def check_start(self) -> None:
-        self._network_drained()
+        assert self._network is not None
+        self._network.drain()
         self._refuse_another_controller()
-        self._first_measurement()
+        self._measure()
         gap = np.abs(self.values["joint_position"] - self.values["start_joint_position"])
         tolerance = float(self.values["start_tolerance"][0])
         if not (gap <= tolerance).all():
@@ -172,12 +207,17 @@ class Cia402Arm:
                 f"{self._where}: joint {j + 1} is at {self.values['joint_position'][j]:.4f} rad, the scenario starts at "
                 f"{self.values['start_joint_position'][j]:.4f} rad, and {tolerance:g} rad is the largest distance allowed: move the arm there"
             )
-        # Power on, brakes on: what is wrong with a drive shows before any device moves, and one step is left.
-        self._walk(DriveState.switched_on, lambda: False)
 
-    def _network_drained(self) -> None:
-        if self._network is not None:
-            self._network.drain()
+    def prepare(self) -> None:
+        """Mode, heartbeats and PDOs of every drive, a fault's reset, then NMT start. The drives rest in Switch on disabled."""
+        for drive in self.drives:
+            drive.set_up(self.cycle)
+        for drive in self.drives:
+            drive.reset_fault()
+        self._is_prepared = True
+        for drive in self.drives:
+            drive.node.nmt.state = "OPERATIONAL"
+        self._first_measurement()
 
     def activate(self, meanwhile: Callable[[], bool]) -> None:
         """Every drive to Operation enabled, with zero torque beyond gravity, which is what braked joints hold."""
@@ -187,52 +227,61 @@ class Cia402Arm:
         self._is_host, self._cycles = True, 0
         for drive in self.drives:
             drive.emergency = 0
-        self._walk(DriveState.operation_enabled, meanwhile)
+        self.permit.take(self._outside.monotonic_ns())
+        self._powered = True
+        self._walk(meanwhile)
         self._silent[:] = 0
         self._send_targets(self._last_torque)
         self.state.to(LifeCycle.active)
 
-    def _walk(self, goal: DriveState, meanwhile: Callable[[], bool]) -> None:
-        """One step of every drive's state machine in every cycle, until all are there. DeviceError names the one that is not."""
+    def revoke(self, reason: str) -> None:
+        """A reason to stop: from now on only what lowers is sent."""
+        self.permit.lose(reason)
+        if self._network is not None and self._network.bus is not None:
+            with suppress(NotImplementedError, can.CanError, AttributeError):
+                self._network.bus.flush_tx_buffer()
+
+    def _walk(self, meanwhile: Callable[[], bool]) -> None:
+        """One step of every drive's state machine in every cycle, until all are enabled. DeviceError names the one that is not."""
         zero = np.zeros(self.options.joints)
         pacer = Pacer(round(self.cycle * 1e9))
         end = self._outside.monotonic() + float(self.values["configure_timeout"][0])
-        self._powered = self._walking = True
+        self._walking = True
         try:
-            while not all(drive.state is goal for drive in self.drives):
-                for drive in self.drives:
-                    drive.step_towards(goal)
+            while not all(drive.state is DriveState.operation_enabled for drive in self.drives):
                 self._send_targets(zero)
                 pacer.wait()
-                self._exchange(ANSWER_SHARE * self.cycle)
+                # The targets act with the next SYNC, which must not come once they are old.
+                if self.permit.allows(self._outside.monotonic_ns()):
+                    self._exchange(ANSWER_SHARE * self.cycle)
                 self._refuse_another_controller()
                 meanwhile()  # too short to be given up half-way
-                if self._outside.monotonic() > end:
-                    late = next(d for d in self.drives if d.state is not goal)
+                if self._outside.monotonic() > end or self.permit.lost:
+                    late = next((d for d in self.drives if d.state is not DriveState.operation_enabled), self.drives[0])
+                    why = f": {self.permit.lost}" if self.permit.lost else late.error_code
                     raise DeviceError(
-                        f"{late.where} does not come to {goal.value}: it is in {late.says}{self._error_code(late)}"
+                        f"{late.where} does not come to {DriveState.operation_enabled.value}: it is in {late.says}{why}"
                     )
         finally:
             self._walking = False
 
-    def _error_code(self, drive: RemoteDrive) -> str:
-        if objects.ERROR_CODE.index not in drive.node.object_dictionary:
-            return ""
-        try:
-            code = drive.read(objects.ERROR_CODE)
-        except DeviceError:
-            return "; it gives no error code"
-        return f"; its error code ({objects.ERROR_CODE}) is {objects.error_text(code)}" if code else ""
-
     # Every cycle
 
     def read(self) -> None:
+        self.permit.allows(self._outside.monotonic_ns())
+        if self.permit.was_held_up:  # before anything that came meanwhile: the cause comes before its effects
+            raise SafeStop(self.name, str(self.permit.lost))
         self._exchange(ANSWER_SHARE * self.cycle)
         self._targets_due = True
         silent = [drive for drive in self.drives if not drive.fresh]
         reason = self.monitor.observe(lost=bool(silent))
         if reason:
-            raise SafeStop(self.name, f"{reason}; silent is {', '.join(f'node {d.node_id}' for d in silent)}")
+            error = self._network.error if self._network is not None else ""
+            raise SafeStop(
+                self.name,
+                f"{reason}; silent is {', '.join(f'node {d.node_id}' for d in silent)}"
+                + (f" (the interface reported: {error})" if error else ""),
+            )
         oldest = int(np.argmax(self._silent))
         if self._silent[oldest] * self.cycle > float(self.values["state_age_limit"][0]):
             raise SafeStop(
@@ -252,7 +301,7 @@ class Cia402Arm:
                     f"{self.options.heartbeat:g} s is expected",
                 )
         if self._strange_syncs:
-            raise SafeStop(self.name, "another controller sends SYNC, or the host's heartbeat, on this bus")
+            raise SafeStop(self.name, f"another controller sends {OTHERS}, on this bus")
         reason = self.limits.measured(self.values["joint_position"], self.values["joint_velocity"])
         if reason:
             raise SafeStop(self.name, reason)
@@ -279,6 +328,9 @@ class Cia402Arm:
             missing = [drive for drive in missing if not drive.fresh]
         if not missing and self.state.now is LifeCycle.active:
             self.answers.add(self._outside.monotonic_ns() - self._synced)
+        if not missing:
+            # They answer this SYNC, so they were made after it.
+            self.permit.report(all(d.state is DriveState.operation_enabled for d in self.drives), self._synced)
         self._take()
 
     def _take(self) -> None:
@@ -302,6 +354,8 @@ class Cia402Arm:
         if not self._targets_due:  # one target for each SYNC
             return
         torque, reason = self.limits.command(self.values["joint_torque_command"], self._last_torque)
+        if reason is None and not self.permit.allows(self._outside.monotonic_ns()):
+            reason = self.permit.lost or "it has not been activated"
         if reason:
             raise SafeStop(self.name, reason)
         self._send_targets(torque)
@@ -309,21 +363,34 @@ class Cia402Arm:
         self._targets_due = False
         self._last_torque = torque
 
-    def _send_targets(self, torque: Array) -> None:
-        for drive, raw in zip(self.drives, self.scaling.raw_torque(torque).tolist(), strict=True):
-            drive.send(int(raw))
+    def _send_targets(self, torque: Array, *, brake: bool = False) -> None:
+        """One target to every drive, with the command that its session allows now."""
+        now = self._outside.monotonic_ns()
+        commands = [drive.session.answer(now, brake=brake) for drive in self.drives]
+        if not all(command is Command.enable_operation for command in commands):
+            torque = np.zeros_like(torque)
+        for drive, command, raw in zip(self.drives, commands, self.scaling.raw_torque(torque).tolist(), strict=True):
+            drive.send(command, int(raw))
+        self.permit.wrote(now)
         self.commands_sent += 1
 
     # The end
 
     def ramp_down(self, elapsed: float) -> bool:
-        if self._network is None or self.state.now is not LifeCycle.active:
+        if self._network is None or not self._powered:
             return True
         if self._stopping_torque is None:
             self._stopping_torque = self._last_torque.copy()
+        self.permit.allows(self._outside.monotonic_ns())
+        if self.permit.was_held_up:
+            # No SYNC any more: targets from before the hold-up wait in the drives for it. They have stopped by themselves.
+            for drive in self.drives:
+                drive.node.sdo.RESPONSE_TIMEOUT = SHORT
+            self._measure()
+            return self.at_rest or elapsed > GIVE_UP * self.ramp.time
         self._exchange(ANSWER_SHARE * self.cycle)
         velocity = self.values["joint_velocity"]
-        if self.ramp.over(velocity, elapsed):
+        if self.ramp.over(velocity, elapsed) or self.state.now is not LifeCycle.active:
             self._brake()
             return self.at_rest or elapsed > GIVE_UP * self.ramp.time
         wanted = self.ramp.torque(self._stopping_torque, velocity, elapsed)
@@ -347,12 +414,12 @@ class Cia402Arm:
     def deactivate(self) -> None:
         if self._network is None:
             return
-        at_rest = self.at_rest
         if self._powered:  # also where activation was given up half-way
             self._stop_now()
-        if self.state.now is not LifeCycle.unconfigured and at_rest:
+        if self._is_prepared:  # in this state no PDO is processed, whichever controller sends it
             for drive in self.drives:
                 drive.node.nmt.state = "PRE-OPERATIONAL"
+        self._is_prepared = False
         if self.state.now in (LifeCycle.active, LifeCycle.safe_stop):
             self.state.to(LifeCycle.inactive)
         self._network.disconnect()
@@ -361,16 +428,16 @@ class Cia402Arm:
 
     def _brake(self) -> None:
         """Quick stop: from Operation enabled each drive ramps down by itself, switches its power off, and its brake holds."""
-        for drive in self.drives:
-            drive.command = Command.quick_stop
         self._last_torque = np.zeros(self.options.joints)
         self.scaling.forget()
-        self._send_targets(self._last_torque)
+        self._send_targets(self._last_torque, brake=True)
 
     def _stop_now(self) -> None:
         if self._network is not None and self.drives:
+            self.permit.allows(self._outside.monotonic_ns())
             self._brake()
-            self._network.sync.transmit()  # targets act with the next SYNC
+            if not self.permit.was_held_up:
+                self._network.sync.transmit()  # targets act with the next SYNC
 
     def report(self) -> Mapping[str, float]:
         counts = {

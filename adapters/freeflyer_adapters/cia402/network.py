@@ -15,6 +15,10 @@ from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoCommunicationError
 
 from freeflyer_adapters import outside
+from freeflyer_adapters.arm.link import said
+
+MOST_FRAMES = 512
+"""Taken at a time."""
 
 
 class PolledNetwork(canopen.Network):
@@ -25,13 +29,16 @@ class PolledNetwork(canopen.Network):
         super().__init__(bus)
         self.failed = 0
         """Frames that the interface did not take: lost ones, as any other."""
+        self.error = ""
+        """The driver's own text of the last failure to send or receive."""
 
     def poll(self, timeout: float) -> bool:
         """Wait for one frame and hand it out; False if none came in time."""
         assert self.bus is not None
         try:
             message = self.bus.recv(max(timeout, 0.0))
-        except can.CanError:
+        except can.CanError as error:
+            self.error = said(error)
             return False
         if message is None:
             return False
@@ -40,17 +47,19 @@ class PolledNetwork(canopen.Network):
         return True
 
     def drain(self) -> None:
-        """Whatever waits already."""
-        while self.poll(0.0):
-            pass
+        """Whatever waits already, as far as it is bounded: a flood cannot hold the loop."""
+        for _ in range(MOST_FRAMES):
+            if not self.poll(0.0):
+                return
 
     def send_message(self, can_id: int, data: Any, remote: bool = False) -> None:
         assert self.bus is not None
         message = can.Message(arbitration_id=can_id, is_extended_id=False, is_remote_frame=remote, data=data)
         try:
             self.bus.send(message)
-        except can.CanError:
+        except can.CanError as error:
             self.failed += 1
+            self.error = said(error)
 
     def send_periodic(self, can_id: int, data: Any, period: float, remote: bool = False) -> Any:
         """Nothing is sent by itself: the caller's own cycle does it."""

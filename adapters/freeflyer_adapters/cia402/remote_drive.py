@@ -7,19 +7,14 @@ from typing import Any
 from canopen.sdo.exceptions import SdoAbortedError, SdoError
 
 from freeflyer_adapters.cia402 import objects, process_data
+from freeflyer_adapters.cia402.drive_session import DriveSession
 from freeflyer_adapters.cia402.network import PolledNetwork, PolledNode
 from freeflyer_adapters.cia402.objects import Entry
 from freeflyer_adapters.cia402.options import DriveOptions
 from freeflyer_adapters.cia402.process_data import ACTUAL, ON_SYNC, SPEED, TARGET, ProcessData
-from freeflyer_adapters.cia402.state_machine import (
-    FAULT_RESET,
-    POWERED,
-    TOWARDS_ENABLED,
-    Command,
-    DriveState,
-    state_of,
-)
+from freeflyer_adapters.cia402.state_machine import FAULT_RESET, POWERED, Command, DriveState, state_of
 from freeflyer_adapters.device import DeviceError
+from freeflyer_adapters.permit import Permit
 
 NOT_VALID = 1 << 31
 """In a PDO's COB-ID: it is off."""
@@ -31,7 +26,14 @@ class RemoteDrive:
     """`torque`, `position`, `velocity` are raw numbers of the newest TPDOs; `fresh` while those of the present SYNC are there."""
 
     def __init__(
-        self, arm: str, joint: int, node_id: int, options: DriveOptions, network: PolledNetwork, patience: float
+        self,
+        arm: str,
+        joint: int,
+        node_id: int,
+        options: DriveOptions,
+        network: PolledNetwork,
+        patience: float,
+        permit: Permit,
     ) -> None:
         self.who = f"drive of joint {joint + 1} (node {node_id})"
         self.where = f"{arm}: {self.who}"
@@ -44,19 +46,22 @@ class RemoteDrive:
         self._expected = 1 + options.measured_velocity
         self._came: set[int] = set()
         self.torque = self.position = self.velocity = 0
-        self.state: DriveState | None = None
+        self.session = DriveSession(permit, self.who)
         self.statusword = 0
         self.emergency = 0
         """Error code of the last EMCY that was none of all-clear; 0 once it is cleared."""
         self.emergencies = 0
         self.accepted = 0
         self.cycles_since_heartbeat = 0
-        self.command = Command.disable_voltage
-        self._controlword = 0
         network.subscribe(ACTUAL.base + node_id, self._on_actual)
         network.subscribe(SPEED.base + node_id, self._on_speed)
         network.subscribe(process_data.SYNC + node_id, self._on_emergency)
         network.subscribe(process_data.HEARTBEAT + node_id, self._on_heartbeat)
+
+    @property
+    def state(self) -> DriveState | None:
+        """None before the first statusword, and for a pattern that the standard does not have."""
+        return self.session.state
 
     # Before anything moves
 
@@ -71,9 +76,45 @@ class RemoteDrive:
             raise DeviceError(
                 f"{self.where} has no cyclic synchronous torque mode: bit 9 of its supported drive modes ({objects.SUPPORTED_MODES}) is 0"
             )
-        state = state_of(self.read(objects.STATUSWORD))
-        if state in POWERED:
-            raise DeviceError(f"{self.where} is in {state.value} already: another controller drives it; stop that one first")
+        self._read_state()
+        if self.state is not None and self.powered:
+            raise DeviceError(
+                f"{self.where} is in {self.state.value} already: another controller drives it; stop that one first"
+            )
+
+    def _read_state(self) -> None:
+        self.statusword = self.read(objects.STATUSWORD)
+        self.session.report(state_of(self.statusword))
+
+    def measure(self) -> None:
+        """Statusword and measurements by SDO, which changes nothing in the drive."""
+        self._read_state()
+        self.torque, self.position = self.read(objects.ACTUAL_TORQUE), self.read(objects.POSITION)
+        if self.options.measured_velocity:
+            self.velocity = self.read(objects.VELOCITY)
+        self._came |= {ACTUAL.number, SPEED.number}
+
+    def reset_fault(self) -> None:
+        """Reset a fault once: the rising edge of bit 7 by SDO, before PDOs are processed. DeviceError if it stays."""
+        if self.state is not DriveState.fault:
+            return
+        for word in (Command.disable_voltage.value, FAULT_RESET, Command.disable_voltage.value):
+            self.write(objects.CONTROLWORD, word)
+        self.emergency = 0
+        self._read_state()
+        if self.state is DriveState.fault:
+            raise DeviceError(f"{self.where} stays in {self.says} after a fault reset{self.error_code}; find its cause first")
+
+    @property
+    def error_code(self) -> str:
+        """What the drive itself says of its error, to end a sentence with."""
+        if objects.ERROR_CODE.index not in self.node.object_dictionary:
+            return ""
+        try:
+            code = self.read(objects.ERROR_CODE)
+        except DeviceError:
+            return "; it gives no error code"
+        return f"; its error code ({objects.ERROR_CODE}) is {objects.error_text(code)}" if code else ""
 
     def compare(self, effort: float) -> None:
         """The drive's own scales against the scenario's; `effort` [N m] is the largest torque that the joint may be given."""
@@ -216,7 +257,7 @@ class RemoteDrive:
         if len(data) != ACTUAL.layout.size:
             return
         self.statusword, self.torque, self.position = ACTUAL.layout.unpack(data)
-        self.state = state_of(self.statusword)
+        self.session.report(state_of(self.statusword))
         self.accepted += 1
         self._came.add(ACTUAL.number)
 
@@ -233,19 +274,8 @@ class RemoteDrive:
     def _on_heartbeat(self, can_id: int, data: Any, timestamp: float) -> None:
         self.cycles_since_heartbeat = 0
 
-    def step_towards(self, goal: DriveState) -> None:
-        """The next controlword on the way to Switched on or Operation enabled; a fault is reset by a rising edge, in every second cycle."""
-        if self.state is DriveState.switched_on and goal is DriveState.switched_on:
-            self.command = Command.switch_on
-        else:
-            self.command = TOWARDS_ENABLED.get(self.state, Command.disable_voltage) if self.state else Command.disable_voltage
-
-    def send(self, raw_torque: int) -> None:
-        word = self.command.value
-        if self.command is Command.disable_voltage and self.state is DriveState.fault and not self._controlword & FAULT_RESET:
-            word |= FAULT_RESET
-        self._controlword = word
-        self._network.send_message(TARGET.base + self.node_id, TARGET.layout.pack(word, raw_torque))
+    def send(self, command: Command, raw_torque: int) -> None:
+        self._network.send_message(TARGET.base + self.node_id, TARGET.layout.pack(command.value, raw_torque))
 
     @property
     def says(self) -> str:

@@ -1,10 +1,11 @@
-"""What the virtual arm's own controller decides in every cycle: whom it obeys, its life cycle, its watchdog.
+"""What the virtual arm's own controller decides in every cycle: which session it obeys, its life cycle, its watchdog.
 
 No clock is read and nothing is sent here: a cycle is a call, at any speed.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -14,6 +15,9 @@ from freeflyer.component import Array
 from freeflyer_adapters.arm.frames import Mode
 from freeflyer_adapters.device import LifeCycle, State
 from freeflyer_adapters.ramp_down import RampDown
+
+MOST_USED = 64
+"""Session numbers that are remembered as used up."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,17 +32,30 @@ class Command:
 
 class ArmLogic:
     """`watchdog` [cycles]: age of the last command at which the arm goes to safe stop; `silence` [cycles] after which it forgets
-    its controller; cycle numbers count modulo `cycles`.
+    its controller; cycle numbers count modulo `cycles`; `used`: session numbers that are used up, which outlive this object.
+
+    `implicit`: an arm without session numbers and without the mode `activate`; a torque frame activates it.
     """
 
     def __init__(
-        self, joints: int, *, cycle: float, watchdog: int, silence: int, ramp: RampDown, cycles: int = 1 << 24
+        self,
+        joints: int,
+        *,
+        cycle: float,
+        watchdog: int,
+        silence: int,
+        ramp: RampDown,
+        cycles: int = 1 << 24,
+        implicit: bool = False,
+        used: deque[int] | None = None,
     ) -> None:
-        self.cycles = cycles
+        self.cycles, self.implicit = cycles, implicit
         self.period, self.watchdog, self.silence, self.ramp = cycle, watchdog, silence, ramp
+        self.used: deque[int] = deque(maxlen=MOST_USED) if used is None else used
         self.life = State("the virtual arm")
         self.life.to(LifeCycle.inactive)
         self.controller = 0
+        """The session number that the arm obeys and echoes; 0: none."""
         self.cycle = 0
         """Number of the last state frame."""
         self.echoed = 0
@@ -50,13 +67,32 @@ class ArmLogic:
         self.strangers = 0
         self.excessive = 0
         """Commands beyond `effort`."""
+        self.ignored = 0
+        """Torque frames outside active, and activations that did not count."""
         self.total_lost = 0
         self.was_active = False
         self.events: list[tuple[int, str]] = []
+        self._echoes = 0
+        """State frames that have carried the present number."""
         self._quiet = 0
         self._answered = 0
         self._stopping = 0
         self._stopping_torque = np.zeros(joints)
+
+    def again(self) -> ArmLogic:
+        """The same arm in a new session, inactive at its start pose. Its cycle number and the used session numbers go on."""
+        made = ArmLogic(
+            len(self.torque),
+            cycle=self.period,
+            watchdog=self.watchdog,
+            silence=self.silence,
+            ramp=self.ramp,
+            cycles=self.cycles,
+            implicit=self.implicit,
+            used=self.used,
+        )
+        made.cycle, made.effort = self.cycle, self.effort
+        return made
 
     @property
     def command_age(self) -> int:
@@ -93,35 +129,78 @@ class ArmLogic:
             self._note(f"controller {self.controller} is silent")
             self.controller = 0
         self.cycle = (self.cycle + 1) % self.cycles
+        # The state frame of this cycle carries the number.
+        self._echoes = min(self._echoes + 1, self.watchdog) if self.controller else 0
 
     def _obey(self, command: Command) -> None:
-        if command.controller == 0 or (self.controller and command.controller != self.controller):
+        if not self._is_from_session(command):
             self.strangers += 1
             return
-        if not self.controller:
-            self.controller = command.controller
-            self._note(f"obeys controller {self.controller}")
         self._quiet = 0
         if not (np.abs(command.torque) <= self.effort).all():  # in this order NaN fails
             self.excessive += 1
             return
-        age = (self.cycle - command.answered) % self.cycles
-        if command.mode is Mode.reset and self.life.now in (LifeCycle.safe_stop, LifeCycle.fault) and self.braked:
-            self._to(LifeCycle.inactive, "reset")
-        elif command.mode is Mode.brake and self.life.now in (LifeCycle.active, LifeCycle.safe_stop):
+        if command.mode is Mode.reset:
+            if self.life.now in (LifeCycle.safe_stop, LifeCycle.fault) and self.braked and not self._is_used_up:
+                self._to(LifeCycle.inactive, "reset")
+        elif command.mode is Mode.brake:
+            self._use_up()
             if self.life.now is LifeCycle.active:
                 self._to(LifeCycle.inactive, "brakes commanded")
-            self._brake()
-        elif command.mode is Mode.torque and age < self.watchdog:
-            if self.life.now is LifeCycle.inactive:
-                self._to(LifeCycle.active, "commanded")
-                self.braked, self.was_active, self.lost = False, True, 0
-                self._answered = command.answered
-            # One that answers an older cycle than the last one is not used: it came late, or out of order.
-            older = (command.answered - self._answered) % self.cycles >= self.cycles // 2
-            if self.life.now is LifeCycle.active and not older:
-                self.torque = command.torque
-                self._answered = self.echoed = command.answered
+            if self.life.now in (LifeCycle.inactive, LifeCycle.safe_stop):
+                self._brake()
+        elif self._is_activation(command):
+            self._to(LifeCycle.active, "commanded")
+            self.braked, self.was_active, self.lost = False, True, 0
+            self._answered = self.echoed = command.answered
+        if command.mode is Mode.torque:
+            self._command(command)
+
+    def _is_from_session(self, command: Command) -> bool:
+        """Whether a frame is of the session that is obeyed. A claim, or any frame to an implicit arm, may begin one."""
+        number = command.controller
+        if number == 0 or number == self.controller:
+            return number != 0
+        if not self._may_begin_session(command):
+            return False
+        self.controller, self._echoes = number, 0
+        self._note(f"obeys controller {number}")
+        return True
+
+    def _may_begin_session(self, command: Command) -> bool:
+        if self.implicit:
+            return not self.controller
+        return command.mode is Mode.reset and not self.controller and command.controller not in self.used
+
+    @property
+    def _is_used_up(self) -> bool:
+        return not self.implicit and self.controller in self.used
+
+    def _use_up(self) -> None:
+        """Nothing of this session gives power any more."""
+        if not self.implicit and self.controller not in self.used:
+            self.used.append(self.controller)
+
+    def _is_activation(self, command: Command) -> bool:
+        """Whether the frame activates: the challenge is the arm's own recent state frame, which has carried the session number."""
+        age = (self.cycle - command.answered) % self.cycles
+        if self.implicit:
+            return command.mode is Mode.torque and self.life.now is LifeCycle.inactive and age < self.watchdog
+        if command.mode is not Mode.activate:
+            return False
+        counts = self.life.now is LifeCycle.inactive and age < self._echoes and not self._is_used_up
+        self.ignored += not counts and self.life.now is not LifeCycle.active
+        return counts
+
+    def _command(self, command: Command) -> None:
+        if self.life.now is not LifeCycle.active:
+            self.ignored += 1
+            return
+        # One that answers an older cycle than the last one is not used: it came late, or out of order.
+        older = (command.answered - self._answered) % self.cycles >= self.cycles // 2
+        if (self.cycle - command.answered) % self.cycles < self.watchdog and not older:
+            self.torque = command.torque
+            self._answered = self.echoed = command.answered
 
     def fail(self, reason: str) -> None:
         """The arm itself has failed: brakes, and fault."""
@@ -140,6 +219,8 @@ class ArmLogic:
         self.torque = np.zeros_like(self.torque)
 
     def _to(self, following: LifeCycle, reason: str) -> None:
+        if self.life.now is LifeCycle.active:
+            self._use_up()
         self._note(f"{self.life.now.name} -> {following.name}: {reason}")
         self.life.to(following)
 

@@ -15,6 +15,8 @@ from freeflyer_adapters.facility.link_faults import TAMPERING, LinkFaults, Way
 
 FAULT_KINDS = ("loss", "delay", "jitter", "duplication", "reordering", "flipped_bits", "wrong_data_id", "stale_stamp",
                "frozen_counter", "out_of_range", "clock_jump", "cut", "bus_off", "hung", "dead", "device_fault")  # fmt: skip
+MOST_FRAMES = 256
+"""Taken from the bus at a time, so that a flood cannot hold a virtual device."""
 OF_DRIVES = tuple(kind for kind in FAULT_KINDS if kind not in TAMPERING)
 STAMPS = {"to_controller": ("cycle",), "to_device": ("answered_cycle",)}
 """The roles that say when a frame was made, by way."""
@@ -119,7 +121,10 @@ class FaultyBus:
             self.bus.send(message)
 
     def recv(self, timeout: float = 0.0) -> can.Message | None:
-        while (message := self.bus.recv(0.0)) is not None:
+        for _ in range(MOST_FRAMES):
+            message = self.bus.recv(0.0)
+            if message is None:
+                break
             if not (self.silent or self.faults.acts("bus_off")):
                 self.faults.pass_on("to_device", message)
         return self.faults.due("to_device")

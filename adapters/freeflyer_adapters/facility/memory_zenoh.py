@@ -84,7 +84,7 @@ class _Token:
 
     def _tell(self, kind: zenoh.SampleKind) -> None:
         for subscriber in self._net.token_subscribers:
-            if subscriber.key == self._key:
+            if zenoh.KeyExpr(subscriber.key).intersects(zenoh.KeyExpr(self._key)):
                 subscriber.sample = _Sample(self._key, _Bytes(b""), None, kind)
 
 

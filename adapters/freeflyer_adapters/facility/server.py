@@ -53,14 +53,14 @@ class _Outgoing(PythonComponent):
         self._device.send(self.values)
 
 
-class _Pace:
-    """What the devices' own controllers have to tell, and the end of a session."""
+class _SessionEnd:
+    """An instant hook: reports what the devices' own controllers decided, and ends a session."""
 
     def __init__(self, devices: list[VirtualDevice[Any]], say: Callable[[str], None]) -> None:
         self.devices, self.say = devices, say
         self._told = [0] * len(devices)
 
-    def begin(self, k: int) -> str | None:
+    def before(self, k: int) -> str | None:
         if k % 10 == 0:
             self.tell()
             # Every device that took part must have lost its controller; one that did not take part does not hold the others up.
@@ -69,7 +69,7 @@ class _Pace:
                 return "session over"
         return None
 
-    def end(self, k: int) -> None:
+    def after(self, k: int) -> None:
         pass
 
     def tell(self) -> None:
@@ -144,10 +144,10 @@ class Facility:
             master, values = prepared.master, prepared.values
             for device in self.devices:
                 device.begin_session(values[device.name])
-            pace = _Pace(self.devices, say)
+            end = _SessionEnd(self.devices, say)
             outcome = master.outcome()
-            yield from master.instants(outcome, asked, pace=pace)
-            pace.tell()
+            yield from master.instants(outcome, asked, hooks=[end])
+            end.tell()
             self.history.append({
                 "ended": outcome.cause or "interrupted",
                 "cycles": outcome.steps[f"{self.devices[0].name}_outgoing"],

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from freeflyer.near import did_you_mean
+from freeflyer.scenario import Scenario
 from freeflyer_adapters.device import DeviceError
 from freeflyer_adapters.facility import faults
 from freeflyer_adapters.facility.faults import Fault, RandomFaults
+
+WATCHDOG_CYCLES, WATCHDOG = ("watchdog_cycles", "arm_watchdog_cycles"), ("watchdog", "base_watchdog_s")
+"""The controllers' parameter, and the key of [facility]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,6 +43,22 @@ class FacilitySettings:
 
     def faults_of(self, device: str) -> tuple[Fault, ...]:
         return tuple(fault for fault in self.faults if fault.device == device)
+
+
+def with_watchdogs(scenario: Scenario) -> Scenario:
+    """The controllers' side of a scenario whose [facility] names the devices' watchdogs: the fact is stated once, for both ends.
+
+    A device's own parameter `watchdog_cycles` (arm) or `watchdog` (base) comes before it. DeviceError for a wrong table.
+    """
+    settings = read(scenario.facility)
+    known = {"can_arm": WATCHDOG_CYCLES, "cia402_arm": WATCHDOG_CYCLES, "zenoh_base": WATCHDOG}
+    devices = []
+    for spec in scenario.devices:
+        parameter, key = known.get(spec.kind, ("", ""))
+        if key in scenario.facility and parameter not in spec.parameters:
+            spec = replace(spec, parameters={**spec.parameters, parameter: float(getattr(settings, key))})
+        devices.append(spec)
+    return replace(scenario, devices=tuple(devices))
 
 
 def read(raw: Mapping[str, Any]) -> FacilitySettings:

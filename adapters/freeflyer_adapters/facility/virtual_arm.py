@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from freeflyer_adapters.arm import options as arm_options
 from freeflyer_adapters.arm.frames import LIMIT_ROLES, ArmFrames, Mode
 from freeflyer_adapters.arm.link import Receiver, Sender, open_bus
 from freeflyer_adapters.device import DeviceError, LifeCycle
-from freeflyer_adapters.facility.arm_logic import ArmLogic, Command
+from freeflyer_adapters.facility.arm_logic import MOST_USED, ArmLogic, Command
 from freeflyer_adapters.facility.can_faults import FAULT_KINDS, CanTamper, FaultyBus
 from freeflyer_adapters.facility.link_faults import LinkFaults
 from freeflyer_adapters.facility.settings import FacilitySettings
@@ -23,6 +24,8 @@ from freeflyer_adapters.facility.virtual_device import VirtualDevice
 from freeflyer_adapters.histogram import Histogram
 from freeflyer_adapters.ramp_down import RampDown
 
+MOST_FRAMES = 256
+"""Taken in a cycle."""
 SENSED = ("joint_position", "joint_velocity", "joint_torque")
 
 
@@ -37,6 +40,7 @@ class VirtualArm(VirtualDevice[ArmLogic]):
         self.options = arm_options.options_from(name, raw, directory)
         n = self.options.joints
         self.frames = ArmFrames(self.options.frames, n)
+        self.frames.check_activation(name, self.options.implicit)
         if settings.arm_watchdog_cycles >= self.frames.cycles // 2:
             raise DeviceError(
                 f"[facility] arm_watchdog_cycles is {settings.arm_watchdog_cycles}, but cycle numbers of {name} count to {self.frames.cycles} "
@@ -54,7 +58,7 @@ class VirtualArm(VirtualDevice[ArmLogic]):
         self._velocity = np.zeros(n)
         self._limits: dict[str, list[float]] = {}
         self._sent_at = 0.0
-        self.logic = self._new_logic()
+        self.logic = self._first_logic()
         seen = [self.frames.command]
         self.faults = LinkFaults(
             settings.faults_of(name), period, settings.seed, CanTamper(ArmFrames(self.options.frames, n), period)
@@ -65,7 +69,7 @@ class VirtualArm(VirtualDevice[ArmLogic]):
         self._sender = Sender(self._bus, self.frames.state)
         self._describer = None if self.frames.description is None else Sender(self._bus, self.frames.description)
 
-    def _new_logic(self) -> ArmLogic:
+    def _first_logic(self) -> ArmLogic:
         s = self.settings
         return ArmLogic(
             self.options.joints,
@@ -73,16 +77,16 @@ class VirtualArm(VirtualDevice[ArmLogic]):
             watchdog=s.arm_watchdog_cycles,
             silence=round(s.forget_after_s / self.period),
             cycles=self.frames.cycles,
+            implicit=self.options.implicit,
+            used=deque(maxlen=min(MOST_USED, max(1, self.frames.controllers // 2))),
             ramp=RampDown(time=s.ramp_down_time_s, damping=s.ramp_down_damping),
         )
 
     def begin_session(self, parameters: Mapping[str, Array]) -> None:
         """The model's parameters, in which its limits are; the cycle number runs on."""
         self._limits = {role: list(map(float, parameters[role])) for role in LIMIT_ROLES if role in parameters}
-        cycle = self.logic.cycle
         self._before = self._totals()
-        self.logic = self._new_logic()
-        self.logic.cycle = cycle
+        self.logic = self.logic.again()
         if "joint_effort_limit" in self._limits:
             steps = [0.5 * f.resolution for f in self.frames.command.fields["joint_torque_command"]]
             self.logic.effort = np.array(self._limits["joint_effort_limit"]) + steps
@@ -102,9 +106,12 @@ class VirtualArm(VirtualDevice[ArmLogic]):
         self.logic.fail("a drive has failed")
 
     def _commands(self) -> list[Command]:
-        """What came since the last state frame."""
+        """What came since the last state frame, as far as a cycle has time for it."""
         commands = []
-        while (message := self._next()) is not None:
+        for _ in range(MOST_FRAMES):
+            message = self._next()
+            if message is None:
+                break
             numbers = self._receiver.take(message)
             if numbers is None:
                 continue
@@ -164,6 +171,7 @@ class VirtualArm(VirtualDevice[ArmLogic]):
             "commands_late_or_lost": self._before.get("commands_late_or_lost", 0.0) + self.logic.total_lost,
             "commands_of_strangers": self._before.get("commands_of_strangers", 0.0) + self.logic.strangers,
             "commands_beyond_limits": self._before.get("commands_beyond_limits", 0.0) + self.logic.excessive,
+            "commands_outside_active": self._before.get("commands_outside_active", 0.0) + self.logic.ignored,
         }
 
     def histograms(self) -> Mapping[str, Histogram]:

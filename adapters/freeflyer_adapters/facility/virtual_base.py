@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,17 +12,19 @@ import numpy as np
 from freeflyer.component import Array, Port
 from freeflyer_adapters.base import access_control, commanders
 from freeflyer_adapters.base import options as link_options
-from freeflyer_adapters.base.link import is_usable
-from freeflyer_adapters.base.ros_messages import Odometry
+from freeflyer_adapters.base.link import Received, is_usable
 from freeflyer_adapters.base.session import open_session
 from freeflyer_adapters.base.zenoh_base import TWIST
 from freeflyer_adapters.device import LifeCycle
-from freeflyer_adapters.facility.base_logic import BaseLogic
+from freeflyer_adapters.facility.base_logic import MOST_USED, BaseLogic
 from freeflyer_adapters.facility.link_faults import LinkFaults
 from freeflyer_adapters.facility.settings import FacilitySettings
 from freeflyer_adapters.facility.virtual_device import VirtualDevice
 from freeflyer_adapters.facility.zenoh_faults import FAULT_KINDS, FaultyOdometryLink, ZenohTamper
 from freeflyer_adapters.pose import twist_rotated
+
+PROOF = 0.04
+"""[s] in which set points must have come as their stamps advance before the first is followed."""
 
 
 class VirtualBase(VirtualDevice[BaseLogic]):
@@ -42,6 +45,8 @@ class VirtualBase(VirtualDevice[BaseLogic]):
             Port(name="base_orientation", size=4, causality="input", units=("1",) * 4, start=(0, 0, 0, 1)),
             Port(name="base_velocity", size=6, causality="input", units=TWIST),
         )
+        self._used: deque[bytes] = deque(maxlen=MOST_USED)
+        """Publishers that are used up, in all sessions."""
         self.logic = self._new_logic()
         self._pose = (np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))
         self._calls = 0
@@ -58,6 +63,8 @@ class VirtualBase(VirtualDevice[BaseLogic]):
             watchdog=round(s.base_watchdog_s / self.period),
             silence=round(s.forget_after_s / self.period),
             jump=(s.base_jump_m, s.base_jump_rad),
+            used=self._used,
+            proof=round(PROOF / self.period),
         )
 
     def begin_session(self, parameters: Mapping[str, Array]) -> None:
@@ -72,8 +79,14 @@ class VirtualBase(VirtualDevice[BaseLogic]):
     def receive(self, values: Mapping[str, Array]) -> None:
         if self.begin_cycle():
             self._link.receive(self._take)
+            was_active = self.logic.life.now is LifeCycle.active
             self.logic.tick()
-            self._link.tell_obeyed(self.logic.life.now is LifeCycle.active)
+            is_active = self.logic.life.now is LifeCycle.active
+            if is_active and self._link.stranger:
+                self.logic.refuse(self._link.stranger)
+            self._link.tell_obeyed(is_active)
+            if was_active and not is_active:
+                self._link.forget_source()  # used up: the next publisher may be another
         values["position_setpoint"][:] = self.logic.position
         values["orientation_setpoint"][:] = self.logic.orientation
         values["velocity_setpoint"][:] = self.logic.velocity
@@ -81,12 +94,21 @@ class VirtualBase(VirtualDevice[BaseLogic]):
     def power_off(self) -> None:
         self.logic.hold(*self._pose)
 
-    def _take(self, odometry: Odometry) -> bool:
+    def _take(self, received: Received) -> bool | None:
         """Only a publisher whose set point is followed is listened to."""
+        odometry = received.odometry
         if not is_usable(odometry):
             return False
         velocity = twist_rotated(odometry.orientation, odometry.velocity)
-        return self.logic.take(odometry.position, odometry.orientation, velocity, self._pose)
+        return self.logic.take(
+            odometry.position,
+            odometry.orientation,
+            velocity,
+            self._pose,
+            received.attachment.gid,
+            received.delay * 1e-9,
+            received.attachment.stamp * 1e-9,
+        )
 
     def send(self, values: Mapping[str, Array]) -> None:
         position, orientation = values["base_position"], values["base_orientation"]
@@ -104,6 +126,8 @@ class VirtualBase(VirtualDevice[BaseLogic]):
             "setpoints_accepted": float(counts.accepted),
             "setpoints_skipped": float(counts.skipped),
             "setpoints_refused": float(counts.malformed + counts.stale + counts.strangers),
+            "setpoints_before_the_first_followed": float(counts.undecided),
+            "clock_steps": float(counts.clock_steps),
             "active": float(self.logic.life.now is LifeCycle.active),
         }
 

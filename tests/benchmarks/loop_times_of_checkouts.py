@@ -1,0 +1,81 @@
+"""The loop's times on the virtual facility, of two checkouts in turn, as ratios: `python loop_times_of_checkouts.py BEFORE AFTER [ROUNDS]`.
+
+Both run with this Python and their own sources (each checkout has its built parts). Run alone. Needs nothing of the product but its commands.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+SECONDS = 10
+# Holes that a shared machine makes are counted, and stop neither.
+PATIENT = (
+    "facility.arm_watchdog_cycles=1000",
+    "facility.base_watchdog_s=1.0",
+    "devices.arm_drive.parameters.lost_consecutive=1000",
+    "devices.arm_drive.parameters.state_age_limit=1.0",
+    "devices.base_robot.parameters.lost_consecutive=250",
+    "devices.base_robot.parameters.lost_in_window=0",
+    "devices.base_robot.parameters.age_limit=1.0",
+    f"stop_s={SECONDS}",
+)
+
+
+def times(checkout: Path, folder: Path, name: str) -> dict[str, tuple[float, float]]:
+    """p50 and p99 [us] of every histogram of one run."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    links = (f'devices.arm_drive.channel="{name}"', f'devices.base_robot.connect=["tcp/127.0.0.1:{port}"]')
+    sets = [word for setting in (*PATIENT, *links) for word in ("--set", setting)]
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(str(checkout / root) for root in ("adapters", "cosim", "fmu_src")),
+    }
+    command = [sys.executable, "-m", "freeflyer.command"]
+    with subprocess.Popen(
+        [*command, "facility", "facility", *sets, "--out", str(folder / name)],
+        env=environment,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as facility:
+        assert facility.stdout is not None
+        for line in facility.stdout:
+            if "is there" in line:
+                break
+        loop = [*command, "hil", "facility", *sets, "--no-view", "--out", str(folder / name)]
+        subprocess.run(loop, env=environment, check=True, capture_output=True)
+        facility.send_signal(signal.SIGINT)
+        facility.communicate(timeout=20.0)
+    found = json.loads((folder / name / "summary.json").read_text())["real_time"]["times"]
+    found |= json.loads((folder / name / "facility.json").read_text())["times"]
+    return {key: (value["p50_us"], value["p99_us"]) for key, value in found.items()}
+
+
+def main(before: str, after: str, rounds: str = "5") -> None:
+    seen: dict[str, list[dict[str, tuple[float, float]]]] = {"before": [], "after": []}
+    with tempfile.TemporaryDirectory() as folder:
+        for k in range(int(rounds)):
+            for label, checkout in (
+                (("before", before), ("after", after)) if k % 2 == 0 else (("after", after), ("before", before))
+            ):
+                seen[label].append(times(Path(checkout).absolute(), Path(folder), f"{label}-{k}"))
+                print(f"round {k + 1}, {label}: done", flush=True)
+    print(f"medians over {rounds} rounds of {SECONDS} s in turn [us]: before, after, ratio")
+    for key in seen["before"][0]:
+        for i, share in enumerate(("p50", "p99")):
+            old, new = (float(np.median([run[key][i] for run in seen[label]])) for label in ("before", "after"))
+            print(f"  {key}, {share}: {old:.0f}, {new:.0f}, {new / old if old else float('nan'):.3f}")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
