@@ -19,6 +19,8 @@ class Permit:
         self.lost: str | None = None
         """Why it was lost."""
         self.was_held_up = False
+        self.hold_up = ""
+        """In a sentence: it is the cause, whatever was noticed before it."""
         self._is_taken = self._was_active = False
         self._wrote: int | None = None
         self._active_at: int | None = None
@@ -54,10 +56,11 @@ class Permit:
         """Whether a command that gives power may be sent now."""
         if self._wrote is not None and now - self._wrote > self.watchdog:
             self.was_held_up = True
-            self.lose(
+            self.hold_up = self.hold_up or (
                 f"the loop was held up for {(now - self._wrote) * 1e-9:.3g} s, longer than the watchdog of {self.subject} "
                 f"({self.watchdog * 1e-9:g} s), which has stopped by then"
             )
+            self.lose(self.hold_up)
         return self.is_held
 
     def wrote(self, now: int) -> None:

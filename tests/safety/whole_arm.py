@@ -306,6 +306,7 @@ class Whole:
             permit._wrote = None if permit._wrote is None else max(permit._wrote - back, oldest)
             permit._active_at = None if permit._active_at is None else max(permit._active_at - back, oldest)
             permit.lost = permit.lost and "lost"
+            permit.hold_up = permit.hold_up and "held up"
             session._claims = 0
             host.monitor._row = min(host.monitor._row, LOST)
             host.monitor._recent.clear()

@@ -408,6 +408,7 @@ class Host:
         permit._wrote = None if permit._wrote is None else max(permit._wrote - CYCLE, oldest)
         permit._active_at = None if permit._active_at is None else max(permit._active_at - CYCLE, oldest)
         permit.lost = permit.lost and "lost"
+        permit.hold_up = permit.hold_up and "held up"
         self.looked = None if self.looked is None else min(self.looked + 1, OLDEST + 1)
         self.held_up = min(self.held_up + 1, 2 * watchdog + 1) if self.is_held_up and not permit.lost else 0
 

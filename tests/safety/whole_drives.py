@@ -212,6 +212,7 @@ class Host:
         permit._wrote = None if permit._wrote is None else max(permit._wrote - CYCLE, oldest)
         permit._active_at = None if permit._active_at is None else max(permit._active_at - CYCLE, oldest)
         permit.lost = permit.lost and "lost"
+        permit.hold_up = permit.hold_up and "held up"
         self.monitor._row, self.monitor.lost = min(self.monitor._row, LOST), 0
         self.monitor._recent.clear()
         self.held_up = min(self.held_up + 1, WATCHDOG + 1) if self.is_held_up else 0

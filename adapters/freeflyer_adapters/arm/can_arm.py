@@ -263,11 +263,14 @@ class CanArm:
     def read(self) -> None:
         permit = self.session.permit
         permit.allows(self._outside.monotonic_ns())
-        if permit.was_held_up:  # before anything that came meanwhile: the cause comes before its effects
-            raise SafeStop(self.name, f"{permit.lost}{self._states.flood}")
+        if permit.was_held_up:
+            raise SafeStop(self.name, f"{permit.hold_up}{self._states.flood}")
         left = self._arrived * 1e-9 + PATIENCE * self.cycle - self._outside.monotonic()
         before = self._cycle_number
         came = self._states.wait(max(left, 0.0))
+        permit.allows(self._outside.monotonic_ns())
+        if permit.was_held_up:  # while it waited: the cause comes before its effects
+            raise SafeStop(self.name, f"{permit.hold_up}{self._states.flood}")
         if came:
             # What is missing in the numbers is lost, but for what was counted as silence already. An arm whose own time has
             # stood still is not ahead of us: its numbers come later than they were waited for.

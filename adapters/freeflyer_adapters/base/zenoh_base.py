@@ -297,7 +297,7 @@ class ZenohBase:
         permit, link = self.permit, self._link
         permit.allows(self._outside.monotonic_ns())
         if permit.was_held_up:
-            raise SafeStop(self.name, str(permit.lost))
+            raise SafeStop(self.name, permit.hold_up)
         before = self._sequence
         came = self._take()
         self._steps += 1

@@ -270,8 +270,11 @@ class Cia402Arm:
     def read(self) -> None:
         self.permit.allows(self._outside.monotonic_ns())
         if self.permit.was_held_up:  # before anything that came meanwhile: the cause comes before its effects
-            raise SafeStop(self.name, str(self.permit.lost))
+            raise SafeStop(self.name, self.permit.hold_up)
         self._exchange(ANSWER_SHARE * self.cycle)
+        self.permit.allows(self._outside.monotonic_ns())
+        if self.permit.was_held_up:
+            raise SafeStop(self.name, self.permit.hold_up)
         self._targets_due = True
         silent = [drive for drive in self.drives if not drive.fresh]
         reason = self.monitor.observe(lost=bool(silent))
