@@ -325,7 +325,8 @@ class ZenohBase:
         if self._sent is not None:
             reason = reason or self.limits.measured(self.values["base_position"], self.values["base_orientation"], self._sent)
         if reason:
-            raise SafeStop(self.name, reason)
+            permit.allows(self._outside.monotonic_ns())  # a hold-up in the middle of this is the cause
+            raise SafeStop(self.name, permit.hold_up or reason)
 
     def write(self) -> None:
         if self._steps % self._ratio:
