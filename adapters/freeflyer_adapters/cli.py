@@ -184,8 +184,7 @@ def _reason_kept(stop: StopNotice) -> Iterator[None]:
     try:
         yield
     except BaseException as error:
-        reason = hil.INTERRUPTED if isinstance(error, KeyboardInterrupt) else str(error) or repr(error)
-        stop.give(reason, NOTHING_ACTIVE, orderly=isinstance(error, KeyboardInterrupt), quiet=True)
+        stop.give(hil.reason_of(error), NOTHING_ACTIVE, orderly=isinstance(error, KeyboardInterrupt), quiet=True)
         raise
 
 

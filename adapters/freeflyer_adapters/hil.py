@@ -271,6 +271,11 @@ def _loop(
     return outcome
 
 
+def reason_of(error: BaseException) -> str:
+    """Why a run ended that an exception has ended."""
+    return INTERRUPTED if isinstance(error, KeyboardInterrupt) else " ".join(str(error).split()) or repr(error)
+
+
 class _Stopping:
     """Whatever ends its block: the devices are stopped, then the reason is given, before anything else is done."""
 
@@ -295,8 +300,7 @@ class _Stopping:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, place: object) -> None:
         if error is not None:
-            self.reason = INTERRUPTED if isinstance(error, KeyboardInterrupt) else " ".join(str(error).split()) or repr(error)
-            self.orderly = isinstance(error, KeyboardInterrupt)
+            self.reason, self.orderly = reason_of(error), isinstance(error, KeyboardInterrupt)
         with no_interrupts():
             self.left = stop(self._devices, self._period, self.reason, orderly=self.orderly)
             if self._observation.view is not None:

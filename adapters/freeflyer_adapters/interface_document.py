@@ -87,9 +87,8 @@ def _can() -> Iterator[str]:
         "carried the echo and is younger than the arm's watchdog: the challenge is the arm's, and an old frame cannot meet it.",
         f"6. `Mode` {int(Mode.torque)} commands an active arm; in any other state it is ignored and counted. `Mode` {int(Mode.brake)} engages "
         f"the brakes. `Mode` {int(Mode.idle)} keeps a session alive and moves nothing.",
-        "7. Leaving active in any way uses the session number up, and so does `Mode` 2: no frame of that session gives power again, across "
-        "the arm's own restarts of the dialogue. (An arm that is switched off and on may forget its used numbers; its cycle numbers must "
-        "then not go on where they were.)",
+        "7. Leaving active in any way uses the session number up, and so does `Mode` 2: no frame of that session gives power again. "
+        "An arm that is switched off and on may forget its used numbers; its cycle numbers must then not go on where they were.",
         "8. The controllers' end is the other lock. Its permit to send more than modes 0 and 2 is lost for good at the first reason to stop, "
         "when the loop was held up for longer than the arm's watchdog (`watchdog_cycles`), and at the first state frame of another state "
         "than active. The torques of the graded stop need an echo of one of its own answers that is younger than the watchdog.",
@@ -116,7 +115,7 @@ def _can() -> Iterator[str]:
         "stop the loop. Repeated, late and reordered frames, a frozen counter and one that jumps are faults of one sender. Command frames "
         "of another sender, three within 20 cycles, are a second controller.\n\nWhat cannot be told apart: two arms that send the same content "
         "with the same counter; a second sender at a sixteenth of the rate or less; more than two; frames without E2E protection and "
-        "without a cycle number of their own. How soon two are found: `tests/links/test_second_sender.py` (15 cycles on average, 39 at most "
+        "without a cycle number of their own. How soon two are found: `tests/links/test_second_sender.py` (a median of 15 frames of each, 39 at most "
         "without loss)."
     )
 
@@ -152,7 +151,7 @@ def _zenoh() -> Iterator[str]:
     yield (
         "\nOdometry has no field for a session. So the session is the publisher: the controllers declare a new one for every activation, "
         "with a GID of its own, and undeclare it at the stop. Odometry does not say whether a set point is taken, either. So a base robot may "
-        f"tell it by a liveliness token of this project, `{rmw_zenoh.obedience_token(o.domain, o.setpoint_topic, 'GID')}` with the GID "
+        f"report it by a liveliness token of this project, `{rmw_zenoh.obedience_token(o.domain, o.setpoint_topic, 'GID')}` with the GID "
         f"(hexadecimal) of the publisher that it obeys, or `{rmw_zenoh.NOBODY}`: the controller then is refused where another is obeyed, "
         "activates the arm only once the base has taken its set points, and stops when the token is withdrawn. The virtual base robot does. "
         "It obeys a publisher once its set points have come for 40 ms as their stamps advance (what was held up comes all at once), and "

@@ -18,12 +18,15 @@ class Permit:
         self.subject, self.watchdog, self.reports_state = subject, watchdog, reports_state
         self.lost: str | None = None
         """Why it was lost."""
-        self.was_held_up = False
-        self.hold_up = ""
-        """In a sentence: it is the cause, whatever was noticed before it."""
+        self._hold_up = ""
         self._is_taken = self._was_active = False
         self._wrote: int | None = None
         self._active_at: int | None = None
+
+    @property
+    def last_write(self) -> int:
+        """When a frame of the loop's own was sent last, or the permit was taken [ns]; 0 before."""
+        return self._wrote or 0
 
     @property
     def is_held(self) -> bool:
@@ -55,13 +58,21 @@ class Permit:
     def allows(self, now: int) -> bool:
         """Whether a command that gives power may be sent now."""
         if self._wrote is not None and now - self._wrote > self.watchdog:
-            self.was_held_up = True
-            self.hold_up = self.hold_up or (
+            self._hold_up = self._hold_up or (
                 f"the loop was held up for {(now - self._wrote) * 1e-9:.3g} s, longer than the watchdog of {self.subject} "
                 f"({self.watchdog * 1e-9:g} s), which has stopped by then"
             )
-            self.lose(self.hold_up)
+            self.lose(self._hold_up)
         return self.is_held
+
+    @property
+    def was_held_up(self) -> bool:
+        return bool(self._hold_up)
+
+    def hold_up(self, now: int) -> str:
+        """That the loop was held up, in a sentence, or "". It is the cause, whatever was noticed before it."""
+        self.allows(now)
+        return self._hold_up
 
     def wrote(self, now: int) -> None:
         """A frame of the loop's own was sent. One that went out after too long a gap does not hide it."""
@@ -71,7 +82,6 @@ class Permit:
 
     def may_ramp_down(self, now: int) -> bool:
         """Whether the device is known to be active still, so that the torques of a graded stop cannot activate it anew."""
-        self.allows(now)
-        if self.was_held_up and not self.reports_state:
+        if self.hold_up(now) and not self.reports_state:
             return False
         return self._is_taken and self._active_at is not None and now - self._active_at <= self.watchdog

@@ -1,6 +1,6 @@
 """The loop's times on the virtual facility, of two checkouts in turn, as ratios: `python loop_times_of_checkouts.py BEFORE AFTER [ROUNDS]`.
 
-Both run with this Python and their own sources (each checkout has its built parts). Run alone. Needs nothing of the product but its commands.
+Both run with this Python and their own sources (each checkout has its built parts). Run alone.
 """
 
 from __future__ import annotations
@@ -15,19 +15,10 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+from test_loop_times import PATIENT
 
 SECONDS = 10
-# Holes that a shared machine makes are counted, and stop neither.
-PATIENT = (
-    "facility.arm_watchdog_cycles=1000",
-    "facility.base_watchdog_s=1.0",
-    "devices.arm_drive.parameters.lost_consecutive=1000",
-    "devices.arm_drive.parameters.state_age_limit=1.0",
-    "devices.base_robot.parameters.lost_consecutive=250",
-    "devices.base_robot.parameters.lost_in_window=0",
-    "devices.base_robot.parameters.age_limit=1.0",
-    f"stop_s={SECONDS}",
-)
+SETTINGS = (*PATIENT, f"stop_s={SECONDS}")
 
 
 def times(checkout: Path, folder: Path, name: str) -> dict[str, tuple[float, float]]:
@@ -36,7 +27,7 @@ def times(checkout: Path, folder: Path, name: str) -> dict[str, tuple[float, flo
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     links = (f'devices.arm_drive.channel="{name}"', f'devices.base_robot.connect=["tcp/127.0.0.1:{port}"]')
-    sets = [word for setting in (*PATIENT, *links) for word in ("--set", setting)]
+    sets = [word for setting in (*SETTINGS, *links) for word in ("--set", setting)]
     environment = {
         **os.environ,
         "PYTHONPATH": os.pathsep.join(str(checkout / root) for root in ("adapters", "cosim", "fmu_src")),

@@ -94,6 +94,8 @@ class End:
             self.other.waiting.clear()
         self.joints.tick()
 
+    def flush_tx_buffer(self) -> None: ...
+
     def shutdown(self) -> None: ...
 
 

@@ -134,7 +134,7 @@ class State:
 
 
 class Listener:
-    """Another node of a rig's CAN channel, with a thread that hears everything: `states`, and `commands` as (when, mode)."""
+    """Another node of a rig's CAN channel, with a thread that receives everything: `states`, and `commands` as (when, mode)."""
 
     def __init__(self, channel: str) -> None:
         self.frames = ArmFrames(FrameMapping(), 6)

@@ -78,7 +78,7 @@ def test_an_overrun_of_the_controllers_is_stopped_by_the_arms_watchdog(bench: Ri
 
 
 @pytest.mark.slow
-def test_an_overrun_of_the_controllers_is_told_as_one_by_the_loop(bench: Rig) -> None:
+def test_an_overrun_of_the_controllers_is_reported_as_one_by_the_loop(bench: Rig) -> None:
     """The loop's own watchdog at its default, which is the arm's: the cause is named, not what the arm did meanwhile."""
     facility = bench.facility("facility.base_watchdog_s=1.0")
     loop = bench.hil(*PATIENT_BASE, *PATIENT_ARM[:2])

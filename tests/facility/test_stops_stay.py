@@ -218,7 +218,7 @@ def seconds_to_stop(folder: Path, *, flooded: bool) -> tuple[float, float]:
 
 
 @pytest.mark.slow
-def test_a_flood_of_frames_neither_stops_the_arm_nor_makes_the_loop_deaf(tmp_path: Path) -> None:
+def test_a_flood_of_frames_neither_stops_the_arm_nor_holds_the_loop(tmp_path: Path) -> None:
     ramp, quiet = seconds_to_stop(tmp_path / "quiet", flooded=False)
     assert ramp < 0.1
     ramp, flooded = seconds_to_stop(tmp_path / "flooded", flooded=True)
@@ -260,7 +260,7 @@ def test_with_a_full_disk_the_reason_is_said_once_and_stop_json_is_whole(bench: 
     lines = [line for line in loop.said if line.startswith("Stop:")]
     assert len(lines) == 1, loop.text
     assert re.match(r"Stop: interrupted by the user; all devices were brought to rest in \d", lines[0])
-    # The recorder has told of its own file before; of the loop's files there is no word before the sentence.
+    # The recorder may report its own file before; the loop reports no file before the sentence.
     before, after = loop.text.split(lines[0])
     assert "record.parquet" not in before
     assert "record.parquet" in after

@@ -121,7 +121,9 @@ def test_an_observer_reads_and_its_set_points_come_to_nobody(lab: Lab, stack: Ex
     assert arrives(host, robot.link)
     robot.link.forget_source()
     assert not arrives(observer, robot.link, 0.5)
-    assert robot.link.counts.strangers == robot.link.counts.malformed == 0  # they were stopped before this project's own checks
+    assert (
+        robot.link.counts.other_sources == robot.link.counts.malformed == 0
+    )  # they were stopped before this project's own checks
     assert arrives(host, robot.link), "the link itself was there all the time"
 
 

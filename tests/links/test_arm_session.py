@@ -213,7 +213,7 @@ def test_a_held_up_loop_sends_no_torque_although_the_last_report_was_active() ->
 
 @pytest.mark.parametrize("obeyed", [0, OTHER])
 def test_active_for_another_number_is_no_report_of_active(obeyed: int) -> None:
-    """An arm that does not name a controller is taken at its word; one that names another is not."""
+    """An arm that names no controller may be this one's; one that names another is not."""
     made = commanding()
     made.report(LifeCycle.active, obeyed, BEGIN)
     assert (made.permit.lost is None) is (obeyed == 0)
@@ -321,7 +321,7 @@ def test_an_arm_that_reports_neither_state_nor_echo_is_commanded_at_once_and_act
 def test_an_arm_that_reports_no_state_is_active_while_it_uses_this_sessions_answers() -> None:
     made = session(implicit=True, reports_state=False)
     made.claim()
-    made.report(None, made.number, BEGIN, 39)  # an answer of somebody else
+    made.report(None, made.number, BEGIN, 39)  # an answer of another session
     made.activate(BEGIN)
     assert made.phase is Phase.activating
     assert made.answer(BEGIN) is Mode.torque

@@ -393,7 +393,7 @@ def test_an_arm_that_tells_nothing_is_ramped_down_all_the_same(link: tuple[CanAr
 
 
 def test_an_arm_that_tells_nothing_is_activated_although_the_base_took_its_time(link: tuple[CanArm, ScriptedArm]) -> None:
-    """Between the two halves of an activation nobody reads its frames: what is old then says nothing of the arm."""
+    """Between the two halves of an activation its frames are not read: old ones do not count."""
     _, there = link
     there.implicit = True
     arm = CanArm("arm", ArmOptions(channel=link[0].options.channel, implicit=True))

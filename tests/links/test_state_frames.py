@@ -1,4 +1,4 @@
-"""What the host takes from the arm's bus: the newest state frame, within its bounds, and who else is there. No clock, no wire."""
+"""What the host takes from the arm's bus: the newest state frame, within its bounds, and what else is on the bus. No clock, no wire."""
 
 from __future__ import annotations
 
@@ -224,7 +224,7 @@ def test_throwing_away_what_waits_is_bounded(here: Here) -> None:
     assert here.bus.taken == 16 * MOST_FRAMES
 
 
-# Who else is on the bus
+# What else is on the bus
 
 
 def test_one_arm_and_this_controller_are_no_problem(here: Here) -> None:

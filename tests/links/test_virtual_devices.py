@@ -61,7 +61,7 @@ def braked(arm: ArmLogic) -> ArmLogic:
 
 
 def forgotten(arm: ArmLogic) -> ArmLogic:
-    """Left alone until it obeys nobody."""
+    """Left alone until it obeys no controller."""
     while arm.controller:
         arm.begin([], STILL)
     return arm

@@ -215,7 +215,7 @@ def test_samples_that_cannot_be_used_are_counted_and_change_nothing(here: ZenohB
 
     def refused() -> int:
         here._take()
-        return counts.malformed + counts.stale + counts.strangers
+        return counts.malformed + counts.stale + counts.other_sources
 
     last = link._last
     assert last is not None
@@ -478,13 +478,13 @@ def receiving(there: ScriptedBase) -> Iterator[OdometryLink]:
 
 def received(link: OdometryLink, judge: Callable[[Received], bool] = usable) -> Received | None:
     """The next sample, or None if it was refused."""
-    before = link.counts.malformed + link.counts.stale + link.counts.strangers
+    before = link.counts.malformed + link.counts.stale + link.counts.other_sources
     found: list[Received] = []
 
     def came() -> bool:
         one = link.receive(judge)
         found.extend([] if one is None else [one])
-        return bool(found) or link.counts.malformed + link.counts.stale + link.counts.strangers > before
+        return bool(found) or link.counts.malformed + link.counts.stale + link.counts.other_sources > before
 
     assert waited(came)
     return found[0] if found else None
@@ -547,7 +547,7 @@ def test_what_the_judge_refuses_is_counted_and_makes_its_publisher_no_source(
     assert received(receiving) is not None
     there.send_as(2, NOW + 1, gid=b"a" * 16)
     assert received(receiving) is None
-    assert receiving.counts.strangers == 1
+    assert receiving.counts.other_sources == 1
 
 
 @pytest.mark.parametrize("ahead", [-3600.0, -0.5, 0.5, 3600.0])

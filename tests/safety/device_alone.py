@@ -55,7 +55,7 @@ class DeviceAlone:
         self.echoes: list[int] = [0] * OLDEST
         """The number that each of the last state frames carried, the newest last."""
         self.was_active: set[int] = set()
-        """Numbers that were active, or were told to brake."""
+        """Numbers that were active, or were commanded to brake."""
         self.bad: str | None = None
 
     def moves(self) -> Iterator[tuple[str, Callable[[Any], None]]]:

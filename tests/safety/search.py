@@ -10,6 +10,23 @@ from enum import Enum
 from typing import Any, Protocol
 
 import numpy as np
+import pytest
+
+from freeflyer_adapters.permit import Permit
+
+
+def shift_permit(permit: Permit, back: int, oldest: int) -> None:
+    """Times relative to the present, and none older than matters [ns]; which sentence it was does not matter."""
+    permit._wrote = None if permit._wrote is None else max(permit._wrote - back, oldest)
+    permit._active_at = None if permit._active_at is None else max(permit._active_at - back, oldest)
+    permit.lost = permit.lost and "lost"
+    permit._hold_up = permit._hold_up and "held up"
+
+
+def without_hold_ups(patch: pytest.MonkeyPatch) -> None:
+    """Take away a guard: a hold-up does not cost the permit."""
+    patch.setattr(Permit, "allows", lambda self, now: self.is_held)
+
 
 MOST_STATES = 3_000_000
 

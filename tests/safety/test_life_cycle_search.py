@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 from device_alone import IGNORED, DeviceAlone
-from search import Searched, World, explore
+from search import Searched, World, explore, without_hold_ups
 from whole_arm import HOST_IGNORED, Whole
 
 from freeflyer_adapters.arm.frames import Mode
@@ -253,9 +253,7 @@ def _(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(Permit, "lose", lambda self, reason: None if reason == "a reason to stop" else lose(self, reason))
 
 
-@guard(HOST, "a hold-up takes the permit")
-def _(patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(Permit, "allows", lambda self, now: self.is_held)
+guard(HOST, "a hold-up takes the permit")(without_hold_ups)
 
 
 @guard(HOST, "a report of another state takes the permit")

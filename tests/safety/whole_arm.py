@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from device_alone import CYCLES, IGNORED, OLDEST, STILL, arm, shift
+from search import shift_permit
 
 from freeflyer_adapters.arm.frames import Mode
 from freeflyer_adapters.arm.session import STOPPED, ArmSession, Phase
@@ -302,11 +303,7 @@ class Whole:
             oldest = (NOW - self.watchdog - 1) * CYCLE
             answers = {relative(c, echo): max(at - back, oldest) for c, at in session._answered_at.items()}
             session._answered_at = {c: at for c, at in answers.items() if c > MIDDLE - OLDEST}
-            session._wrote_at = max(session._wrote_at - back, oldest) if session._wrote_at else 0
-            permit._wrote = None if permit._wrote is None else max(permit._wrote - back, oldest)
-            permit._active_at = None if permit._active_at is None else max(permit._active_at - back, oldest)
-            permit.lost = permit.lost and "lost"
-            permit.hold_up = permit.hold_up and "held up"
+            shift_permit(permit, back, oldest)
             session._claims = 0
             host.monitor._row = min(host.monitor._row, LOST)
             host.monitor._recent.clear()

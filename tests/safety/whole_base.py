@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from search import shift_permit, without_hold_ups
 
 from freeflyer_adapters.base import ros_messages
 from freeflyer_adapters.base.link import Counts, OdometryLink
@@ -124,7 +125,7 @@ class Ear(OdometryLink):
         self._told, self._obedience = "", None
         self.clock = PeerClock()
         self._source = self._last = None
-        self._stranger, self._turns, self._is_sealed = b"", deque(maxlen=3), False
+        self._other_source, self._turns, self._is_sealed = b"", deque(maxlen=3), False
         self.heard: Attachment | None = None
 
     def __getstate__(self) -> dict[str, Any]:
@@ -317,7 +318,7 @@ class Host:
 
     def __init__(self, run: int, base: int, *, watchdog: int, tells: bool) -> None:
         self.run, self.base, self.tells = run, base, tells
-        """`base`: whose measurements it listens to, which is the first that it hears."""
+        """`base`: the base robot whose measurements it uses, the first that it receives."""
         self.permit = Permit("base", watchdog=watchdog * CYCLE, reports_state=False)
         self.stage = "preparing"
         self.publishes = self.is_active = self.was_obeyed = self.has_sent = False
@@ -405,10 +406,7 @@ class Host:
 
     def shift(self, watchdog: int) -> None:
         permit, oldest = self.permit, (NOW - watchdog - 1) * CYCLE
-        permit._wrote = None if permit._wrote is None else max(permit._wrote - CYCLE, oldest)
-        permit._active_at = None if permit._active_at is None else max(permit._active_at - CYCLE, oldest)
-        permit.lost = permit.lost and "lost"
-        permit.hold_up = permit.hold_up and "held up"
+        shift_permit(permit, CYCLE, oldest)
         self.looked = None if self.looked is None else min(self.looked + 1, OLDEST + 1)
         self.held_up = min(self.held_up + 1, 2 * watchdog + 1) if self.is_held_up and not permit.lost else 0
 
@@ -741,16 +739,6 @@ def _anybody_is_followed(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(BaseLogic, "take", takes)
 
 
-def _no_hold_up(patch: pytest.MonkeyPatch) -> None:
-    allows = Permit.allows
-
-    def forgets(self: Permit, now: int) -> bool:
-        self._wrote = None
-        return allows(self, now)
-
-    patch.setattr(Permit, "allows", forgets)
-
-
 def _no_reason_to_stop(patch: pytest.MonkeyPatch) -> None:
     lose = Permit.lose
     patch.setattr(Permit, "lose", lambda permit, reason: None if reason == REASON else lose(permit, reason))
@@ -760,7 +748,7 @@ ALONE, ONE, _, SLOW, LOOK = WORLDS.values()
 GUARDS: dict[str, tuple[Callable[[], Any], Patch]] = {
     "a used publisher is not obeyed again": (ALONE, _used_are_obeyed),
     "used publishers outlive a session": (ALONE, _used_end_with_the_session),
-    "who sent while another was obeyed is refused": (
+    "a publisher that sent while another was obeyed is refused": (
         ALONE,
         lambda patch: patch.setattr(BaseLogic, "refuse", lambda logic, publisher: None),
     ),
@@ -774,7 +762,7 @@ GUARDS: dict[str, tuple[Callable[[], Any], Patch]] = {
         SLOW,
         lambda patch: patch.setattr(PeerClock, "delay", lambda clock, stamp, arrived: 0),
     ),
-    "a permit is lost by a hold-up": (LOOK, _no_hold_up),
+    "a permit is lost by a hold-up": (LOOK, without_hold_ups),
     "a permit is lost at the first reason to stop": (ONE, _no_reason_to_stop),
     "a set point is held while measurements come only": (
         ONE,

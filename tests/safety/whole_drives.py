@@ -17,6 +17,7 @@ from enum import Enum
 from typing import Any
 
 import pytest
+from search import shift_permit, without_hold_ups
 from whole_base import Move, do, then
 
 from freeflyer_adapters.cia402.drive_session import DriveSession
@@ -209,10 +210,7 @@ class Host:
 
     def shift(self) -> None:
         permit, oldest = self.permit, (NOW - WATCHDOG - 1) * CYCLE
-        permit._wrote = None if permit._wrote is None else max(permit._wrote - CYCLE, oldest)
-        permit._active_at = None if permit._active_at is None else max(permit._active_at - CYCLE, oldest)
-        permit.lost = permit.lost and "lost"
-        permit.hold_up = permit.hold_up and "held up"
+        shift_permit(permit, CYCLE, oldest)
         self.monitor._row, self.monitor.lost = min(self.monitor._row, LOST), 0
         self.monitor._recent.clear()
         self.held_up = min(self.held_up + 1, WATCHDOG + 1) if self.is_held_up else 0
@@ -455,16 +453,6 @@ NOT_PROMISED: dict[str, Callable[[], Whole]] = {
 Patch = Callable[[pytest.MonkeyPatch], None]
 
 
-def _no_hold_up(patch: pytest.MonkeyPatch) -> None:
-    allows = Permit.allows
-
-    def forgets(self: Permit, now: int) -> bool:
-        self._wrote = None
-        return allows(self, now)
-
-    patch.setattr(Permit, "allows", forgets)
-
-
 def _not_stepwise(patch: pytest.MonkeyPatch) -> None:
     answer = DriveSession.answer
 
@@ -528,7 +516,7 @@ def _two_at_a_time(patch: pytest.MonkeyPatch) -> None:
 
 
 GUARDS: dict[str, tuple[Callable[[], Whole], Patch]] = {
-    "a permit is lost by a hold-up": (WORLDS["two drives"], _no_hold_up),
+    "a permit is lost by a hold-up": (WORLDS["two drives"], without_hold_ups),
     "the walk looks at the permit before its SYNC": (
         WORLDS["two drives"],
         lambda patch: patch.setattr(f"{__name__}.LOOKS_BEFORE_SYNC", ("running", "stopping")),

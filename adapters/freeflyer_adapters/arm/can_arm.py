@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import secrets
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 
 import can
 import numpy as np
@@ -14,7 +13,7 @@ from freeflyer_adapters import outside
 from freeflyer_adapters import settings as all_settings
 from freeflyer_adapters.arm.description import compare
 from freeflyer_adapters.arm.frames import ArmFrames, Mode
-from freeflyer_adapters.arm.link import Receiver, Sender, open_bus
+from freeflyer_adapters.arm.link import Receiver, Sender, flush, open_bus
 from freeflyer_adapters.arm.options import ArmOptions
 from freeflyer_adapters.arm.session import STOPPED, ArmSession, Phase
 from freeflyer_adapters.arm.state_frames import Numbers, StateFrames
@@ -188,8 +187,8 @@ class CanArm:
         return self.session.permit.reports_state
 
     def stay(self) -> None:
-        """While other devices take their time: the arm is not to forget the session number."""
-        if self.session.phase is Phase.claiming:
+        """While other devices take their time: keeps the session, or an active arm's watchdog, from running out."""
+        if self.session.phase is Phase.claiming or self.state.now is LifeCycle.active:
             self._states.wait(0.0)
             self._send(np.zeros(self.options.joints))
 
@@ -254,23 +253,17 @@ class CanArm:
     def revoke(self, reason: str) -> None:
         """A reason to stop: from now on only what lowers is sent."""
         self.session.permit.lose(reason)
-        if self._bus is not None:
-            with suppress(NotImplementedError, can.CanError):
-                self._bus.flush_tx_buffer()
+        flush(self._bus)
 
     # Every cycle
 
     def read(self) -> None:
         permit = self.session.permit
-        permit.allows(self._outside.monotonic_ns())
-        if permit.was_held_up:
-            raise SafeStop(self.name, f"{permit.hold_up}{self._states.flood}")
+        self._stop_if_held_up()
         left = self._arrived * 1e-9 + PATIENCE * self.cycle - self._outside.monotonic()
         before = self._cycle_number
         came = self._states.wait(max(left, 0.0))
-        permit.allows(self._outside.monotonic_ns())
-        if permit.was_held_up:  # while it waited: the cause comes before its effects
-            raise SafeStop(self.name, f"{permit.hold_up}{self._states.flood}")
+        self._stop_if_held_up()  # also while it waited: the cause comes before its effects
         if came:
             # What is missing in the numbers is lost, but for what was counted as silence already. An arm whose own time has
             # stood still is not ahead of us: its numbers come later than they were waited for.
@@ -299,6 +292,10 @@ class CanArm:
         reason = self.limits.measured(self.values["joint_position"], self.values["joint_velocity"])
         if reason:
             raise SafeStop(self.name, reason)
+
+    def _stop_if_held_up(self) -> None:
+        if sentence := self.session.permit.hold_up(self._outside.monotonic_ns()):
+            raise SafeStop(self.name, f"{sentence}{self._states.flood}")
 
     def _lost_permit(self) -> str:
         if self._reports_state and self.session.state is not LifeCycle.active:

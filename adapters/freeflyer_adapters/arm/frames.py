@@ -115,21 +115,19 @@ class FrameMapping:
             return True
         if self.messages or self.signals:
             return False
+        return self._names_all("command", "state")
+
+    def _names_all(self, *kinds: str) -> bool:
+        """Whether the DBC has every message and signal of the shipped profile for these frames."""
         frames = {message.name: {signal.name for signal in message.signals} for message in load(self.dbc).messages}
-        return all(
-            role.signal.replace("{}", "1") in frames.get(MESSAGES[kind], ())
-            for kind in ("command", "state")
-            for role in ROLES[kind]
-        )
+        return all(role.signal.replace("{}", "1") in frames.get(MESSAGES[kind], ()) for kind in kinds for role in ROLES[kind])
 
     @property
     def has_description(self) -> bool:
         """Whether the arm describes itself: by a mapped message, or by that of the shipped profile."""
         if "description" in self.messages or self.dbc == SHIPPED_DBC:
             return True
-        frames = {message.name: {signal.name for signal in message.signals} for message in load(self.dbc).messages}
-        signals = frames.get(MESSAGES["description"], set())
-        return self.has_shipped_names and all(role.signal.replace("{}", "1") in signals for role in ROLES["description"])
+        return self.has_shipped_names and self._names_all("description")
 
 
 class Frame:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from typing import Any, Protocol
 
 import can
@@ -41,6 +42,13 @@ def open_bus(interface: str, channel: str, is_fd: bool, identifiers: Sequence[Fr
 def said(error: Exception) -> str:
     """The driver's own text, on one line."""
     return " ".join(str(error).split())[:300] or type(error).__name__
+
+
+def flush(bus: can.BusABC | None) -> None:
+    """Drop the frames that wait to be sent, where the interface can."""
+    if bus is not None:
+        with suppress(NotImplementedError, can.CanError):
+            bus.flush_tx_buffer()
 
 
 class Sending(Protocol):

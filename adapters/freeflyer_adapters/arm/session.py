@@ -43,7 +43,6 @@ class ArmSession:
         self.obeyed = 0
         """The number that the arm echoes; 0: none."""
         self._answered_at: dict[int, int] = {}
-        self._wrote_at = 0
         self._claims = 0
         self._was_claimed = False
         self._has_asked = False
@@ -62,7 +61,7 @@ class ArmSession:
     def wrote(self, answered: int, now: int) -> None:
         """A command frame went out, in answer to the state frame of this cycle number."""
         self.permit.wrote(now)
-        self._answered_at[answered] = self._wrote_at = now
+        self._answered_at[answered] = now
         if len(self._answered_at) > REMEMBERED:
             del self._answered_at[next(iter(self._answered_at))]
 
@@ -75,7 +74,7 @@ class ArmSession:
             at = self._answered_at.get(echoed, 0)
         if state is None:
             # It is taken to be active while it uses recent answers of this session; or, where it echoes none, while its frames come.
-            uses_them = at > 0 and self._wrote_at - at <= self.permit.watchdog
+            uses_them = at > 0 and self.permit.last_write - at <= self.permit.watchdog
             state = LifeCycle.active if uses_them or echoed is None else LifeCycle.inactive
         self.state, self.obeyed = state, obeyed
         self.permit.report(state is LifeCycle.active and not self.is_obeyed_elsewhere, at)

@@ -57,7 +57,7 @@ class Counts:
     malformed: int = 0
     stale: int = 0
     """Repeated, reordered or older than the one before."""
-    strangers: int = 0
+    other_sources: int = 0
     """From another publisher than the one in use."""
     undecided: int = 0
     """Neither used nor refused: they prove first that they come in time."""
@@ -103,7 +103,7 @@ class OdometryLink:
         self.clock = PeerClock()
         self._source: bytes | None = None
         self._last: Attachment | None = None
-        self._stranger = b""
+        self._other_source = b""
         self._turns: deque[int] = deque(maxlen=SECOND)
         self._is_sealed = False
         """Whether the source's samples have a checksum; then all of them have."""
@@ -195,7 +195,7 @@ class OdometryLink:
         if len(self._turns) < SECOND or self.counts.accepted - self._turns[0] > WITHIN:
             return None
         assert self._source is not None
-        return f"two publishers send topic {self.in_topic}: {self._source.hex()} and {self._stranger.hex()}"
+        return f"two publishers send topic {self.in_topic}: {self._source.hex()} and {self._other_source.hex()}"
 
     def publish(self, position: Array, orientation: Array, velocity: Array) -> None:
         """Pose of B in I and twist in I (which goes out in B)."""
@@ -285,7 +285,7 @@ class OdometryLink:
                 f"expected (child_frame, frame of the device)"
             )
         if self._source is not None and attachment.gid != self._source:
-            self._note_stranger(attachment.gid)
+            self._note_other_source(attachment.gid)
             return None
         last, arrived = self._last, self._outside.monotonic_ns()
         if last is not None and (attachment.sequence <= last.sequence or attachment.stamp == last.stamp):
@@ -317,14 +317,14 @@ class OdometryLink:
         return None
 
     @property
-    def stranger(self) -> bytes:
+    def other_source(self) -> bytes:
         """The publisher, other than the one in use, that came last; empty if there was none."""
-        return self._stranger
+        return self._other_source
 
-    def _note_stranger(self, gid: bytes) -> None:
-        self.counts.strangers += 1
+    def _note_other_source(self, gid: bytes) -> None:
+        self.counts.other_sources += 1
         self.counts.last_fault = f"a sample from {gid.hex()}, {self._source.hex() if self._source else ''} is in use"
-        self._stranger = gid
+        self._other_source = gid
         if not self._turns or self._turns[-1] != self.counts.accepted:
             self._turns.append(self.counts.accepted)
 
@@ -335,7 +335,7 @@ class OdometryLink:
     def forget_source(self) -> None:
         """Listen to whichever publisher comes next."""
         self._source = self._last = None
-        self._stranger, self._is_sealed = b"", False
+        self._other_source, self._is_sealed = b"", False
         self._turns.clear()
         self.clock.forget()
 

@@ -16,7 +16,7 @@ from freeflyer_adapters import outside
 from freeflyer_adapters import settings as all_settings
 from freeflyer_adapters.base import access_control, commanders
 from freeflyer_adapters.base import diagnosis as link_diagnosis
-from freeflyer_adapters.base.link import OdometryLink, is_usable
+from freeflyer_adapters.base.link import OdometryLink, Received, is_usable
 from freeflyer_adapters.base.options import LinkOptions
 from freeflyer_adapters.base.rmw_zenoh import NOBODY
 from freeflyer_adapters.base.session import open_session
@@ -130,13 +130,15 @@ class ZenohBase:
         # A base robot reports no life cycle: after a hold-up nothing is sent any more, not even a set point to hold.
         return Permit("the base robot", watchdog=round(float(self.values["watchdog"][0]) * 1e9), reports_state=False)
 
-    def _observe(self, samples: int) -> None:
-        """So many samples; nothing is published. DeviceError for silence, and for a second publisher."""
+    def _observe(self, samples: int, meanwhile: Callable[[], bool] = lambda: False) -> None:
+        """So many samples, or fewer if the user stops; nothing is published. DeviceError for silence, and for a second publisher."""
         assert self._link is not None
         v, o, link = self.values, self.options, self._link
         end = self._outside.monotonic() + float(v["configure_timeout"][0])
         for _ in range(samples):
             while not self._take():
+                if meanwhile():
+                    return
                 if self._outside.monotonic() > end:
                     why = f"; samples came but were refused: {link.counts.last_fault}" if link.counts.last_fault else ""
                     why = why or link_diagnosis.why_silent(self._session, o)
@@ -206,7 +208,9 @@ class ZenohBase:
         """The first set point is the measured pose; what lies between it and the start is taken off slowly."""
         v, start, link = self.values, self._start, self._link
         assert link is not None
-        self._observe(1)
+        self._observe(1, meanwhile)
+        if meanwhile():
+            return
         link.watch_publishers()
         link.begin_publishing()
         link.watch_obedience()  # before it is asked for, so that no report is missed
@@ -295,9 +299,8 @@ class ZenohBase:
 
     def read(self) -> None:
         permit, link = self.permit, self._link
-        permit.allows(self._outside.monotonic_ns())
-        if permit.was_held_up:
-            raise SafeStop(self.name, permit.hold_up)
+        if sentence := permit.hold_up(self._outside.monotonic_ns()):
+            raise SafeStop(self.name, sentence)
         before = self._sequence
         came = self._take()
         self._steps += 1
@@ -325,8 +328,8 @@ class ZenohBase:
         if self._sent is not None:
             reason = reason or self.limits.measured(self.values["base_position"], self.values["base_orientation"], self._sent)
         if reason:
-            permit.allows(self._outside.monotonic_ns())  # a hold-up in the middle of this is the cause
-            raise SafeStop(self.name, permit.hold_up or reason)
+            # A hold-up in the middle of this is the cause.
+            raise SafeStop(self.name, permit.hold_up(self._outside.monotonic_ns()) or reason)
 
     def write(self) -> None:
         if self._steps % self._ratio:
@@ -352,9 +355,9 @@ class ZenohBase:
 
     def revoke(self, reason: str) -> None:
         """A reason to stop: from now on only the last set point is held; after a hold-up nothing is sent any more."""
-        self.permit.allows(self._outside.monotonic_ns())
+        is_held_up = self.permit.hold_up(self._outside.monotonic_ns())
         self.permit.lose(reason)
-        if self.permit.was_held_up and self._link is not None:
+        if is_held_up and self._link is not None:
             self._link.end_publishing()
 
     def ramp_down(self, elapsed: float) -> bool:
@@ -401,7 +404,7 @@ class ZenohBase:
         return {
             "samples_accepted": float(counts.accepted),
             "samples_skipped": float(counts.skipped),
-            "samples_refused": float(counts.malformed + counts.stale + counts.strangers),
+            "samples_refused": float(counts.malformed + counts.stale + counts.other_sources),
             "clock_steps": float(counts.clock_steps),
             "cycles_lost": float(self.monitor.lost),
             "longest_loss_cycles": float(self.monitor.longest_row),
@@ -415,7 +418,7 @@ class ZenohBase:
 
     def _take(self) -> bool:
         assert self._link is not None
-        received = self._link.receive(lambda sample: is_usable(sample.odometry))
+        received = self._link.receive(_is_usable)
         if received is None:
             return False
         odometry, v = received.odometry, self.values
@@ -441,6 +444,10 @@ class ZenohBase:
         self._sent = (np.array(position), np.array(orientation))
         self._published_at = now
         self.published += 1
+
+
+def _is_usable(received: Received) -> bool:
+    return is_usable(received.odometry)
 
 
 def _unit(quaternion: Array) -> Array:

@@ -8,15 +8,13 @@ and waits for the TPDOs that every drive answers with; `write` sends the targets
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 
-import can
 import numpy as np
 
 from freeflyer.component import Array, Port
 from freeflyer_adapters import outside
 from freeflyer_adapters import settings as all_settings
-from freeflyer_adapters.arm.link import open_bus
+from freeflyer_adapters.arm.link import flush, open_bus
 from freeflyer_adapters.cia402 import load, objects, process_data
 from freeflyer_adapters.cia402.network import PolledNetwork
 from freeflyer_adapters.cia402.options import DriveOptions
@@ -188,8 +186,8 @@ class Cia402Arm:
 
     def stay(self) -> None:
         """While other devices take their time: SYNC tells everybody that the bus has its host, and keeps enabled drives from stopping."""
-        self.permit.allows(self._outside.monotonic_ns())
-        if self._network is not None and self._is_prepared and not self._walking and not self.permit.was_held_up:
+        is_held_up = self.permit.hold_up(self._outside.monotonic_ns())
+        if self._network is not None and self._is_prepared and not self._walking and not is_held_up:
             self._is_host = True
             self._exchange(0.0)
             self._send_targets(self._last_torque)
@@ -229,7 +227,8 @@ class Cia402Arm:
             drive.emergency = 0
         self.permit.take(self._outside.monotonic_ns())
         self._powered = True
-        self._walk(meanwhile)
+        if not self._walk(meanwhile):
+            return  # the loop ends before its first instant, and the stop switches off
         self._silent[:] = 0
         self._send_targets(self._last_torque)
         self.state.to(LifeCycle.active)
@@ -237,12 +236,12 @@ class Cia402Arm:
     def revoke(self, reason: str) -> None:
         """A reason to stop: from now on only what lowers is sent."""
         self.permit.lose(reason)
-        if self._network is not None and self._network.bus is not None:
-            with suppress(NotImplementedError, can.CanError, AttributeError):
-                self._network.bus.flush_tx_buffer()
+        flush(None if self._network is None else self._network.bus)
 
-    def _walk(self, meanwhile: Callable[[], bool]) -> None:
-        """One step of every drive's state machine in every cycle, until all are enabled. DeviceError names the one that is not."""
+    def _walk(self, meanwhile: Callable[[], bool]) -> bool:
+        """One step of every drive's state machine in every cycle, until all are enabled; False if the user stops it. DeviceError names the
+        drive that is not.
+        """
         zero = np.zeros(self.options.joints)
         pacer = Pacer(round(self.cycle * 1e9))
         end = self._outside.monotonic() + float(self.values["configure_timeout"][0])
@@ -255,26 +254,24 @@ class Cia402Arm:
                 if self.permit.allows(self._outside.monotonic_ns()):
                     self._exchange(ANSWER_SHARE * self.cycle)
                 self._refuse_another_controller()
-                meanwhile()  # too short to be given up half-way
+                if meanwhile():
+                    return False
                 if self._outside.monotonic() > end or self.permit.lost:
                     late = next((d for d in self.drives if d.state is not DriveState.operation_enabled), self.drives[0])
                     why = f": {self.permit.lost}" if self.permit.lost else late.error_code
                     raise DeviceError(
                         f"{late.where} does not come to {DriveState.operation_enabled.value}: it is in {late.says}{why}"
                     )
+            return True
         finally:
             self._walking = False
 
     # Every cycle
 
     def read(self) -> None:
-        self.permit.allows(self._outside.monotonic_ns())
-        if self.permit.was_held_up:  # before anything that came meanwhile: the cause comes before its effects
-            raise SafeStop(self.name, self.permit.hold_up)
+        self._stop_if_held_up()
         self._exchange(ANSWER_SHARE * self.cycle)
-        self.permit.allows(self._outside.monotonic_ns())
-        if self.permit.was_held_up:
-            raise SafeStop(self.name, self.permit.hold_up)
+        self._stop_if_held_up()  # also while it waited: the cause comes before its effects
         self._targets_due = True
         silent = [drive for drive in self.drives if not drive.fresh]
         reason = self.monitor.observe(lost=bool(silent))
@@ -308,6 +305,10 @@ class Cia402Arm:
         reason = self.limits.measured(self.values["joint_position"], self.values["joint_velocity"])
         if reason:
             raise SafeStop(self.name, reason)
+
+    def _stop_if_held_up(self) -> None:
+        if sentence := self.permit.hold_up(self._outside.monotonic_ns()):
+            raise SafeStop(self.name, sentence)
 
     def _exchange(self, timeout: float) -> None:
         """One SYNC, and what came until all drives have answered it, or `timeout` [s]."""
@@ -384,8 +385,7 @@ class Cia402Arm:
             return True
         if self._stopping_torque is None:
             self._stopping_torque = self._last_torque.copy()
-        self.permit.allows(self._outside.monotonic_ns())
-        if self.permit.was_held_up:
+        if self.permit.hold_up(self._outside.monotonic_ns()):
             # No SYNC any more: targets from before the hold-up wait in the drives for it. They have stopped by themselves.
             for drive in self.drives:
                 drive.node.sdo.RESPONSE_TIMEOUT = SHORT
@@ -437,9 +437,9 @@ class Cia402Arm:
 
     def _stop_now(self) -> None:
         if self._network is not None and self.drives:
-            self.permit.allows(self._outside.monotonic_ns())
+            is_held_up = self.permit.hold_up(self._outside.monotonic_ns())
             self._brake()
-            if not self.permit.was_held_up:
+            if not is_held_up:
                 self._network.sync.transmit()  # targets act with the next SYNC
 
     def report(self) -> Mapping[str, float]:

@@ -9,8 +9,8 @@ from freeflyer_adapters.permit import Permit
 class DriveSession:
     """Decides only: no clock is read and nothing is sent. Times are [ns] of the monotonic clock. All drives of an arm share one permit.
 
-    Each step towards Operation enabled answers the statusword of the step before. A fault is never reset here: that is no cyclic
-    frame's business.
+    Each step towards Operation enabled answers the statusword of the step before. A fault is never reset by a cyclic
+    frame.
     """
 
     def __init__(self, permit: Permit, subject: str) -> None:

@@ -82,8 +82,8 @@ class VirtualBase(VirtualDevice[BaseLogic]):
             was_active = self.logic.life.now is LifeCycle.active
             self.logic.tick()
             is_active = self.logic.life.now is LifeCycle.active
-            if is_active and self._link.stranger:
-                self.logic.refuse(self._link.stranger)
+            if is_active and self._link.other_source:
+                self.logic.refuse(self._link.other_source)
             self._link.tell_obeyed(is_active)
             if was_active and not is_active:
                 self._link.forget_source()  # used up: the next publisher may be another
@@ -125,7 +125,7 @@ class VirtualBase(VirtualDevice[BaseLogic]):
         return {
             "setpoints_accepted": float(counts.accepted),
             "setpoints_skipped": float(counts.skipped),
-            "setpoints_refused": float(counts.malformed + counts.stale + counts.strangers),
+            "setpoints_refused": float(counts.malformed + counts.stale + counts.other_sources),
             "setpoints_before_the_first_followed": float(counts.undecided),
             "clock_steps": float(counts.clock_steps),
             "active": float(self.logic.life.now is LifeCycle.active),
