@@ -15,23 +15,31 @@ from search import explore
 MODULES = {"base": whole_base, "drives": whole_drives}
 
 
-def marked(module: str, names: list[str], default: int) -> list[object]:
-    """The first `default` of them in the default set."""
+QUICK = {
+    "one run, a link that becomes slow",
+    "drives: two runs",
+    "a late set point is not followed",
+    "every step answers the statusword before",
+}
+"""Those of the default set."""
+
+
+def of_all(what: str) -> list[object]:
+    """Every member of both modules, as (module, name)."""
     return [
-        pytest.param(module, name, marks=[] if i < default else pytest.mark.slow, id=f"{module}: {name}")
-        for i, name in enumerate(names)
+        pytest.param(
+            module, name, marks=[] if {name, f"{module}: {name}"} & QUICK else pytest.mark.slow, id=f"{module}: {name}"
+        )
+        for module, worlds in MODULES.items()
+        for name in sorted(getattr(worlds, what))
     ]
-
-
-def of_all(what: str, default: int) -> list[object]:
-    return [case for name, module in MODULES.items() for case in marked(name, sorted(getattr(module, what)), default)]
 
 
 def module_of(name: str) -> ModuleType:
     return MODULES[name]
 
 
-@pytest.mark.parametrize(("module", "name"), of_all("WORLDS", 2))
+@pytest.mark.parametrize(("module", "name"), of_all("WORLDS"))
 def test_no_path_leads_to_power_but_an_activation_that_a_run_has_asked_for(module: str, name: str) -> None:
     worlds = module_of(module)
     found = explore(worlds.WORLDS[name](), worlds.IGNORED)
@@ -40,7 +48,7 @@ def test_no_path_leads_to_power_but_an_activation_that_a_run_has_asked_for(modul
     assert "a run starts" in found.reached or "alone" in name
 
 
-@pytest.mark.parametrize(("module", "name"), of_all("GUARDS", 3))
+@pytest.mark.parametrize(("module", "name"), of_all("GUARDS"))
 def test_without_this_guard_a_path_to_power_is_found(module: str, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     worlds = module_of(module)
     world, patch = worlds.GUARDS[name]
@@ -50,7 +58,7 @@ def test_without_this_guard_a_path_to_power_is_found(module: str, name: str, mon
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("module", "name"), of_all("NOT_PROMISED", 9))
+@pytest.mark.parametrize(("module", "name"), of_all("NOT_PROMISED"))
 def test_what_the_device_cannot_refuse_is_found(module: str, name: str) -> None:
     """What docs/safety.md lists as not promised is no caution: there is a path."""
     worlds = module_of(module)

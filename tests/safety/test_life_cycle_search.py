@@ -40,7 +40,7 @@ WORLDS: dict[str, tuple[Callable[[], World], frozenset[str]]] = {
     "the host's lock alone, an arm that fails and restarts": (lambda: Whole(**HOST_ALONE), HOST_IGNORED),
     "both locks, any delay, an arm that fails and restarts": (Whole, HOST_IGNORED),
 }
-LONG = ("both locks, an arm that fails and restarts", "the host's lock alone, an arm that fails and restarts",
+LONG = ("the host's lock alone, no life cycle", "both locks, an arm that fails and restarts", "the host's lock alone, an arm that fails and restarts",
         "both locks, any delay, an arm that fails and restarts")  # fmt: skip
 MUST_BE_REACHED = {
     "Whole": {
