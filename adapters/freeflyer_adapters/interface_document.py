@@ -8,6 +8,7 @@ from pathlib import Path
 
 from freeflyer_adapters import settings
 from freeflyer_adapters.arm.frames import MESSAGES, NEEDED, PROMISES, SHIPPED_DBC, ArmFrames, FrameMapping, Mode
+from freeflyer_adapters.arm.second_sender import LISTEN
 from freeflyer_adapters.arm.signals import load
 from freeflyer_adapters.base import access_control, rmw_zenoh, ros_messages
 from freeflyer_adapters.base.options import LinkOptions
@@ -110,7 +111,7 @@ def _can() -> Iterator[str]:
     )
     yield "\n### One arm, one controller\n"
     yield (
-        "One node sends an identifier (ISO 11898-1). The controllers look at 40 state frames before they send anything, and at all of them "
+        f"One node sends an identifier (ISO 11898-1). The controllers look at {LISTEN} state frames before they send anything, and at all of them "
         "in the loop: two streams of frames with right checksums that continue two different counters are two arms, which are refused or "
         "stop the loop. Repeated, late and reordered frames, a frozen counter and one that jumps are faults of one sender. Command frames "
         "of another sender, three within 20 cycles, are a second controller.\n\nWhat cannot be told apart: two arms that send the same content "

@@ -63,7 +63,7 @@ class Permit:
                 f"({self.watchdog * 1e-9:g} s), which has stopped by then"
             )
             self.lose(self._hold_up)
-        return self.is_held
+        return self._is_taken and self.lost is None  # as `is_held`, for the hot path without a call
 
     @property
     def was_held_up(self) -> bool:
@@ -76,8 +76,9 @@ class Permit:
 
     def wrote(self, now: int) -> None:
         """A frame of the loop's own was sent. One that went out after too long a gap does not hide it."""
-        if self._is_taken:
-            self.allows(now)
+        if self._wrote is not None:
+            if now - self._wrote > self.watchdog:
+                self.allows(now)
             self._wrote = now
 
     def may_ramp_down(self, now: int) -> bool:

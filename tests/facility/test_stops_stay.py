@@ -142,15 +142,16 @@ def test_set_points_that_come_after_their_loop_has_given_up_activate_nothing(tmp
 
 # How soon
 
-WATCHDOGS = "[facility]\narm_watchdog_cycles = 30\nbase_watchdog_s = 0.1\n"
+WATCHDOGS = "[facility]\narm_watchdog_cycles = 500\nbase_watchdog_s = 1.0\n"
+"""A loop that hangs is found by them; one that a busy machine holds up for the 50 ms of real-time throttling is not."""
 QUICK_RAMP = "devices.arm_drive.parameters.ramp_down_time=0.001"
 """So that the first frame of the ramp-down is as good as the first brake command."""
 HOLES = (
     "devices.arm_drive.parameters.lost_consecutive=200",
     "devices.arm_drive.parameters.state_age_limit=0.8",
-    "devices.base_robot.parameters.lost_consecutive=50",
+    "devices.base_robot.parameters.lost_consecutive=250",
     "devices.base_robot.parameters.lost_in_window=0",
-    "devices.base_robot.parameters.age_limit=0.25",
+    "devices.base_robot.parameters.age_limit=1.0",
 )
 
 

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from freeflyer_adapters.arm.second_sender import SecondSender
+from freeflyer_adapters.arm.second_sender import LISTEN, SecondSender
 
 Frame = tuple[int, bytes]
 OFFSETS = (0, 1, 3, 8, 9, 13, 40, 128, 200, 248, 255)
@@ -136,6 +136,13 @@ def test_two_senders_are_found_whatever_their_offset(bursts: list[int]) -> None:
     needed = [seen(taking_turns(sent("a", 50, 200), sent("b", 50 + offset, 200), bursts)) or 10**6 for offset in range(256)]
     assert min(needed) > 2 * 12, "an overlap of twelve frames is none yet"
     assert max(needed) <= 2 * (27 if max(map(abs, bursts)) == 1 else 39)
+
+
+@given(st.integers(0, 255), st.lists(st.integers(1, 7), min_size=1, max_size=20))
+def test_two_senders_are_found_before_anything_is_sent(offset: int, bursts: list[int]) -> None:
+    needed = seen(taking_turns(sent("a", 0, LISTEN), sent("b", offset, LISTEN), bursts))
+    assert needed is not None
+    assert needed <= LISTEN
 
 
 def test_two_senders_are_found_with_a_fifth_lost() -> None:

@@ -15,6 +15,7 @@ from freeflyer_adapters.arm.description import compare
 from freeflyer_adapters.arm.frames import ArmFrames, Mode
 from freeflyer_adapters.arm.link import Receiver, Sender, flush, open_bus
 from freeflyer_adapters.arm.options import ArmOptions
+from freeflyer_adapters.arm.second_sender import LISTEN
 from freeflyer_adapters.arm.session import STOPPED, ArmSession, Phase
 from freeflyer_adapters.arm.state_frames import Numbers, StateFrames
 from freeflyer_adapters.device import DeviceError, LifeCycle, SafeStop, State
@@ -29,8 +30,6 @@ GIVE_UP = 4.0
 """An arm that has not confirmed its brakes after so many ramp-down times is left to its own watchdog."""
 PATIENCE = 1.5
 """A state frame is lost when it has not come after so many cycles since the last one."""
-LISTEN = 40
-"""State frames that are looked at before anything is sent: a second arm shows within them (tests/links/test_second_sender.py)."""
 
 
 class CanArm:
@@ -164,7 +163,7 @@ class CanArm:
 
     def _observe(self, frames: int) -> None:
         """The newest of so many state frames; nothing is sent. DeviceError for silence, and for a second arm or controller."""
-        end = self._patience_ends()
+        end = self._patience_ends() + 2 * frames * self.cycle
         self._states.drain()
         for _ in range(frames):
             if not self._states.wait(end - self._outside.monotonic()):
@@ -259,11 +258,11 @@ class CanArm:
 
     def read(self) -> None:
         permit = self.session.permit
-        self._stop_if_held_up()
         left = self._arrived * 1e-9 + PATIENCE * self.cycle - self._outside.monotonic()
         before = self._cycle_number
         came = self._states.wait(max(left, 0.0))
-        self._stop_if_held_up()  # also while it waited: the cause comes before its effects
+        if sentence := permit.hold_up(self._outside.monotonic_ns()):  # the cause comes before its effects
+            raise SafeStop(self.name, f"{sentence}{self._states.flood}")
         if came:
             # What is missing in the numbers is lost, but for what was counted as silence already. An arm whose own time has
             # stood still is not ahead of us: its numbers come later than they were waited for.
@@ -293,10 +292,6 @@ class CanArm:
         if reason:
             raise SafeStop(self.name, reason)
 
-    def _stop_if_held_up(self) -> None:
-        if sentence := self.session.permit.hold_up(self._outside.monotonic_ns()):
-            raise SafeStop(self.name, f"{sentence}{self._states.flood}")
-
     def _lost_permit(self) -> str:
         if self._reports_state and self.session.state is not LifeCycle.active:
             return (
@@ -312,14 +307,13 @@ class CanArm:
 
     def write(self) -> None:
         torque, reason = self.limits.command(self.values["joint_torque_command"], self._last_torque)
-        permit = self.session.permit
-        if reason is None and not permit.allows(self._outside.monotonic_ns()):
-            reason = permit.lost or "it has not been activated"
+        mode = self.session.answer(self._outside.monotonic_ns())
+        reason = reason or self.session.permit.lost or ("it has not been activated" if mode is not Mode.torque else None)
         if reason:
             raise SafeStop(self.name, reason)
-        self._send(torque)
-        if permit.lost:
-            raise SafeStop(self.name, permit.lost)
+        self._put(mode, torque)
+        if reason := self.session.permit.lost:
+            raise SafeStop(self.name, reason)
         self._last_torque = torque
 
     # The end
@@ -431,9 +425,11 @@ class CanArm:
 
     def _send(self, torque: Array, *, brake: bool = False) -> None:
         """The command that the session allows now, with this torque if it is one of torque."""
-        session, now = self.session, self._outside.monotonic_ns()
-        mode = session.answer(now, brake=brake)
-        if not self._has_modes and mode is not Mode.torque and not session.permits(Mode.torque, now):
+        self._put(self.session.answer(self._outside.monotonic_ns(), brake=brake), torque)
+
+    def _put(self, mode: Mode, torque: Array) -> None:
+        session, clock = self.session, self._outside.monotonic_ns
+        if not self._has_modes and mode is not Mode.torque and not session.permits(Mode.torque, clock()):
             return  # without modes every frame is a torque frame
         if mode is not Mode.torque:
             torque = np.zeros_like(torque)
@@ -443,9 +439,9 @@ class CanArm:
             "controller": (float(session.number),),
             "mode": (float(self.frames.mode_number(mode)),),
             "joint_torque_command": torque.tolist(),
-        }, lambda: session.permits(mode, self._outside.monotonic_ns()))  # fmt: skip
+        }, lambda: session.permits(mode, clock()))  # fmt: skip
         if sent:
-            now = self._outside.monotonic_ns()
+            now = clock()
             session.wrote(self._cycle_number, now)
             if not self._answered and self.state.now is LifeCycle.active:
                 self.answer.add(now - self._arrived)

@@ -11,6 +11,8 @@ ALONE, OLD = 16, 32
 """After so many frames of one stream alone, the other has ended; after so many without evidence, the earlier pieces count no more."""
 REMEMBERED = 64
 """Counters behind a stream's last one whose content is kept."""
+LISTEN = 160
+"""Frames to look at before anything is sent: two senders show within them, also in bursts of up to seven of each."""
 
 Content = bytes | bytearray
 

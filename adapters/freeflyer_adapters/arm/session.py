@@ -77,7 +77,9 @@ class ArmSession:
             uses_them = at > 0 and self.permit.last_write - at <= self.permit.watchdog
             state = LifeCycle.active if uses_them or echoed is None else LifeCycle.inactive
         self.state, self.obeyed = state, obeyed
-        self.permit.report(state is LifeCycle.active and not self.is_obeyed_elsewhere, at)
+        self.permit.report(state is LifeCycle.active and obeyed in (0, self.number), at)
+        if self.phase is Phase.commanding:
+            return
         if not self.implicit and self._was_claimed and not self._has_asked and state is not LifeCycle.inactive:
             # What was there before the claim is reset by it, once; this is new.
             self.permit.lose(f"{self.permit.subject} went to {state.name} before it was activated")
