@@ -14,22 +14,24 @@ class BuildHook(BuildHookInterface):  # type: ignore[misc]
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         if self.target_name != "wheel":
             return
-        sys.path.insert(0, str(Path(self.root) / "fmu_src"))
+        roots = [str(Path(self.root) / "fmu_src"), str(Path(self.root) / "cosim")]
+        sys.path[:0] = roots
         try:
+            from freeflyer_fmus.blocks.shipped import BLOCKS
             from freeflyer_fmus.export.archive import build_all
             from freeflyer_fmus.export.compiler import compile_core, host_platform
-            from freeflyer_fmus.shipped import BLOCKS
-            from freeflyer_fmus.urdf import load_robot_file
+            from freeflyer_fmus.robot.urdf import load_robot_file
 
             robot = load_robot_file()
             directory = Path(self.root) / "fmu_src" / "freeflyer_fmus" / "prebuilt"
             shutil.rmtree(directory, ignore_errors=True)  # no FMU of an earlier build stays in the wheel
-            core = Path(self.root) / "cosim" / "freeflyer" / "core"
+            core = Path(self.root) / "cosim" / "freeflyer" / "master" / "core"
             compile_core(core, core / "prebuilt" / "core.so", host_platform())
             for _ in build_all([make(robot) for make in BLOCKS.values()], directory):
                 pass
         finally:
-            sys.path.remove(str(Path(self.root) / "fmu_src"))
+            for root in roots:
+                sys.path.remove(root)
         build_data["pure_python"] = False
         build_data["tag"] = f"py3-none-{_platform_tag()}"
 

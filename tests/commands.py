@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from freeflyer import command
+from freeflyer.cli import main as command
 
 
 def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str]:

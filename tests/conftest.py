@@ -13,9 +13,9 @@ from hypothesis import HealthCheck, settings
 from robots import ROBOTS
 from xdist.scheduler import LoadScopeScheduling
 
-from freeflyer_fmus.prebuilt_fmus import directory
-from freeflyer_fmus.robot import Robot
-from freeflyer_fmus.urdf import load_robot_file
+from freeflyer_fmus.export.prebuilt import directory
+from freeflyer_fmus.robot.robot import Robot
+from freeflyer_fmus.robot.urdf import load_robot_file
 
 settings.register_profile(
     "default", deadline=None, derandomize=True, max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture]

@@ -5,9 +5,9 @@ from __future__ import annotations
 from importlib.metadata import distribution
 from pathlib import Path
 
-from freeflyer_fmus.robot import Robot
-from freeflyer_fmus.urdf import ROBOTS as SHIPPED
-from freeflyer_fmus.urdf import load_robot_file, load_urdf
+from freeflyer_fmus.robot.robot import Robot
+from freeflyer_fmus.robot.urdf import ROBOTS as SHIPPED
+from freeflyer_fmus.robot.urdf import load_robot_file, load_urdf
 
 DATA = Path(__file__).parent / "data"
 

@@ -1,5 +1,5 @@
-from .component import Port as Port
-from .component import PythonComponent as PythonComponent
-from .fmu_description import describe_fmu as describe_fmu
-from .prediction.boundary import predict as predict
-from .scenario import load as load
+from .analysis.prediction.boundary import predict as predict
+from .fmi.component import Port as Port
+from .fmi.component import PythonComponent as PythonComponent
+from .fmi.fmu_description import describe_fmu as describe_fmu
+from .scenario.scenario import load as load

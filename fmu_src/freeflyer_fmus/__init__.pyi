@@ -1,2 +1,2 @@
-from .block import WRENCH as WRENCH
-from .block import Block as Block
+from .blocks.block import WRENCH as WRENCH
+from .blocks.block import Block as Block

@@ -8,14 +8,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from freeflyer_fmus.blocks.shipped import BLOCKS
+from freeflyer_fmus.blocks.user_block import load_block
+from freeflyer_fmus.equations.pinocchio_reference import disagreement
 from freeflyer_fmus.errors import FmuSourceError, RobotError
 from freeflyer_fmus.export.archive import build_all
 from freeflyer_fmus.export.compiler import PLATFORMS, Platform, host_platform
-from freeflyer_fmus.oracle import disagreement
-from freeflyer_fmus.robot import Robot
-from freeflyer_fmus.shipped import BLOCKS
-from freeflyer_fmus.urdf import DEFAULT_ROBOT, load_robot_file, load_urdf, robot_path, shipped_robots
-from freeflyer_fmus.user_block import load_block
+from freeflyer_fmus.robot.robot import Robot
+from freeflyer_fmus.robot.urdf import DEFAULT_ROBOT, load_robot_file, load_urdf, robot_path, shipped_robots
 
 SOURCES = "sources"
 """Stands among the platforms for a target that compiles the FMU itself."""

@@ -14,8 +14,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from freeflyer_fmus.oracle import pinocchio_model
-from freeflyer_fmus.urdf import load_robot_file
+from freeflyer_fmus.equations.pinocchio_reference import pinocchio_model
+from freeflyer_fmus.robot.urdf import load_robot_file
 
 Array = NDArray[np.float64]
 T_M = 1e-3

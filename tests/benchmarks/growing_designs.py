@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 import pandas
 
-from freeflyer import experiment
-from freeflyer.sweep import file, verdict
-from freeflyer.sweep.plan import Plan
+from freeflyer.analysis.sweep import file, verdict
+from freeflyer.analysis.sweep.plan import Plan
+from freeflyer.scenario import experiment
 
 LONGER = 5
 BASE_INERTIA = np.array([156.0, 161.0, 161.0, 45.0, 22.0, 23.0])

@@ -32,7 +32,7 @@ def times(checkout: Path, folder: Path, name: str) -> dict[str, tuple[float, flo
         **os.environ,
         "PYTHONPATH": os.pathsep.join(str(checkout / root) for root in ("adapters", "cosim", "fmu_src")),
     }
-    command = [sys.executable, "-m", "freeflyer.command"]
+    command = [sys.executable, "-m", "freeflyer.cli.main"]
     with subprocess.Popen(
         [*command, "facility", "facility", *sets, "--out", str(folder / name)],
         env=environment,

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from freeflyer_fmus.robot import Array, Inertial, Robot
+from freeflyer_fmus.robot.robot import Array, Inertial, Robot
 
 BASE_VELOCITY = (0.1, -0.2, 0.3, 0.05, 0.1, -0.1)
 JOINT_VELOCITY = 0.1

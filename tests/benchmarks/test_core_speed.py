@@ -13,14 +13,14 @@ import pytest
 from test_speed import step_times
 
 import freeflyer
-from freeflyer import experiment, scenario
-from freeflyer.experiment import Engine
-from freeflyer_fmus.robot import Robot
-from freeflyer_fmus.shipped import BLOCKS
+from freeflyer.scenario import experiment, scenario
+from freeflyer.scenario.experiment import Engine
+from freeflyer_fmus.blocks.shipped import BLOCKS
+from freeflyer_fmus.robot.robot import Robot
 
 pytestmark = pytest.mark.benchmark
 HERE = Path(__file__).parent
-CORE = Path(freeflyer.__path__[0]) / "core"
+CORE = Path(freeflyer.__path__[0]) / "master" / "core"
 
 
 def wall(engine: Engine, *changes: str, fmi: int = 2) -> float:

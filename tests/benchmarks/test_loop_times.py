@@ -14,14 +14,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from freeflyer import experiment, real_time, scenario
+from freeflyer.paper import real_time
+from freeflyer.scenario import experiment, scenario
 
 pytestmark = pytest.mark.benchmark
 HERE = Path(__file__).parent
 ROUNDS, COUNT = 10, 2000
 PYTHON_LOOP = f"""
 import json, sys, time
-from freeflyer_adapters import pacing
+from freeflyer_adapters.foundation import pacing
 pacing.enter_real_time(True)
 pacer, late = pacing.Pacer(1_000_000), [0] * {COUNT}
 with pacing.no_collection():

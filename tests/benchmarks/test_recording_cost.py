@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from freeflyer import scenario
-from freeflyer_adapters import hil, read_recording
-from freeflyer_adapters.recording.tap import Recording, Tap
+from freeflyer.scenario import scenario
+from freeflyer_adapters import read_recording
+from freeflyer_adapters.loop import hil
+from freeflyer_adapters.recording.client import Recording, Tap
 
 pytestmark = pytest.mark.benchmark
 SECONDS = 20.0

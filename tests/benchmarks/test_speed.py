@@ -12,12 +12,12 @@ import pytest
 from fmpy import read_model_description
 from plant_peers import BASE_VELOCITY, JOINT_VELOCITY, MuJoCo, Pinocchio
 
-from freeflyer_fmus.block import Block, Variable
+from freeflyer_fmus.blocks.block import Block, Variable
+from freeflyer_fmus.blocks.shipped import BLOCKS
 from freeflyer_fmus.export.archive import build_all
 from freeflyer_fmus.export.compiler import compiler, fmi_headers, host_platform, run
 from freeflyer_fmus.export.layout import layout
-from freeflyer_fmus.robot import Array, Robot
-from freeflyer_fmus.shipped import BLOCKS
+from freeflyer_fmus.robot.robot import Array, Robot
 
 pytestmark = pytest.mark.benchmark
 

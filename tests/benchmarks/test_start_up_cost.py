@@ -18,7 +18,8 @@ LEAST = "import argparse, importlib.metadata as m; m.entry_points(group='freefly
 """What a command line that finds subcommands of other packages cannot do without."""
 FIRST_STEP = """
 import sys, time
-from freeflyer import command, native
+from freeflyer.cli import main as command
+from freeflyer.master import native
 def first(*_):
     print(time.process_time())
     sys.exit()

@@ -26,7 +26,7 @@ def swept(directory: Path, workers: int, runs: int) -> tuple[float, float, panda
         '[sample.parameters]\n"base_controller.period" = { low = 0.02, high = 0.2, multiple_of = 0.001 }\n'
     )
     code = (
-        "import resource, sys\nfrom freeflyer.command import call\n"
+        "import resource, sys\nfrom freeflyer.cli.main import call\n"
         "if __name__ == '__main__':\n    code = call(sys.argv[1:])\n"
         "    print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, file=sys.stderr)\n    sys.exit(code)\n"
     )

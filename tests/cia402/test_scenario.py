@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from freeflyer import experiment, scenario
-from freeflyer.experiment import Result
+from freeflyer.scenario import experiment, scenario
+from freeflyer.scenario.experiment import Result
 
 DRIVES = """
 import numpy as np
-from freeflyer.component import Port, PythonComponent
+from freeflyer.fmi.component import Port, PythonComponent
 
 STEP = np.array([0.367, 0.367, 0.209, 0.209, 0.08, 0.08]) * 160 / 1000
 

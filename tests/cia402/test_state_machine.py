@@ -19,8 +19,8 @@ from freeflyer_adapters.cia402.state_machine import (
     state_of,
     statusword_of,
 )
+from freeflyer_adapters.device.ramp_down import RampDown
 from freeflyer_adapters.facility.drive_logic import STOPPING, DriveLogic
-from freeflyer_adapters.ramp_down import RampDown
 
 words = st.one_of(st.integers(0, 0xFFFF), st.sampled_from([0x00, 0x02, 0x06, 0x07, 0x0F, 0x80, 0x8F]))
 steps = st.lists(

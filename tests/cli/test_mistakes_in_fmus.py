@@ -9,7 +9,7 @@ import pytest
 from commands import said
 from robots import DATA, ur5_path
 
-from freeflyer_fmus.urdf import ROBOTS as SHIPPED_ROBOTS
+from freeflyer_fmus.robot.urdf import ROBOTS as SHIPPED_ROBOTS
 
 
 def urdf(tmp_path: Path, *changes: tuple[str, str]) -> str:
@@ -130,35 +130,38 @@ def test_robot_files_and_missing_urdfs(capsys: pytest.CaptureFixture[str], tmp_p
         ("x = 1\n", "does not define block(robot)"),
         ("1/0\n", "ZeroDivisionError"),
         ("def block(robot):\n    return {}['k']\n", "block(robot) failed: KeyError"),
-        ("from freeflyer_fmus.block import Block\ndef block(robot):\n    return Block('größe', '')\n", "must be an identifier"),
         (
-            "from freeflyer_fmus.block import Block\ndef block(robot):\n    b = Block('b', '')\n    b.input('time', 0.0, 'm', '')\n",
+            "from freeflyer_fmus.blocks.block import Block\ndef block(robot):\n    return Block('größe', '')\n",
+            "must be an identifier",
+        ),
+        (
+            "from freeflyer_fmus.blocks.block import Block\ndef block(robot):\n    b = Block('b', '')\n    b.input('time', 0.0, 'm', '')\n",
             "which every FMU has",
         ),
         (
-            "from freeflyer_fmus.block import Block\ndef block(robot):\n    b = Block('b', '')\n    b.input('x', 0.0, 'furlong', '')\n",
+            "from freeflyer_fmus.blocks.block import Block\ndef block(robot):\n    b = Block('b', '')\n    b.input('x', 0.0, 'furlong', '')\n",
             "the unit 'furlong', which is not known",
         ),
         (
-            "from freeflyer_fmus.block import Block\ndef block(robot):\n    b = Block('b', '')\n    b.parameter('x', -1.0, 'm', '', above=0.0)\n",
+            "from freeflyer_fmus.blocks.block import Block\ndef block(robot):\n    b = Block('b', '')\n    b.parameter('x', -1.0, 'm', '', above=0.0)\n",
             "beyond its own bound 0",
         ),
         (
-            "from freeflyer_fmus.block import Block\ndef block(robot):\n    return Block('b', '')\n",
+            "from freeflyer_fmus.blocks.block import Block\ndef block(robot):\n    return Block('b', '')\n",
             "neither outputs nor states",
         ),
         (
-            "from freeflyer_fmus.block import Block\ndef block(robot):\n    b = Block('b', '')\n    x = b.state('x', 0.0, 'm', '')\n    b.update('x', x)\n    return b\n",
+            "from freeflyer_fmus.blocks.block import Block\ndef block(robot):\n    b = Block('b', '')\n    x = b.state('x', 0.0, 'm', '')\n    b.update('x', x)\n    return b\n",
             "it is continuous, so `update` has no meaning",
         ),
         ("def block(robot):\n    return 5\n", "block(robot) gave a int; a Block is expected"),
         ("def block(:\n", "does not define block(robot)"),
         (
-            "from freeflyer_fmus.block import Block\ndef block(robot):\n    b = Block('b', '')\n    b.state('x', 0.0, 'm', '')\n    return b\n",
+            "from freeflyer_fmus.blocks.block import Block\ndef block(robot):\n    b = Block('b', '')\n    b.state('x', 0.0, 'm', '')\n    return b\n",
             "no equation for the states x",
         ),
         (
-            "from freeflyer_fmus.block import Block\ndef block(robot):\n    b = Block('b', '')\n    b.parameter('x', 0.0, 'm', '')\n    b.parameter('x', 0.0, 'm', '')\n",
+            "from freeflyer_fmus.blocks.block import Block\ndef block(robot):\n    b = Block('b', '')\n    b.parameter('x', 0.0, 'm', '')\n    b.parameter('x', 0.0, 'm', '')\n",
             "declared twice",
         ),
     ],

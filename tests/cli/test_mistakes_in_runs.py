@@ -16,7 +16,7 @@ import pandas
 import pytest
 from commands import said
 
-from freeflyer import command
+from freeflyer.cli import main as command
 
 
 def scenario_file(directory: Path, text: str, base: str | None = "multirate_passive") -> str:
@@ -169,7 +169,7 @@ def test_a_failure_that_is_no_divergence_is_none_even_where_divergence_is_expect
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     (tmp_path / "lame.py").write_text(
-        "from freeflyer.component import Port, PythonComponent\n"
+        "from freeflyer.fmi.component import Port, PythonComponent\n"
         "class Lame(PythonComponent):\n"
         "    def __init__(self, name):\n"
         "        super().__init__(name, [Port(name='y', size=1, causality='output', units=('m',))])\n"
@@ -186,7 +186,7 @@ def test_a_failure_that_is_no_divergence_is_none_even_where_divergence_is_expect
 
 
 def test_one_connection_can_be_replaced(tmp_path: Path) -> None:
-    from freeflyer import scenario as scenarios
+    from freeflyer.scenario import scenario as scenarios
 
     mine = scenario_file(
         tmp_path,
@@ -199,7 +199,7 @@ def test_one_connection_can_be_replaced(tmp_path: Path) -> None:
 
 def test_a_reader_that_goes_away_does_not_stop_the_work(tmp_path: Path) -> None:
     scenario = scenario_file(tmp_path, "stop_s = 1.2\n")
-    command = f"{sys.executable} -m freeflyer.command run {scenario} --out {tmp_path / 'out'} | true; exit ${{PIPESTATUS[0]}}"
+    command = f"{sys.executable} -m freeflyer.cli.main run {scenario} --out {tmp_path / 'out'} | true; exit ${{PIPESTATUS[0]}}"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     assert (tmp_path / "out" / "summary.json").is_file()
@@ -313,7 +313,7 @@ def test_a_full_disk_leaves_nothing_half_written(tmp_path: Path, limit: int, cod
         [
             sys.executable,
             "-m",
-            "freeflyer.command",
+            "freeflyer.cli.main",
             "run",
             scenario,
             "--out",
@@ -337,7 +337,7 @@ def test_ctrl_c_in_mid_run_saves_what_was_simulated_and_says_so(tmp_path: Path) 
     scenario = scenario_file(tmp_path, "stop_s = 3000.0\n")
     out = tmp_path / "out"
     process = subprocess.Popen(
-        [sys.executable, "-m", "freeflyer.command", "run", scenario, "--out", str(out)],
+        [sys.executable, "-m", "freeflyer.cli.main", "run", scenario, "--out", str(out)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

@@ -11,10 +11,12 @@ from typing import Any
 import pytest
 from matplotlib import pyplot
 
-from freeflyer import command, experiment, plots, scenario
-from freeflyer.experiment import Result
-from freeflyer.interrupts import interrupts
-from freeflyer.scenario import Scenario
+from freeflyer.cli import main as command
+from freeflyer.foundation.interrupts import interrupts
+from freeflyer.paper import reproduce
+from freeflyer.scenario import experiment, scenario
+from freeflyer.scenario.experiment import Result
+from freeflyer.scenario.scenario import Scenario
 
 ERRORS = {
     "end_effector_position_error_m",
@@ -69,7 +71,7 @@ def test_reproduce_of_the_first_21_seconds_writes_figures_page_and_table(
         pyplot.close(figure)
 
     monkeypatch.setattr(scenario, "load", lambda name: load(name, ["stop_s=21"]))
-    monkeypatch.setattr(plots, "save", small)
+    monkeypatch.setattr(reproduce, "save", small)
     assert command.call(["reproduce", "--out", str(tmp_path)]) == 3  # what diverges needs longer
     shown = " ".join(capsys.readouterr().out.split())
     assert "The paper's statements beside what was measured" in shown

@@ -40,9 +40,9 @@ def loaded_by(code: str) -> set[str]:
     "code",
     [
         "import freeflyer, freeflyer_fmus, freeflyer_adapters",
-        "from freeflyer.command import call\ntry:\n    call(['--help'])\nexcept SystemExit:\n    pass",
-        "from freeflyer.command import call\ntry:\n    call(['--version'])\nexcept SystemExit:\n    pass",
-        "from freeflyer.command import call\ntry:\n    call(['no-such-command'])\nexcept SystemExit:\n    pass",
+        "from freeflyer.cli.main import call\ntry:\n    call(['--help'])\nexcept SystemExit:\n    pass",
+        "from freeflyer.cli.main import call\ntry:\n    call(['--version'])\nexcept SystemExit:\n    pass",
+        "from freeflyer.cli.main import call\ntry:\n    call(['no-such-command'])\nexcept SystemExit:\n    pass",
     ],
 )
 def test_nothing_heavy_is_loaded_before_a_command_is_known(code: str) -> None:
@@ -52,7 +52,7 @@ def test_nothing_heavy_is_loaded_before_a_command_is_known(code: str) -> None:
 def test_a_run_loads_what_it_uses(tmp_path: Path) -> None:
     """Not the figures, the exporter, the integrators of model exchange, the unit parser, or Dask."""
     arguments = ["run", "multirate_passive", "--set", "stop_s=0.01", "--out", str(tmp_path)]
-    loaded = loaded_by(f"from freeflyer.command import call\nassert call({arguments!r}) == 0")
+    loaded = loaded_by(f"from freeflyer.cli.main import call\nassert call({arguments!r}) == 0")
     assert loaded & HEAVY == {"fmpy", "numpy", "pyarrow", "rich"}
 
 
@@ -68,7 +68,7 @@ def installed(folder: Path, group: str = "freeflyer.commands", **points: str) ->
 
 
 def called(*arguments: str) -> str:
-    return f"from freeflyer.command import call\ntry:\n    print('code', call({list(arguments)!r}))\nexcept SystemExit as end:\n    print('code', end.code)"
+    return f"from freeflyer.cli.main import call\ntry:\n    print('code', call({list(arguments)!r}))\nexcept SystemExit as end:\n    print('code', end.code)"
 
 
 def test_a_command_of_another_package_is_listed_and_run(tmp_path: Path) -> None:

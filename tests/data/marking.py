@@ -7,7 +7,7 @@ import signal
 import time
 from pathlib import Path
 
-from freeflyer.component import Port, PythonComponent
+from freeflyer.fmi.component import Port, PythonComponent
 
 
 def parameter(name: str) -> Port:

@@ -12,11 +12,11 @@ import pytest
 import freeflyer
 import freeflyer_adapters
 import freeflyer_fmus
-from freeflyer import scenario
-from freeflyer_adapters.interface_document import document
+from freeflyer.scenario import scenario
+from freeflyer_adapters.cli.interface_document import document
+from freeflyer_fmus.blocks.shipped import BLOCKS
 from freeflyer_fmus.export.documentation import page
-from freeflyer_fmus.robot import Robot
-from freeflyer_fmus.shipped import BLOCKS
+from freeflyer_fmus.robot.robot import Robot
 
 ROOT = Path(__file__).parents[2]
 
@@ -29,7 +29,9 @@ def test_the_table_of_fmu_variables_is_up_to_date(robot: Robot) -> None:
 
 def test_the_interface_control_document_is_up_to_date() -> None:
     written = (ROOT / "docs" / "interface_control_document.md").read_text(encoding="utf-8")
-    assert document() == written, "run: python -m freeflyer_adapters.interface_document > docs/interface_control_document.md"
+    assert document() == written, (
+        "run: python -m freeflyer_adapters.cli.interface_document > docs/interface_control_document.md"
+    )
 
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]

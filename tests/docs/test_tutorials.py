@@ -12,8 +12,7 @@ import pytest
 from commands import said
 from robots import ur5_path
 
-from freeflyer import command, plugins
-from freeflyer_fmus import errors
+from freeflyer.cli import main as command
 
 TEXT = (Path(__file__).parents[2] / "docs" / "own_robots_and_blocks.md").read_text(encoding="utf-8")
 
@@ -97,8 +96,3 @@ def test_an_import_name_of_0_1_0_is_refused_with_the_new_one(
         code, error = said(capsys, *words)
         assert code == 2
         assert f"since 0.2.0 {old.split()[1].split('.')[0]} is {new}: see the table in CHANGELOG.md" in error
-
-
-def test_both_packages_know_the_same_old_names() -> None:
-    """They do not import each other, so the table stands in both."""
-    assert plugins.RENAMED == errors.RENAMED

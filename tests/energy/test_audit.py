@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from freeflyer import experiment, scenario
-from freeflyer.audit import ledger, recorded_loop
-from freeflyer.audit.ledger import Audit, Port
-from freeflyer.errors import RecordError
-from freeflyer.record import Record
+from freeflyer.analysis.audit import ledger, recorded_loop
+from freeflyer.analysis.audit.ledger import Audit, Port
+from freeflyer.foundation.errors import RecordError
+from freeflyer.master.record import Record
+from freeflyer.scenario import experiment, scenario
 
 EVERY_SAMPLE = "record.every_s=0.001"
 
@@ -152,7 +152,7 @@ def test_other_exchange_is_refused() -> None:
 def test_what_a_user_puts_between_controller_and_robot_is_the_work_of_others(tmp_path: Path) -> None:
     (tmp_path / "kick.py").write_text(
         "import numpy as np\n"
-        "from freeflyer.component import Port, PythonComponent\n"
+        "from freeflyer.fmi.component import Port, PythonComponent\n"
         "class Kick(PythonComponent):\n"
         "    def __init__(self, name):\n"
         "        unit = ('N.m',) * 6\n"

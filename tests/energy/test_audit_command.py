@@ -10,8 +10,9 @@ import pyarrow.parquet as parquet
 import pytest
 from commands import said
 
-from freeflyer import command, experiment, scenario
-from freeflyer.origin import KEY
+from freeflyer.cli import main as command
+from freeflyer.master.provenance import KEY
+from freeflyer.scenario import experiment, scenario
 
 
 @pytest.fixture(scope="module")

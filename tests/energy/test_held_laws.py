@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from freeflyer.audit import energy
+from freeflyer.analysis.audit import energy
 
 Array = NDArray[np.float64]
 NANOSECONDS = 1_000_000_000

@@ -14,7 +14,7 @@ from fmpy import fmi2, fmi3
 from fmpy.fmi1 import FMICallException
 from fmpy.model_description import read_model_description
 
-from freeflyer_fmus.robot import Array
+from freeflyer_fmus.robot.robot import Array
 
 
 class Instance:

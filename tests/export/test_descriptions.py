@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from fmpy.model_description import read_model_description
 
-from freeflyer import scenario
-from freeflyer.assemble import assembled
-from freeflyer.errors import CosimError
-from freeflyer_fmus.robot import Robot
-from freeflyer_fmus.shipped import BLOCKS
+from freeflyer.foundation.errors import CosimError
+from freeflyer.scenario import scenario
+from freeflyer.scenario.assemble import assembled
+from freeflyer_fmus.blocks.shipped import BLOCKS
+from freeflyer_fmus.robot.robot import Robot
 
 VERSIONS = (2, 3)
 EVERY = [(version, name) for version in VERSIONS for name in BLOCKS]

@@ -23,8 +23,8 @@ from hypothesis import strategies as st
 from instances import Instance
 from scipy.integrate import DOP853
 
-from freeflyer_fmus.robot import Array, Robot
-from freeflyer_fmus.shipped import BLOCKS
+from freeflyer_fmus.blocks.shipped import BLOCKS
+from freeflyer_fmus.robot.robot import Array, Robot
 
 VERSIONS = (2, 3)
 EVERY = [(version, name) for version in VERSIONS for name in BLOCKS]

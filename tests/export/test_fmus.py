@@ -15,11 +15,11 @@ from families import alternating, family
 from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 
-from freeflyer.errors import ComponentError, StepFailed
-from freeflyer.fmu import FmuComponent
+from freeflyer.fmi.fmu import FmuComponent
+from freeflyer.foundation.errors import ComponentError, StepFailed
+from freeflyer_fmus.blocks.shipped import BLOCKS
 from freeflyer_fmus.export.archive import build
-from freeflyer_fmus.robot import Robot
-from freeflyer_fmus.shipped import BLOCKS
+from freeflyer_fmus.robot.robot import Robot
 
 VERSIONS = ("fmi2", "fmi3")
 EVERY = [(version, name) for version in VERSIONS for name in BLOCKS]

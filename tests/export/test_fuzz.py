@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 from families import family
 
+from freeflyer_fmus.blocks.shipped import BLOCKS
 from freeflyer_fmus.export.archive import content_token
 from freeflyer_fmus.export.c_code import print_block
 from freeflyer_fmus.export.compiler import SOURCES, fmi_headers, run
-from freeflyer_fmus.robot import Robot
-from freeflyer_fmus.shipped import BLOCKS
+from freeflyer_fmus.robot.robot import Robot
 
 FUZZ = Path(__file__).parent / "fuzz.c"
 SEQUENCES = 3000  # a block

@@ -23,14 +23,14 @@ from fmpy.build import build_platform_binary
 from fmpy.validation import validate_fmu
 from lxml import etree
 
-from freeflyer.fmu import FmuComponent
-from freeflyer_fmus.block import Block
+from freeflyer.fmi.fmu import FmuComponent
+from freeflyer_fmus.blocks.block import Block
+from freeflyer_fmus.blocks.shipped import BLOCKS
 from freeflyer_fmus.export.archive import build, content_token
 from freeflyer_fmus.export.c_code import print_block
 from freeflyer_fmus.export.compiler import FLAGS, PLATFORMS, Platform, compiler, fmi_headers, host_platform, run
 from freeflyer_fmus.export.layout import layout
-from freeflyer_fmus.robot import Array, Robot
-from freeflyer_fmus.shipped import BLOCKS
+from freeflyer_fmus.robot.robot import Array, Robot
 
 DRIVE = Path(__file__).parent / "drive.c"
 STEPS = 200

@@ -14,13 +14,13 @@ import pytest
 from casadi import SX
 from families import family
 
-from freeflyer_fmus.block import Block
+from freeflyer_fmus.blocks.block import Block
+from freeflyer_fmus.blocks.shipped import BLOCKS
 from freeflyer_fmus.export.archive import content_token
 from freeflyer_fmus.export.c_code import print_block
 from freeflyer_fmus.export.compiler import SOURCES, compiler, fmi_headers, host_platform, run
 from freeflyer_fmus.export.layout import layout
-from freeflyer_fmus.robot import Robot
-from freeflyer_fmus.shipped import BLOCKS
+from freeflyer_fmus.robot.robot import Robot
 
 DRIVER = Path(__file__).parent / "driver.c"
 

@@ -10,9 +10,9 @@ import pytest
 from fmpy.fmi1 import FMICallException
 from instances import Instance
 
-from freeflyer_fmus.block import Block
-from freeflyer_fmus.robot import Array, Robot
-from freeflyer_fmus.shipped import BLOCKS
+from freeflyer_fmus.blocks.block import Block
+from freeflyer_fmus.blocks.shipped import BLOCKS
+from freeflyer_fmus.robot.robot import Array, Robot
 
 EVERY = [(version, name) for version in (2, 3) for name in BLOCKS]
 RANDOM = np.random.default_rng

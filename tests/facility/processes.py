@@ -20,14 +20,14 @@ from typing import Any
 
 import pandas
 
-from freeflyer.errors import RecordError
+from freeflyer.foundation.errors import RecordError
 from freeflyer_adapters.arm.frames import ArmFrames, FrameMapping, Mode
-from freeflyer_adapters.arm.link import open_bus
-from freeflyer_adapters.device import LifeCycle
+from freeflyer_adapters.can.link import open_bus
+from freeflyer_adapters.device.device import LifeCycle
 from freeflyer_adapters.recording.ring import RingReader
 from freeflyer_adapters.recording.ring import folder as rings
 
-COMMAND = (sys.executable, "-m", "freeflyer.command")
+COMMAND = (sys.executable, "-m", "freeflyer.cli.main")
 numbers = itertools.count()
 # What a shared machine does to two processes at 1 kHz is not what these tests are about: holes of up to a second are counted, but
 # stop nobody. The rules themselves are tested without a clock (tests/links).

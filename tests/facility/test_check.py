@@ -9,7 +9,7 @@ from pathlib import Path
 import pandas
 import pytest
 
-from freeflyer.command import call
+from freeflyer.cli.main import call
 
 
 def test_a_check_shows_what_devices_measure_and_moves_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

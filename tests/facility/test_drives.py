@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 from processes import PATIENT_FACILITY, PATIENT_LOOP, Rig, events, rig
 
-from freeflyer import experiment, scenario
-from freeflyer_adapters import hil
-from freeflyer_adapters.device import DeviceError
+from freeflyer.scenario import experiment, scenario
+from freeflyer_adapters.device.device import DeviceError
+from freeflyer_adapters.loop import hil
 
 SCENARIO = "facility_cia402"
 PATIENT = (*PATIENT_LOOP, "devices.arm_drive.heartbeat_s=0.4")

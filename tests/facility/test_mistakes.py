@@ -224,7 +224,7 @@ def test_an_arm_or_base_that_is_not_the_scenarios_is_refused_with_both_numbers(
 def test_an_arm_of_seven_joints_is_refused_where_the_robot_has_six(bench: tuple[Rig, Process], tmp_path: Path) -> None:
     """Another arm on the channel describes itself: six frames a second are enough to be believed first."""
     from freeflyer_adapters.arm.frames import ArmFrames, FrameMapping
-    from freeflyer_adapters.arm.link import Sender, open_bus
+    from freeflyer_adapters.can.link import Sender, open_bus
 
     rigged, _ = bench
     with rig(tmp_path) as alone:

@@ -15,8 +15,8 @@ from flights import flight_of
 from processes import BASE_ALONE, PATIENT_ARM, PATIENT_BASE, PATIENT_LOOP, Rig, activations, events, rig
 
 from freeflyer_adapters.arm.frames import ArmFrames, FrameMapping
-from freeflyer_adapters.arm.link import Receiver, open_bus
-from freeflyer_adapters.device import LifeCycle
+from freeflyer_adapters.can.link import Receiver, open_bus
+from freeflyer_adapters.device.device import LifeCycle
 
 WATCHDOG = "active -> safe_stop: no command for 4 cycles"
 

@@ -17,16 +17,17 @@ from families import family
 from flights import WITHIN, flight_of
 from processes import BASE_ALONE, PATIENT_BASE, PATIENT_FACILITY, PATIENT_LOOP, Rig, events, rig
 
-from freeflyer import experiment, real_time, scenario
-from freeflyer.assemble import find_fmu
-from freeflyer_adapters import hil
+from freeflyer.paper import real_time
+from freeflyer.scenario import experiment, scenario
+from freeflyer.scenario.assemble import find_fmu
 from freeflyer_adapters.arm.frames import ArmFrames, FrameMapping
-from freeflyer_adapters.arm.link import Receiver, open_bus
 from freeflyer_adapters.base.link import OdometryLink
 from freeflyer_adapters.base.options import LinkOptions
 from freeflyer_adapters.base.session import open_session
-from freeflyer_adapters.device import LifeCycle
-from freeflyer_adapters.local_can import directory
+from freeflyer_adapters.can.link import Receiver, open_bus
+from freeflyer_adapters.can.local_bus import directory
+from freeflyer_adapters.device.device import LifeCycle
+from freeflyer_adapters.loop import hil
 
 SECONDS = 4.0
 

@@ -14,15 +14,16 @@ import numpy as np
 import pytest
 from commands import said
 
-from freeflyer import command, experiment, scenario
-from freeflyer.interrupts import interrupts, no_interrupts
-from freeflyer.scenario import Scenario
-from freeflyer_adapters import graded_stop, hil
-from freeflyer_adapters.device import DeviceError, LifeCycle, State
-from freeflyer_adapters.live_view import LiveValues
-from freeflyer_adapters.recording.tap import Tap
-from freeflyer_adapters.simulated import SimulatedDevice
-from freeflyer_adapters.stop_notice import StopNotice
+from freeflyer.cli import main as command
+from freeflyer.foundation.interrupts import interrupts, no_interrupts
+from freeflyer.scenario import experiment, scenario
+from freeflyer.scenario.scenario import Scenario
+from freeflyer_adapters.device.device import DeviceError, LifeCycle, State
+from freeflyer_adapters.device.simulated import SimulatedDevice
+from freeflyer_adapters.loop import graded_stop, hil
+from freeflyer_adapters.loop.live_view import LiveValues
+from freeflyer_adapters.loop.stop_notice import StopNotice
+from freeflyer_adapters.recording.client import Tap
 
 
 def loaded(folder: Path, text: str = "", overrides: tuple[str, ...] = ("stop_s=0.5",)) -> Scenario:

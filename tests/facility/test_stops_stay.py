@@ -17,9 +17,9 @@ import pytest
 from processes import BASE_ALONE, PATIENT_FACILITY, PATIENT_LOOP, Rig, activations, events, rig
 
 from freeflyer_adapters.arm.frames import ArmFrames, FrameMapping, Mode
-from freeflyer_adapters.arm.link import Receiver, Sender, open_bus
-from freeflyer_adapters.device import LifeCycle
-from freeflyer_adapters.local_can import FD_FORMAT, FRAME, directory
+from freeflyer_adapters.can.link import Receiver, Sender, open_bus
+from freeflyer_adapters.can.local_bus import FD_FORMAT, FRAME, directory
+from freeflyer_adapters.device.device import LifeCycle
 
 State = dict[str, list[float]]
 

@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 from processes import PATIENT_FACILITY, PATIENT_LOOP
 
-from freeflyer import real_time, scenario
+from freeflyer.paper import real_time
+from freeflyer.scenario import scenario
 
 ROOT = Path(__file__).parents[2]
 NAMES = ("freeflyer", "freeflyer_fmus", "freeflyer_adapters", "ziglang", "multiprocessing", "cosim", "adapters")
@@ -66,7 +67,7 @@ def test_no_folder_of_the_working_directory_is_executed_by_sweep(hostile: Path) 
 
 def test_a_sweep_that_a_script_calls_executes_none_either_and_leaves_the_environment_as_it_was(hostile: Path) -> None:
     (hostile / "two.toml").write_text(SWEEP)
-    code = "import os; from freeflyer.command import call\nif __name__ == '__main__':\n    before = dict(os.environ)\n"
+    code = "import os; from freeflyer.cli.main import call\nif __name__ == '__main__':\n    before = dict(os.environ)\n"
     code += "    assert call(['sweep', './two.toml', '--set', 'stop_s=0.1', '--workers', '1']) == 0\n"
     code += "    assert os.environ.get('PYTHONSAFEPATH') is before.get('PYTHONSAFEPATH') is None\n"
     (hostile / "elsewhere").mkdir()

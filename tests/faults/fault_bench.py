@@ -14,25 +14,25 @@ import numpy as np
 import pytest
 from e2e.p05 import e2e_p05_check
 
-from freeflyer import scenario
-from freeflyer.component import Array
-from freeflyer.experiment import Result
-from freeflyer.scenario import Scenario
-from freeflyer_adapters import hil
+from freeflyer.fmi.component import Array
+from freeflyer.scenario import scenario
+from freeflyer.scenario.experiment import Result
+from freeflyer.scenario.scenario import Scenario
 from freeflyer_adapters.arm.frames import ArmFrames, FrameMapping, Mode
 from freeflyer_adapters.base import ros_messages
-from freeflyer_adapters.device import LifeCycle
+from freeflyer_adapters.device.device import LifeCycle
 from freeflyer_adapters.facility.accelerated import accelerated
 from freeflyer_adapters.facility.faults import Fault
 from freeflyer_adapters.facility.virtual_arm import VirtualArm
 from freeflyer_adapters.facility.virtual_base import VirtualBase
-from freeflyer_adapters.hil import LoopReport
-from freeflyer_adapters.pose import distance, twist_rotated
+from freeflyer_adapters.foundation.pose import distance, twist_rotated
+from freeflyer_adapters.loop import hil
+from freeflyer_adapters.loop.hil import LoopReport
 
 JOINTS = 6
 ARM, BASE = "arm_drive", "base_robot"
 PROGRAM_ERROR = re.compile(r"\.py, line \d+\)")
-"""How an exception that nobody expected is told (`freeflyer.master.told`)."""
+"""How an exception that nobody expected is told (`freeflyer.master.master.told`)."""
 PIECE = 0.03
 """Longer than any watchdog [s]."""
 AFTERWARDS = 0.9

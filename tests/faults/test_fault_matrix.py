@@ -12,7 +12,7 @@ from fault_bench import ARM, Observed, assert_safe, run, shipped, with_faults
 from fault_matrix import BEGIN, PROCESS_ROWS, ROWS, Row, stated
 
 from freeflyer_adapters.arm.frames import Mode
-from freeflyer_adapters.device import LifeCycle
+from freeflyer_adapters.device.device import LifeCycle
 from freeflyer_adapters.facility.arm_logic import ArmLogic, Command
 
 FIRST_OF_ITS_KIND = [row for row in ROWS if row == next(other for other in ROWS if other.kind == row.kind)]

@@ -8,11 +8,11 @@ from dataclasses import replace
 import pytest
 from families import family
 
-from freeflyer import scenario
-from freeflyer_adapters import hil
+from freeflyer.scenario import scenario
 from freeflyer_adapters.cia402.state_machine import DriveState
 from freeflyer_adapters.facility.accelerated import accelerated
 from freeflyer_adapters.facility.virtual_cia402 import VirtualCia402
+from freeflyer_adapters.loop import hil
 
 BEGIN = 0.1
 

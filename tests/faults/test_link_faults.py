@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from freeflyer import scenario
+from freeflyer.scenario import scenario
 from freeflyer_adapters.base.sealed_odometry import checksum, is_intact, is_sealable, sealed
-from freeflyer_adapters.device import DeviceError
+from freeflyer_adapters.device.device import DeviceError
 from freeflyer_adapters.facility import faults, settings
 from freeflyer_adapters.facility.can_faults import FAULT_KINDS as ON_CAN
 from freeflyer_adapters.facility.faults import KINDS, Fault

@@ -17,12 +17,12 @@ import link_targets
 import mutation
 from target import Target
 
-from freeflyer.errors import ComponentError, CosimError
-from freeflyer.fmu_description import DESCRIPTION, MOST_NUMBERS, opened, ports_in, terminals_of
+from freeflyer.fmi.fmu_description import DESCRIPTION, MOST_NUMBERS, opened, ports_in, terminals_of
+from freeflyer.foundation.errors import ComponentError, CosimError
 from freeflyer.ssp import read as ssp_read
 from freeflyer_adapters.arm.frames import ArmFrames, FrameMapping
-from freeflyer_adapters.device import DeviceError
-from freeflyer_fmus.prebuilt_fmus import directory as fmus
+from freeflyer_adapters.device.device import DeviceError
+from freeflyer_fmus.export.prebuilt import directory as fmus
 
 SMALL_2 = b"""<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="2.0" modelName="some" guid="{0}">

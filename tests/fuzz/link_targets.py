@@ -15,12 +15,13 @@ import mutation
 import numpy as np
 from target import Target
 
-from freeflyer_adapters.arm.e2e import Protector
-from freeflyer_adapters.arm.frames import ArmFrames, Frame, FrameMapping
-from freeflyer_adapters.arm.link import Receiver
+from freeflyer_adapters.arm.frames import ArmFrames, FrameMapping
 from freeflyer_adapters.base import ros_messages
 from freeflyer_adapters.base.rmw_zenoh import ATTACHMENT, Attachment, AttachmentError, read_attachment
 from freeflyer_adapters.base.ros_messages import MessageError, OdometryWriter
+from freeflyer_adapters.can.e2e import Protector
+from freeflyer_adapters.can.frame import Frame
+from freeflyer_adapters.can.link import Receiver
 
 # A drive's own DBC: big-endian signals, an E2E header at the end, and beside what is mapped, floats, a multiplexer with values that
 # stand for nothing, and named values.

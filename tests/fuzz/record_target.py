@@ -18,11 +18,11 @@ import pyarrow.parquet as parquet
 import toml_mutation
 from target import Target
 
-from freeflyer import experiment, scenario
-from freeflyer.audit import ledger, recorded_loop
-from freeflyer.audit.command import read
-from freeflyer.errors import CosimError
-from freeflyer.origin import KEY
+from freeflyer.analysis.audit import ledger, recorded_loop
+from freeflyer.cli.audit import read
+from freeflyer.foundation.errors import CosimError
+from freeflyer.master.provenance import KEY
+from freeflyer.scenario import experiment, scenario
 
 
 @cache

@@ -30,12 +30,12 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from target import Target
 
-from freeflyer.errors import CosimError
-from freeflyer.record import Signal
+from freeflyer.foundation.errors import CosimError
+from freeflyer.master.record import Signal
+from freeflyer_adapters.recording.header import RunHead
 from freeflyer_adapters.recording.recording_file import RecordingFile, write_rows
 from freeflyer_adapters.recording.recover import copy_whole
 from freeflyer_adapters.recording.ring import RingReader, RingWriter, Rows
-from freeflyer_adapters.recording.run_head import RunHead
 
 DAMAGED, FORGED, LOG, FORGED_LOG, RING = b"M", b"F", b"B", b"C", b"R"
 HEAD, CHUNK, MESSAGE = struct.Struct("<BQ"), struct.Struct("<QQQII"), struct.Struct("<HIQQ")

@@ -16,9 +16,9 @@ import mutation
 import toml_mutation
 from target import Target
 
-from freeflyer import scenario
-from freeflyer.errors import CosimError
-from freeflyer.graph import Connection
+from freeflyer.foundation.errors import CosimError
+from freeflyer.master.graph import Connection
+from freeflyer.scenario import scenario
 from freeflyer_adapters.arm import options as arm_options
 from freeflyer_adapters.base import options as link_options
 from freeflyer_adapters.facility import settings as facility_settings

@@ -15,9 +15,9 @@ import pytest
 from commands import said
 from file_targets import SMALL_2, SSD
 
-from freeflyer import archive, unpacked
-from freeflyer.errors import ComponentError
-from freeflyer.fmu_description import DESCRIPTION, describe_fmu, ports_in
+from freeflyer.fmi import archive, unpacked
+from freeflyer.fmi.fmu_description import DESCRIPTION, describe_fmu, ports_in
+from freeflyer.foundation.errors import ComponentError
 
 Make = Callable[[zipfile.ZipFile], None]
 PREFIX, SUFFIX = SMALL_2.split(b"\n", 1)

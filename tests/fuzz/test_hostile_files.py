@@ -12,11 +12,13 @@ import pytest
 from commands import said
 from link_targets import OWN_DBC, OWN_MAPPING
 
-from freeflyer import bounded_file, command, record, toml_file
-from freeflyer.units import factor
+from freeflyer.cli import main as command
+from freeflyer.foundation import bounded_file, toml_file
+from freeflyer.foundation.units import factor
+from freeflyer.master import record
 from freeflyer_adapters.arm.frames import ArmFrames, FrameMapping
-from freeflyer_adapters.arm.signals import load
-from freeflyer_adapters.device import DeviceError
+from freeflyer_adapters.can.signals import load
+from freeflyer_adapters.device.device import DeviceError
 
 TOMLS = {
     "an array within an array, and so on": ("x = " + "[" * 20_000, "nested deeper than 40"),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from freeflyer.fmu import FmuComponent
+from freeflyer.fmi.fmu import FmuComponent
 
 STEP = 1e-3
 

@@ -16,8 +16,8 @@ from scipy.integrate import solve_ivp
 from freeflyer_fmus.blocks.continuous_loop import continuous_loop
 from freeflyer_fmus.equations import task_space, tracking_control, trajectory
 from freeflyer_fmus.equations.mechanism import State, constant_mechanism
-from freeflyer_fmus.robot import Robot
-from freeflyer_fmus.urdf import load_robot_file
+from freeflyer_fmus.robot.robot import Robot
+from freeflyer_fmus.robot.urdf import load_robot_file
 
 SX = ca.SX
 

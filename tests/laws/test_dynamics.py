@@ -17,9 +17,9 @@ from robots import DATA, ROBOTS, ur5_path
 
 from freeflyer_fmus.equations import dynamics, kinematics, rotation, task_space
 from freeflyer_fmus.equations.mechanism import State, constant_mechanism
-from freeflyer_fmus.oracle import disagreement
-from freeflyer_fmus.robot import Robot
-from freeflyer_fmus.urdf import ROBOTS as SHIPPED_ROBOTS
+from freeflyer_fmus.equations.pinocchio_reference import disagreement
+from freeflyer_fmus.robot.robot import Robot
+from freeflyer_fmus.robot.urdf import ROBOTS as SHIPPED_ROBOTS
 
 SX = ca.SX
 TOLERANCE = 1e-11

@@ -8,15 +8,15 @@ import pinocchio as pin
 import pytest
 from scipy.spatial.transform import Rotation
 
-from freeflyer import experiment, scenario
+from freeflyer.scenario import experiment, scenario
 from freeflyer_fmus.blocks.facility_parameters import gravity_model
+from freeflyer_fmus.blocks.shipped import BLOCKS
 from freeflyer_fmus.equations import noise
 from freeflyer_fmus.equations.dynamics import arm_on_moving_base, forward_dynamics
 from freeflyer_fmus.equations.mechanism import State, constant_mechanism
-from freeflyer_fmus.oracle import pinocchio_model
-from freeflyer_fmus.robot import Robot
-from freeflyer_fmus.shipped import BLOCKS
-from freeflyer_fmus.twin import Twin
+from freeflyer_fmus.equations.pinocchio_reference import pinocchio_model
+from freeflyer_fmus.in_process_block import Twin
+from freeflyer_fmus.robot.robot import Robot
 
 SX = ca.SX
 GRAVITY = np.array([0.0, 0.0, -9.81])

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from freeflyer import experiment, scenario
+from freeflyer.scenario import experiment, scenario
 from freeflyer_fmus.equations import passivity
 
 SX = ca.SX

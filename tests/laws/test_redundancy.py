@@ -10,16 +10,16 @@ import pinocchio as pin
 import pytest
 from robots import SHIPPED, lwr4_redundant
 
-from freeflyer import experiment, scenario
+from freeflyer.scenario import experiment, scenario
 from freeflyer_fmus.blocks.manipulator_controller import manipulator_controller
 from freeflyer_fmus.equations.dynamics import arm_on_moving_base
 from freeflyer_fmus.equations.kinematics import axes, manipulator_jacobian, manipulator_jacobian_rate_times
 from freeflyer_fmus.equations.mechanism import State, constant_mechanism
 from freeflyer_fmus.equations.redundancy import consistent_inverse, reference_acceleration
 from freeflyer_fmus.errors import RobotError
-from freeflyer_fmus.robot import Array
-from freeflyer_fmus.twin import Twin
-from freeflyer_fmus.urdf import load_urdf
+from freeflyer_fmus.in_process_block import Twin
+from freeflyer_fmus.robot.robot import Array
+from freeflyer_fmus.robot.urdf import load_urdf
 
 SX = ca.SX
 ROBOT = lwr4_redundant()

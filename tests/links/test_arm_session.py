@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from freeflyer_adapters.arm.frames import Mode
 from freeflyer_adapters.arm.session import CLAIMS, REMEMBERED, ArmSession, Phase
-from freeflyer_adapters.device import LifeCycle
-from freeflyer_adapters.permit import Permit
+from freeflyer_adapters.device.device import LifeCycle
+from freeflyer_adapters.device.permit import Permit
 
 WATCHDOG = 4_000_000
 CYCLE = 1_000_000

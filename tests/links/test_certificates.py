@@ -17,7 +17,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from lab import Lab
 
-from freeflyer import scenario
+from freeflyer.scenario import scenario
 from freeflyer_adapters.base import certificates
 from freeflyer_adapters.base import options as link_options
 from freeflyer_adapters.base.access_control import robots_end
@@ -25,7 +25,7 @@ from freeflyer_adapters.base.certificate_authority import HOSTS, CertificateAuth
 from freeflyer_adapters.base.certificates import Identity
 from freeflyer_adapters.base.notices import notices
 from freeflyer_adapters.base.session import open_session
-from freeflyer_adapters.device import DeviceError
+from freeflyer_adapters.device.device import DeviceError
 
 
 @pytest.fixture(scope="module")

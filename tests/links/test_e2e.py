@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from freeflyer_adapters.arm.e2e import Checker, Protector, Status
+from freeflyer_adapters.can.e2e import Checker, Protector, Status
 
 DATA_ID = 0x1234
 

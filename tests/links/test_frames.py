@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from freeflyer_adapters.arm.can_arm import CanArm
 from freeflyer_adapters.arm.frames import NEEDED, PROMISES, SHIPPED_DBC, ArmFrames, FrameMapping, Mode
 from freeflyer_adapters.arm.options import ArmOptions, options_from
-from freeflyer_adapters.bus_load import bus_load, frame_time
-from freeflyer_adapters.device import DeviceError
+from freeflyer_adapters.can.bus_load import bus_load, frame_time
+from freeflyer_adapters.device.device import DeviceError
 
 
 @cache

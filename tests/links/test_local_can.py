@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 import can
 import pytest
 
-from freeflyer_adapters.local_can import directory
+from freeflyer_adapters.can.local_bus import directory
 
 Opener = Callable[..., can.BusABC]
 numbers = itertools.count()

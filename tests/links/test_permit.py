@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from freeflyer_adapters.permit import Permit
+from freeflyer_adapters.device.permit import Permit
 
 WATCHDOG = 4_000_000
 BEGIN = 1_000_000_000

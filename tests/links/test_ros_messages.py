@@ -14,10 +14,10 @@ from hypothesis.extra import numpy as arrays
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
-from freeflyer_adapters import pose
 from freeflyer_adapters.base import rmw_zenoh, ros_messages
 from freeflyer_adapters.base.rmw_zenoh import Attachment, AttachmentError, read_attachment
 from freeflyer_adapters.base.ros_messages import MessageError, OdometryWriter, read
+from freeflyer_adapters.foundation import pose
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 NAME = "nav_msgs/msg/Odometry"

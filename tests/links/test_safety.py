@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from freeflyer_adapters import settings
-from freeflyer_adapters.device import TRANSITIONS, LifeCycle, State
-from freeflyer_adapters.limits import ArmLimits, BaseLimits
-from freeflyer_adapters.quality import QualityMonitor
-from freeflyer_adapters.ramp_down import AT_REST, RampDown
-from freeflyer_adapters.settings import Setting
+from freeflyer_adapters.device import settings
+from freeflyer_adapters.device.device import TRANSITIONS, LifeCycle, State
+from freeflyer_adapters.device.limits import ArmLimits, BaseLimits
+from freeflyer_adapters.device.quality import QualityMonitor
+from freeflyer_adapters.device.ramp_down import AT_REST, RampDown
+from freeflyer_adapters.device.settings import Setting
 
 N = 6
 ARM = {port.name: np.array(port.start) for port in settings.ports(settings.ARM, N)}

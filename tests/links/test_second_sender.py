@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from freeflyer_adapters.arm.second_sender import LISTEN, SecondSender
+from freeflyer_adapters.can.second_sender import LISTEN, SecondSender
 
 Frame = tuple[int, bytes]
 OFFSETS = (0, 1, 3, 8, 9, 13, 40, 128, 200, 248, 255)

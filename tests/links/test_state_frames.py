@@ -9,11 +9,11 @@ from typing import Any
 import can
 import pytest
 
-from freeflyer_adapters import outside
 from freeflyer_adapters.arm.frames import ArmFrames, FrameMapping, Mode
-from freeflyer_adapters.arm.link import Sender
 from freeflyer_adapters.arm.state_frames import FOREIGN, MOST_FRAMES, WITHIN, Numbers, StateFrames
-from freeflyer_adapters.outside import Outside
+from freeflyer_adapters.can.link import Sender
+from freeflyer_adapters.foundation import environment as outside
+from freeflyer_adapters.foundation.environment import Outside
 
 N = 6
 READING = 1_000

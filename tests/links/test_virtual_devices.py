@@ -11,11 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from freeflyer_adapters.arm.frames import Mode
-from freeflyer_adapters.device import LifeCycle
+from freeflyer_adapters.device.device import LifeCycle
+from freeflyer_adapters.device.ramp_down import RampDown
 from freeflyer_adapters.facility.arm_logic import ArmLogic, Command
 from freeflyer_adapters.facility.base_logic import BaseLogic
 from freeflyer_adapters.facility.settings import FacilitySettings
-from freeflyer_adapters.ramp_down import RampDown
 
 N = 6
 OURS, OTHER = 11, 22

@@ -20,7 +20,7 @@ from freeflyer_adapters.base.ros_messages import Odometry, OdometryWriter
 from freeflyer_adapters.base.sealed_odometry import sealed
 from freeflyer_adapters.base.session import open_session
 from freeflyer_adapters.base.zenoh_base import ZenohBase
-from freeflyer_adapters.device import DeviceError, LifeCycle, SafeStop
+from freeflyer_adapters.device.device import DeviceError, LifeCycle, SafeStop
 
 UNWATCHED = 60.0
 """[s] of the base's watchdog, where a test takes its time between two calls."""

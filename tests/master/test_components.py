@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from freeflyer import experiment, scenario
-from freeflyer.record import Record
+from freeflyer.master.record import Record
+from freeflyer.scenario import experiment, scenario
 
 SHORT = 'extends = "multirate_passive"\nstop_s = 1.2\n'
 
@@ -44,7 +44,7 @@ def test_a_python_object_takes_an_fmus_place(tmp_path: Path, reference: Record) 
     start = {name: tuple(map(float, reference[f"reference_trajectory.{name}"][0])) for name in ("position", "orientation")}
     (tmp_path / "still.py").write_text(
         f"START = {start!r}\n"
-        "from freeflyer.component import Port, PythonComponent\n"
+        "from freeflyer.fmi.component import Port, PythonComponent\n"
         "class Still(PythonComponent):\n"
         "    def __init__(self, name):\n"
         "        def port(name, size, start, units):\n"

@@ -14,17 +14,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import freeflyer
-from freeflyer import experiment, graph, native, scenario, schedule
-from freeflyer.assemble import assembled
-from freeflyer.component import Port, PythonComponent
-from freeflyer.errors import ComponentError
-from freeflyer.experiment import Engine
-from freeflyer.graph import Connection
-from freeflyer.limits import Limit
-from freeflyer.master import Master, Outcome
+from freeflyer.fmi.component import Port, PythonComponent
+from freeflyer.foundation.errors import ComponentError
+from freeflyer.master import graph, native, schedule
+from freeflyer.master.graph import Connection
+from freeflyer.master.limits import Limit
+from freeflyer.master.master import Master, Outcome
+from freeflyer.scenario import experiment, scenario
+from freeflyer.scenario.assemble import assembled
+from freeflyer.scenario.experiment import Engine
 
 MS = 1_000_000
-CORE = Path(freeflyer.__path__[0]) / "core"
+CORE = Path(freeflyer.__path__[0]) / "master" / "core"
 
 
 def outcome(name: str, engine: Engine, *overrides: str, fmi: int = 2) -> Outcome:

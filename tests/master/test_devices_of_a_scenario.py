@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from freeflyer import scenario
-from freeflyer.clock import SECOND
-from freeflyer.errors import ScenarioError
+from freeflyer.foundation.clock import SECOND
+from freeflyer.foundation.errors import ScenarioError
+from freeflyer.scenario import scenario
 
 
 def loaded(folder: Path, text: str, *overrides: str) -> scenario.Scenario:

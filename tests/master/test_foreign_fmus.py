@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from commands import said
 
-from freeflyer import experiment, scenario
-from freeflyer.errors import ComponentError
-from freeflyer.experiment import Result
-from freeflyer.fmu_description import describe_fmu
+from freeflyer.fmi.fmu_description import describe_fmu
+from freeflyer.foundation.errors import ComponentError
+from freeflyer.scenario import experiment, scenario
+from freeflyer.scenario.experiment import Result
 
 pytest.importorskip("pythonfmu3")
 builder = pytest.importorskip("pythonfmu.builder")

@@ -10,13 +10,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from freeflyer import clock, graph, schedule
-from freeflyer.component import Port, PythonComponent
-from freeflyer.errors import CosimError, GraphError, ScenarioError
-from freeflyer.graph import Connection
-from freeflyer.limits import Limit
-from freeflyer.master import Master
-from freeflyer.units import converted, factor, same
+from freeflyer.fmi.component import Port, PythonComponent
+from freeflyer.foundation import clock
+from freeflyer.foundation.errors import CosimError, GraphError, ScenarioError
+from freeflyer.foundation.units import converted, factor, same
+from freeflyer.master import graph, schedule
+from freeflyer.master.graph import Connection
+from freeflyer.master.limits import Limit
+from freeflyer.master.master import Master
 
 MS = 1_000_000
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import base64
 import hashlib
 import os
+import shutil
 import subprocess
 import sys
-import tarfile
 import zipfile
 from pathlib import Path
 
@@ -50,12 +50,11 @@ def test_the_wheel_holds_three_packages_and_nothing_else(wheel: Path) -> None:
 
 
 def test_the_sdist_gives_the_same_wheel(wheel: Path, tmp_path: Path) -> None:
-    with tarfile.open(built("sdist", ROOT, tmp_path / "sdist")) as archive:
-        archive.extractall(tmp_path / "unpacked", filter="data")
+    shutil.unpack_archive(built("sdist", ROOT, tmp_path / "sdist"), tmp_path / "unpacked")
     (source,) = (tmp_path / "unpacked").iterdir()
     own = names_in(built("wheel", source, tmp_path / "wheel"))
     assert own == {name for name in names_in(wheel) if "/prebuilt/" not in name}  # a checkout may have compiled files
-    assert {"freeflyer/scenarios/facility.toml", "freeflyer_fmus/c/fmi3.c"} <= own
+    assert {"freeflyer/paper/scenarios/facility.toml", "freeflyer_fmus/c/fmi3.c"} <= own
     assert {f"{root}/{file}" for root in ROOTS for file in ("__init__.pyi", "py.typed")} <= own
 
 

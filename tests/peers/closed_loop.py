@@ -26,7 +26,7 @@ def fmus(version: int) -> dict[str, Path]:
 
 
 def connections() -> list[Connection]:
-    text = (Path(str(files("freeflyer"))) / "scenarios" / "_free_flyer_loop.toml").read_text()
+    text = (Path(str(files("freeflyer"))) / "paper" / "scenarios" / "_free_flyer_loop.toml").read_text()
     loop = tomllib.loads(text)
     found = []
     for line in (*loop["connections"], *loop["delayed"]):

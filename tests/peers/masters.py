@@ -15,9 +15,9 @@ import numpy as np
 from reference_loops import Rule
 from slaves import Array
 
-from freeflyer.assemble import assembled
-from freeflyer.graph import Exchange
-from freeflyer.scenario import load
+from freeflyer.master.graph import Exchange
+from freeflyer.scenario.assemble import assembled
+from freeflyer.scenario.scenario import load
 
 FOUR = len(closed_loop.COMPONENTS)
 CONTROLLERS_FIRST = closed_loop.COMPONENTS

@@ -16,7 +16,7 @@ from families import family
 from masters import FOUR, arguments, difference, own_master
 from reference_loops import Rule
 
-from freeflyer import assemble, experiment, scenario
+from freeflyer.scenario import assemble, experiment, scenario
 from freeflyer.ssp import read as ssp_read
 from freeflyer.ssp import write as ssp_write
 

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from simulated_period import POSTURE, QUIET, STATES, Array, starting_at
 
-from freeflyer import scenario
-from freeflyer.assemble import assembled
-from freeflyer.prediction import lifting
-from freeflyer.prediction.boundary import scan
-from freeflyer.prediction.set_point import SetPoint, at_set_point
-from freeflyer.prediction.task_coordinates import TaskCoordinates
+from freeflyer.analysis.prediction import lifting
+from freeflyer.analysis.prediction.boundary import scan
+from freeflyer.analysis.prediction.set_point import SetPoint, at_set_point
+from freeflyer.analysis.prediction.task_coordinates import TaskCoordinates
+from freeflyer.scenario import scenario
+from freeflyer.scenario.assemble import assembled
 
 NAME = "multirate_unstable"
 PERTURBATION = 1e-6

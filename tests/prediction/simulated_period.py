@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from freeflyer import scenario, schedule
-from freeflyer.assemble import loaded
-from freeflyer.master import Master
+from freeflyer.master import schedule
+from freeflyer.master.master import Master
+from freeflyer.scenario import scenario
+from freeflyer.scenario.assemble import loaded
 
 Array = NDArray[np.float64]
 

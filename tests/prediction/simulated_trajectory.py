@@ -8,10 +8,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from simulated_period import QUIET, STATES, Array, starting_at
 
-from freeflyer import scenario
-from freeflyer.assemble import assembled
-from freeflyer.prediction.task_coordinates import TaskCoordinates
-from freeflyer.record import Record
+from freeflyer.analysis.prediction.task_coordinates import TaskCoordinates
+from freeflyer.master.record import Record
+from freeflyer.scenario import scenario
+from freeflyer.scenario.assemble import assembled
 
 OFF = QUIET[:2]
 """No passivity controllers; but the reference moves."""

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from simulated_trajectory import OFF, growth_rate
 
-from freeflyer import scenario
-from freeflyer.prediction.set_point import at_set_point
-from freeflyer.prediction.trajectory import Trajectory
+from freeflyer.analysis.prediction.set_point import at_set_point
+from freeflyer.analysis.prediction.trajectory import Trajectory
+from freeflyer.scenario import scenario
 
 NAME = "multirate_unstable"
 

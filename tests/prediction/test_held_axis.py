@@ -8,7 +8,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from freeflyer.prediction.held_axis import sampled_damper, sampled_spring
+from freeflyer.analysis.prediction.held_axis import sampled_damper, sampled_spring
 
 positive = st.floats(1e-2, 1e3)
 

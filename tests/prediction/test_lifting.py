@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 from simulated_period import QUIET, Array, jacobian
 
-from freeflyer import scenario
-from freeflyer.prediction import lifting
-from freeflyer.prediction.lifting import Inputs, Instants, Law, Loop
-from freeflyer.prediction.set_point import at_set_point
+from freeflyer.analysis.prediction import lifting
+from freeflyer.analysis.prediction.lifting import Inputs, Instants, Law, Loop
+from freeflyer.analysis.prediction.set_point import at_set_point
+from freeflyer.scenario import scenario
 
 NAME = "multirate_unstable"
 ROUNDING = 2e-8

@@ -10,11 +10,11 @@ from families import family
 from simulated_boundary import compared, comparisons, side
 from simulated_period import QUIET
 
-from freeflyer import scenario
-from freeflyer.prediction import linearisation
-from freeflyer.prediction.boundary import Prediction, predict, scan
-from freeflyer.prediction.modes import DEGREES
-from freeflyer.prediction.set_point import at_set_point
+from freeflyer.analysis.prediction import linearisation
+from freeflyer.analysis.prediction.boundary import Prediction, predict, scan
+from freeflyer.analysis.prediction.modes import DEGREES
+from freeflyer.analysis.prediction.set_point import at_set_point
+from freeflyer.scenario import scenario
 
 NAME = "multirate_unstable"
 

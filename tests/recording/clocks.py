@@ -11,8 +11,8 @@ from typing import Any
 import can
 from loops import START, head
 
-from freeflyer_adapters.outside import Outside
-from freeflyer_adapters.recording.run_head import CanChannel, RunHead
+from freeflyer_adapters.foundation.environment import Outside
+from freeflyer_adapters.recording.header import CanChannel, RunHead
 
 MONOTONIC = 5_000_000_000
 """[ns] when a test begins."""

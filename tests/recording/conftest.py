@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from clocks import Clocks
 
-from freeflyer_adapters import outside
+from freeflyer_adapters.foundation import environment as outside
 
 
 @pytest.fixture

@@ -13,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from freeflyer.errors import RecordError
-from freeflyer.record import Signal
+from freeflyer.foundation.errors import RecordError
+from freeflyer.master.record import Signal
+from freeflyer_adapters.recording.header import RunHead
 from freeflyer_adapters.recording.recording_file import RecordingFile
 from freeflyer_adapters.recording.ring import RingReader, Rows
-from freeflyer_adapters.recording.run_head import RunHead
 
 TICK = 1_000_000
 START = 1_800_000_000_000_000_000
@@ -77,7 +77,7 @@ class Loop:
     """`freeflyer hil facility --simulated`, and its recorder."""
 
     def __init__(self, out: Path, runtime: Path, *options: str, stop: float = 60.0) -> None:
-        command = [sys.executable, "-m", "freeflyer.command", "hil", "facility", "--simulated", "--no-view", "--out", str(out)]
+        command = [sys.executable, "-m", "freeflyer.cli.main", "hil", "facility", "--simulated", "--no-view", "--out", str(out)]
         self.out, self.runtime = out, runtime
         self.process = subprocess.Popen(
             [*command, "--set", f"stop_s={stop}", *options],

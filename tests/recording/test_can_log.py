@@ -12,11 +12,11 @@ from typing import Any
 import can
 import pytest
 
-from freeflyer_adapters.device import DeviceError
-from freeflyer_adapters.local_can import LocalBus
+from freeflyer_adapters.can.local_bus import LocalBus
+from freeflyer_adapters.device.device import DeviceError
 from freeflyer_adapters.recording.can_log import FORMATS, CanLog
-from freeflyer_adapters.recording.run_head import CanChannel
-from freeflyer_adapters.recording.tap import can_channels
+from freeflyer_adapters.recording.client import can_channels
+from freeflyer_adapters.recording.header import CanChannel
 from freeflyer_adapters.recording.wall_clock import WallClock
 
 FRAMES = 200
@@ -68,9 +68,10 @@ def test_the_times_of_a_killed_log_are_those_of_the_frames(tmp_path: Path, runti
             node.send(sent(i))
             moments.append((before, time.time()))
         log.take()
-    # The kernel stamps a frame while it is sent; the log keeps whole milliseconds of its begin.
+    # The kernel stamps a frame while it is sent; the log keeps whole milliseconds of its start, and the process can be
+    # preempted between its readings of two clocks. Without the start, the times would be off by decades.
     for frame, (before, after) in zip(can.BLFReader(path), moments, strict=True):
-        assert before - 1e-3 <= frame.timestamp <= after + 1e-3
+        assert before - 0.02 <= frame.timestamp <= after + 0.02
     log.close()
 
 

@@ -16,13 +16,14 @@ from clocks import MONOTONIC, Clocks, run_head
 from loops import START, TICK, head
 from test_runs import run, signalled, while_it_runs
 
-from freeflyer_adapters import outside, read_recording
+from freeflyer_adapters import read_recording
 from freeflyer_adapters.facility.virtual_time import VirtualTime
-from freeflyer_adapters.outside import Outside
+from freeflyer_adapters.foundation import environment as outside
+from freeflyer_adapters.foundation.environment import Outside
+from freeflyer_adapters.recording.client import Tap
 from freeflyer_adapters.recording.recorder import Recorder, Written
 from freeflyer_adapters.recording.rescue import rescue
 from freeflyer_adapters.recording.ring import RingReader, RingWriter
-from freeflyer_adapters.recording.tap import Tap
 from freeflyer_adapters.recording.wall_clock import MOST_NAMED, WallClock, offset_of
 
 SECOND = 1_000_000_000

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from loops import Loop, loop, wait_until_gone
 
-from freeflyer import command
+from freeflyer.cli import main as command
 from freeflyer_adapters import read_recording
 from freeflyer_adapters.recording.recover import recover, unfinished
 from freeflyer_adapters.recording.rescue import rescue

@@ -15,7 +15,7 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
 from freeflyer_adapters import read_recording
-from freeflyer_adapters.cli import recording_told
+from freeflyer_adapters.cli.hil import recording_told
 from freeflyer_adapters.recording import parts
 from freeflyer_adapters.recording.parts import PART_SECONDS, PartedRecording
 from freeflyer_adapters.recording.recorder import Recorder

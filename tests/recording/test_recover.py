@@ -26,8 +26,8 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 from rosbags.highlevel import AnyReader
 
-from freeflyer import command
-from freeflyer.errors import CosimError, RecordError
+from freeflyer.cli import main as command
+from freeflyer.foundation.errors import CosimError, RecordError
 from freeflyer_adapters import read_recording
 from freeflyer_adapters.recording.damaged_mcap import LARGEST, UNPACKED, UNPACKED_A_BYTE, DamagedMcap, WholeMessage
 from freeflyer_adapters.recording.recover import recover

@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from loops import head
 
-from freeflyer.errors import CosimError, RecordError
+from freeflyer.foundation.errors import CosimError, RecordError
 from freeflyer_adapters.recording.ring import RingReader, RingWriter, is_left_behind, left_behind
 
 FAST_WRITER = """

@@ -17,14 +17,15 @@ from families import family
 from loops import head
 from mcap.reader import make_reader
 
-from freeflyer import scenario
-from freeflyer.errors import OutputError
-from freeflyer_adapters import hil, read_recording
+from freeflyer.foundation.errors import OutputError
+from freeflyer.scenario import scenario
+from freeflyer_adapters import read_recording
+from freeflyer_adapters.loop import hil
+from freeflyer_adapters.recording.client import Recording, Tap
 from freeflyer_adapters.recording.recorder import Recorder
 from freeflyer_adapters.recording.recording_file import FLIGHT_SECONDS
 from freeflyer_adapters.recording.recover import recover
 from freeflyer_adapters.recording.ring import RingReader, RingWriter
-from freeflyer_adapters.recording.tap import Recording, Tap
 
 STOP = 3.0
 EXTENDS = 'extends = "facility"\n'
@@ -189,7 +190,7 @@ def test_a_full_disk_is_told_once_and_what_was_written_is_kept(
         raise OutputError("no room")
 
     if for_all:
-        monkeypatch.setattr("freeflyer_adapters.recording.tap.save_flight", full)
+        monkeypatch.setattr("freeflyer_adapters.recording.client.save_flight", full)
     with while_it_runs(monkeypatch, {50: fill}):
         result, recording = run(tmp_path, stop=1.0)
     assert result.as_expected

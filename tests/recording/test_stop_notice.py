@@ -18,16 +18,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from freeflyer.errors import BAD_INPUT, OutputError
-from freeflyer_adapters.device import DeviceError
-from freeflyer_adapters.stop_notice import LONGEST, LONGEST_MESSAGE, SIZE, StopNotice, check_log_to, one_line
+from freeflyer.foundation.errors import BAD_INPUT, OutputError
+from freeflyer_adapters.device.device import DeviceError
+from freeflyer_adapters.loop.stop_notice import LONGEST, LONGEST_MESSAGE, SIZE, StopNotice, check_log_to, one_line
 
 REASON, LEFT = "arm_drive: too many lost cycles", "all devices were brought to rest"
 SENTENCE = f"Stop: {REASON}; {LEFT}"
 CHILD = """
 import sys, time
 from pathlib import Path
-from freeflyer_adapters.stop_notice import StopNotice
+from freeflyer_adapters.loop.stop_notice import StopNotice
 notice = StopNotice(directory=Path(sys.argv[1]), log_to=None, scenario="child", say=print)
 """
 GIVES = f"notice.give({REASON!r}, {LEFT!r}, orderly=False)\n"

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from families import family
 
-from freeflyer import experiment, scenario
+from freeflyer.scenario import experiment, scenario
 
 M, B = "manipulator_controller", "base_controller"
 
@@ -137,7 +137,7 @@ KICK = """
 from pathlib import Path
 
 import numpy as np
-from freeflyer.component import Port, PythonComponent
+from freeflyer.fmi.component import Port, PythonComponent
 
 
 class Kick(PythonComponent):

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from freeflyer_adapters.arm.frames import Mode
-from freeflyer_adapters.device import LifeCycle
+from freeflyer_adapters.device.device import LifeCycle
+from freeflyer_adapters.device.ramp_down import RampDown
 from freeflyer_adapters.facility.arm_logic import ArmLogic, Command
-from freeflyer_adapters.ramp_down import RampDown
 
 WATCHDOG, SILENCE, CYCLES, OLDEST = 2, 3, 64, 6
 NUMBERS = (1, 2)

@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 import pytest
 
-from freeflyer_adapters.permit import Permit
+from freeflyer_adapters.device.permit import Permit
 
 
 def shift_permit(permit: Permit, back: int, oldest: int) -> None:

@@ -18,10 +18,10 @@ from whole_arm import HOST_IGNORED, Whole
 
 from freeflyer_adapters.arm.frames import Mode
 from freeflyer_adapters.arm.session import STOPPED, ArmSession
-from freeflyer_adapters.device import LifeCycle
+from freeflyer_adapters.device.device import LifeCycle
+from freeflyer_adapters.device.permit import Permit
+from freeflyer_adapters.device.quality import QualityMonitor
 from freeflyer_adapters.facility.arm_logic import ArmLogic, Command
-from freeflyer_adapters.permit import Permit
-from freeflyer_adapters.quality import QualityMonitor
 
 HOST_ALONE: dict[str, Any] = {"watchdog": 1, "silence": 4, "implicit": True, "any_delay": False}
 """An arm that cannot refuse an activation by itself, on a link that loses and doubles frames but holds none up. Such an arm must not

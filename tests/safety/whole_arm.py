@@ -15,10 +15,10 @@ from search import shift_permit
 
 from freeflyer_adapters.arm.frames import Mode
 from freeflyer_adapters.arm.session import STOPPED, ArmSession, Phase
-from freeflyer_adapters.device import LifeCycle
+from freeflyer_adapters.device.device import LifeCycle
+from freeflyer_adapters.device.permit import Permit
+from freeflyer_adapters.device.quality import QualityMonitor
 from freeflyer_adapters.facility.arm_logic import Command
-from freeflyer_adapters.permit import Permit
-from freeflyer_adapters.quality import QualityMonitor
 
 NOW, CYCLE, MIDDLE = 20, 1_000_000, CYCLES // 2
 LOST, RAMP, QUEUE = 2, 1, 1

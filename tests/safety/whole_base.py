@@ -25,11 +25,11 @@ from freeflyer_adapters.base import ros_messages
 from freeflyer_adapters.base.link import Counts, OdometryLink
 from freeflyer_adapters.base.peer_clock import PeerClock
 from freeflyer_adapters.base.rmw_zenoh import GID_BYTES, NOBODY, Attachment
-from freeflyer_adapters.device import LifeCycle
+from freeflyer_adapters.device.device import LifeCycle
+from freeflyer_adapters.device.permit import Permit
 from freeflyer_adapters.facility.base_logic import MOST_USED, BaseLogic
 from freeflyer_adapters.facility.settings import FacilitySettings
 from freeflyer_adapters.facility.virtual_base import VirtualBase
-from freeflyer_adapters.permit import Permit
 
 CYCLE, PERIOD, NOW = 7_812_500, 2.0**-7, 26
 """[ns, s] of a call: a number of nanoseconds that is a power of two in seconds, so that nothing is decided by rounding. The call now."""

@@ -23,10 +23,10 @@ from whole_base import Move, do, then
 from freeflyer_adapters.cia402.drive_session import DriveSession
 from freeflyer_adapters.cia402.objects import SYNC_LOST
 from freeflyer_adapters.cia402.state_machine import FAULT_RESET, POWERED, TOWARDS_ENABLED, Command, DriveState
+from freeflyer_adapters.device.permit import Permit
+from freeflyer_adapters.device.quality import QualityMonitor
+from freeflyer_adapters.device.ramp_down import RampDown
 from freeflyer_adapters.facility.drive_logic import STOPPING, DriveLogic
-from freeflyer_adapters.permit import Permit
-from freeflyer_adapters.quality import QualityMonitor
-from freeflyer_adapters.ramp_down import RampDown
 
 S = DriveState
 NOW, CYCLE, PERIOD = 20, 4_000_000, 0.004

@@ -12,9 +12,10 @@ from commands import said
 from families import family
 from lxml import etree
 
-from freeflyer import archive as archives
-from freeflyer import assemble, command, experiment, scenario
-from freeflyer.errors import CosimError
+from freeflyer.cli import main as command
+from freeflyer.fmi import archive as archives
+from freeflyer.foundation.errors import CosimError
+from freeflyer.scenario import assemble, experiment, scenario
 from freeflyer.ssp import read as ssp_read
 from freeflyer.ssp import write as ssp_write
 

@@ -15,7 +15,7 @@ import pandas
 import psutil
 import pytest
 
-from freeflyer import command
+from freeflyer.cli import main as command
 
 MARKING = Path(__file__).parents[1] / "data" / "marking.py"
 PATIENCE = 90.0
@@ -40,7 +40,7 @@ class MarkedSweep:
     def start(self) -> subprocess.Popen[str]:
         """As a command of its own, with two workers."""
         return subprocess.Popen(
-            [sys.executable, "-m", "freeflyer.command", "sweep", str(self.file), "--out", str(self.out), "--workers", "2"],
+            [sys.executable, "-m", "freeflyer.cli.main", "sweep", str(self.file), "--out", str(self.out), "--workers", "2"],
             env=os.environ | {"MARKS": str(self.marks)},
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,

@@ -14,10 +14,10 @@ from families import family
 from hypothesis import given
 from hypothesis import strategies as st
 
-from freeflyer.clock import nanoseconds
-from freeflyer.sweep import file as sweep_file
-from freeflyer.sweep.designs import Axis, Designs, Interval, Levels, Sample, Target
-from freeflyer.sweep.plan import Plan
+from freeflyer.analysis.sweep import file as sweep_file
+from freeflyer.analysis.sweep.designs import Axis, Designs, Interval, Levels, Sample, Target
+from freeflyer.analysis.sweep.plan import Plan
+from freeflyer.foundation.clock import nanoseconds
 
 numbers = st.floats(1e-3, 1e3)
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from marked_sweeps import MarkedSweep, until
 from schedulers import scheduler, worker
 
-from freeflyer.sweep import cluster, verdict
+from freeflyer.analysis.sweep import cluster, verdict
 
 P = '"base_controller.period"'
 
@@ -142,7 +142,7 @@ def test_a_directory_that_is_a_file_is_refused(capsys: pytest.CaptureFixture[str
 def test_a_scheduler_that_is_not_there(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, address: str
 ) -> None:
-    monkeypatch.setattr("freeflyer.sweep.cluster.ANSWER", 1.0)
+    monkeypatch.setattr("freeflyer.analysis.sweep.cluster.ANSWER", 1.0)
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))  # nobody listens
         where = address.format(port=free.getsockname()[1])
@@ -155,7 +155,7 @@ def test_a_scheduler_that_is_not_there(
 def test_a_scheduler_without_workers(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("freeflyer.sweep.cluster.ANSWER", 2.0)
+    monkeypatch.setattr("freeflyer.analysis.sweep.cluster.ANSWER", 2.0)
     with scheduler(tmp_path) as (address, _):
         code, _, error = MarkedSweep(tmp_path, count=2).run(capsys, "--scheduler", address)
     assert code == 2

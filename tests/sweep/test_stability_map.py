@@ -12,13 +12,14 @@ from hypothesis import strategies as st
 from matplotlib import colors
 from matplotlib import pyplot as plt
 
-from freeflyer import plots, scenario
-from freeflyer.component import Array
-from freeflyer.prediction.boundary import predict
-from freeflyer.sweep import boundary
-from freeflyer.sweep import file as sweep_file
-from freeflyer.sweep import map as stability_map
-from freeflyer.sweep.plan import Plan
+from freeflyer.analysis.figure_style import save
+from freeflyer.analysis.prediction.boundary import predict
+from freeflyer.analysis.sweep import boundary
+from freeflyer.analysis.sweep import file as sweep_file
+from freeflyer.analysis.sweep import map as stability_map
+from freeflyer.analysis.sweep.plan import Plan
+from freeflyer.fmi.component import Array
+from freeflyer.scenario import scenario
 
 UNITS = {"a.x": "s", "a.y": "1"}
 
@@ -71,7 +72,7 @@ def test_a_boundary_is_drawn_where_it_was_given_and_on_its_own_panel(tmp_path: P
     figure = stability_map.draw(table(np.array([1.0, 2.0])), "a.x", "a.y", UNITS, {"two": line})
     assert not figure.axes[0].lines
     assert np.array_equal(figure.axes[1].lines[0].get_xydata(), np.column_stack(line))
-    plots.save(figure, tmp_path / "map")
+    save(figure, tmp_path / "map")
     assert {path.name for path in tmp_path.iterdir()} == {"map.png", "map.pdf"}
 
 

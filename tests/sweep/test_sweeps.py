@@ -8,8 +8,8 @@ from pathlib import Path
 import pandas
 import pytest
 
-from freeflyer import command
-from freeflyer.sweep import verdict
+from freeflyer.analysis.sweep import verdict
+from freeflyer.cli import main as command
 
 SWEEP = """
 title = "Two periods, two factors"

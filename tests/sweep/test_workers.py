@@ -11,12 +11,13 @@ from pathlib import Path
 import psutil
 import pytest
 
-from freeflyer import assemble, parameters, scenario, unpacked
-from freeflyer.fmu import FmuComponent
-from freeflyer.sweep import file as sweep_file
-from freeflyer.sweep import task as sweep_task
-from freeflyer.sweep.cluster import connected
-from freeflyer.sweep.plan import Plan
+from freeflyer.analysis.sweep import file as sweep_file
+from freeflyer.analysis.sweep import task as sweep_task
+from freeflyer.analysis.sweep.cluster import connected
+from freeflyer.analysis.sweep.plan import Plan
+from freeflyer.fmi import unpacked
+from freeflyer.fmi.fmu import FmuComponent
+from freeflyer.scenario import assemble, parameters, scenario
 
 SWEEP = 'scenario = "multirate_passive"\nset = ["stop_s=0.01"]\n[grid]\n"robot.base_mass" = [150, 100.0]\n'
 
@@ -39,7 +40,7 @@ def test_workers_listen_on_the_loopback_only_and_have_one_blas_thread() -> None:
 
 
 def test_other_commands_do_not_wait_for_dask_and_statistics() -> None:
-    code = "import sys\nfrom freeflyer import cli\nfrom freeflyer.sweep import command\nassert not {'distributed', 'scipy.stats'} & set(sys.modules)"
+    code = "import sys\nfrom freeflyer.cli import run, sweep\nassert not {'distributed', 'scipy.stats'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)
 
 

@@ -12,13 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from robots import ROBOTS
 
-from freeflyer.fmu import FmuComponent
-from freeflyer_fmus.block import Block
+from freeflyer.fmi.fmu import FmuComponent
+from freeflyer_fmus.blocks.block import Block
+from freeflyer_fmus.blocks.shipped import BLOCKS
 from freeflyer_fmus.export.archive import build
-from freeflyer_fmus.prebuilt_fmus import directory
-from freeflyer_fmus.shipped import BLOCKS
-from freeflyer_fmus.twin import Twin
-from freeflyer_fmus.urdf import load_robot_file
+from freeflyer_fmus.export.prebuilt import directory
+from freeflyer_fmus.in_process_block import Twin
+from freeflyer_fmus.robot.urdf import load_robot_file
 
 STEP = 1e-3
 

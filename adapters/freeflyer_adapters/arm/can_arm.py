@@ -8,22 +8,22 @@ from collections.abc import Callable, Mapping
 import can
 import numpy as np
 
-from freeflyer.component import Array, Port
-from freeflyer_adapters import outside
-from freeflyer_adapters import settings as all_settings
+from freeflyer.fmi.component import Array, Port
 from freeflyer_adapters.arm.description import compare
 from freeflyer_adapters.arm.frames import ArmFrames, Mode
-from freeflyer_adapters.arm.link import Receiver, Sender, flush, open_bus
 from freeflyer_adapters.arm.options import ArmOptions
-from freeflyer_adapters.arm.second_sender import LISTEN
 from freeflyer_adapters.arm.session import STOPPED, ArmSession, Phase
 from freeflyer_adapters.arm.state_frames import Numbers, StateFrames
-from freeflyer_adapters.device import DeviceError, LifeCycle, SafeStop, State
-from freeflyer_adapters.histogram import Histogram
-from freeflyer_adapters.limits import ArmLimits
-from freeflyer_adapters.permit import Permit
-from freeflyer_adapters.quality import QualityMonitor
-from freeflyer_adapters.ramp_down import RampDown
+from freeflyer_adapters.can.link import Receiver, Sender, flush, open_bus
+from freeflyer_adapters.can.second_sender import LISTEN
+from freeflyer_adapters.device import settings as all_settings
+from freeflyer_adapters.device.device import DeviceError, LifeCycle, SafeStop, State
+from freeflyer_adapters.device.limits import ArmLimits
+from freeflyer_adapters.device.permit import Permit
+from freeflyer_adapters.device.quality import QualityMonitor
+from freeflyer_adapters.device.ramp_down import RampDown
+from freeflyer_adapters.foundation import environment as outside
+from freeflyer_adapters.foundation.histogram import Histogram
 
 MEASURED = ("joint_position", "joint_velocity", "joint_torque")
 GIVE_UP = 4.0
@@ -33,7 +33,7 @@ PATIENCE = 1.5
 
 
 class CanArm:
-    """See `freeflyer_adapters.device.Device` for the calls."""
+    """See `freeflyer_adapters.device.device.Device` for the calls."""
 
     is_clock = True
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from freeflyer.component import Array
-from freeflyer_adapters import settings as all_settings
-from freeflyer_adapters.arm.frames import LIMIT_ROLES, Frame
-from freeflyer_adapters.device import DeviceError
+from freeflyer.fmi.component import Array
+from freeflyer_adapters.arm.frames import LIMIT_ROLES
+from freeflyer_adapters.can.frame import Frame
+from freeflyer_adapters.device import settings as all_settings
+from freeflyer_adapters.device.device import DeviceError
 
 MAY_BE_NARROWER = ("joint_velocity_limit", "joint_effort_limit")
 UNITS = {setting.name: setting.unit for setting in all_settings.ARM}
@@ -17,7 +18,7 @@ def compare(where: str, frame: Frame, described: Mapping[str, list[float]], expe
     """DeviceError, with both numbers, where they differ by more than the frame's resolution.
 
     Joint ranges tell one arm from another. Speeds and torques may be less here than the arm's own: who wants to be careful narrows them.
-    `described`: the frame's values by role [SI]; `expected`: settings of `freeflyer_adapters.settings.ARM`, joint by joint.
+    `described`: the frame's values by role [SI]; `expected`: settings of `freeflyer_adapters.device.settings.ARM`, joint by joint.
     """
     count, period = int(described["joint_count"][0]), float(expected["period"][0])
     if count != joints:

@@ -11,15 +11,14 @@ from enum import IntEnum
 from pathlib import Path
 from typing import Any
 
-from freeflyer.near import did_you_mean
-from freeflyer_adapters.arm.e2e import HEADER_BYTES
-from freeflyer_adapters.arm.signals import Field, field_of, load, message_of, occupied_bits, only
-from freeflyer_adapters.device import DeviceError, LifeCycle
+from freeflyer.foundation.suggestions import did_you_mean
+from freeflyer_adapters.can.frame import Frame
+from freeflyer_adapters.can.signals import Field, field_of, load, message_of
+from freeflyer_adapters.device.device import DeviceError, LifeCycle
 
 SHIPPED_DBC = Path(__file__).parent / "arm.dbc"
 CYCLE_ROLES = ("cycle", "answered_cycle", "echoed_cycle")
 FEWEST_CYCLES = 64
-CAN_FD_SIZES = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 
 
 class Mode(IntEnum):
@@ -130,70 +129,21 @@ class FrameMapping:
         return self.has_shipped_names and self._names_all("description")
 
 
-class Frame:
-    """One message with its roles bound to signals."""
-
-    def __init__(self, kind: str, mapping: FrameMapping, joints: int) -> None:
-        database = load(mapping.dbc)
-        self.message = message = message_of(database, mapping.messages.get(kind, MESSAGES[kind]), mapping.dbc)
-        self.subject = f"DBC {mapping.dbc}: message {message.name}"
-        self.identifier, self.extended = int(message.frame_id), bool(message.is_extended_frame)
-        self.size = int(message.length)
-        self.fields: dict[str, tuple[Field, ...]] = {}
-        for role in ROLES[kind]:
-            names = _names(role, mapping, joints, {signal.name for signal in message.signals})
-            if names:
-                self.fields[role.name] = tuple(field_of(message, name, role.unit, mapping.dbc) for name in names)
-        bound = [f.name for fields in self.fields.values() for f in fields]
-        twice = [name for name in bound if bound.count(name) > 1]
-        if twice:
-            raise DeviceError(
-                f"{self.subject}: signal {twice[0]} is mapped more than once; a signal for each joint and role is expected"
-            )
-        self.is_fd = bool(message.is_fd) or self.size > 8
-        if self.size not in CAN_FD_SIZES:
-            sizes = ", ".join(map(str, CAN_FD_SIZES))
-            raise DeviceError(f"{self.subject} is {self.size} bytes long, which no CAN FD frame is: one of {sizes} is expected")
-        attributes = message.dbc.attributes if message.dbc else {}
-        known = attributes.get("E2eDataId")
-        self.data_id: int | None = mapping.data_ids.get(kind, int(known.value) if known and known.value else None)
-        self.e2e_offset = mapping.e2e_offset
-        if self.data_id is not None:
-            _check_header(message, self.subject, set(bound), mapping.e2e_offset)
-        self.cycle_ms = float(message.cycle_time or 0)
-        self._codec = only(message, set(bound))
-        self._values: dict[str, float] = {signal.name: signal.offset for signal in self._codec.signals}
-
-    def __contains__(self, role: str) -> bool:
-        return role in self.fields
-
-    def pack(self, numbers: Mapping[str, Sequence[float]]) -> bytearray:
-        """Values in SI, by role, each brought within what its signal holds; a role that is left out keeps its last value."""
-        values = self._values
-        for role, given in numbers.items():
-            for f, value in zip(self.fields.get(role, ()), given, strict=False):
-                values[f.name] = min(max(value, f.least), f.most) / f.factor
-        return bytearray(self._codec.encode(values, strict=False))
-
-    def unpack(self, data: bytes | bytearray) -> dict[str, list[float]]:
-        """Values in SI, by role."""
-        values = self._codec.decode(bytes(data), decode_choices=False)
-        return {role: [f.factor * values[f.name] for f in fields] for role, fields in self.fields.items()}
-
-
-def _check_header(message: Any, subject: str, bound: set[str], offset: int) -> None:
-    """The three bytes of E2E profile 5 are within the frame, and nothing else is in them."""
-    if not 0 <= offset <= message.length - HEADER_BYTES:
-        raise DeviceError(
-            f"{subject} has {message.length} bytes; the E2E header of {HEADER_BYTES} bytes at e2e_offset = {offset} is not within them"
-        )
-    header = set(range(8 * offset, 8 * (offset + HEADER_BYTES)))
-    for signal in message.signals:
-        if signal.name in bound and header & occupied_bits(signal):
-            raise DeviceError(
-                f"{subject}: signal {signal.name} lies in the E2E header (bytes {offset} to {offset + HEADER_BYTES - 1}); choose another "
-                f"e2e_offset, or leave data_ids out for a frame without protection"
-            )
+def _frame(kind: str, mapping: FrameMapping, joints: int) -> Frame:
+    message = message_of(load(mapping.dbc), mapping.messages.get(kind, MESSAGES[kind]), mapping.dbc)
+    present = {signal.name for signal in message.signals}
+    names = {role: _names(role, mapping, joints, present) for role in ROLES[kind]}
+    return Frame(
+        message,
+        {
+            role.name: tuple(field_of(message, name, role.unit, mapping.dbc) for name in names[role])
+            for role in ROLES[kind]
+            if names[role]
+        },
+        subject=f"DBC {mapping.dbc}: message {message.name}",
+        data_id=mapping.data_ids.get(kind),
+        e2e_offset=mapping.e2e_offset,
+    )
 
 
 def _names(role: Role, mapping: FrameMapping, joints: int, present: set[str]) -> list[str]:
@@ -268,8 +218,8 @@ class ArmFrames:
     def __init__(self, mapping: FrameMapping, joints: int) -> None:
         check_mapping(mapping)
         self.mapping, self.joints = mapping, joints
-        self.command = Frame("command", mapping, joints)
-        self.state = Frame("state", mapping, joints)
+        self.command = _frame("command", mapping, joints)
+        self.state = _frame("state", mapping, joints)
         if (self.command.identifier, self.command.extended) == (self.state.identifier, self.state.extended):
             raise DeviceError(
                 f"DBC {mapping.dbc}: {self.command.message.name} and {self.state.message.name} have one identifier, "
@@ -277,7 +227,7 @@ class ArmFrames:
             )
         self.description: Frame | None = None
         if mapping.has_description:
-            self.description = Frame("description", mapping, joints)
+            self.description = _frame("description", mapping, joints)
         numbers = [f.fields[r][0].most for f in (self.command, self.state) for r in CYCLE_ROLES if r in f]
         self.cycles = int(min(numbers)) + 1
         """Cycle numbers count modulo this: the narrowest field that holds one."""

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from freeflyer_adapters.arm.frames import FrameMapping
-from freeflyer_adapters.device import DeviceError
-from freeflyer_adapters.options import checked, known_keys
+from freeflyer_adapters.device.device import DeviceError
+from freeflyer_adapters.device.options import checked, known_keys
 
 ACTIVATIONS = ("explicit", "implicit")
 

@@ -10,8 +10,8 @@ from collections.abc import Callable
 from enum import Enum
 
 from freeflyer_adapters.arm.frames import Mode
-from freeflyer_adapters.device import LifeCycle
-from freeflyer_adapters.permit import Permit
+from freeflyer_adapters.device.device import LifeCycle
+from freeflyer_adapters.device.permit import Permit
 
 CLAIMS = 100
 """Claims without an echo after which another number is tried: the arm may have used this one up."""

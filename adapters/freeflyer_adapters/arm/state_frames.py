@@ -10,9 +10,9 @@ from collections.abc import Callable, Mapping
 
 import can
 
-from freeflyer_adapters import outside
 from freeflyer_adapters.arm.frames import ArmFrames
-from freeflyer_adapters.arm.link import Receiver, Sender, said
+from freeflyer_adapters.can.link import Receiver, Sender, said
+from freeflyer_adapters.foundation import environment as outside
 
 MOST_FRAMES = 64
 """Taken at a time. A backlog of more is taken in the next cycles."""

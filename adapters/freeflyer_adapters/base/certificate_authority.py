@@ -13,8 +13,8 @@ from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, load_pem_private_key
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from freeflyer.errors import CosimError
-from freeflyer.record import write_whole
+from freeflyer.foundation.errors import CosimError
+from freeflyer.foundation.output_file import write_whole
 from freeflyer_adapters.base.certificates import AUTHORITY, Identity, general_name
 
 AUTHORITY_DAYS = 3650

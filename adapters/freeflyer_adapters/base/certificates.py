@@ -18,8 +18,8 @@ from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat, load_pem_private_key
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from freeflyer.near import did_you_mean
-from freeflyer_adapters.device import DeviceError
+from freeflyer.foundation.suggestions import did_you_mean
+from freeflyer_adapters.device.device import DeviceError
 
 AUTHORITY = "ca"
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 import zenoh
 
-from freeflyer.component import Array
-from freeflyer_adapters import outside
+from freeflyer.fmi.component import Array
 from freeflyer_adapters.base import rmw_zenoh, ros_messages
 from freeflyer_adapters.base.options import LinkOptions
 from freeflyer_adapters.base.peer_clock import PeerClock
@@ -21,8 +20,9 @@ from freeflyer_adapters.base.rmw_zenoh import Attachment, AttachmentError
 from freeflyer_adapters.base.ros_messages import MessageError, Odometry, OdometryWriter
 from freeflyer_adapters.base.sealed_odometry import checksum, is_intact, is_sealable, is_sealed, sealed
 from freeflyer_adapters.base.session import said
-from freeflyer_adapters.device import DeviceError
-from freeflyer_adapters.pose import twist_rotated
+from freeflyer_adapters.device.device import DeviceError
+from freeflyer_adapters.foundation import environment as outside
+from freeflyer_adapters.foundation.pose import twist_rotated
 
 LONGEST_QUERY = 0.5
 """[s] for an answer about liveliness tokens."""

@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 
 from cryptography import x509
 
-from freeflyer.scenario import Scenario
+from freeflyer.scenario.scenario import Scenario
 from freeflyer_adapters.base import options as link_options
 from freeflyer_adapters.base.certificates import Identity, remedy_of_age
 from freeflyer_adapters.base.endpoint import Endpoint

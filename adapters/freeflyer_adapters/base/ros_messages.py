@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from freeflyer.component import Array
+from freeflyer.fmi.component import Array
 
 TYPE_NAME = "nav_msgs::msg::dds_::Odometry_"
 TYPE_HASH = "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0"

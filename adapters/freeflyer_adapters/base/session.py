@@ -8,11 +8,11 @@ from typing import Any
 
 import zenoh
 
-from freeflyer_adapters import outside
 from freeflyer_adapters.base import certificates
 from freeflyer_adapters.base.access_control import Protection
 from freeflyer_adapters.base.endpoint import Endpoint
-from freeflyer_adapters.device import DeviceError
+from freeflyer_adapters.device.device import DeviceError
+from freeflyer_adapters.foundation import environment as outside
 
 
 def open_session(connect: Sequence[str], listen: Sequence[str], subject: str, protection: Protection | None = None) -> Any:

@@ -11,22 +11,22 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from freeflyer.component import Array, Port
-from freeflyer_adapters import outside
-from freeflyer_adapters import settings as all_settings
+from freeflyer.fmi.component import Array, Port
 from freeflyer_adapters.base import access_control, commanders
 from freeflyer_adapters.base import diagnosis as link_diagnosis
 from freeflyer_adapters.base.link import OdometryLink, Received, is_usable
 from freeflyer_adapters.base.options import LinkOptions
 from freeflyer_adapters.base.rmw_zenoh import NOBODY
 from freeflyer_adapters.base.session import open_session
-from freeflyer_adapters.device import DeviceError, LifeCycle, SafeStop, State
-from freeflyer_adapters.histogram import Histogram
-from freeflyer_adapters.limits import BaseLimits
-from freeflyer_adapters.pacing import Pacer
-from freeflyer_adapters.permit import Permit
-from freeflyer_adapters.pose import distance, twist_rotated
-from freeflyer_adapters.quality import QualityMonitor
+from freeflyer_adapters.device import settings as all_settings
+from freeflyer_adapters.device.device import DeviceError, LifeCycle, SafeStop, State
+from freeflyer_adapters.device.limits import BaseLimits
+from freeflyer_adapters.device.permit import Permit
+from freeflyer_adapters.device.quality import QualityMonitor
+from freeflyer_adapters.foundation import environment as outside
+from freeflyer_adapters.foundation.histogram import Histogram
+from freeflyer_adapters.foundation.pacing import Pacer
+from freeflyer_adapters.foundation.pose import distance, twist_rotated
 
 PATIENCE = 1.75
 """A cycle counts as lost when the last sample is so many cycles old; jitter below that is none."""
@@ -36,7 +36,7 @@ TWIST = ("m/s",) * 3 + ("rad/s",) * 3
 
 
 class ZenohBase:
-    """See `freeflyer_adapters.device.Device` for the calls."""
+    """See `freeflyer_adapters.device.device.Device` for the calls."""
 
     is_clock = False
 

@@ -11,10 +11,8 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from freeflyer.component import Array, Port
-from freeflyer_adapters import outside
-from freeflyer_adapters import settings as all_settings
-from freeflyer_adapters.arm.link import flush, open_bus
+from freeflyer.fmi.component import Array, Port
+from freeflyer_adapters.can.link import flush, open_bus
 from freeflyer_adapters.cia402 import load, objects, process_data
 from freeflyer_adapters.cia402.network import PolledNetwork
 from freeflyer_adapters.cia402.options import DriveOptions
@@ -22,13 +20,15 @@ from freeflyer_adapters.cia402.remote_drive import HEARTBEATS_MISSED, RemoteDriv
 from freeflyer_adapters.cia402.scaling import Scaling
 from freeflyer_adapters.cia402.settings import DRIVES
 from freeflyer_adapters.cia402.state_machine import Command, DriveState
-from freeflyer_adapters.device import DeviceError, LifeCycle, SafeStop, State
-from freeflyer_adapters.histogram import Histogram
-from freeflyer_adapters.limits import ArmLimits
-from freeflyer_adapters.pacing import Pacer
-from freeflyer_adapters.permit import Permit
-from freeflyer_adapters.quality import QualityMonitor
-from freeflyer_adapters.ramp_down import RampDown
+from freeflyer_adapters.device import settings as all_settings
+from freeflyer_adapters.device.device import DeviceError, LifeCycle, SafeStop, State
+from freeflyer_adapters.device.limits import ArmLimits
+from freeflyer_adapters.device.permit import Permit
+from freeflyer_adapters.device.quality import QualityMonitor
+from freeflyer_adapters.device.ramp_down import RampDown
+from freeflyer_adapters.foundation import environment as outside
+from freeflyer_adapters.foundation.histogram import Histogram
+from freeflyer_adapters.foundation.pacing import Pacer
 
 ANSWER_SHARE = 0.6
 """Share of the cycle in which the TPDOs of a SYNC must have come; the rest is for controllers and targets."""
@@ -44,7 +44,7 @@ OPERATIONAL = b"\x05"
 
 
 class Cia402Arm:
-    """See `freeflyer_adapters.device.Device` for the calls."""
+    """See `freeflyer_adapters.device.device.Device` for the calls."""
 
     is_clock = False
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from freeflyer_adapters.cia402.arm import Cia402Arm
 from freeflyer_adapters.cia402.options import options_from
-from freeflyer_adapters.device_component import DeviceComponent
+from freeflyer_adapters.device.component import DeviceComponent
 
 
 def cia402_arm_component(name: str, options: Mapping[str, Any], directory: Path) -> DeviceComponent:

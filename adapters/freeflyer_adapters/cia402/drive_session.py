@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from freeflyer_adapters.cia402.state_machine import TOWARDS_ENABLED, Command, DriveState
-from freeflyer_adapters.permit import Permit
+from freeflyer_adapters.device.permit import Permit
 
 
 class DriveSession:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from freeflyer_adapters.bus_load import frame_time
+from freeflyer_adapters.can.bus_load import frame_time
 from freeflyer_adapters.cia402.process_data import ACTUAL, SPEED, TARGET
-from freeflyer_adapters.device import DeviceError
+from freeflyer_adapters.device.device import DeviceError
 
 SDO_FRAMES = 2
 """Room for one request and one answer of 8 bytes in a cycle (or an EMCY): whatever is read while the drives run."""

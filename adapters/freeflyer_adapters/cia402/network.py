@@ -14,8 +14,8 @@ import canopen
 from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoCommunicationError
 
-from freeflyer_adapters import outside
-from freeflyer_adapters.arm.link import said
+from freeflyer_adapters.can.link import said
+from freeflyer_adapters.foundation import environment as outside
 
 MOST_FRAMES = 512
 """Taken at a time."""

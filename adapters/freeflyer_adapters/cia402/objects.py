@@ -12,8 +12,8 @@ from typing import Any
 import canopen
 from canopen.objectdictionary.eds import import_eds
 
-from freeflyer.bounded_file import content
-from freeflyer_adapters.device import DeviceError
+from freeflyer.foundation.bounded_file import content
+from freeflyer_adapters.device.device import DeviceError
 
 LARGEST_EDS = 4 * 2**20
 """Bytes; a drive's is some 100 KiB."""

@@ -13,8 +13,8 @@ from freeflyer_adapters.cia402.objects import Entry
 from freeflyer_adapters.cia402.options import DriveOptions
 from freeflyer_adapters.cia402.process_data import ACTUAL, ON_SYNC, SPEED, TARGET, ProcessData
 from freeflyer_adapters.cia402.state_machine import FAULT_RESET, POWERED, Command, DriveState, state_of
-from freeflyer_adapters.device import DeviceError
-from freeflyer_adapters.permit import Permit
+from freeflyer_adapters.device.device import DeviceError
+from freeflyer_adapters.device.permit import Permit
 
 NOT_VALID = 1 << 31
 """In a PDO's COB-ID: it is off."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from freeflyer.component import Array
+from freeflyer.fmi.component import Array
 
 MOST_RAW_TORQUE = 0x7FFF
 

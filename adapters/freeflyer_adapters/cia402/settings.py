@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from freeflyer_adapters import settings
+from freeflyer_adapters.device import settings
 
 DEFAULTS = {"period": (0.004,), "state_age_limit": (0.04,), "lost_consecutive": (5.0,)}
 DESCRIPTIONS = {

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from freeflyer.component import Array
+from freeflyer.fmi.component import Array
 from freeflyer_adapters.arm.frames import Mode
-from freeflyer_adapters.device import LifeCycle, State
-from freeflyer_adapters.ramp_down import RampDown
+from freeflyer_adapters.device.device import LifeCycle, State
+from freeflyer_adapters.device.ramp_down import RampDown
 
 MOST_USED = 64
 """Session numbers that are remembered as used up."""

@@ -6,9 +6,9 @@ from collections import deque
 
 import numpy as np
 
-from freeflyer.component import Array
-from freeflyer_adapters.device import LifeCycle, State
-from freeflyer_adapters.pose import distance
+from freeflyer.fmi.component import Array
+from freeflyer_adapters.device.device import LifeCycle, State
+from freeflyer_adapters.foundation.pose import distance
 
 MOST_USED = 64
 """Publishers that are remembered as used up."""

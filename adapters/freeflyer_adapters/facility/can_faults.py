@@ -9,7 +9,8 @@ from typing import Any
 import can
 from e2e.p05 import e2e_p05_protect
 
-from freeflyer_adapters.arm.frames import ArmFrames, Frame
+from freeflyer_adapters.arm.frames import ArmFrames
+from freeflyer_adapters.can.frame import Frame
 from freeflyer_adapters.facility.faults import Fault
 from freeflyer_adapters.facility.link_faults import TAMPERING, LinkFaults, Way
 

@@ -9,10 +9,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from freeflyer.component import Array
+from freeflyer.fmi.component import Array
 from freeflyer_adapters.cia402.objects import HEARTBEAT_LOST, RPDO_LOST, SYNC_LOST, error_text
 from freeflyer_adapters.cia402.state_machine import DriveState, following
-from freeflyer_adapters.ramp_down import AT_REST, RampDown
+from freeflyer_adapters.device.ramp_down import AT_REST, RampDown
 
 S = DriveState
 STOPPING = (S.quick_stop_active, S.fault_reaction_active)

@@ -12,8 +12,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Literal, get_args
 
-from freeflyer.near import did_you_mean
-from freeflyer_adapters.device import DeviceError
+from freeflyer.foundation.suggestions import did_you_mean
+from freeflyer_adapters.device.device import DeviceError
 
 Direction = Literal["to_controller", "to_device", "both"]
 DIRECTIONS: tuple[str, ...] = get_args(Direction)

@@ -12,21 +12,22 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from freeflyer import assemble, graph, parameters, schedule
-from freeflyer.clock import SECOND, seconds
-from freeflyer.component import Array, Component, PythonComponent
-from freeflyer.graph import Connection, split
-from freeflyer.interrupts import interrupts
-from freeflyer.master import Master, Outcome
-from freeflyer.near import did_you_mean
-from freeflyer.plugins import load, plugins
-from freeflyer.scenario import Scenario
-from freeflyer_adapters.device import SIMULATED, DeviceError
+from freeflyer.fmi.component import Array, Component, PythonComponent
+from freeflyer.foundation.clock import SECOND, seconds
+from freeflyer.foundation.interrupts import interrupts
+from freeflyer.foundation.plugins import load, plugins
+from freeflyer.foundation.suggestions import did_you_mean
+from freeflyer.master import graph, schedule
+from freeflyer.master.graph import Connection, split
+from freeflyer.master.master import Master, Outcome
+from freeflyer.scenario import assemble, parameters
+from freeflyer.scenario.scenario import Scenario
+from freeflyer_adapters.device.device import SIMULATED, DeviceError
 from freeflyer_adapters.facility import faults
 from freeflyer_adapters.facility import settings as facility_settings
 from freeflyer_adapters.facility.settings import FacilitySettings
 from freeflyer_adapters.facility.virtual_device import VirtualDevice
-from freeflyer_adapters.pacing import Pacer
+from freeflyer_adapters.foundation.pacing import Pacer
 
 LONGEST = 7 * 24 * 3600 * SECOND
 """A session's end at the latest [ns]."""

@@ -6,9 +6,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from freeflyer.near import did_you_mean
-from freeflyer.scenario import Scenario
-from freeflyer_adapters.device import DeviceError
+from freeflyer.foundation.suggestions import did_you_mean
+from freeflyer.scenario.scenario import Scenario
+from freeflyer_adapters.device.device import DeviceError
 from freeflyer_adapters.facility import faults
 from freeflyer_adapters.facility.faults import Fault, RandomFaults
 

@@ -10,19 +10,19 @@ from typing import Any
 import can
 import numpy as np
 
-from freeflyer.component import Array, Port
-from freeflyer_adapters import outside
+from freeflyer.fmi.component import Array, Port
 from freeflyer_adapters.arm import options as arm_options
 from freeflyer_adapters.arm.frames import LIMIT_ROLES, ArmFrames, Mode
-from freeflyer_adapters.arm.link import Receiver, Sender, open_bus
-from freeflyer_adapters.device import DeviceError, LifeCycle
+from freeflyer_adapters.can.link import Receiver, Sender, open_bus
+from freeflyer_adapters.device.device import DeviceError, LifeCycle
+from freeflyer_adapters.device.ramp_down import RampDown
 from freeflyer_adapters.facility.arm_logic import MOST_USED, ArmLogic, Command
 from freeflyer_adapters.facility.can_faults import FAULT_KINDS, CanTamper, FaultyBus
 from freeflyer_adapters.facility.link_faults import LinkFaults
 from freeflyer_adapters.facility.settings import FacilitySettings
 from freeflyer_adapters.facility.virtual_device import VirtualDevice
-from freeflyer_adapters.histogram import Histogram
-from freeflyer_adapters.ramp_down import RampDown
+from freeflyer_adapters.foundation import environment as outside
+from freeflyer_adapters.foundation.histogram import Histogram
 
 MOST_FRAMES = 256
 """Taken in a cycle."""

@@ -9,19 +9,19 @@ from typing import Any
 
 import numpy as np
 
-from freeflyer.component import Array, Port
+from freeflyer.fmi.component import Array, Port
 from freeflyer_adapters.base import access_control, commanders
 from freeflyer_adapters.base import options as link_options
 from freeflyer_adapters.base.link import Received, is_usable
 from freeflyer_adapters.base.session import open_session
 from freeflyer_adapters.base.zenoh_base import TWIST
-from freeflyer_adapters.device import LifeCycle
+from freeflyer_adapters.device.device import LifeCycle
 from freeflyer_adapters.facility.base_logic import MOST_USED, BaseLogic
 from freeflyer_adapters.facility.link_faults import LinkFaults
 from freeflyer_adapters.facility.settings import FacilitySettings
 from freeflyer_adapters.facility.virtual_device import VirtualDevice
 from freeflyer_adapters.facility.zenoh_faults import FAULT_KINDS, FaultyOdometryLink, ZenohTamper
-from freeflyer_adapters.pose import twist_rotated
+from freeflyer_adapters.foundation.pose import twist_rotated
 
 PROOF = 0.04
 """[s] in which set points must have come as their stamps advance before the first is followed."""

@@ -15,22 +15,22 @@ import canopen
 import numpy as np
 from canopen.sdo.exceptions import SdoAbortedError, SdoError
 
-from freeflyer.component import Array, Port
-from freeflyer_adapters import outside
-from freeflyer_adapters.arm.link import open_bus
+from freeflyer.fmi.component import Array, Port
+from freeflyer_adapters.can.link import open_bus
 from freeflyer_adapters.cia402 import objects, process_data
 from freeflyer_adapters.cia402.network import PolledNetwork
 from freeflyer_adapters.cia402.objects import Entry
 from freeflyer_adapters.cia402.options import DriveOptions, options_from
 from freeflyer_adapters.cia402.scaling import Scaling
 from freeflyer_adapters.cia402.state_machine import statusword_of
+from freeflyer_adapters.device.ramp_down import RampDown
 from freeflyer_adapters.facility.can_faults import OF_DRIVES, FaultyBus, Untouched
 from freeflyer_adapters.facility.drive_logic import DriveGroup, DriveLogic
 from freeflyer_adapters.facility.link_faults import LinkFaults
 from freeflyer_adapters.facility.settings import FacilitySettings
 from freeflyer_adapters.facility.virtual_device import VirtualDevice
-from freeflyer_adapters.histogram import Histogram
-from freeflyer_adapters.ramp_down import RampDown
+from freeflyer_adapters.foundation import environment as outside
+from freeflyer_adapters.foundation.histogram import Histogram
 
 INITIALISING, PRE_OPERATIONAL, OPERATIONAL = 0, 127, 5
 MOST_TORQUE = 3000

@@ -6,9 +6,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
-from freeflyer.component import Array, Port
+from freeflyer.fmi.component import Array, Port
 from freeflyer_adapters.facility.link_faults import LinkFaults
-from freeflyer_adapters.histogram import Histogram
+from freeflyer_adapters.foundation.histogram import Histogram
 
 
 class Logic(Protocol):

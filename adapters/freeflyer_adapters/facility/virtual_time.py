@@ -16,7 +16,7 @@ import zenoh
 
 from freeflyer_adapters.facility.memory_can import MemoryBus
 from freeflyer_adapters.facility.memory_zenoh import MemorySession, Net
-from freeflyer_adapters.outside import Outside
+from freeflyer_adapters.foundation.environment import Outside
 
 START = 1_000_000_000
 """[ns] of both clocks, so that nothing is taken for a time that was never set."""

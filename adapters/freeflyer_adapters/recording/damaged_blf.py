@@ -20,7 +20,7 @@ from can.io.blf import (
     ZLIB_DEFLATE,
 )
 
-from freeflyer.errors import RecordError
+from freeflyer.foundation.errors import RecordError
 
 SIGNATURE, OBJECT = b"LOGG", b"LOBJ"
 LARGEST = 16 * 2**20

@@ -10,13 +10,13 @@ import numpy as np
 import pandas
 from mcap.records import Metadata
 
-from freeflyer.component import Array
-from freeflyer.errors import RecordError
-from freeflyer.record import Signal
+from freeflyer.fmi.component import Array
+from freeflyer.foundation.errors import RecordError
+from freeflyer.master.record import Signal
 from freeflyer_adapters.recording.damaged_mcap import DamagedMcap, WholeMessage
+from freeflyer_adapters.recording.header import WIDEST
 from freeflyer_adapters.recording.parts import parts
 from freeflyer_adapters.recording.recording_file import RUN, STARTED, STOP
-from freeflyer_adapters.recording.run_head import WIDEST
 from freeflyer_adapters.recording.topics import COLUMNS, LOOP
 
 FIRST = 20

@@ -16,6 +16,7 @@ import numpy as np
 from mcap.records import Metadata
 
 from freeflyer_adapters.recording.damaged_mcap import DamagedMcap, WholeMessage
+from freeflyer_adapters.recording.header import RunHead
 from freeflyer_adapters.recording.recording_file import (
     CHUNK_SECONDS,
     MESSAGE_OVERHEAD,
@@ -28,7 +29,6 @@ from freeflyer_adapters.recording.recording_file import (
     stop_of,
 )
 from freeflyer_adapters.recording.ring import RingReader, Rows
-from freeflyer_adapters.recording.run_head import RunHead
 from freeflyer_adapters.recording.topics import topics
 
 PART_SECONDS = 300.0

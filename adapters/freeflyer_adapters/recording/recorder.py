@@ -17,9 +17,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from freeflyer.errors import CosimError
-from freeflyer_adapters import pacing
-from freeflyer_adapters.device import DeviceError
+from freeflyer.foundation.errors import CosimError
+from freeflyer_adapters.device.device import DeviceError
+from freeflyer_adapters.foundation import pacing
 from freeflyer_adapters.recording.can_log import CanLog
 from freeflyer_adapters.recording.parts import PartedRecording
 from freeflyer_adapters.recording.recording_file import FLIGHT, save_flight, stop_of

@@ -16,11 +16,12 @@ from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, Schema
 from mcap.writer import CompressionType, Writer
 
-from freeflyer.errors import OutputError
-from freeflyer.record import Signal, write_whole
-from freeflyer_adapters import private_directory
+from freeflyer.foundation.errors import OutputError
+from freeflyer.foundation.output_file import write_whole
+from freeflyer.master.record import Signal
+from freeflyer_adapters.foundation import private_directory
+from freeflyer_adapters.recording.header import RunHead
 from freeflyer_adapters.recording.ring import RingReader, Rows
-from freeflyer_adapters.recording.run_head import RunHead
 from freeflyer_adapters.recording.topics import topics
 
 CHUNK_SECONDS = 0.05

@@ -13,8 +13,8 @@ from typing import BinaryIO
 from mcap.records import Attachment, Metadata
 from mcap.writer import CompressionType, Writer
 
-from freeflyer.errors import CosimError, RecordError
-from freeflyer.record import write_whole
+from freeflyer.foundation.errors import CosimError, RecordError
+from freeflyer.foundation.output_file import write_whole
 from freeflyer_adapters.recording.damaged_blf import copy_frames
 from freeflyer_adapters.recording.damaged_mcap import Damage, DamagedMcap, WholeMessage
 from freeflyer_adapters.recording.recording_file import library

@@ -9,12 +9,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from freeflyer.errors import CosimError, OutputError, RecordError
+from freeflyer.foundation.errors import CosimError, OutputError, RecordError
 from freeflyer_adapters.recording.damaged_mcap import MAGIC
+from freeflyer_adapters.recording.header import CanChannel
 from freeflyer_adapters.recording.parts import number_of, parts, save_rest
 from freeflyer_adapters.recording.recording_file import FLIGHT, RECORDING, save_flight
 from freeflyer_adapters.recording.ring import RingReader, is_left_behind, left_behind
-from freeflyer_adapters.recording.run_head import CanChannel
 
 
 @dataclass(frozen=True, kw_only=True)

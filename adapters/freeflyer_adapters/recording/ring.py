@@ -26,10 +26,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from freeflyer.component import Array
-from freeflyer.errors import RecordError
-from freeflyer_adapters import outside, private_directory
-from freeflyer_adapters.recording.run_head import RunHead
+from freeflyer.fmi.component import Array
+from freeflyer.foundation.errors import RecordError
+from freeflyer_adapters.foundation import environment as outside
+from freeflyer_adapters.foundation import private_directory
+from freeflyer_adapters.recording.header import RunHead
 from freeflyer_adapters.recording.wall_clock import offset_of
 
 MAGIC = b"FFRING1\n"

@@ -25,15 +25,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from freeflyer.component import Array
-from freeflyer.graph import split
-from freeflyer.record import Signal
-from freeflyer_adapters.device import LifeCycle
-from freeflyer_adapters.live_view import STATE
+from freeflyer.fmi.component import Array
+from freeflyer.master.graph import split
+from freeflyer.master.record import Signal
+from freeflyer_adapters.device.device import STATE, LifeCycle
+from freeflyer_adapters.recording.header import RunHead
 from freeflyer_adapters.recording.layout import Layout, Numbers
 from freeflyer_adapters.recording.ring import Rows
 from freeflyer_adapters.recording.ros_definitions import DEFINITIONS, PACKAGE, field_names, full_text, message_name
-from freeflyer_adapters.recording.run_head import RunHead
 
 INERTIAL, BASE = "inertial", "base"
 COLUMNS = "freeflyer.columns"

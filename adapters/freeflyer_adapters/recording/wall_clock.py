@@ -6,8 +6,8 @@ both clocks alike, so that their difference is constant until the wall clock is 
 
 from __future__ import annotations
 
-from freeflyer_adapters import outside
-from freeflyer_adapters.outside import Outside
+from freeflyer_adapters.foundation import environment as outside
+from freeflyer_adapters.foundation.environment import Outside
 
 NAMED = 100_000_000
 """[ns] The smallest step that is named."""

@@ -8,10 +8,10 @@ from pathlib import Path, PurePosixPath
 from urllib.parse import unquote, urlsplit
 from xml.etree import ElementTree
 
-from freeflyer import archive
-from freeflyer.archive import Archive, ArchiveError
-from freeflyer.errors import ScenarioError
-from freeflyer.near import did_you_mean
+from freeflyer.fmi import archive
+from freeflyer.fmi.archive import Archive, ArchiveError
+from freeflyer.foundation.errors import ScenarioError
+from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer.ssp.names import tag
 
 Element = ElementTree.Element

@@ -17,15 +17,15 @@ from xml.etree import ElementTree
 
 from fmpy.model_description import ModelDescription
 
-from freeflyer import toml_file
-from freeflyer.component import Port
-from freeflyer.fmu_description import describe_fmu, ports_of
-from freeflyer.near import did_you_mean
-from freeflyer.raw_scenario import Raw, override
-from freeflyer.scenario import Scenario, from_tables
+from freeflyer.fmi.component import Port
+from freeflyer.fmi.fmu_description import describe_fmu, ports_of
+from freeflyer.foundation import toml_file
+from freeflyer.foundation.suggestions import did_you_mean
+from freeflyer.foundation.units import DIMENSIONLESS, same
+from freeflyer.scenario.raw_scenario import Raw, override
+from freeflyer.scenario.scenario import Scenario, from_tables
 from freeflyer.ssp.names import ANNOTATION, DESCRIPTION, FMU_TYPE, NAMESPACES, SETTINGS, STEP_ANNOTATION, tag
 from freeflyer.ssp.package import Package, opened
-from freeflyer.units import DIMENSIONLESS, same
 
 Element = ElementTree.Element
 Node = tuple[tuple[str, ...], str]

@@ -16,14 +16,14 @@ from xml.etree import ElementTree
 import numpy as np
 from fmpy.model_description import ModelVariable
 
-from freeflyer.assemble import System
-from freeflyer.clock import seconds
-from freeflyer.component import Array, Port
-from freeflyer.errors import ComponentError, ScenarioError
-from freeflyer.fmu import FmuComponent
-from freeflyer.graph import split
-from freeflyer.record import write_whole
-from freeflyer.scenario import ComponentSpec, Scenario, to_toml
+from freeflyer.fmi.component import Array, Port
+from freeflyer.fmi.fmu import FmuComponent
+from freeflyer.foundation.clock import seconds
+from freeflyer.foundation.errors import ComponentError, ScenarioError
+from freeflyer.foundation.output_file import write_whole
+from freeflyer.master.graph import split
+from freeflyer.scenario.assemble import System
+from freeflyer.scenario.scenario import ComponentSpec, Scenario, to_toml
 from freeflyer.ssp.names import ANNOTATION, DESCRIPTION, FMU_TYPE, SETTINGS, STEP_ANNOTATION, tag
 
 EPOCH = (1980, 1, 1, 0, 0, 0)

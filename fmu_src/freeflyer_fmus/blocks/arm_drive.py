@@ -8,13 +8,13 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from freeflyer_fmus.block import ACCELERATION, TWIST, Block
+from freeflyer_fmus.blocks.block import ACCELERATION, TWIST, Block
 from freeflyer_fmus.blocks.facility_parameters import gravity_model, gravity_parameters
 from freeflyer_fmus.blocks.robot_parameters import IDENTITY, joint_limits, joint_units, mass_parameters, require_quaternions
 from freeflyer_fmus.equations import noise
 from freeflyer_fmus.equations.dynamics import arm_on_moving_base
 from freeflyer_fmus.equations.mechanism import State
-from freeflyer_fmus.robot import Robot
+from freeflyer_fmus.robot.robot import Robot
 
 SX = ca.SX
 SMOOTHING = 1e-2

@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from freeflyer_fmus.block import WRENCH, Block
+from freeflyer_fmus.blocks.block import WRENCH, Block
 from freeflyer_fmus.blocks.gains import BASE, DAMPING, MANIPULATOR, gains
 from freeflyer_fmus.blocks.robot_parameters import (
     IDENTITY,
@@ -23,7 +23,7 @@ from freeflyer_fmus.equations.kinematics import base_jacobian_transposed_times, 
 from freeflyer_fmus.equations.passivity import Bookkeeping
 from freeflyer_fmus.equations.sampled_control import Discretisation, mean_wrench, sampled_damping
 from freeflyer_fmus.equations.tracking_control import feed_forward, pose_error, spring_damper
-from freeflyer_fmus.robot import Robot
+from freeflyer_fmus.robot.robot import Robot
 
 SX = ca.SX
 

@@ -9,10 +9,10 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from freeflyer_fmus.block import ACCELERATION, TWIST, Block
+from freeflyer_fmus.blocks.block import ACCELERATION, TWIST, Block
 from freeflyer_fmus.blocks.robot_parameters import IDENTITY, require_quaternions
 from freeflyer_fmus.equations import noise, rotation
-from freeflyer_fmus.robot import Robot
+from freeflyer_fmus.robot.robot import Robot
 
 SX = ca.SX
 LONGEST_DELAY = 8

@@ -8,7 +8,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from freeflyer_fmus.block import TWIST, Block
+from freeflyer_fmus.blocks.block import TWIST, Block
 from freeflyer_fmus.blocks.gains import BASE, MANIPULATOR, gains, null_space_damping
 from freeflyer_fmus.blocks.reference_trajectory import reference_motion
 from freeflyer_fmus.blocks.robot_parameters import (
@@ -35,7 +35,7 @@ from freeflyer_fmus.equations.tracking_control import (
     spring_damper,
     spring_energy,
 )
-from freeflyer_fmus.robot import Robot
+from freeflyer_fmus.robot.robot import Robot
 
 SX = ca.SX
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from freeflyer_fmus.block import Block
+from freeflyer_fmus.blocks.block import Block
 from freeflyer_fmus.equations.dynamics import two_velocity_inverse_dynamics
 from freeflyer_fmus.equations.mechanism import Mechanism, State
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from freeflyer_fmus.block import TWIST, WRENCH, Block
+from freeflyer_fmus.blocks.block import TWIST, WRENCH, Block
 from freeflyer_fmus.blocks.robot_parameters import IDENTITY, joint_units, mass_parameters, require_quaternions
 from freeflyer_fmus.blocks.terminals import HAND
 from freeflyer_fmus.equations import dynamics, rotation
 from freeflyer_fmus.equations.kinematics import end_effector_pose, end_effector_velocity
 from freeflyer_fmus.equations.mechanism import State
-from freeflyer_fmus.robot import Robot
+from freeflyer_fmus.robot.robot import Robot
 
 
 def free_flyer(robot: Robot) -> Block:

@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from freeflyer_fmus.block import Block
+from freeflyer_fmus.blocks.block import Block
 from freeflyer_fmus.blocks.robot_parameters import joint_units
-from freeflyer_fmus.robot import Robot
+from freeflyer_fmus.robot.robot import Robot
 
 SX = ca.SX
 STIFFNESS = ("N/m",) * 3 + ("N.m/rad",) * 3

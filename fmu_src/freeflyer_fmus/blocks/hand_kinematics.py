@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from freeflyer_fmus.block import TWIST, Block
+from freeflyer_fmus.blocks.block import TWIST, Block
 from freeflyer_fmus.blocks.robot_parameters import measured_state, require_quaternions
 from freeflyer_fmus.blocks.terminals import HAND
 from freeflyer_fmus.equations.kinematics import end_effector_pose, end_effector_velocity
 from freeflyer_fmus.equations.mechanism import constant_mechanism
-from freeflyer_fmus.robot import Robot
+from freeflyer_fmus.robot.robot import Robot
 
 
 def hand_kinematics(robot: Robot) -> Block:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from freeflyer_fmus.block import ACCELERATION, TWIST, Block
+from freeflyer_fmus.blocks.block import ACCELERATION, TWIST, Block
 from freeflyer_fmus.blocks.robot_parameters import IDENTITY, joint_units, require_quaternions
 from freeflyer_fmus.blocks.terminals import REFERENCE
 from freeflyer_fmus.equations.kinematics import end_effector_pose
 from freeflyer_fmus.equations.mechanism import constant_mechanism
 from freeflyer_fmus.equations.trajectory import straight_line
-from freeflyer_fmus.robot import Robot
+from freeflyer_fmus.robot.robot import Robot
 
 
 def linear_trajectory(robot: Robot) -> Block:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from freeflyer_fmus.block import TWIST, WRENCH, Block
+from freeflyer_fmus.blocks.block import TWIST, WRENCH, Block
 from freeflyer_fmus.blocks.gains import DAMPING, MANIPULATOR, gains, null_space_damping, null_space_spring
 from freeflyer_fmus.blocks.robot_parameters import (
     SINGULARITY_THRESHOLD,
@@ -32,7 +32,7 @@ from freeflyer_fmus.equations.tracking_control import (
     pose_error,
     spring_damper,
 )
-from freeflyer_fmus.robot import Robot
+from freeflyer_fmus.robot.robot import Robot
 
 SX = ca.SX
 

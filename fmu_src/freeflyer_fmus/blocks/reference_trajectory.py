@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import casadi as ca
 
-from freeflyer_fmus.block import ACCELERATION, TWIST, Block
+from freeflyer_fmus.blocks.block import ACCELERATION, TWIST, Block
 from freeflyer_fmus.blocks.robot_parameters import require_quaternions, start_pose
 from freeflyer_fmus.blocks.terminals import REFERENCE
 from freeflyer_fmus.equations.trajectory import Motion, ramped_sine
-from freeflyer_fmus.robot import Robot
+from freeflyer_fmus.robot.robot import Robot
 
 SX = ca.SX
 

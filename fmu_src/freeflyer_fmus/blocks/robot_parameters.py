@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from freeflyer_fmus.block import ACCELERATION, TWIST, Block, Units
+from freeflyer_fmus.blocks.block import ACCELERATION, TWIST, Block, Units
 from freeflyer_fmus.equations.kinematics import axes, end_effector_pose, manipulator_jacobian
 from freeflyer_fmus.equations.mechanism import (
     Mechanism,
@@ -18,7 +18,7 @@ from freeflyer_fmus.equations.mechanism import (
     symmetric_matrix,
 )
 from freeflyer_fmus.errors import RobotError
-from freeflyer_fmus.robot import Array, Robot
+from freeflyer_fmus.robot.robot import Array, Robot
 
 SX = ca.SX
 IDENTITY = (0.0, 0.0, 0.0, 1.0)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from freeflyer_fmus.block import ACCELERATION, TWIST, WRENCH, Block
+from freeflyer_fmus.blocks.block import ACCELERATION, TWIST, WRENCH, Block
 from freeflyer_fmus.blocks.facility_parameters import gravity_model, gravity_parameters
 from freeflyer_fmus.blocks.robot_parameters import IDENTITY, joint_units, mass_parameters, require_quaternions
 from freeflyer_fmus.equations import dynamics, rotation
 from freeflyer_fmus.equations.mechanism import State
-from freeflyer_fmus.robot import Robot
+from freeflyer_fmus.robot.robot import Robot
 
 
 def satellite(robot: Robot) -> Block:

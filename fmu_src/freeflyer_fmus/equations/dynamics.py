@@ -21,7 +21,7 @@ from freeflyer_fmus.equations.spatial import (
     symmetric,
     wrench_to_parent,
 )
-from freeflyer_fmus.robot import Joint
+from freeflyer_fmus.robot.robot import Joint
 
 SX = ca.SX
 IN_PLANE = sparse([[1, 0, 0], [0, 1, 0], [0, 0, 0]])

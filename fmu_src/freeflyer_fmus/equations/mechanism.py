@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from freeflyer_fmus.equations.spatial import ArticulatedInertia, RigidInertia, sparse
-from freeflyer_fmus.robot import Joint, Robot
+from freeflyer_fmus.robot.robot import Joint, Robot
 
 SX = ca.SX
 

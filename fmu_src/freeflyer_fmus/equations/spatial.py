@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from freeflyer_fmus.robot import Inertial
+from freeflyer_fmus.robot.robot import Inertial
 
 SX = ca.SX
 Z = SX(ca.DM([0.0, 0.0, 1.0]))

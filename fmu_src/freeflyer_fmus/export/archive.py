@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
 
-from freeflyer_fmus.block import Block
+from freeflyer_fmus.blocks.block import Block
 from freeflyer_fmus.errors import BuildError
 from freeflyer_fmus.export import description
 from freeflyer_fmus.export.amalgamation import amalgamated

@@ -12,7 +12,7 @@ from functools import lru_cache
 
 import casadi as ca
 
-from freeflyer_fmus.block import Block, Requirement
+from freeflyer_fmus.blocks.block import Block, Requirement
 from freeflyer_fmus.errors import BlockError
 from freeflyer_fmus.export.layout import Layout, layout
 

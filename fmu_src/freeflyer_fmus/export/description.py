@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from xml.etree import ElementTree
 
-from freeflyer_fmus.block import Block, Variable
+from freeflyer_fmus.blocks.block import Block, Variable
 from freeflyer_fmus.export.layout import Layout, derivative_elements, derivative_name, layout
 from freeflyer_fmus.units import DISPLAY, UNITS, rate
 

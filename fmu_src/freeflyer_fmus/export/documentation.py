@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from freeflyer_fmus.block import Block, Variable
+from freeflyer_fmus.blocks.block import Block, Variable
 
 HEAD = """# FMU variables
 
@@ -53,8 +53,8 @@ def _values(variable: Variable) -> str:
 
 
 if __name__ == "__main__":
-    from freeflyer_fmus.shipped import BLOCKS
-    from freeflyer_fmus.urdf import load_robot_file
+    from freeflyer_fmus.blocks.shipped import BLOCKS
+    from freeflyer_fmus.robot.urdf import load_robot_file
 
     robot = load_robot_file()
     print(page(make(robot) for make in BLOCKS.values()), end="")

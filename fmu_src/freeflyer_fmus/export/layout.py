@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from freeflyer_fmus.block import Block, Variable
+from freeflyer_fmus.blocks.block import Block, Variable
 
 Access = Literal["read_only", "fixed", "tunable", "input", "start"]
 

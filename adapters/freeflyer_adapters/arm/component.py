@@ -1,0 +1,15 @@
+"""The entry point of kind "can_arm"."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from freeflyer_adapters.arm.can_arm import CanArm
+from freeflyer_adapters.arm.options import options_from
+from freeflyer_adapters.device.component import DeviceComponent
+
+
+def can_arm_component(name: str, options: Mapping[str, Any], directory: Path) -> DeviceComponent:
+    return DeviceComponent(CanArm(name, options_from(name, options, directory)))

@@ -1,0 +1,306 @@
+"""`interface = "local"`: a CAN bus between processes of one machine, without a kernel driver.
+
+Every bus object listens on a Unix socket (SOCK_SEQPACKET) in the channel's directory and is connected with every other one there,
+so that there is no server to die. A packet is one `struct canfd_frame` (linux/can.h, 72 bytes). For testing: there is no bit timing,
+no arbitration and no acknowledgement; a peer that does not read loses frames once its socket buffer is full, as a CAN controller
+does whose receive buffer overflows; the order of frames is kept for each sender only. Linux only (other systems have no
+SOCK_SEQPACKET for Unix sockets). Nobody but the user can connect: the directory is his (mode 0700).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import os
+import re
+import select
+import socket
+import struct
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from can import BusABC, CanInitializationError, CanOperationError, CanProtocol, Message
+
+from freeflyer_adapters.foundation import private_directory
+
+FRAME = struct.Struct("=IBBBB64s")
+"""can_id with its flags, len, flags, two reserved bytes, data."""
+EXTENDED, REMOTE, ERROR = 0x80000000, 0x40000000, 0x20000000
+BIT_RATE_SWITCH, ERROR_STATE, FD_FORMAT = 0x01, 0x02, 0x04
+CHANNEL = re.compile(r"[A-Za-z0-9._-]{1,32}")
+IGNORED = ("bitrate", "data_bitrate", "timing", "state", "single_handle", "ignore_config")
+"""Settings of real interfaces that mean nothing here, and do no harm."""
+MOST_UNWANTED, MOST_PEERS = 64, 16
+"""Frames that the filters reject, and new nodes, in one receive: more cannot hold it."""
+SLICE = 2e-4
+"""[s] of sleep after so many rejected frames."""
+SO_TIMESTAMPNS = 35
+TIMESPEC = struct.Struct("=qq")
+
+
+def directory(channel: str) -> Path:
+    """Where the sockets of a channel are: private to the user."""
+    if not CHANNEL.fullmatch(channel) or set(channel) == {"."}:
+        raise CanInitializationError(
+            f"channel {channel!r} of the local CAN interface: up to 32 letters, digits, '.', '_' and '-' are expected"
+        )
+    root = Path(os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir()) / f"freeflyer-can-{os.getuid()}"
+    for path in (root, root / channel):
+        if refused := private_directory.made(path):
+            raise CanInitializationError(refused)
+    return root / channel
+
+
+class LocalBus(BusABC):
+    """One node on a local channel."""
+
+    def __init__(
+        self,
+        channel: str = "freeflyer",
+        fd: bool = False,
+        receive_own_messages: bool = False,
+        can_filters: Any = None,
+        **kwargs: object,
+    ) -> None:
+        """`fd`: take part in CAN FD; a classic node neither sends nor sees FD frames. Raises CanInitializationError."""
+        unknown = sorted(set(kwargs) - set(IGNORED))
+        if unknown:
+            raise CanInitializationError(f"the local CAN interface has no setting {unknown[0]!r}")
+        if not hasattr(socket, "SOCK_SEQPACKET") or not hasattr(select, "epoll"):
+            raise CanInitializationError("the local CAN interface needs Linux")
+        self.channel_info = f"local channel {channel!r}"
+        self._fd = fd
+        self._can_protocol = CanProtocol.CAN_FD if fd else CanProtocol.CAN_20
+        self._peers: dict[int, socket.socket] = {}
+        self._own: socket.socket | None = None
+        self._echo: socket.socket | None = None
+        self.dropped = 0
+        """Frames that a peer did not take because its buffer was full."""
+        self._epoll = select.epoll()
+        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._path: Path | None = None
+        try:
+            self._join(directory(str(channel)))
+            if receive_own_messages:
+                self._own, self._echo = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+                self._own.setblocking(False)
+                self._add(self._echo)
+        except OSError as error:
+            self._close()
+            raise CanInitializationError(
+                f"local CAN channel {channel!r} cannot be opened: {error.strerror or error}"
+            ) from error
+        except BaseException:
+            self._close()
+            raise
+        super().__init__(channel=channel, can_filters=can_filters, **kwargs)
+
+    # Joining and leaving
+
+    def _join(self, folder: Path) -> None:
+        """Listen, and connect to everybody who is there already; one node at a time, so that no pair connects twice."""
+        with _locked(folder / "lock"):
+            path = folder / f"{os.getpid()}-{id(self):x}-{time.monotonic_ns():x}"
+            self._listener.bind(str(path))
+            self._path = path
+            self._listener.listen(64)
+            self._listener.setblocking(False)
+            self._epoll.register(self._listener, select.EPOLLIN)
+            for other in sorted(folder.iterdir()):
+                if other.name != "lock" and other != path:
+                    self._connect(other)
+
+    def _connect(self, path: Path) -> None:
+        peer = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        peer.setblocking(False)
+        try:
+            peer.connect(str(path))
+        except ConnectionRefusedError:
+            peer.close()
+            path.unlink(missing_ok=True)  # its owner has died
+        except OSError:
+            peer.close()
+            raise
+        else:
+            self._add(peer)
+
+    def _add(self, peer: socket.socket) -> None:
+        peer.setblocking(False)
+        with contextlib.suppress(OSError):
+            peer.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
+        self._peers[peer.fileno()] = peer
+        self._epoll.register(peer, select.EPOLLIN)
+
+    def _remove(self, peer: socket.socket) -> None:
+        self._peers.pop(peer.fileno(), None)
+        with contextlib.suppress(OSError, ValueError):
+            self._epoll.unregister(peer)
+        peer.close()
+
+    def _accept(self) -> None:
+        for _ in range(MOST_PEERS):
+            try:
+                peer, _ = self._listener.accept()
+            except BlockingIOError:
+                return
+            self._add(peer)
+
+    def _close(self) -> None:
+        for peer in list(self._peers.values()):
+            self._remove(peer)
+        if self._own is not None:
+            self._own.close()
+        self._listener.close()
+        self._epoll.close()
+        if self._path is not None:
+            self._path.unlink(missing_ok=True)
+            self._path = None
+
+    def shutdown(self) -> None:
+        """Leave the channel; may be called more than once."""
+        if not self._is_shutdown:
+            super().shutdown()
+            self._close()
+
+    @property
+    def peers(self) -> int:
+        """How many other nodes are on the channel."""
+        self._check_open()
+        self._accept()
+        return len(self._peers) - (self._echo is not None)
+
+    def fileno(self) -> int:
+        """Readable when a frame, or a new node, is there."""
+        return self._epoll.fileno()
+
+    def _check_open(self) -> None:
+        if self._epoll.closed:
+            raise CanOperationError(f"{self.channel_info} is shut down")
+
+    # Frames
+
+    def send(self, msg: Message, timeout: float | None = None) -> None:
+        """To every other node; never waits (see `dropped`)."""
+        self._check_open()
+        packet = self._packed(msg)
+        self._accept()
+        for peer in list(self._peers.values()):
+            try:
+                peer.send(packet)
+            except BlockingIOError:
+                self.dropped += 1
+            except OSError as error:
+                # One that has left is removed once what it sent before is read.
+                if error.errno not in (errno.EPIPE, errno.ECONNRESET, errno.ENOTCONN, errno.ECONNREFUSED):
+                    raise CanOperationError(f"{self.channel_info}: {error.strerror}") from error
+        if self._own is not None:
+            with contextlib.suppress(BlockingIOError):
+                self._own.send(packet)
+
+    def _recv_internal(self, timeout: float | None) -> tuple[Message | None, bool]:
+        self._check_open()
+        deadline = None if timeout is None else time.monotonic() + timeout
+        unwanted = 0
+        while True:
+            left = -1.0 if deadline is None else max(0.0, deadline - time.monotonic())
+            # One frame at a time: the kernel hands out ready peers in turn, and `fileno` stays readable while frames are left.
+            events = self._epoll.poll(left, 1)
+            for descriptor, _ in events:
+                if descriptor == self._listener.fileno():
+                    self._accept()
+                    continue
+                message = self._take(self._peers[descriptor])
+                # Filtered here, or a frame for others would end a `recv` that does not wait.
+                if message is not None and self._matches_filters(message):
+                    return message, True
+                unwanted += message is not None
+                if message is not None and unwanted % MOST_UNWANTED == 0 and left:
+                    time.sleep(SLICE)  # in a flood, too, the processor is not this process's alone
+            if deadline is not None and unwanted >= MOST_UNWANTED and time.monotonic() >= deadline:
+                raise CanOperationError(
+                    f"{self.channel_info}: a flood, {unwanted} frames that the filters reject in one receive"
+                )
+            if not events and deadline is not None and time.monotonic() >= deadline:
+                return None, True
+
+    def _take(self, peer: socket.socket) -> Message | None:
+        try:
+            packet, extra, _, _ = peer.recvmsg(FRAME.size + 1, 64)
+        except (BlockingIOError, ConnectionResetError):
+            return None  # reset, by a node that left with unread frames: what it sent before comes next, then its end
+        except OSError:
+            packet, extra = b"", []
+        if not packet:  # the peer has left or died
+            self._remove(peer)
+            return None
+        if len(packet) != FRAME.size:
+            return None
+        message = self._unpacked(packet, _stamp(extra))
+        message.is_rx = peer is not self._echo
+        return message if self._fd or not message.is_fd else None
+
+    def _packed(self, msg: Message) -> bytes:
+        data = bytes(msg.data)
+        if msg.is_fd and not self._fd:
+            raise CanOperationError(f"{self.channel_info} was opened without fd=True; a CAN FD frame cannot be sent")
+        if len(data) > (64 if msg.is_fd else 8):
+            raise CanOperationError(
+                f"a frame of {len(data)} bytes cannot be sent: at most {64 if msg.is_fd else 8} are possible"
+            )
+        identifier = msg.arbitration_id
+        identifier |= EXTENDED if msg.is_extended_id else 0
+        identifier |= REMOTE if msg.is_remote_frame else 0
+        identifier |= ERROR if msg.is_error_frame else 0
+        flags = FD_FORMAT if msg.is_fd else 0
+        flags |= BIT_RATE_SWITCH if msg.bitrate_switch else 0
+        flags |= ERROR_STATE if msg.error_state_indicator else 0
+        return FRAME.pack(identifier, msg.dlc if msg.is_remote_frame else len(data), flags, 0, 0, data)
+
+    def _unpacked(self, packet: bytes, stamp: float) -> Message:
+        identifier, length, flags, _, _, data = FRAME.unpack(packet)
+        extended = bool(identifier & EXTENDED)
+        remote = bool(identifier & REMOTE)
+        length = min(length, 64)
+        return Message(
+            timestamp=stamp,
+            arbitration_id=identifier & (0x1FFFFFFF if extended else 0x7FF),
+            is_extended_id=extended,
+            is_remote_frame=remote,
+            is_error_frame=bool(identifier & ERROR),
+            is_fd=bool(flags & FD_FORMAT),
+            bitrate_switch=bool(flags & BIT_RATE_SWITCH),
+            error_state_indicator=bool(flags & ERROR_STATE),
+            dlc=length,
+            data=None if remote else data[:length],
+            channel=self.channel_info,
+        )
+
+    @staticmethod
+    def _detect_available_configs() -> list[Any]:
+        """Channels that somebody is on."""
+        root = Path(os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir()) / f"freeflyer-can-{os.getuid()}"
+        folders = sorted(root.iterdir()) if root.is_dir() else []
+        return [{"interface": "local", "channel": folder.name} for folder in folders if len(list(folder.iterdir())) > 1]
+
+
+def _stamp(extra: list[Any]) -> float:
+    """When the kernel took the frame from its sender [s of CLOCK_REALTIME]; now, if it does not say."""
+    for _, _, data in extra:
+        if len(data) >= TIMESPEC.size:
+            whole, nanoseconds = TIMESPEC.unpack_from(data)
+            return float(whole + nanoseconds * 1e-9)
+    return time.time()
+
+
+@contextlib.contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,25 @@
+"""Keys of a device's table in a scenario, one at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeVar
+
+from freeflyer.foundation.suggestions import did_you_mean
+from freeflyer_adapters.device.device import DeviceError
+
+T = TypeVar("T")
+KINDS = {str: "a text", int: "a whole number", dict: "a table", list: "a list"}
+
+
+def known_keys(name: str, raw: Mapping[str, Any], keys: Sequence[str]) -> None:
+    for key in raw:
+        if key not in keys:
+            raise DeviceError(f"device {name}: unknown key {key!r}{did_you_mean(key, [*keys, 'kind', 'step_s', 'parameters'])}")
+
+
+def checked(name: str, raw: Mapping[str, Any], key: str, kind: type[T], default: T) -> T:
+    value = raw.get(key, default)
+    if not isinstance(value, kind) or isinstance(value, bool):
+        raise DeviceError(f"device {name}: {key} is {value!r}; {KINDS[kind]} is expected")
+    return value

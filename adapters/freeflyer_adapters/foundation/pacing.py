@@ -1,0 +1,109 @@
+"""Real time: what the system grants the loop, and waiting for absolute deadlines."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+
+from freeflyer_adapters.foundation import environment as outside
+from freeflyer_adapters.foundation.histogram import Histogram
+
+PR_SET_TIMERSLACK = 29
+MCL_CURRENT, MCL_FUTURE = 1, 2
+LINK_PRIORITY, LOOP_PRIORITY = 20, 40
+"""SCHED_FIFO priorities: of the threads that the links start (they inherit it), and of the loop itself."""
+
+
+def prepare_links(real_time: bool) -> None:
+    """Before devices open their links: threads started from now on are scheduled above everything ordinary, where permitted."""
+    if real_time:
+        with suppress(OSError, AttributeError):
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(LINK_PRIORITY))
+
+
+def enter_real_time(real_time: bool) -> list[str]:
+    """Ask for everything that helps; one phrase for each thing granted or refused."""
+    return [_scheduler(real_time), _memory(real_time), _timer_slack()]
+
+
+def leave_real_time() -> None:
+    """An ordinary process again: with its memory locked, every large allocation would be paid for in full."""
+    with suppress(OSError, AttributeError):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL(None).munlockall()
+
+
+def _scheduler(real_time: bool) -> str:
+    if not real_time:
+        return "ordinary scheduling (as asked)"
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(LOOP_PRIORITY))
+    except (OSError, AttributeError) as error:
+        return f"ordinary scheduling (SCHED_FIFO refused: {getattr(error, 'strerror', error)})"
+    return f"SCHED_FIFO {LOOP_PRIORITY}"
+
+
+def _memory(real_time: bool) -> str:
+    if not real_time:
+        return "memory not locked (as asked)"
+    try:
+        failed = ctypes.CDLL(None, use_errno=True).mlockall(MCL_CURRENT | MCL_FUTURE)
+    except (OSError, AttributeError):
+        failed = -1
+    return f"memory not locked ({os.strerror(ctypes.get_errno())})" if failed else "memory locked"
+
+
+def _timer_slack() -> str:
+    try:
+        failed = ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, 1, 0, 0, 0)
+    except (OSError, AttributeError):
+        failed = -1
+    return "timer slack as it was" if failed else "timer slack 1 ns"
+
+
+@contextmanager
+def no_collection() -> Iterator[None]:
+    """No garbage collection while the loop runs."""
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
+        gc.unfreeze()
+
+
+class Pacer:
+    """Waits for t0 + k * period. A process that was held up longer than a period starts its count anew there, and says how often:
+    it never hurries after deadlines that are gone.
+    """
+
+    def __init__(self, period: int) -> None:
+        self.period = period
+        self.overruns = 0
+        self.lateness = Histogram()
+        self.late = 0
+        """At the last waking up [ns]."""
+        self._deadline = 0
+        self._outside = outside.present()
+
+    def wait(self) -> int:
+        """Returns the time of waking up [ns of CLOCK_MONOTONIC]."""
+        now = self._outside.monotonic_ns()
+        if not self._deadline:
+            self._deadline = now
+        self._deadline += self.period
+        if now < self._deadline:
+            self._outside.sleep((self._deadline - now) * 1e-9)
+            now = self._outside.monotonic_ns()
+        self.late = now - self._deadline
+        self.lateness.add(self.late)
+        if self.late > self.period:
+            self.overruns += 1
+            self._deadline = now
+        return now

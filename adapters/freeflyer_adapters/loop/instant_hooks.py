@@ -1,0 +1,113 @@
+"""What happens at the instants of a loop in real time besides the components' steps: pacing, writing commands, observing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+from freeflyer.foundation.clock import seconds
+from freeflyer.master.master import Master
+from freeflyer_adapters.device.device import STATE, Device
+from freeflyer_adapters.foundation import environment as outside
+from freeflyer_adapters.foundation.histogram import Histogram
+from freeflyer_adapters.foundation.pacing import Pacer
+from freeflyer_adapters.loop.activation import clocks_first, guarded
+from freeflyer_adapters.loop.live_view import LiveValues
+from freeflyer_adapters.recording.client import Tap
+
+VIEW_EVERY = 100
+"""Instants between two sets of numbers for the live view."""
+
+
+class Pacing:
+    """Absolute deadlines, where no device is the clock. `woken` [ns]: when the present instant began."""
+
+    def __init__(self, devices: Sequence[Device], period: int) -> None:
+        self._clock = next((device for device in devices if device.is_clock), None)
+        self.pacer = None if self._clock is not None else Pacer(period)
+        self._woken = 0
+
+    @property
+    def woken(self) -> int:
+        return self._clock.woken if self._clock is not None else self._woken
+
+    def before(self, k: int) -> str | None:
+        if self.pacer is not None:
+            self._woken = self.pacer.wait()
+        return None
+
+    def after(self, k: int) -> None:
+        pass
+
+
+class CommandWriting:
+    """The devices' commands at the end of every instant, the arm's first."""
+
+    def __init__(self, devices: Sequence[Device], master: Master) -> None:
+        self._in_order, self._master = clocks_first(devices), master
+
+    def before(self, k: int) -> str | None:
+        return None
+
+    def after(self, k: int) -> None:
+        for device in self._in_order:
+            self._master.hand_over(device.name)
+            guarded(device, device.write)
+
+
+class Observation:
+    """Times, recording and live view, after the commands have gone out. Nothing here can reach a device."""
+
+    def __init__(
+        self,
+        devices: Sequence[Device],
+        master: Master,
+        pacing: Pacing,
+        energies: Sequence[str],
+        errors: Mapping[str, Callable[[], float]],
+    ) -> None:
+        self.devices, self._master, self._pacing = devices, master, pacing
+        self._energies, self._errors = energies, errors
+        self.period = master.schedule.tick
+        self.compute = Histogram()
+        self.view: LiveValues | None = None
+        self.tap: Tap | None = None
+        self._times = {name: h for device in devices for name, h in device.histograms().items()}
+        if pacing.pacer is not None:
+            self._times["loop: wake-up"] = pacing.pacer.lateness
+        self._shown_at = 0.0
+        self._outside = outside.present()
+
+    def before(self, k: int) -> str | None:
+        return None
+
+    def after(self, k: int) -> None:
+        if self.tap is not None:
+            self.tap.write(k)
+        self.compute.add(self._outside.monotonic_ns() - self._pacing.woken)
+        if self.view is not None and k % VIEW_EVERY == 0:
+            self.view.write(self.numbers(k))
+
+    @property
+    def times(self) -> Mapping[str, Histogram]:
+        return {"loop: compute": self.compute, **self._times}
+
+    @property
+    def names(self) -> list[str]:
+        times = ["time [s]", "rate [Hz]", "longest compute [us]", *(f"longest: {name} [us]" for name in self._times)]
+        states = [f"{device.name}{STATE}" for device in self.devices]
+        errors = [f"{name} error [{'m' if name.endswith('position') else 'deg'}]" for name in self._errors]
+        counts = [f"{device.name}: {name.replace('_', ' ')}" for device in self.devices for name in device.report()]
+        return [*times, *states, *errors, *(f"least {name} [J]" for name in self._energies), *counts]
+
+    def numbers(self, k: int) -> list[float]:
+        """In the order of `names`; times since the last set, all else as it is."""
+        now = self._outside.monotonic()
+        rate = VIEW_EVERY / max(now - self._shown_at, 1e-9)
+        self._shown_at = now
+        return [
+            seconds(k * self.period), rate, self.compute.take_recent(), *(h.take_recent() for h in self._times.values()),
+            *(float(device.state.now) for device in self.devices),
+            *(error() for error in self._errors.values()),
+            *(float(self._master.value(name).min()) for name in self._energies),
+            *(value for device in self.devices for value in device.report().values()),
+        ]  # fmt: skip

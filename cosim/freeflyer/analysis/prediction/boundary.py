@@ -1,0 +1,158 @@
+"""The largest stable base period of a scenario, predicted from its linear loop at the set point."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import islice
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from freeflyer.analysis.prediction import lifting
+from freeflyer.analysis.prediction.modes import Limit, Mode, limit_of
+from freeflyer.analysis.prediction.set_point import SetPoint, at_set_point
+from freeflyer.analysis.prediction.task_coordinates import TaskCoordinates
+from freeflyer.fmi.component import Array
+from freeflyer.foundation.clock import nanoseconds, seconds, shown
+from freeflyer.foundation.errors import ScenarioError
+from freeflyer.scenario.scenario import Scenario
+
+LONGEST = 0.5
+"""How far periods are scanned [s], if nothing else is said; the scenario's own period is always among them."""
+MOST_PERIODS = 100_000
+TOGETHER = 50
+"""So many periods' eigenvalues are computed in one call."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prediction:
+    """Times in s. `periods` and `radius` (spectral radius of the map over a base period, neutral directions apart) are the scan.
+
+    `largest_stable_s`: every period up to it is stable; 0 if not even T_m is; the longest one scanned if all are.
+    `stable_s`: all stable intervals, first and last period. `boundary` is the mode that is unstable first beyond
+    `largest_stable_s`, `limit` what makes it so; None if no period is unstable. `own` is the least stable mode at the scenario's
+    own period. `neutral`: number of directions in which the loop lets the plant rest anywhere.
+    """
+
+    scenario: str
+    component: str
+    tick_s: float
+    period_s: float
+    periods: Array
+    radius: Array
+    largest_stable_s: float
+    stable_s: tuple[tuple[float, float], ...]
+    own: Mode
+    boundary: Mode | None
+    limit: Limit | None
+    coordinates: TaskCoordinates
+    neutral: int
+
+    @property
+    def longest_s(self) -> float:
+        return float(self.periods[-1])
+
+    def summary(self) -> dict[str, Any]:
+        """For prediction.json."""
+        return {
+            "scenario": self.scenario,
+            "component": self.component,
+            "fast_period_s": self.tick_s,
+            "largest_stable_s": self.largest_stable_s,
+            "longest_scanned_s": self.longest_s,
+            "stable_s": [list(interval) for interval in self.stable_s],
+            "neutral_directions": self.neutral,
+            "own_period": _mode_summary(self.own),
+            "boundary": self.boundary and _mode_summary(self.boundary),
+            "limit": self.limit
+            and {
+                "kind": self.limit.kind,
+                "axis": self.limit.axis,
+                "sampled_spring": self.limit.spring.tolist(),
+                "sampled_damper": self.limit.damper.tolist(),
+            },
+            "base": {
+                "inertia": self.coordinates.inertia[:6].tolist(),
+                "stiffness": self.coordinates.stiffness[:6].tolist(),
+                "damping": self.coordinates.damping[:6].tolist(),
+            },
+            "scan": {"period_s": self.periods.tolist(), "spectral_radius": self.radius.tolist()},
+        }
+
+
+def _mode_summary(mode: Mode) -> dict[str, Any]:
+    return {
+        "period_s": mode.period,
+        "stable": abs(mode.multiplier) < 1.0,
+        "multiplier": [mode.multiplier.real, mode.multiplier.imag],
+        "growth_rate_per_s": mode.growth_rate,
+        "frequency_hz": mode.frequency,
+        "body": mode.body,
+        "words": mode.words(),
+    }
+
+
+def predict(
+    scenario: Scenario, *, longest: float | None = None, component: str | None = None, beyond: bool = True
+) -> Prediction:
+    """Scan the period of `component` (default: the slowest controller) up to `longest` [s] in steps of T_m. Raises CosimError.
+
+    Without `beyond` the scan ends soon after the first unstable period, and tells no stable periods beyond: for sweeps.
+
+    The loop is that of the scenario with its passivity controllers off, at its start, which must be a set point.
+    """
+    with at_set_point(scenario, component) as here:
+        return scan(here, longest, beyond=beyond)
+
+
+def scan(here: SetPoint, longest: float | None, *, beyond: bool = True) -> Prediction:
+    """See `predict`."""
+    roles = here.model.roles
+    own, count = roles.period // roles.tick, _count(longest, roles.tick, roles.period)
+    maps, found = lifting.lifted_maps(here.loop(n) for n in range(1, count + 1)), list[float]()
+    while part := list(islice(maps, TOGETHER)):
+        found += [here.radius(multipliers) for multipliers in lifting.multipliers(part)]
+        if not beyond and max(found) >= 1.0:
+            break
+    radius = np.array(found)
+    periods = np.array([seconds(n * roles.tick) for n in range(1, radius.size + 1)])
+    stable = radius < 1.0
+    unstable = np.flatnonzero(~stable)
+    first = int(unstable[0]) + 1 if unstable.size else None
+    boundary = here.modes(first)[0] if first else None
+    coordinates = here.coordinates(first or own)
+    return Prediction(
+        scenario=here.model.scenario.name,
+        component=roles.scanned,
+        tick_s=seconds(roles.tick),
+        period_s=seconds(roles.period),
+        periods=periods,
+        radius=radius,
+        largest_stable_s=seconds(((first or count + 1) - 1) * roles.tick),
+        stable_s=_intervals(periods, stable),
+        own=here.modes(own)[0],
+        boundary=boundary,
+        limit=limit_of(boundary, coordinates, late=here.model.scenario.exchange == "parallel") if boundary else None,
+        coordinates=coordinates,
+        neutral=here.neutral,
+    )
+
+
+def _count(longest: float | None, tick: int, period: int) -> int:
+    if longest is None:
+        return max(nanoseconds(LONGEST, "the longest period") // tick, period // tick, 1)
+    if not (math.isfinite(longest) and seconds(tick) <= longest):
+        raise ScenarioError(f"--longest {longest:g}: a time of {shown(tick)} (the fast controllers' step) or more is expected")
+    if longest > seconds(MOST_PERIODS * tick):
+        raise ScenarioError(
+            f"--longest {longest:g}: that is more than {MOST_PERIODS} periods; at most {shown(MOST_PERIODS * tick)} is expected"
+        )
+    # A user's decimal number need not be a multiple; a little above one is meant to be it.
+    return int(longest / seconds(tick) + 1e-6)
+
+
+def _intervals(periods: Array, stable: NDArray[np.bool_]) -> tuple[tuple[float, float], ...]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], stable, [False]]).astype(int)))
+    return tuple((float(periods[a]), float(periods[b - 1])) for a, b in zip(edges[::2], edges[1::2], strict=True))

@@ -1,0 +1,256 @@
+"""A scenario's loop as matrices: plant and controllers linearised around an operating point, from their FMUs' derivatives.
+
+The passivity controllers are switched off: they are not linear, and do nothing where the loop by itself is passive. By this
+project's convention they are Boolean parameters whose names end with `passivity_control`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+
+import numpy as np
+
+from freeflyer.analysis.prediction import lifting, tangent
+from freeflyer.analysis.prediction.lifting import Indices, Inputs, Law, Loop, Plant
+from freeflyer.analysis.prediction.loop_roles import Roles, roles_of
+from freeflyer.analysis.prediction.sensitivity import DifferentiableFmu
+from freeflyer.fmi.component import Array
+from freeflyer.foundation.clock import seconds
+from freeflyer.foundation.errors import ScenarioError
+from freeflyer.master import graph, schedule
+from freeflyer.master.graph import Connection, split
+from freeflyer.master.master import Master
+from freeflyer.scenario import parameters
+from freeflyer.scenario.assemble import System, find_fmu
+from freeflyer.scenario.parameters import Values
+from freeflyer.scenario.scenario import ComponentSpec, Scenario
+
+PASSIVITY_CONTROL = "passivity_control"
+
+Point = Mapping[str, Array]
+"""The values of all outputs, COMPONENT.VARIABLE, at an instant."""
+
+
+class LoopModel:
+    """The loop of a loaded scenario; `at` linearises it. Made by `opened`."""
+
+    def __init__(self, scenario: Scenario, system: System, fmus: Mapping[str, DifferentiableFmu], scanned: str | None) -> None:
+        """Raises CosimError if the loop is none that can be linearised."""
+        self.scenario, self.system, self.fmus = scenario, system, fmus
+        self.roles = roles_of(scenario, system, fmus, scanned)
+        self._linked = self._linked_parameters()
+        plant, used = self.roles.plant, {connection.source for connection in system.wiring.connections}
+        self.signals: dict[str, slice] = {}
+        width = 0
+        for name in (plant, *self.roles.laws):
+            for port in fmus[name].ports.values():
+                if f"{name}.{port.name}" in used:
+                    self.signals[f"{name}.{port.name}"] = slice(width, width + port.size)
+                    width += port.size
+        self._width = width
+        self._inputs = {name: self._inputs_of(name) for name in (plant, *self.roles.laws)}
+        fmu, states = fmus[plant], fmus[plant].states
+        self._outputs = [name for name in fmu.ports if f"{plant}.{name}" in used]
+        self._refuse_feedthrough(fmu)
+        rates = [f"der({name})" for name in states]
+        self._rates_by_state, self._rates_by_input = (fmu.bind_derivative(rates, k) for k in (states, self.driven(plant)))
+        self._outputs_by_state = fmu.bind_derivative(self._outputs, states)
+        self._gains = {
+            name: fmus[name].bind_derivative([split(s)[1] for s in self.signals if split(s)[0] == name], self.driven(name))
+            for name in self.roles.laws
+        }
+
+    def values(self, period: int) -> Values:
+        """Parameters and start values with the scanned component's period [ns], and what is linked to it."""
+        values = {name: dict(own) for name, own in self.system.values.items()}
+        for name, parameter in self._linked:
+            values[name][parameter] = np.array([seconds(period)])
+        return values
+
+    def started(self, stop: int, record_every: int) -> Master:
+        """An initialised master with every controller at T_m, so that its run follows the reference as closely as can be."""
+        tick, steps = self.roles.tick, dict(self.system.steps)
+        steps[self.roles.scanned] = tick
+        variable_step = {name: component.variable_step for name, component in self.fmus.items()}
+        limits = [limit for limit in self.scenario.limits if split(limit.signal)[0] in self.fmus]
+        master = Master(self.system.wiring, schedule.build(steps, stop, record_every, variable_step), limits)
+        master.initialise(self.values(tick))
+        return master
+
+    def recorded(self) -> list[str]:
+        """The signals that make up a point."""
+        states = [f"{self.roles.plant}.{name}" for name in self.fmus[self.roles.plant].states]
+        return list(dict.fromkeys([*states, *(connection.source for connection in self.system.wiring.connections)]))
+
+    def plant_at(self, point: Point) -> Plant:
+        """The plant around a point, in the tangent chart of its quaternions."""
+        name = self.roles.plant
+        fmu = self.fmus[name]
+        fmu.restart(
+            {
+                **self.system.values[name],
+                **{state: point[f"{name}.{state}"] for state in fmu.states},
+                **self._inputs_at(name, point),
+            }
+        )
+        into, back = self.chart(point)
+        A, B = back @ self._rates_by_state() @ into, back @ self._rates_by_input()
+        return lifting.plant(A, B, self._outputs_by_state() @ into, self._inputs[name], seconds(self.roles.tick))
+
+    def chart(self, point: Point) -> tuple[Array, Array]:
+        """See freeflyer.analysis.prediction.tangent: of the plant's states."""
+        states = self.fmus[self.roles.plant].states
+        return tangent.chart(states, [point[f"{self.roles.plant}.{state}"] for state in states])
+
+    def outputs_of_plant(self, names: Sequence[str], point: Point) -> Array:
+        """d outputs / d states in the chart, where the plant was last linearised; of quaternions, as rotation vectors."""
+        fmu = self.fmus[self.roles.plant]
+        into, _ = self.chart(point)
+        _, back = tangent.chart(names, [point[f"{self.roles.plant}.{name}"] for name in names])
+        return back @ fmu.bind_derivative(names, fmu.states)() @ into
+
+    def plant_value(self, name: str) -> Array:
+        """An output of the plant where it was last linearised."""
+        value = np.zeros(self.fmus[self.roles.plant].ports[name].size)
+        self.fmus[self.roles.plant].bind_outputs([name], value)()
+        return value
+
+    def states_of_plant(self, names: Sequence[str], point: Point) -> Indices:
+        """The places of these states in the chart's coordinates."""
+        states, places, first = self.fmus[self.roles.plant].states, {}, 0
+        for state in states:
+            size = point[f"{self.roles.plant}.{state}"].size
+            size -= tangent.is_quaternion(state, size)
+            places[state] = range(first, first + size)
+            first += size
+        return np.array([place for name in names for place in places[name]])
+
+    def inputs_of_plant(self, names: Sequence[str]) -> Indices:
+        """The places of these inputs among those that the loop drives; ScenarioError if it does not drive one."""
+        places, first = {}, 0
+        for name in self.driven(self.roles.plant):
+            size = self.fmus[self.roles.plant].ports[name].size
+            places[name] = range(first, first + size)
+            first += size
+        for name in names:
+            if name not in places:
+                raise ScenarioError(
+                    f"nothing in the loop drives {self.roles.plant}.{name}; a controller's output is expected there"
+                )
+        return np.array([place for name in names for place in places[name]])
+
+    def loop(self, plant: Plant, point: Point, period: int) -> Loop:
+        """The loop around a point with the scanned component's period [ns]."""
+        values, laws = self.values(period), []
+        for name in self.roles.laws:
+            self.fmus[name].restart({**values[name], **self._inputs_at(name, point)})
+            places = [place for signal, place in self.signals.items() if split(signal)[0] == name]
+            law = Law(
+                name=name,
+                gain=self._gains[name](),
+                inputs=self._inputs[name],
+                first=places[0].start if places else 0,
+                last=places[-1].stop if places else 0,
+                slow=name == self.roles.scanned,
+            )
+            laws.append(law)
+        tick, parallel = seconds(self.roles.tick), self.scenario.exchange == "parallel"
+        return Loop(plant=plant, laws=tuple(laws), width=self._width, tick=tick, parallel=parallel)
+
+    # Inputs
+
+    def connections_of(self, name: str) -> list[Connection]:
+        """Those that come from within the loop: what a reference hands over is given."""
+        return [c for c in self.system.wiring.inputs_of(name) if c.source in self.signals]
+
+    def driven(self, name: str) -> list[str]:
+        """A component's inputs that the loop drives, in the order of its matrices."""
+        return [split(connection.target)[1] for connection in self.connections_of(name)]
+
+    def _inputs_of(self, name: str) -> Inputs:
+        sources: list[int] = []
+        delayed: list[bool] = []
+        for connection in self.connections_of(name):
+            place = self.signals[connection.source]
+            sources += range(place.start, place.stop)
+            delayed += [connection.delayed] * (place.stop - place.start)
+        return Inputs(sources=np.array(sources, dtype=np.intp), delayed=np.array(delayed, dtype=np.bool_))
+
+    def _inputs_at(self, name: str, point: Point) -> dict[str, Array]:
+        return {split(c.target)[1]: point[c.source] for c in self.system.wiring.inputs_of(name)}
+
+    # Checks
+
+    def _linked_parameters(self) -> list[tuple[str, str]]:
+        """The parameters that follow the scanned component's period."""
+        roles, found = self.roles, []
+        one, other = (_resolved(self.scenario, self.fmus, roles, k * roles.tick) for k in (1, 2))
+        for name, values in one.items():
+            found += [
+                (name, parameter) for parameter in values if not np.array_equal(values[parameter], other[name][parameter])
+            ]
+        return found
+
+    def _refuse_feedthrough(self, fmu: DifferentiableFmu) -> None:
+        for name in self._outputs:
+            if fmu.ports[name].prompt:
+                raise ScenarioError(
+                    f"component {fmu.name} has states, and its output {name} depends directly on its inputs; the prediction covers a "
+                    f"plant whose outputs follow from its states"
+                )
+        for name in fmu.states:
+            if fmu.ports[name].causality != "output":
+                raise ScenarioError(
+                    f"component {fmu.name}: its state {name} is no output; the prediction needs to see all states of the plant"
+                )
+
+
+@contextmanager
+def opened(scenario: Scenario, scanned: str | None = None) -> Iterator[LoopModel]:
+    """The scenario's loop, loaded; `scanned` names the component whose period is scanned (default: the slowest). Components are
+    closed at the end. Raises CosimError.
+    """
+    fmus: dict[str, DifferentiableFmu] = {}
+    try:
+        for spec in (specs := _connected(scenario)):
+            fmus[spec.name] = _differentiable(spec, scenario)
+        quiet = replace(scenario, components=tuple(_without_passivity_control(spec, fmus[spec.name]) for spec in specs))
+        samples = {spec.name: spec.samples for spec in specs if spec.samples is not None}
+        values = parameters.resolve(quiet, fmus)
+        wiring = graph.build(fmus, quiet.connections, samples, quiet.exchange)
+        steps = parameters.steps(quiet, fmus, values)
+        system = System(components=fmus, values=values, steps=steps, wiring=wiring)
+        yield LoopModel(quiet, system, fmus, scanned)
+    finally:
+        for fmu in fmus.values():
+            with suppress(Exception):
+                fmu.close()
+
+
+def _connected(scenario: Scenario) -> list[ComponentSpec]:
+    """A component without connections is no part of the loop."""
+    ends = {split(end)[0] for connection in scenario.connections for end in (connection.source, connection.target)}
+    return [spec for spec in scenario.components if spec.name in ends]
+
+
+def _differentiable(spec: ComponentSpec, scenario: Scenario) -> DifferentiableFmu:
+    if spec.kind != "fmu":
+        raise ScenarioError(
+            f"component {spec.name} is of kind {spec.kind!r}; the prediction needs FMUs, which tell their derivatives (kind 'fmu')"
+        )
+    return DifferentiableFmu(spec.name, find_fmu(spec.name, spec.options, scenario.directory))
+
+
+def _without_passivity_control(spec: ComponentSpec, fmu: DifferentiableFmu) -> ComponentSpec:
+    switches = [name for name, port in fmu.ports.items() if port.boolean and port.settable and name.endswith(PASSIVITY_CONTROL)]
+    return replace(spec, parameters={**spec.parameters, **dict.fromkeys(switches, False)})
+
+
+def _resolved(scenario: Scenario, fmus: Mapping[str, DifferentiableFmu], roles: Roles, period: int) -> Values:
+    changed = tuple(
+        replace(spec, parameters={**spec.parameters, roles.parameter: seconds(period)}) if spec.name == roles.scanned else spec
+        for spec in scenario.components
+    )
+    return parameters.resolve(replace(scenario, components=changed), fmus)

@@ -1,0 +1,75 @@
+"""Who is who in a scenario's loop: one plant with continuous states, controllers that sample it, and whose period is scanned."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from freeflyer.analysis.prediction.sensitivity import DifferentiableFmu
+from freeflyer.foundation.clock import shown
+from freeflyer.foundation.errors import ScenarioError
+from freeflyer.foundation.suggestions import did_you_mean
+from freeflyer.scenario.assemble import System
+from freeflyer.scenario.scenario import Scenario
+
+
+@dataclass(frozen=True, kw_only=True)
+class Roles:
+    """Who is who in the loop. `laws` in the order of an instant; `scanned` is the slow one, `parameter` its period's name,
+    `period` the scenario's own, `tick` T_m [ns].
+    """
+
+    plant: str
+    laws: tuple[str, ...]
+    scanned: str
+    parameter: str
+    period: int
+    tick: int
+
+
+def roles_of(scenario: Scenario, system: System, fmus: Mapping[str, DifferentiableFmu], scanned: str | None) -> Roles:
+    plants = [name for name, fmu in fmus.items() if fmu.states]
+    if len(plants) != 1:
+        raise ScenarioError(
+            f"scenario {scenario.name}: {len(plants)} connected components have continuous states"
+            f"{' (' + ', '.join(plants) + ')' if plants else ''}; the prediction covers one plant, and controllers without memory"
+        )
+    driven = [name for name in fmus if name not in plants and system.wiring.inputs_of(name)]
+    laws = tuple(name for name in (*system.wiring.first, *system.wiring.then) if name in driven)
+    by_parameter = {spec.name: spec.step[1:] for spec in scenario.components if isinstance(spec.step, str)}
+    periods = [name for name in laws if name in by_parameter]
+    if scanned is not None and scanned not in periods:
+        raise ScenarioError(
+            f"--period {scanned}: that is no controller whose step_s follows a parameter{did_you_mean(scanned, periods)}; there are: "
+            f"{', '.join(periods) or 'none'}"
+        )
+    if not periods:
+        raise ScenarioError(
+            f"scenario {scenario.name}: no controller's step_s follows a parameter ('=period'), so there is nothing to scan"
+        )
+    # Of equals the last at an instant: it waits for the others.
+    chosen = scanned or max(enumerate(periods), key=lambda item: (system.steps[item[1]], item[0]))[1]
+    rest = {name: system.steps[name] for name in laws if name != chosen}
+    tick = min(rest.values(), default=system.steps[plants[0]])
+    for name, step in rest.items():
+        if step != tick:
+            raise ScenarioError(
+                f"component {name}: its step is {shown(step)}; {shown(tick)} is expected, as of all controllers but {chosen}: the "
+                f"prediction covers two rates"
+            )
+    plant_step = system.steps[plants[0]]
+    if tick % plant_step or (scenario.exchange == "parallel" and plant_step != tick):
+        raise ScenarioError(
+            f"component {plants[0]}: its step is {shown(plant_step)}; {shown(tick)} is expected, the step of the fast controllers"
+        )
+    period = system.steps[chosen]
+    if period % tick:
+        below = period - period % tick
+        fits = f"{shown(below)} or {shown(below + tick)}" if below else shown(tick)
+        raise ScenarioError(
+            f"component {chosen}: its period of {shown(period)} is no multiple of {shown(tick)}, the step of the fast controllers; "
+            f"{fits} would fit"
+        )
+    return Roles(
+        plant=plants[0], laws=laws, scanned=chosen, parameter=by_parameter[chosen], period=system.steps[chosen], tick=tick
+    )

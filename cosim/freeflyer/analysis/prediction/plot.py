@@ -1,0 +1,57 @@
+"""The scan of a prediction as a figure: spectral radius over the base period, with the boundaries marked."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+
+from freeflyer.analysis.figure_style import LINES, STYLE
+from freeflyer.analysis.prediction.boundary import Prediction
+from freeflyer.analysis.prediction.trajectory import AlongTrajectory
+from freeflyer.foundation.output_file import write_whole
+
+matplotlib.use("Agg")
+from matplotlib import pyplot as plt
+
+
+def write(prediction: Prediction, along: AlongTrajectory | None, path: Path) -> None:
+    """As PNG, whole or not at all. Raises OutputError."""
+    figure = scan(prediction, along)
+    write_whole(path, lambda partial: figure.savefig(partial, dpi=160, format="png"))
+    plt.close(figure)
+
+
+def scan(prediction: Prediction, along: AlongTrajectory | None) -> Any:
+    """Growth rate ln(radius) / T_b over T_b: zero is the boundary; stable periods are shaded."""
+    with plt.rc_context(STYLE):
+        figure, axes = plt.subplots(figsize=(7.0, 2.8))
+        rate = np.log(np.maximum(prediction.radius, 1e-12)) / prediction.periods
+        axes.plot(prediction.periods, rate, label="at the set point", color=LINES[0]["color"])
+        half = 0.5 * prediction.tick_s
+        for first, last in prediction.stable_s:
+            axes.axvspan(first - half, last + half, color="#009E73", alpha=0.12, lw=0)
+        axes.axhline(0.0, color="black", lw=0.6)
+        if prediction.boundary:
+            axes.axvline(prediction.largest_stable_s, color="black", ls="--", lw=0.8)
+            text = f"largest stable: {prediction.largest_stable_s:g} s"
+            axes.annotate(
+                text,
+                (prediction.largest_stable_s, 0.97),
+                xycoords=("data", "axes fraction"),
+                xytext=(4, 0),
+                textcoords="offset points",
+                va="top",
+            )
+        axes.plot(
+            prediction.period_s, prediction.own.growth_rate, "o", color=LINES[0]["color"], ms=4, label="the scenario's own"
+        )
+        if along:
+            axes.plot(along.period_s, along.growth_rate, "s", color=LINES[1]["color"], ms=4, label="along the trajectory")
+        axes.set_xlabel("base period $T_b$ [s]")
+        axes.set_ylabel("growth rate [1/s]")
+        axes.set_xlim(0.0, prediction.longest_s)
+        axes.legend(loc="lower right")
+    return figure

@@ -1,0 +1,124 @@
+"""An FMU's exact partial derivatives, through FMI's directional derivatives of a co-simulation instance."""
+
+from __future__ import annotations
+
+import ctypes
+import zipfile
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+from fmpy.fmi1 import FMICallException
+from fmpy.model_description import ModelVariable
+
+from freeflyer.fmi.component import Array
+from freeflyer.fmi.fmu import FmuComponent
+from freeflyer.foundation.errors import ComponentError
+
+
+def _provides_derivatives(path: Path) -> bool:
+    """As FMI 2.0 and FMI 3.0 spell it; FMPy's description knows only the former."""
+    with zipfile.ZipFile(path) as archive:
+        interface = ElementTree.fromstring(archive.read("modelDescription.xml")).find("CoSimulation")
+    spellings = ("providesDirectionalDerivative", "providesDirectionalDerivatives")
+    return interface is not None and any(interface.get(name) in ("true", "1") for name in spellings)
+
+
+class DifferentiableFmu(FmuComponent):
+    """A component that also tells its derivatives, at the state and the inputs that it has at the time of the call.
+
+    FMI 2.0 and 3.0 let a co-simulation FMU list its states' derivatives in ModelStructure for this purpose.
+    """
+
+    def __init__(self, name: str, path: Path) -> None:
+        """ComponentError if the file is no such FMU."""
+        super().__init__(name, path)
+        self._begun = False
+        if not _provides_derivatives(path):
+            self.close()
+            raise ComponentError(
+                f"FMU {path} of component {name} provides no directional derivatives; its loop can be run, but not linearised"
+            )
+        self._rates: dict[str, list[ModelVariable]] = {}
+        owner = {id(variable): port for port in self.ports for variable in self.variables_of(port)}
+        for unknown in self.description.derivatives:
+            self._rates.setdefault(owner[id(unknown.variable.derivative)], []).append(unknown.variable)
+
+    @property
+    def states(self) -> Sequence[str]:
+        """Ports that are continuous states, in ModelStructure's order; none of a sampled component."""
+        return tuple(self._rates)
+
+    def bind_derivative(self, unknowns: Sequence[str], knowns: Sequence[str]) -> Callable[[], Array]:
+        """A function that gives d unknowns / d knowns, elements by elements. Unknowns: outputs and states; `der(STATE)` is a
+        state's rate. Knowns: inputs and states. It raises ComponentError if the FMU refuses.
+        """
+        results, rows = self._references(unknowns)
+        known = [(variable.valueReference, self._size(variable)) for name in knowns for variable in self._variables_of(name)]
+        columns = sum(size for _, size in known)
+        found, slave, instance = (ctypes.c_double * max(rows, 1))(), self._slave, self._slave.component
+        calls: list[tuple[Any, ...]] = []
+        for reference, size in known:
+            given = (ctypes.c_uint32 * 1)(reference)
+            for element in range(size):
+                seed = (ctypes.c_double * size)(*(float(k == element) for k in range(size)))
+                if self.version == 2:
+                    calls.append((instance, results, len(results), given, 1, seed, found))
+                else:
+                    calls.append((instance, results, len(results), given, 1, seed, size, found, rows))
+        call = slave.fmi2GetDirectionalDerivative if self.version == 2 else slave.fmi3GetDirectionalDerivative
+        buffer = np.ctypeslib.as_array(found)[:rows]
+
+        def derivative() -> Array:
+            matrix = np.empty((rows, columns))
+            try:
+                for column, arguments in enumerate(calls):
+                    call(*arguments)
+                    matrix[:, column] = buffer
+            except (FMICallException, OSError) as error:
+                raise ComponentError(f"component {self.name}: {self._why(error)}") from error
+            return matrix
+
+        return derivative
+
+    def rates(self) -> Array:
+        """The present rates of all states, in the order of `states`."""
+        variables = [variable for group in self._rates.values() for variable in group]
+        references = [variable.valueReference for variable in variables]
+        try:
+            if self.version == 2:
+                return np.array(self._slave.getReal(references))
+            return np.array(self._slave.getFloat64(references, nValues=sum(self._size(v) for v in variables)))
+        except (FMICallException, OSError) as error:
+            raise ComponentError(f"component {self.name}: {self._why(error)}") from error
+
+    def enter_initialization(self, start: float, values: Mapping[str, Array]) -> None:
+        """As of every component; but it may come again, at any time, and then is a new begin."""
+        if self._begun:
+            try:
+                self._slave.reset()
+            except (FMICallException, OSError) as error:
+                raise ComponentError(f"component {self.name} cannot be reset: {self._why(error)}") from error
+        self._begun = True
+        super().enter_initialization(start, values)
+
+    def restart(self, values: Mapping[str, Array]) -> None:
+        """A new begin with these parameters, start values and inputs. ComponentError if one is refused."""
+        self.enter_initialization(0.0, values)
+        self.exit_initialization()
+
+    def _variables_of(self, name: str) -> Sequence[ModelVariable]:
+        if name.startswith("der(") and name[4:-1] in self._rates:
+            return self._rates[name[4:-1]]
+        return self.variables_of(name)
+
+    def _references(self, names: Sequence[str]) -> tuple[ctypes.Array[ctypes.c_uint32], int]:
+        variables = [variable for name in names for variable in self._variables_of(name)]
+        references = (ctypes.c_uint32 * len(variables))(*(variable.valueReference for variable in variables))
+        return references, sum(self._size(variable) for variable in variables)
+
+    @staticmethod
+    def _size(variable: ModelVariable) -> int:
+        return int(np.prod([int(dimension.start or 1) for dimension in variable.dimensions] or [1]))

@@ -1,0 +1,219 @@
+"""Stability along a trajectory: the growth rate of small perturbations, from the product of the lifted tangent maps.
+
+Eigenvalues of the loop frozen at each instant decide nothing in a time-varying loop: it may grow with all of them inside the
+unit circle, or decay with some outside. What decides are Floquet's multipliers: the eigenvalues of the product of the tangent maps
+along the motion. Taken over the run's second half, they are those of the motion that repeats this half for ever; it should hold
+whole periods of the motion, up to one T_b.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from freeflyer.analysis.prediction import lifting
+from freeflyer.analysis.prediction.lifting import Loop
+from freeflyer.analysis.prediction.linearisation import LoopModel, Point
+from freeflyer.analysis.prediction.task_coordinates import TaskCoordinates
+from freeflyer.fmi.component import Array
+from freeflyer.foundation.clock import nanoseconds, seconds
+from freeflyer.foundation.errors import ScenarioError
+
+CELL = 0.05
+"""The loop is linearised every 50 ms, and taken as constant around each of these instants [s]."""
+
+LEAST_PERIODS = 8
+"""Base periods that a run must have at least: a slope is fitted to half of them."""
+
+Progress = Callable[[float], None]
+"""Called with the share that is done."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AlongTrajectory:
+    """`growth_rate` [1/s] at the scenario's own period; `largest_stable_s`: by bisection (one boundary is assumed), 0 if not even
+    T_m is stable. `frozen_growth_rate` [1/s]: the largest of the loop frozen at each instant, at `frozen_at_s`; `frozen_unstable`:
+    the share of the time at which the frozen loop is unstable.
+    """
+
+    period_s: float
+    from_s: float
+    to_s: float
+    growth_rate: float
+    largest_stable_s: float
+    frozen_growth_rate: float
+    frozen_at_s: float
+    frozen_unstable: float
+
+    def summary(self) -> dict[str, Any]:
+        return {
+            "period_s": self.period_s,
+            "from_s": self.from_s,
+            "to_s": self.to_s,
+            "growth_rate_per_s": self.growth_rate,
+            "largest_stable_s": self.largest_stable_s,
+            "frozen_growth_rate_per_s": self.frozen_growth_rate,
+            "frozen_growth_rate_at_s": self.frozen_at_s,
+            "frozen_unstable_share": self.frozen_unstable,
+        }
+
+
+class Trajectory:
+    """A run of the loop with all controllers at T_m, as the plant's linearisations along it."""
+
+    def __init__(self, model: LoopModel, coordinates: TaskCoordinates, cell: float = CELL) -> None:
+        """Runs the scenario; ScenarioError if it does not come to its end."""
+        self.model, self._coordinates, tick = model, coordinates, model.roles.tick
+        self.cell = max(nanoseconds(cell, "the cell") // tick, 1)  # [T_m]
+        cells = model.scenario.stop // tick // self.cell
+        self.ticks = cells * self.cell
+        outcome = model.started(self.ticks * tick, self.cell * tick).run()
+        if outcome.interrupted:
+            raise KeyboardInterrupt
+        if outcome.cause:
+            raise ScenarioError(
+                f"scenario {model.scenario.name}: even with all controllers at {seconds(tick):g} s it stops at {outcome.simulated:g} s "
+                f"({outcome.cause}); there is no trajectory to predict along"
+            )
+        record = outcome.record
+        self.points: list[Point] = [
+            {signal: np.atleast_1d(record[signal][row]) for signal in model.recorded()} for row in range(cells + 1)
+        ]
+        self.plants = [model.plant_at(point) for point in self.points]
+        self._charts = [model.chart(point) for point in self.points]
+        self._moves = [back @ into for (into, _), (_, back) in pairwise(self._charts)]
+
+    def loops(self, n: int) -> list[Loop]:
+        """At every cell's instant, with a base period of n T_m."""
+        period = n * self.model.roles.tick
+        return [self.model.loop(plant, point, period) for plant, point in zip(self.plants, self.points, strict=True)]
+
+    def growth_rate(self, n: int, loops: Sequence[Loop] | None = None) -> float:
+        """[1/s] with a base period of n T_m: ln(spectral radius) / time of the product over the second half. It tells modes apart
+        that differ by less than 1 / time, where a perturbation's size would show their mixture.
+        """
+        loops = loops or self.loops(n)
+        periods, kept = self.ticks // n, _remembered(loops)
+        first = periods // 2
+        *_, (vectors, scale) = self._product(n, loops, kept, np.eye(kept.size), first)
+        states, ends = self.plants[0].A.shape[0], (self._cell(first * n), self._cell(periods * n - 1))
+        vectors[:states] = self._charts[ends[0]][1] @ self._charts[ends[1]][0] @ vectors[:states]  # back to where it began
+        radius = float(np.abs(np.linalg.eigvals(vectors)).max())
+        return (math.log(radius) + scale) / ((periods - first) * n * seconds(self.model.roles.tick))
+
+    def growth_of(self, starts: Array, n: int) -> float:
+        """[1/s]: what a simulation shows of these perturbations of the start, (states, any number) in the chart's coordinates:
+        the slope, over the second half, of ln sqrt(energy) of all together.
+        """
+        loops = self.loops(n)
+        states, kept = self.plants[0].A.shape[0], _remembered(loops)
+        vectors = np.zeros((kept.size, starts.shape[1]))
+        vectors[:states] = starts
+        sizes = np.array(
+            [scale + 0.5 * math.log(self._energy(v[:states]).sum()) for v, scale in self._product(n, loops, kept, vectors, 0)]
+        )
+        late = np.arange(sizes.size // 2, sizes.size)
+        return float(np.polyfit(late * n * seconds(self.model.roles.tick), sizes[late], 1)[0])
+
+    def _cell(self, tick: int) -> int:
+        return (tick + self.cell // 2) // self.cell
+
+    def _product(
+        self, n: int, loops: Sequence[Loop], kept: lifting.Indices, vectors: Array, first: int
+    ) -> Iterator[tuple[Array, float]]:
+        """After every base period from number `first` on: what has become of the vectors, and ln of what they are divided by."""
+        maps = [lifting.reduced(loop, kept) for loop in loops]
+        states, place, scale = self.plants[0].A.shape[0], self._cell(first * n), 0.0
+        for k in range(first, self.ticks // n):
+            for at in range(k * n, (k + 1) * n):
+                cell = self._cell(at)
+                while place < cell:  # the tangent chart goes along with the base's orientation
+                    vectors[:states] = self._moves[place] @ vectors[:states]
+                    place += 1
+                vectors = maps[cell][at == k * n] @ vectors
+            size = float(np.abs(vectors).max())
+            vectors, scale = vectors / size, scale + math.log(size)
+            yield vectors, scale
+
+    def _energy(self, vectors: Array) -> Array:
+        return np.asarray(self._coordinates.energy(vectors).sum(axis=0))
+
+    def frozen_growth_rates(self, n: int, loops: Sequence[Loop] | None = None) -> Array:
+        """ln(spectral radius) / T_b [1/s] of the loop frozen at every cell's instant."""
+        loops = loops or self.loops(n)
+        kept = _remembered(loops)
+        maps = [np.linalg.matrix_power(fast, n - 1) @ slow for fast, slow in (lifting.reduced(loop, kept) for loop in loops)]
+        radius = np.array([np.abs(found).max() for found in lifting.multipliers(maps)])
+        return np.asarray(np.log(radius) / (n * seconds(self.model.roles.tick)))
+
+    def largest_stable(self, first: int, longest: int, progress: Progress | None = None) -> int:
+        """The largest n of those with a negative growth rate, by bisection from a first guess; 0 if there is none, `longest` if
+        all are. A boundary is found to 1 % or one T_m.
+        """
+        below, above, n = 0, longest + 1, min(max(first, 1), longest)
+        step, count = max(n // 10, 1), 0
+        while above - below > max(1, below // 100):
+            if self.growth_rate(n) < 0.0:
+                below, n = n, n + step if above > longest else (n + above) // 2
+            else:
+                above, n = n, n - step if below == 0 else (n + below) // 2
+            n, step = min(max(n, below + 1), above - 1), 2 * step
+            count += 1
+            if progress:
+                progress(1.0 - 1.0 / (1.0 + 0.3 * count))
+        return below
+
+
+def _remembered(loops: Sequence[Loop]) -> lifting.Indices:
+    """Of all the loops together, so that no element is zero by chance."""
+    first = loops[0]
+    laws = [replace(law, gain=_magnitude([loop.laws[k].gain for loop in loops])) for k, law in enumerate(first.laws)]
+    C, step, step_input = (_magnitude([getattr(loop.plant, part) for loop in loops]) for part in ("C", "step", "step_input"))
+    plant = replace(first.plant, C=C, step=step, step_input=step_input)
+    return lifting.remembered(replace(first, plant=plant, laws=tuple(laws)))
+
+
+def _magnitude(matrices: Sequence[Array]) -> Array:
+    return np.asarray(np.abs(np.stack(matrices)).sum(axis=0))
+
+
+def check_length(model: LoopModel) -> None:
+    """ScenarioError if the scenario is too short to tell a growth rate."""
+    stop, needed = seconds(model.scenario.stop), max(LEAST_PERIODS * seconds(model.roles.period), 4.0 * CELL)
+    if stop < needed:
+        raise ScenarioError(
+            f"stop_s is {stop:g} s; along a trajectory {needed:g} s or more are expected ({LEAST_PERIODS} base periods)"
+        )
+
+
+def along_trajectory(
+    model: LoopModel, coordinates: TaskCoordinates, guess: float, longest: float, progress: Progress | None = None
+) -> AlongTrajectory:
+    """At the scenario's own period, and the boundary between T_m and `longest` [s], looked for from `guess` [s] on. Raises
+    CosimError.
+    """
+    check_length(model)
+    trajectory = Trajectory(model, coordinates)
+    roles = model.roles
+    tick, n = roles.tick, roles.period // roles.tick
+    periods = trajectory.ticks // n
+    loops = trajectory.loops(n)
+    frozen = trajectory.frozen_growth_rates(n, loops)
+    first, last = (math.floor(time / seconds(tick) + 0.5) for time in (guess, longest))
+    return AlongTrajectory(
+        period_s=seconds(roles.period),
+        from_s=seconds(periods // 2 * roles.period),
+        to_s=seconds(periods * roles.period),
+        growth_rate=trajectory.growth_rate(n, loops),
+        largest_stable_s=seconds(
+            tick * trajectory.largest_stable(first, min(last, trajectory.ticks // LEAST_PERIODS), progress)
+        ),
+        frozen_growth_rate=float(frozen.max()),
+        frozen_at_s=seconds(int(frozen.argmax()) * trajectory.cell * tick),
+        frozen_unstable=float(np.mean(frozen >= 0.0)),
+    )

@@ -1,0 +1,274 @@
+"""TOML -> a frozen `Sweep`. Every mistake is one sentence that names the file, the key and what was expected."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, get_args
+
+from freeflyer.analysis.sweep.designs import Axis, Designs, Interval, Levels, Method, Sample, Target
+from freeflyer.foundation import toml_file
+from freeflyer.foundation.errors import ScenarioError
+from freeflyer.foundation.suggestions import did_you_mean
+from freeflyer.scenario.raw_scenario import Raw, parse_value
+
+SHIPPED = Path(__file__).parents[2] / "paper" / "sweeps"
+ONE_CASE = "scenario"
+"""The case of a sweep that names none."""
+AXIS = ("first", "last", "count", "low", "high", "values", "logarithmic", "multiple_of", "unit", "relative", "also")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Map:
+    """What the figure shows: two targets of the grid, and whether a predicted boundary is drawn on top."""
+
+    x: str
+    y: str
+    predict: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sweep:
+    """`settings` are for every run as `--set` is; `cases` are targets and values that each design is combined with."""
+
+    name: str
+    title: str
+    path: Path
+    scenario: str
+    settings: tuple[str, ...]
+    cases: Mapping[str, Mapping[str, Any]]
+    designs: Designs
+    map: Map | None
+
+
+def shipped() -> list[str]:
+    return sorted(path.stem for path in SHIPPED.glob("*.toml"))
+
+
+def read(name: str, settings: Sequence[str] = ()) -> Sweep:
+    """A shipped sweep by name, or a TOML file by path; `settings` are added to the file's own. Raises ScenarioError."""
+    path = _find(name)
+    try:
+        raw = toml_file.read(path)
+    except OSError as error:
+        raise ScenarioError(f"sweep {path} cannot be read: {error.strerror}") from error
+    except ValueError as error:
+        raise ScenarioError(f"sweep {path} is not valid TOML: {error}") from error
+    try:
+        return _sweep(raw, path, settings)
+    except ScenarioError as error:
+        raise ScenarioError(f"sweep {path}: {error}") from error
+
+
+def _find(name: str) -> Path:
+    try:
+        if name.endswith(".toml") and Path(name).is_file():
+            return Path(name)
+    except (OSError, ValueError):
+        pass  # a name that no file can have
+    if name in shipped():
+        return SHIPPED / f"{name}.toml"
+    if name.endswith(".toml"):
+        raise ScenarioError(f"sweep file {name} does not exist")
+    raise ScenarioError(f"there is no sweep {name!r}: neither a shipped one nor a .toml file{did_you_mean(name, shipped())}")
+
+
+def _sweep(raw: Raw, path: Path, settings: Sequence[str]) -> Sweep:
+    _known(raw, ("title", "scenario", "set", "cases", "grid", "sample", "map"), "the sweep")
+    if not isinstance(raw.get("scenario"), str):
+        raise ScenarioError(
+            f"scenario is {raw.get('scenario')!r}; a shipped scenario or a .toml file beside the sweep is expected"
+        )
+    own = raw.get("set", [])
+    if not isinstance(own, list) or not all(isinstance(text, str) for text in own):
+        raise ScenarioError(f"set is {own!r}; a list of 'COMPONENT.PARAMETER=VALUE' is expected")
+    title = raw.get("title", path.stem)
+    if not isinstance(title, str):
+        raise ScenarioError(f"title is {title!r}; a text is expected")
+    grid = tuple(_grid_axis(target, value) for target, value in _targets(_table(raw, "grid"), "[grid]"))
+    designs = Designs(grid=grid, sample=_sample(_table(raw, "sample")) if "sample" in raw else None)
+    if not designs.axes:
+        raise ScenarioError("nothing is varied; a [grid] or a [sample] with parameters is expected")
+    cases = {name: _case(name, table) for name, table in _table(raw, "cases").items()} or {ONE_CASE: {}}
+    varied = [target for axis in designs.axes for target in axis.targets]
+    _refuse_twice(varied, cases)
+    for text in settings:
+        if any(target.name == text.partition("=")[0].strip() and target.elements is None for target in varied):
+            raise ScenarioError(
+                f"{text}: {text.partition('=')[0].strip()} is varied by the sweep; set it there or here, not both"
+            )
+    return Sweep(
+        name=path.stem,
+        title=title,
+        path=path,
+        scenario=raw["scenario"],
+        settings=(*own, *settings),
+        cases=cases,
+        designs=designs,
+        map=_map(_table(raw, "map"), grid) if "map" in raw else None,
+    )
+
+
+def _case(name: str, table: object) -> Mapping[str, Any]:
+    if not name.isidentifier() or not isinstance(table, dict):
+        raise ScenarioError(
+            f"cases.{name}: a table of targets and values, under a name of letters, digits and underscores, is expected"
+        )
+    found = dict(_targets(table, f"[cases.{name}]"))
+    for target in found:
+        if target.elements is not None:
+            raise ScenarioError(
+                f"[cases.{name}] {target}: a whole parameter is expected; elements belong to [grid] and [sample]"
+            )
+    return {target.name: _value(value) for target, value in found.items()}
+
+
+def _grid_axis(target: Target, value: Any) -> Axis:
+    where = f"[grid] {target}"
+    if not isinstance(value, dict) or "values" in value:
+        return _levels(target, value, where)
+    _known(value, ("first", "last", "count", *AXIS[6:]), where)
+    count = value.get("count")
+    if isinstance(count, bool) or not isinstance(count, int) or count < 2:
+        raise ScenarioError(f"{where}: count is {count!r}; at least 2 values are expected (a list may hold a single one)")
+    interval = _interval(value, "first", "last", where)
+    return Axis(target=target, source=interval.spread(count), **_rest(value, where))
+
+
+def _sample(raw: Raw) -> Sample:
+    _known(raw, ("method", "count", "seed", "parameters"), "[sample]")
+    method, count, seed = raw.get("method", "latin_hypercube"), raw.get("count"), raw.get("seed", 1)
+    if method not in get_args(Method):
+        known = get_args(Method)
+        raise ScenarioError(
+            f"[sample] method is {method!r}; one of {', '.join(known)} is expected{did_you_mean(str(method), known)}"
+        )
+    for key, number, least in (("count", count, 1), ("seed", seed, 0)):
+        if isinstance(number, bool) or not isinstance(number, int) or number < least:
+            raise ScenarioError(f"[sample] {key} is {number!r}; a whole number of at least {least} is expected")
+    parameters = _table(raw, "parameters")
+    axes = tuple(_sampled_axis(target, value) for target, value in _targets(parameters, "[sample.parameters]"))
+    if not axes:
+        raise ScenarioError("[sample] has no parameters; at least one target in [sample.parameters] is expected")
+    return Sample(method=method, count=count, seed=seed, axes=axes)  # type: ignore[arg-type]  # checked above
+
+
+def _sampled_axis(target: Target, value: Any) -> Axis:
+    where = f"[sample.parameters] {target}"
+    if not isinstance(value, dict) or "values" in value:
+        return _levels(target, value, where)
+    _known(value, ("low", "high", *AXIS[6:]), where)
+    return Axis(target=target, source=_interval(value, "low", "high", where), **_rest(value, where))
+
+
+def _levels(target: Target, value: Any, where: str) -> Axis:
+    table = value if isinstance(value, dict) else {"values": value}
+    _known(table, ("values", "unit", "relative", "also"), where)
+    values = table["values"]
+    if not isinstance(values, list) or not values:
+        raise ScenarioError(f"{where} is {value!r}; a list of at least one value, or a table that makes one, is expected")
+    return Axis(target=target, source=Levels(values=tuple(_value(item) for item in values)), **_rest(table, where, values))
+
+
+def _interval(value: Raw, low: str, high: str, where: str) -> Interval:
+    for key in (low, high):
+        if not _is_number(value.get(key)):
+            raise ScenarioError(f"{where}: {key} is {value.get(key)!r}; a number is expected")
+    if "multiple_of" in value and not _is_number(value["multiple_of"]):
+        raise ScenarioError(f"{where}: multiple_of is {value['multiple_of']!r}; a number is expected")
+    if "multiple_of" in value and value.get("relative"):
+        raise ScenarioError(
+            f"{where}: multiple_of rounds values, and a relative axis holds factors; only one of the two is expected"
+        )
+    try:
+        return Interval(
+            low=float(value[low]),
+            high=float(value[high]),
+            logarithmic=_switch(value, "logarithmic", where),
+            multiple_of=value.get("multiple_of"),
+        )
+    except ScenarioError as error:
+        raise ScenarioError(f"{where}: {error}") from error
+
+
+def _rest(value: Raw, where: str, values: Sequence[Any] = ()) -> dict[str, Any]:
+    """Keys of all axes."""
+    unit, relative = value.get("unit"), _switch(value, "relative", where)
+    if unit is not None and (not isinstance(unit, str) or relative):
+        raise ScenarioError(f"{where}: unit is {unit!r}; the name of a unit is expected, and none for a relative axis")
+    if (unit is not None or relative) and not all(_is_number(item) for item in values):
+        raise ScenarioError(f"{where} is {list(values)!r}; numbers are expected where there is a unit, or a factor")
+    also = value.get("also", [])
+    if not isinstance(also, list) or not all(isinstance(text, str) for text in also):
+        raise ScenarioError(f"{where}: also is {also!r}; a list of 'COMPONENT.PARAMETER' is expected")
+    return {"unit": unit, "relative": relative, "also": tuple(Target.parse(text) for text in also)}
+
+
+def _map(raw: Raw, grid: Sequence[Axis]) -> Map:
+    _known(raw, ("x", "y", "predict"), "[map]")
+    numeric = {
+        str(axis.target) for axis in grid if isinstance(axis.source, Levels) and all(map(_is_number, axis.source.values))
+    }
+    for key in ("x", "y"):
+        if raw.get(key) not in numeric:
+            raise ScenarioError(
+                f"[map] {key} is {raw.get(key)!r}; a target of the grid with numbers is expected"
+                f"{did_you_mean(str(raw.get(key)), sorted(numeric))}"
+            )
+    if raw["x"] == raw["y"]:
+        raise ScenarioError(f"[map] x and y are both {raw['x']}; two targets of the grid are expected")
+    return Map(x=raw["x"], y=raw["y"], predict=_switch(raw, "predict", "[map]"))
+
+
+def _refuse_twice(targets: Sequence[Target], cases: Mapping[str, Mapping[str, Any]]) -> None:
+    for place, target in enumerate(targets):
+        for other in targets[:place]:
+            if target.overlaps(other):
+                raise ScenarioError(f"{target} is varied twice, also as {other}")
+        for name, case in cases.items():
+            if target.name in case:
+                raise ScenarioError(f"[cases.{name}] sets {target.name}, which is varied as {target}")
+
+
+# One key at a time
+
+
+def _targets(table: Raw, where: str) -> Iterator[tuple[Target, Any]]:
+    """Targets with their values; COMPONENT.PARAMETER may be written with or without quotes."""
+    for key, value in table.items():
+        nested = "." not in key and isinstance(value, dict) and value and not any(name in AXIS for name in value)
+        for name, item in ((f"{key}.{inner}", item) for inner, item in value.items()) if nested else ((key, value),):
+            try:
+                yield Target.parse(name), item
+            except ScenarioError as error:
+                raise ScenarioError(f"{where} {error}") from error
+
+
+def _value(item: Any) -> Any:
+    """A text is what `--set` would take."""
+    return parse_value(item) if isinstance(item, str) else item
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _switch(raw: Raw, key: str, where: str) -> bool:
+    value = raw.get(key, False)
+    if not isinstance(value, bool):
+        raise ScenarioError(f"{where}: {key} is {value!r}; true or false is expected")
+    return value
+
+
+def _table(raw: Raw, key: str) -> Raw:
+    value = raw.get(key, {})
+    if not isinstance(value, dict):
+        raise ScenarioError(f"{key!r} is {value!r}; a table is expected")
+    return value
+
+
+def _known(raw: Raw, keys: Sequence[str], where: str) -> None:
+    for key in raw:
+        if key not in keys:
+            raise ScenarioError(f"unknown key {key!r} in {where}{did_you_mean(key, keys)}")

@@ -1,0 +1,107 @@
+"""The map of a sweep over two parameters: where runs stay stable, where errors grow, where and when they diverge."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from matplotlib import colors
+from matplotlib import pyplot as plt
+from matplotlib.patches import Patch
+
+from freeflyer.analysis.figure_style import STYLE
+from freeflyer.fmi.component import Array
+
+STABLE, GROWING, FAILED = "#56B4E9", "#F0E442", "#999999"
+"""Of the palette for the colour-blind that the other figures use; diverged runs are shaded by the time of divergence."""
+DIVERGED = colors.LinearSegmentedColormap.from_list("divergence", ["#5B1A00", "#D55E00", "#F6C9AC"])
+Boundary = tuple[Array, Array]
+"""Points (x, y) of a line, in the axes' units."""
+
+
+def draw(table: pa.Table, x: str, y: str, units: Mapping[str, str], boundary: Mapping[str, Boundary] | None = None) -> Any:
+    """One panel a case: columns `x` and `y` of the results, a cell for each pair of values; `boundary` by case, on top.
+
+    Where further axes give several runs a cell, the worst of them is shown.
+    """
+    frame = table.to_pandas()
+    cases = list(dict.fromkeys(frame["case"]))
+    longest = float(np.nanmax(frame["simulated_s"])) if frame["simulated_s"].notna().any() else 1.0
+    with plt.rc_context(STYLE | {"axes.grid": False}):
+        figure, panels = plt.subplots(
+            1, len(cases), figsize=(max(3.5, 3.2 * len(cases)) + 0.6, 3.3), sharex=True, sharey=True, squeeze=False
+        )
+        shading = plt.cm.ScalarMappable(norm=colors.Normalize(0.0, longest), cmap=DIVERGED)
+        for panel, case in zip(panels[0], cases, strict=True):
+            rows = frame[frame["case"] == case]
+            xs, ys = np.unique(rows[x]), np.unique(rows[y])
+            panel.pcolormesh(edges(xs), edges(ys), cells(rows, x, y, xs, ys, shading), rasterized=True)
+            if boundary is not None and case in boundary:
+                panel.plot(*boundary[case], color="black", lw=1.5, label="predicted boundary")
+                panel.set_xlim(edges(xs)[[0, -1]])
+                panel.set_ylim(edges(ys)[[0, -1]])
+            for values, scale in ((xs, panel.set_xscale), (ys, panel.set_yscale)):
+                if is_logarithmic(values):
+                    scale("log")
+            panel.set_title(case.replace("_", " "), fontsize=8)
+            panel.set_xlabel(label(x, units))
+        panels[0][0].set_ylabel(label(y, units))
+        figure.colorbar(shading, ax=panels[0].tolist(), label="diverged at [s]")
+        keys = [
+            Patch(color=STABLE, label="stable"),
+            Patch(color=GROWING, label="errors grow"),
+            Patch(color=FAILED, label="failed, or too short"),
+        ]
+        handles = keys + panels[0][0].get_legend_handles_labels()[0]
+        figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), frameon=False)
+    return figure
+
+
+def cells(rows: Any, x: str, y: str, xs: Array, ys: Array, shading: Any) -> Array:
+    """(len(ys), len(xs), 4) colours; white where there is no run."""
+    image = np.ones((ys.size, xs.size, 4))
+    # The worst last, so that it is what stays: stable, growing, failed, late divergence, early divergence.
+    rank = np.where(
+        rows["diverged"].eq(True), 4, np.where(rows["stable"].eq(True), 0, np.where(rows["stable"].eq(False), 1, 2))
+    )
+    rank = np.where(rows["failed"].eq(True), 2, rank)
+    order = np.lexsort((-rows["diverged_at_s"].fillna(0.0).to_numpy(), rank))
+    places = (np.searchsorted(ys, rows[y]), np.searchsorted(xs, rows[x]))
+    for number in order:
+        if rank[number] == 4:
+            colour = shading.to_rgba(rows["diverged_at_s"].iloc[number])
+        else:
+            colour = colors.to_rgba((STABLE, GROWING, FAILED)[rank[number]])
+        image[places[0][number], places[1][number]] = colour
+    return image
+
+
+def is_logarithmic(values: Array) -> bool:
+    """Whether values above zero stand at equal ratios rather than at equal distances."""
+    if values.size < 3 or values[0] <= 0.0:
+        return False
+    return bool(
+        np.ptp(np.diff(np.log(values))) / np.log(values[-1] / values[0]) < np.ptp(np.diff(values)) / (values[-1] - values[0])
+    )
+
+
+def edges(values: Array) -> Array:
+    """(n + 1) borders of the cells around n values."""
+    if values.size == 1:
+        return np.array([0.9, 1.1]) * values[0] if values[0] else np.array([-0.5, 0.5])
+    if is_logarithmic(values):
+        return np.exp(edges_between(np.log(values)))
+    borders = edges_between(values)
+    return np.maximum(borders, 0.0) if values[0] > 0.0 else borders  # no period below zero
+
+
+def edges_between(values: Array) -> Array:
+    middles = 0.5 * (values[1:] + values[:-1])
+    return np.concatenate([[1.5 * values[0] - 0.5 * values[1]], middles, [1.5 * values[-1] - 0.5 * values[-2]]])
+
+
+def label(column: str, units: Mapping[str, str]) -> str:
+    unit = units.get(column, "")
+    return f"{column} [{unit}]" if unit not in ("", "1") else f"{column} / scenario's own" if unit == "1" else column

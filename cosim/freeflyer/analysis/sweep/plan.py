@@ -1,0 +1,249 @@
+"""A sweep, checked before anything runs: what each run sets, and what identifies the plan in a directory of results."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from freeflyer.analysis.sweep import verdict
+from freeflyer.analysis.sweep.designs import Axis, Levels, Target
+from freeflyer.analysis.sweep.file import ONE_CASE, Sweep
+from freeflyer.fmi.component import Array, Port
+from freeflyer.foundation.errors import CosimError, ScenarioError
+from freeflyer.foundation.suggestions import did_you_mean
+from freeflyer.foundation.units import DIMENSIONLESS, converted, factor
+from freeflyer.master import schedule
+from freeflyer.scenario import assemble, metrics, parameters, scenario
+from freeflyer.scenario.assemble import System
+from freeflyer.scenario.raw_scenario import Raw, assign
+from freeflyer.scenario.scenario import ComponentSpec, Scenario
+
+Assignments = tuple[tuple[str, Any], ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Setup:
+    """What all runs of a sweep have in common, as it goes to the workers."""
+
+    tables: Raw
+    path: Path
+    cases: Mapping[str, Mapping[str, Any]]
+    fmi: int | None
+    files: Mapping[str, str]
+    """SHA-256 of each component's file."""
+
+    def scenario(self, case: str, assignments: Assignments = ()) -> Scenario:
+        """The scenario of one run. Raises ScenarioError."""
+        tables = copy.deepcopy(self.tables)
+        for target, value in self.cases[case].items():
+            assign(tables, target, value, f"[cases.{case}] {target}")
+        for target, value in assignments:
+            assign(tables, target, value, target)
+        return scenario.from_tables(tables, self.path)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    number: int
+    case: str
+    assignments: Assignments
+
+
+class Plan:
+    """All runs, numbered from 0: cases change fastest, so that an unfinished sweep has every case of its designs.
+
+    Making one loads the scenario once per case, and tries the first and the last design and every value of the grid on it.
+    Raises CosimError.
+    """
+
+    def __init__(self, sweep: Sweep, fmi: int | None = None) -> None:
+        self.sweep, self.designs, self.axes = sweep, sweep.designs, sweep.designs.axes
+        tables, path = scenario.tables(sweep.scenario, sweep.settings, sweep.path.parent)
+        setup = Setup(tables=tables, path=path, cases=sweep.cases, fmi=fmi, files={})
+        first = next(iter(sweep.cases))
+        with self._naming(first):
+            plain = setup.scenario(first)
+            with assemble.loaded(plain, fmi) as system:
+                self.setup = replace(setup, files=files(plain, system))
+        self._own: dict[tuple[str, Target], tuple[Array, Port]] = {}
+        self.units: dict[str, str] = {}
+        for case in sweep.cases:
+            with self._naming(case):
+                self._check(case)
+        self.errors = [f"{name}_error_{'m' if name.endswith('position') else 'deg'}" for name in plain.errors]
+        self.energies = list(plain.observed_energy)
+
+    def __len__(self) -> int:
+        return len(self.designs) * len(self.sweep.cases)
+
+    def design(self, number: int) -> tuple[int, str, tuple[Any, ...]]:
+        """Number of the design, case, and the axes' values of a run."""
+        design, place = divmod(number, len(self.sweep.cases))
+        return design, list(self.sweep.cases)[place], self.designs[design]
+
+    def run(self, number: int) -> Run:
+        _, case, values = self.design(number)
+        return Run(number=number, case=case, assignments=self.assignments(case, values))
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """Everything that the results depend on; two sweeps with the same content are the same sweep."""
+        values = hashlib.sha256()
+        for number in range(len(self.designs)):
+            values.update(repr(self.designs[number]).encode())
+        content = {
+            "scenario": self.setup.tables,
+            "cases": self.sweep.cases,
+            "axes": {
+                str(axis.target): {
+                    "unit": axis.unit,
+                    "relative": axis.relative,
+                    "also": [str(target) for target in axis.also],
+                    "in_grid": axis in self.designs.grid,
+                }
+                for axis in self.axes
+            },
+            "designs": {"count": len(self.designs), "sha256": values.hexdigest()},
+            "fmi": self.setup.fmi,
+            "files": dict(self.setup.files),
+            "criterion": verdict.criterion(),
+            "package": metrics.versions()["freeflyer-cosim"],
+        }
+        result: dict[str, Any] = json.loads(json.dumps(content, default=str))
+        return result
+
+    def levels(self, target: str) -> tuple[Any, ...]:
+        """An axis of the grid."""
+        return next(
+            levels for axis, levels in zip(self.designs.grid, self.designs.levels, strict=True) if str(axis.target) == target
+        )
+
+    @staticmethod
+    def first_of(axis: Axis) -> Any:
+        return axis.source.values[0] if isinstance(axis.source, Levels) else axis.source.at(0.0)
+
+    # What a run sets
+
+    def assignments(self, case: str, values: tuple[Any, ...]) -> Assignments:
+        """Targets of `--set` with their values, for the axes' values in a case."""
+        found: dict[str, Any] = {}
+        vectors: dict[str, Array] = {}
+        pairs = [(axis, target, value) for axis, value in zip(self.axes, values, strict=True) for target in axis.targets]
+        for axis, target, value in pairs:
+            if (case, target) not in self._own:
+                found[target.name] = value if axis.unit is None else {"value": value, "unit": axis.unit}
+                continue
+            own, port = self._own[case, target]
+            vector = vectors.setdefault(target.name, own.copy())
+            first, last = target.elements or (1, own.size)
+            place = slice(first - 1, last)
+            if axis.relative:
+                vector[place] = own[place] * value
+            elif axis.unit is None:
+                vector[place] = value
+            else:
+                vector[place] = [converted(value, factor(axis.unit, unit or DIMENSIONLESS)) for unit in port.units[place]]
+            found[target.name] = [float(number) for number in vector]
+        return tuple(found.items())
+
+    # Before anything runs
+
+    @contextmanager
+    def _naming(self, case: str) -> Iterator[None]:
+        """Mistakes say where they are."""
+        try:
+            yield
+        except CosimError as error:
+            where = f"sweep {self.sweep.path}" + (f", case {case}" if case != ONE_CASE else "")
+            raise ScenarioError(f"{where}: {error}") from error
+
+    def _check(self, case: str) -> None:
+        plain = self.setup.scenario(case)
+        with assemble.loaded(plain, self.setup.fmi) as system:
+            for axis in self.axes:
+                for target in axis.targets:
+                    self._look_up(case, axis, target, plain, system)
+            for values in self._tried():
+                changed = self.setup.scenario(case, self.assignments(case, values))
+                given = parameters.resolve(changed, system.components)
+                steps = parameters.steps(changed, system.components, given)
+                variable = {name: component.variable_step for name, component in system.components.items()}
+                schedule.build(steps, changed.stop, changed.record_every, variable)
+            metrics.check(plain, system.components)
+        # Whatever else could be wrong: assembled as a run is.
+        with assemble.loaded(self.setup.scenario(case, self.assignments(case, self.designs[0])), self.setup.fmi):
+            pass
+
+    def _tried(self) -> Iterator[tuple[Any, ...]]:
+        """The first and the last design, and every value of the grid once; of a sample, both ends of each interval."""
+        first, last = self.designs[0], self.designs[len(self.designs) - 1]
+        yield first
+        yield last
+        for place, axis in enumerate(self.axes):
+            ends = axis.source.values if isinstance(axis.source, Levels) else (axis.source.at(0.0), axis.source.at(1.0))
+            for value in ends:
+                yield (*first[:place], value, *first[place + 1 :])
+
+    def _look_up(self, case: str, axis: Axis, target: Target, plain: Scenario, system: System) -> None:
+        """The scenario's own value, wherever it is needed, and the unit of the axis."""
+        needed = axis.relative or target.elements is not None
+        component, _, parameter = target.name.partition(".")
+        if component in ("devices", "facility") or target.name == "record.signals":
+            raise ScenarioError(f"{target.name} changes nothing that a sweep measures; a parameter of a component is expected")
+        if component == "robot" and component not in system.components:
+            component = _first_user(plain, system, parameter)
+        if component not in system.components or parameter not in system.components[component].ports:
+            if needed:
+                known = [name for name, port in _ports(system, component).items() if port.settable]
+                raise ScenarioError(f"there is no parameter {target.name!r}{did_you_mean(parameter, known)}")
+            self.units[str(target)] = "s" if parameter == "step_s" or target.name in ("stop_s", "record.every_s") else ""
+            return
+        port = system.components[component].ports[parameter]
+        first, last = target.elements or (1, port.size)
+        if last > port.size:
+            raise ScenarioError(f"{target}: {target.name} has {port.size} elements")
+        self.units[str(target)] = "1" if axis.relative else axis.unit or port.units[first - 1] or ""
+        if not needed:
+            return
+        if not port.real or port.boolean or port.choices:
+            raise ScenarioError(f"{target} is no real parameter; elements and factors of it cannot be varied")
+        own = parameters.current(system.components, system.values, component, parameter)
+        self._own[case, target] = (own.copy(), port)
+
+
+def _ports(system: System, component: str) -> Mapping[str, Port]:
+    return system.components[component].ports if component in system.components else {}
+
+
+def _first_user(plain: Scenario, system: System, parameter: str) -> str:
+    """The first component that takes a parameter from [robot]."""
+    for spec in plain.components:
+        port = system.components[spec.name].ports.get(parameter)
+        if port is not None and port.settable and parameter not in spec.parameters:
+            return spec.name
+    return "robot"
+
+
+def files(plain: Scenario, system: System) -> dict[str, str]:
+    """SHA-256 of the file that each component is made from, its FMU or what its options name."""
+    found = {}
+    for spec in plain.components:
+        digest = hashlib.sha256()
+        named = [getattr(system.components[spec.name], "path", None), *_named(spec, plain.directory)]
+        for path in named:
+            if isinstance(path, Path):
+                digest.update(path.read_bytes())
+        found[spec.name] = digest.hexdigest()
+    return found
+
+
+def _named(spec: ComponentSpec, directory: Path) -> list[Path]:
+    """Files that a component's options name: FILE.fmu, FILE.py, or FILE.py:CALLABLE."""
+    paths = [directory / str(value).partition(":")[0] for value in spec.options.values()]
+    return [path for path in paths if path.suffix and path.is_file()]

@@ -1,0 +1,171 @@
+"""A sweep's directory: sweep.json (the plan), parts/ (one small Parquet file for each finished batch), results.parquet at the end.
+
+Parts are written whole or not at all, so whatever is there is finished: the same plan in the same directory goes on from it.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.compute as compute
+import pyarrow.parquet as parquet
+
+from freeflyer.analysis.sweep import verdict
+from freeflyer.analysis.sweep.designs import Levels
+from freeflyer.analysis.sweep.plan import Plan
+from freeflyer.analysis.sweep.task import Row
+from freeflyer.foundation.errors import ScenarioError
+from freeflyer.foundation.output_file import check_writable, write_text, write_whole
+from freeflyer.scenario import metrics, scenario
+
+PLAN, PARTS, RESULTS = "sweep.json", "parts", "results.parquet"
+
+
+class Results:
+    """What is finished of a plan. `runs` are the numbers of finished runs."""
+
+    def __init__(self, directory: Path, plan: Plan) -> None:
+        self.directory, self.plan = directory, plan
+        self.schema = schema(plan)
+        self.runs: set[int] = set()
+
+    @contextmanager
+    def opened(self) -> Iterator[None]:
+        """Take the directory, alone, for as long. Raises ScenarioError if it holds another sweep, or is in use."""
+        check_writable(self.directory)
+        with (self.directory / ".lock").open("w") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # it ends with the process, however that ends
+            except OSError as error:
+                raise ScenarioError(
+                    f"another sweep is at work in {self.directory}; wait for it, or give another --out"
+                ) from error
+            self._refuse_another()
+            self.runs = set(self._finished())
+            yield
+
+    def add(self, rows: Sequence[Row]) -> None:
+        """A finished batch. Raises OutputError."""
+        table = pa.Table.from_pylist([self._whole(row) for row in rows], schema=self.schema)
+        path = self.directory / PARTS / f"runs_{rows[0]['run']:08d}.parquet"
+        write_whole(path, lambda partial: parquet.write_table(table, partial, compression="zstd"))
+        self.runs.update(row["run"] for row in rows)
+
+    def write(self) -> pa.Table:
+        """All parts as one table, sorted by run. Raises OutputError."""
+        tables = [parquet.read_table(path, schema=self.schema) for path in self._parts()]
+        table = pa.concat_tables(tables).sort_by("run").replace_schema_metadata(self.schema.metadata)
+        write_whole(self.directory / RESULTS, lambda partial: parquet.write_table(table, partial, compression="zstd"))
+        return table
+
+    def _whole(self, row: Row) -> Row:
+        design, case, values = self.plan.design(row["run"])
+        swept = {}
+        for axis, value in zip(self.plan.axes, values, strict=True):
+            column = str(axis.target)
+            swept[column] = shown(value) if self.schema.field(column).type == pa.string() else value
+        return {"design": design, "case": case, **swept, **row}
+
+    def _parts(self) -> list[Path]:
+        return sorted((self.directory / PARTS).glob("runs_*.parquet"))
+
+    def _finished(self) -> Iterator[int]:
+        for path in self._parts():
+            try:
+                yield from parquet.read_table(path, columns=["run"]).column(0).to_pylist()
+            except (OSError, pa.ArrowException):  # a disk that lost it: its runs are repeated
+                with suppress(OSError):
+                    path.unlink()
+
+    def _refuse_another(self) -> None:
+        path, content = self.directory / PLAN, self.plan.content
+        try:
+            found = json.loads(path.read_text(encoding="utf-8"))
+            stored, title = found["plan"], found["title"]
+        except FileNotFoundError:
+            if self._parts():
+                raise ScenarioError(
+                    f"{self.directory} holds results of a sweep without its {PLAN}; give another --out"
+                ) from None
+            about = {
+                "title": self.plan.sweep.title,
+                "sweep": self.plan.sweep.name,
+                "runs": len(self.plan),
+                "plan": content,
+                "versions": dict(metrics.versions()),
+            }
+            write_text(path, json.dumps(about, indent=2) + "\n")
+            return
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise ScenarioError(
+                f"{path} is no plan of a sweep ({type(error).__name__}: {error}); give another --out"
+            ) from error
+        different = [key for key in content if not isinstance(stored, dict) or stored.get(key) != content[key]]
+        if different:
+            raise ScenarioError(
+                f"{self.directory} holds another sweep ({title!r}; {' and '.join(different)} differ): give another --out, or remove it"
+            )
+
+
+def schema(plan: Plan) -> pa.Schema:
+    """Columns of a row, with units as records have them."""
+    fields: list[tuple[str, pa.DataType, str]] = [
+        ("run", pa.int64(), ""),
+        ("design", pa.int64(), ""),
+        ("case", pa.string(), ""),
+    ]
+    for axis in plan.axes:
+        fields.append((str(axis.target), _kind(axis.source), plan.units.get(str(axis.target), "")))
+    fields += [("stable", pa.bool_(), ""), ("diverged", pa.bool_(), ""), ("failed", pa.bool_(), ""), ("cause", pa.string(), "")]
+    fields += [(name, pa.float64(), "s") for name in ("diverged_at_s", "simulated_s")]
+    for name in plan.errors:
+        unit = name.rpartition("_")[2]
+        fields += [(f"{name}_{which}", pa.float64(), unit) for which in ("max", verdict.LAST, verdict.EARLIER)]
+    fields += [(f"{name}_observed_energy_min_j", pa.float64(), "J") for name in plan.energies]
+    fields += [(name, pa.float64(), "s") for name in ("wall_s", "run_s")]
+    units = {name: unit for name, _, unit in fields}
+    return pa.schema(
+        [pa.field(name, kind, metadata={"unit": unit}) for name, kind, unit in fields],
+        metadata={"PANDAS_ATTRS": json.dumps({"units": units, "title": plan.sweep.title})},
+    )
+
+
+def _kind(source: object) -> pa.DataType:
+    values: Sequence[Any] = source.values if isinstance(source, Levels) else (0.0,)
+    if all(isinstance(value, bool) for value in values):
+        return pa.bool_()
+    if all(isinstance(value, int | float) and not isinstance(value, bool) for value in values):
+        return pa.float64()
+    return pa.string()
+
+
+def shown(value: Any) -> str:
+    return value if isinstance(value, str) else scenario.literal(value)
+
+
+def per_case(table: pa.Table) -> Sequence[Mapping[str, Any]]:
+    """Of every case: `case`, `runs`, and how many of them are stable, diverged, failed, and too short to be judged."""
+    found = []
+    for case in dict.fromkeys(table.column("case").to_pylist()):
+        rows = table.filter(compute.equal(table.column("case"), case))
+        counts = {
+            name: sum(value is True for value in rows.column(name).to_pylist()) for name in ("stable", "diverged", "failed")
+        }
+        found.append({"case": case, "runs": rows.num_rows, **counts, "unjudged": rows.column("stable").null_count})
+    return found
+
+
+def frequent_failure(table: pa.Table) -> str | None:
+    """The cause that most failed runs have."""
+    causes = [
+        cause
+        for cause, failed in zip(table.column("cause").to_pylist(), table.column("failed").to_pylist(), strict=True)
+        if failed
+    ]
+    return max(sorted(set(causes)), key=causes.count) if causes else None

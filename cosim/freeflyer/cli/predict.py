@@ -1,0 +1,146 @@
+"""The command `freeflyer predict`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn
+
+from freeflyer.analysis.prediction import plot as prediction_plot
+from freeflyer.analysis.prediction.boundary import LONGEST, Prediction, scan
+from freeflyer.analysis.prediction.modes import Mode
+from freeflyer.analysis.prediction.set_point import SetPoint, at_set_point
+from freeflyer.analysis.prediction.trajectory import AlongTrajectory, along_trajectory, check_length
+from freeflyer.cli.run import SCENARIO_HELP
+from freeflyer.foundation.errors import DONE
+from freeflyer.foundation.interrupts import interrupts
+from freeflyer.foundation.output_file import check_writable, folder, write_text
+from freeflyer.scenario import scenario
+
+
+class PredictCommand:
+    def configure(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("scenario", metavar="SCENARIO", help=SCENARIO_HELP)
+        parser.add_argument("--set", action="append", default=[], metavar="COMPONENT.PARAMETER=VALUE", dest="overrides")
+        parser.add_argument(
+            "--longest",
+            type=float,
+            metavar="SECONDS",
+            help=f"scan the period up to here (default: {LONGEST:g}, or the scenario's own period if that is longer)",
+        )
+        parser.add_argument(
+            "--period", metavar="COMPONENT", help="the controller whose period is scanned (default: the one with the longest)"
+        )
+        parser.add_argument(
+            "--along-trajectory", action="store_true", help="also along the scenario's motion, and not only where it starts"
+        )
+        parser.add_argument("--out", type=folder, metavar="DIR", help="also write prediction.json and prediction.png there")
+
+    def execute(self, arguments: argparse.Namespace, console: Console) -> int:
+        chosen = scenario.load(arguments.scenario, arguments.overrides)
+        if arguments.out:
+            check_writable(arguments.out)
+        along = None
+        with at_set_point(chosen, arguments.period) as here:
+            if arguments.along_trajectory:
+                check_length(here.model)
+            prediction = scan(here, arguments.longest)
+            _print_set_point(prediction, console)
+            if arguments.along_trajectory:
+                along = _along(here, prediction, console)
+                _print_along(along, console)
+        if arguments.out:
+            _write(prediction, along, arguments.out)
+            console.print(f"Results in {arguments.out}: prediction.json, prediction.png", soft_wrap=True)
+        return DONE
+
+
+def milliseconds(time: float) -> str:
+    return f"{1e3 * time:.6g} ms"
+
+
+def _print_set_point(prediction: Prediction, console: Console) -> None:
+    def say(text: str) -> None:
+        console.print(text, soft_wrap=True)
+
+    say(
+        f"{prediction.scenario}: period T_b of {prediction.component}, from {milliseconds(prediction.tick_s)} to "
+        f"{milliseconds(prediction.longest_s)}; at the set point, passivity controllers off"
+    )
+    if prediction.boundary is None:
+        say(f"Largest stable T_b: {milliseconds(prediction.largest_stable_s)} or more: every period scanned is stable")
+    elif prediction.largest_stable_s == 0.0:
+        say("Largest stable T_b: none, the loop is unstable at the fast controllers' period already")
+    else:
+        say(f"Largest stable T_b: {milliseconds(prediction.largest_stable_s)}")
+    beyond = [interval for interval in prediction.stable_s if interval[0] > prediction.largest_stable_s]
+    for first, last in beyond:
+        say(f"Stable again: {milliseconds(first)} to {milliseconds(last)}")
+    if prediction.boundary and prediction.limit:
+        say(f"Unstable mode: {prediction.boundary.words()}")
+        say(f"  at {_grows(prediction.boundary)}")
+        say(f"Limited by {prediction.limit.words()}")
+    say(f"The scenario's own T_b: at {_grows(prediction.own)}")
+    if prediction.neutral:
+        say(
+            f"{prediction.neutral} neutral: directions in which the loop lets the robot rest anywhere (null space, or no stiffness); "
+            f"they neither grow nor decay, and are left out"
+        )
+
+
+def _grows(mode: Mode) -> str:
+    z = mode.multiplier
+    value = f"{z.real:.4f}" if z.imag == 0.0 else f"{z.real:.4f} +- {abs(z.imag):.4f} i"
+    rate = mode.growth_rate
+    pace = (
+        f"doubles every {0.693147 / rate:.3g} s"
+        if rate > 0.0
+        else f"halves every {-0.693147 / rate:.3g} s"
+        if rate < 0.0
+        else "stays"
+    )
+    return (
+        f"{milliseconds(mode.period)} {'unstable' if abs(z) >= 1.0 else 'stable'}: multiplier {value}, {rate:+.3g} 1/s ({pace})"
+    )
+
+
+def _along(here: SetPoint, prediction: Prediction, console: Console) -> AlongTrajectory:
+    columns = (TextColumn("{task.description}", markup=False), BarColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("along the trajectory", total=1.0)
+        return along_trajectory(
+            here.model,
+            prediction.coordinates,
+            prediction.largest_stable_s,
+            prediction.longest_s,
+            lambda share: bar.update(task, completed=share),
+        )
+
+
+def _print_along(along: AlongTrajectory, console: Console) -> None:
+    def say(text: str) -> None:
+        console.print(text, soft_wrap=True)
+
+    say(
+        f"Along the trajectory, by Floquet's multipliers: of the product of the maps over {along.from_s:g} to {along.to_s:g} s, as if "
+        f"this motion repeated itself:"
+    )
+    say(f"  largest stable T_b: {milliseconds(along.largest_stable_s)} (by bisection)")
+    say(
+        f"  at {milliseconds(along.period_s)}: {along.growth_rate:+.3g} 1/s, {'unstable' if along.growth_rate >= 0.0 else 'stable'}"
+    )
+    say(
+        f"  frozen in time, which decides nothing, the loop would be unstable {100 * along.frozen_unstable:.0f} % of the time, with at "
+        f"most {along.frozen_growth_rate:+.3g} 1/s (at {along.frozen_at_s:g} s)"
+    )
+
+
+def _write(prediction: Prediction, along: AlongTrajectory | None, directory: Path) -> None:
+    """prediction.json and prediction.png, each whole or not at all. Raises OutputError."""
+    summary = {**prediction.summary(), "along_trajectory": along and along.summary()}
+    with interrupts():  # a Ctrl-C that comes now waits until both are whole
+        write_text(directory / "prediction.json", json.dumps(summary, indent=2) + "\n")
+        prediction_plot.write(prediction, along, directory / "prediction.png")

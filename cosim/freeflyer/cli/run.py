@@ -1,0 +1,111 @@
+"""`freeflyer run`, and what other subcommands share with it."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import get_args
+
+from rich.console import Console
+from rich.table import Table
+
+from freeflyer.foundation.errors import DONE, STOPPED, ScenarioError, complain
+from freeflyer.foundation.output_file import check_writable, folder
+from freeflyer.scenario import experiment, scenario
+from freeflyer.scenario.experiment import Result
+from freeflyer.scenario.scenario import Scenario
+
+# What one subcommand alone uses is imported by it: SSP files and figures are not loaded for a run.
+
+SCENARIO_HELP = f"{', '.join(scenario.shipped())}, or a .toml file"
+
+
+@contextmanager
+def opened(name: str, overrides: Sequence[str], step: float | None) -> Iterator[Scenario]:
+    """A scenario by name, TOML file or SSP file; the FMUs of an SSP file are unpacked for as long."""
+    if not name.lower().endswith(".ssp"):
+        if step is not None:
+            raise ScenarioError("--step belongs to an .ssp file; in a scenario every component has its step_s")
+        yield scenario.load(name, overrides)
+        return
+    if step is not None and not 0.0 < step < float("inf"):
+        raise ScenarioError(f"--step {step:g}: a time above zero is expected")
+    from freeflyer.ssp import read as ssp_read
+
+    with TemporaryDirectory(prefix="freeflyer-") as directory:
+        yield ssp_read.read(Path(name), Path(directory), step=step, overrides=overrides)
+
+
+class RunCommand:
+    def configure(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("scenario", metavar="SCENARIO", help=f"{SCENARIO_HELP}, or an .ssp file")
+        parser.add_argument(
+            "--step",
+            type=float,
+            metavar="SECONDS",
+            help="of an .ssp file: communication step of components that have none there",
+        )
+        parser.add_argument("--set", action="append", default=[], metavar="COMPONENT.PARAMETER=VALUE", dest="overrides")
+        parser.add_argument(
+            "--fmi", type=int, choices=(2, 3), help="FMI version of the shipped FMUs (default: the scenario's, else 2)"
+        )
+        parser.add_argument(
+            "--master",
+            choices=get_args(experiment.Engine),
+            default="core",
+            help="who steps the FMUs, with the same numbers: native code (default), or FMPy from Python",
+        )
+        parser.add_argument("--out", type=folder, metavar="DIR", help="default: freeflyer_out/SCENARIO")
+
+    def execute(self, arguments: argparse.Namespace, console: Console) -> int:
+        if arguments.fmi is not None and arguments.scenario.lower().endswith(".ssp"):
+            raise ScenarioError("--fmi belongs to scenarios; an .ssp file holds its own FMUs")
+        with opened(arguments.scenario, arguments.overrides, arguments.step) as chosen:
+            directory = arguments.out or Path("freeflyer_out") / chosen.name
+            check_writable(directory)
+            with experiment.progress_bar(console, [chosen]) as reports:
+                result = experiment.run(chosen, fmi=arguments.fmi, progress=reports[chosen.name], engine=arguments.master)
+        experiment.write(result, directory)
+        console.print(result_table(result))
+        console.print(f"Results in {directory}: record.parquet, summary.json", soft_wrap=True)
+        return verdict(result)
+
+
+def result_table(result: Result) -> Table:
+    table = Table(title=result.scenario.title, title_justify="left")
+    table.add_column("")
+    table.add_column("maximum", justify="right")
+    table.add_column("last 10 s", justify="right")
+    for name in result.errors:
+        label, _, unit = name.rpartition("_error_")
+        values = result.summary[name]
+        table.add_row(f"{label.replace('_', ' ')} error [{unit}]", shown(values["max"]), shown(values["last_10_s"]))
+    for name, energy in result.summary["observed_energy_j"].items():
+        table.add_row(f"{name} observed energy, least [J]", shown(energy["min"]), "")
+    table.add_row("simulated [s] / wall [s]", f"{result.outcome.simulated:g}", f"{result.outcome.wall:.2f}")
+    return table
+
+
+def shown(value: float | None) -> str:
+    return "not finite" if value is None else f"{value:.3g}"
+
+
+def verdict(result: Result) -> int:
+    """Say how the run ended, where that is not as wished; give the exit code."""
+    outcome = result.outcome
+    if outcome.interrupted:
+        return complain(f"interrupted at {outcome.simulated:g} s; what was simulated is saved", STOPPED)
+    if outcome.failed:
+        return complain(f"the run stopped at {outcome.simulated:g} s: {outcome.cause}; it is saved until there", STOPPED)
+    if outcome.diverged and result.as_expected:
+        print(f"Diverged at {outcome.simulated:g} s, as this scenario expects ({outcome.cause})")
+    elif outcome.diverged:
+        return complain(
+            f"the run diverged at {outcome.simulated:g} s and stopped: {outcome.cause}; it is saved until there", STOPPED
+        )
+    elif not result.as_expected:
+        return complain("this scenario expects to diverge, but the run completed", STOPPED)
+    return DONE

@@ -1,0 +1,146 @@
+"""`freeflyer sweep`. Dask is imported when a sweep starts, not with every other command."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from freeflyer.analysis.sweep import file as sweep_file
+from freeflyer.foundation.errors import DONE, STOPPED, ScenarioError, complain
+from freeflyer.foundation.output_file import folder
+
+if TYPE_CHECKING:
+    from freeflyer.analysis.sweep.file import Map
+    from freeflyer.analysis.sweep.plan import Plan
+    from freeflyer.analysis.sweep.results import Results
+    from freeflyer.analysis.sweep.run import Ended
+    from freeflyer.fmi.component import Array
+
+
+class SweepCommand:
+    def configure(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("sweep", metavar="SWEEP", help=f"{', '.join(sweep_file.shipped())}, or a .toml file")
+        parser.add_argument(
+            "--set", action="append", default=[], metavar="COMPONENT.PARAMETER=VALUE", dest="overrides", help="for every run"
+        )
+        parser.add_argument(
+            "--fmi", type=int, choices=(2, 3), help="FMI version of the shipped FMUs (default: the scenario's, else 2)"
+        )
+        parser.add_argument(
+            "--scheduler", metavar="ADDRESS", help="a Dask scheduler, tcp://HOST:PORT (default: workers of this machine)"
+        )
+        parser.add_argument("--workers", type=int, metavar="N", help="workers of this machine (default: one for each core)")
+        parser.add_argument(
+            "--out", type=folder, metavar="DIR", help="default: freeflyer_out/SWEEP; an unfinished sweep there goes on"
+        )
+
+    def execute(self, arguments: argparse.Namespace, console: Console) -> int:
+        if arguments.workers is not None and arguments.workers < 1:
+            raise ScenarioError(f"--workers {arguments.workers}: at least one worker is expected")
+        if arguments.workers is not None and arguments.scheduler is not None:
+            raise ScenarioError(
+                "--workers are those of this machine; a scheduler has its own: give either --workers or --scheduler"
+            )
+        chosen = sweep_file.read(arguments.sweep, arguments.overrides)
+
+        from freeflyer.analysis.sweep import boundary
+        from freeflyer.analysis.sweep.plan import Plan
+        from freeflyer.analysis.sweep.results import Results
+
+        plan = Plan(chosen, arguments.fmi)
+        boundary.check(plan)
+        directory = arguments.out or Path("freeflyer_out") / chosen.name
+        results = Results(directory, plan)
+        with results.opened():
+            if results.runs:
+                console.print(f"{len(results.runs)} of {len(plan)} runs are in {directory} already", soft_wrap=True)
+            ended = compute(plan, results, arguments.scheduler, arguments.workers, console)
+            if ended is not None and ended.interrupted:
+                return complain(
+                    f"interrupted after {len(results.runs)} of {len(plan)} runs; the same command goes on from there", STOPPED
+                )
+            report(plan, results, console)
+        return DONE
+
+
+def compute(plan: Plan, results: Results, scheduler: str | None, workers: int | None, console: Console) -> Ended | None:
+    """What is not finished yet, with a bar where somebody watches; None if nothing is left to do."""
+    if len(results.runs) == len(plan):
+        return None
+    from freeflyer.analysis.sweep import run as sweep
+    from freeflyer.analysis.sweep.cluster import connected
+
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("runs"),
+        TimeRemainingColumn(),
+    )
+    with (
+        connected(scheduler, workers) as client,
+        Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar,
+    ):
+        task = bar.add_task(plan.sweep.name, total=len(plan), completed=len(results.runs))
+        return sweep.run(plan, results, client, lambda finished: bar.update(task, completed=finished))
+
+
+def report(plan: Plan, results: Results, console: Console) -> None:
+    """One table from all parts, the map if there is one, and what they say."""
+    from freeflyer.analysis.sweep import results as sweep_results
+
+    table = results.write()
+    shares = Table(title=plan.sweep.title, title_justify="left")
+    shares.add_column("case")
+    for name in ("runs", "stable", "diverged", "failed"):
+        shares.add_column(name, justify="right")
+    counted = sweep_results.per_case(table)
+    for case in counted:
+        judged = case["runs"] - case["unjudged"]
+        shares.add_row(
+            case["case"],
+            str(case["runs"]),
+            percent(case["stable"], judged) if judged else "too short",
+            percent(case["diverged"], case["runs"]),
+            str(case["failed"]),
+        )
+    console.print(shares)
+    cause = sweep_results.frequent_failure(table)
+    if cause:
+        console.print(f"Most frequent failure: {cause}", soft_wrap=True)
+    written = [sweep_results.RESULTS]
+    if plan.sweep.map is not None:
+        from freeflyer.analysis.figure_style import save
+        from freeflyer.analysis.sweep import map as stability_map
+
+        figure = plan.sweep.map
+        lines = predicted(plan, figure, console) if figure.predict else None
+        save(stability_map.draw(table, figure.x, figure.y, plan.units, lines), results.directory / "stability_map")
+        written += ["stability_map.png", "stability_map.pdf"]
+    console.print(f"Results in {results.directory}: {', '.join(written)}", soft_wrap=True)
+
+
+def predicted(plan: Plan, figure: Map, console: Console) -> Mapping[str, tuple[Array, Array]]:
+    """The boundary by the linear loop, with a bar where somebody watches: about a second a point."""
+    from freeflyer.analysis.sweep import boundary
+
+    columns = (TextColumn("predicted boundary"), BarColumn(), MofNCompleteColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("", total=boundary.points(plan, figure))
+
+        def done(refused: str | None) -> None:
+            bar.advance(task)
+            if refused:
+                console.print(f"Note: {refused}", soft_wrap=True)
+
+        return boundary.predicted(plan, figure, done)
+
+
+def percent(part: int, whole: int) -> str:
+    return f"{100.0 * part / whole:.1f} %"

@@ -1,0 +1,354 @@
+"""An FMU as a component: FMPy loads, checks and calls it; FMI 2.0 and FMI 3.0 co-simulation."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import itertools
+import sys
+import tempfile
+import zipfile
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import fmpy
+import numpy as np
+from fmpy import fmi2, fmi3
+from fmpy.fmi1 import FMICallException
+from fmpy.logging import addLoggerProxy
+from fmpy.model_description import ModelVariable
+from numpy.typing import NDArray
+
+from freeflyer.fmi import unpacked
+from freeflyer.fmi.component import Array, Port
+from freeflyer.fmi.fmu_description import OWN_TOOL, REAL, describe_fmu, ports_in, sentence, terminals_of
+from freeflyer.foundation.errors import ComponentError, StepFailed
+
+ASKED_TO_END = "the FMU asks for the end of the simulation"
+DISCARD = 2
+FATAL = 4
+"""The status, in FMI 2.0 and 3.0, after which no function of the FMU may be called any more."""
+CALLS = {2: ("fmi2SetReal", "fmi2DoStep", "fmi2GetReal"), 3: ("fmi3SetFloat64", "fmi3DoStep", "fmi3GetFloat64")}
+"""What a step consists of, by FMI version: hand over inputs, step, read outputs."""
+REQUIREMENT = "logRequirement"
+"""Log category by which our FMUs say that the run has left what their equations hold for."""
+
+
+# FMPy's proxy, which formats an FMI 2.0 message's variable arguments, knows one logger for the whole process: it is this one,
+# and the environment pointer says whose message it is.
+_listeners: dict[int, FmuComponent] = {}
+_numbers = itertools.count(1)
+
+
+def _listen(component: FmuComponent) -> int:
+    number = next(_numbers)
+    _listeners[number] = component
+    return number
+
+
+def _route(environment: int | None, name: object, status: int, category: object, message: bytes | None) -> None:
+    if environment in _listeners:
+        _listeners[environment].note(category, message)
+
+
+_LOGGER = fmi2.fmi2CallbackLoggerTYPE(_route)
+
+
+def _forget_modules(directory: Path) -> None:
+    """Python inside an FMU is imported by our own interpreter: its modules must not be taken for another FMU's of the same name."""
+    inside = _inside(directory)
+    for name, module in list(sys.modules.items()):
+        if inside(getattr(module, "__file__", None)):
+            del sys.modules[name]
+
+
+def _forget_paths(directory: Path) -> None:
+    inside = _inside(directory)
+    sys.path[:] = [entry for entry in sys.path if not inside(entry)]
+
+
+def _inside(directory: Path) -> Callable[[object], bool]:
+    spellings = (str(directory), str(directory.resolve()))
+    return lambda path: isinstance(path, str) and path.startswith(spellings)
+
+
+class FmuComponent:
+    """One co-simulation instance of an FMU, stepped through FMPy's FMU2Slave or FMU3Slave."""
+
+    _classes: tuple[Any, Any] = (fmi2.FMU2Slave, fmi3.FMU3Slave)
+
+    def __init__(self, name: str, path: Path) -> None:
+        self.name, self.path = name, path
+        self.description = describe_fmu(path)
+        self.version = 2 if self.description.fmiVersion.startswith("2") else 3
+        self._ports, self._variables = ports_in(path)
+        self.terminals = terminals_of(path)
+        interface = self._interface()
+        self.variable_step = bool(getattr(interface, "canHandleVariableCommunicationStepSize", True))
+        self._messages: deque[str] = deque(maxlen=5)
+        self._moment: Callable[[], int] = lambda: 0
+        self._noted_at = 0
+        self._dead = False
+        self._left_validity = False
+        self._listener = 0
+        self._buffers: list[Any] = []
+        self._check_binary(interface.modelIdentifier)
+        self._directory = self._unpack()
+        try:
+            with contextlib.chdir(Path.cwd()):  # FMPy stays in the library's folder when loading fails
+                self._slave = self._instantiate(interface.modelIdentifier)
+        except BaseException:
+            _forget_paths(self._directory)
+            unpacked.remove(self._directory)
+            raise
+
+    @property
+    def ports(self) -> Mapping[str, Port]:
+        return self._ports
+
+    def variables_of(self, port: str) -> Sequence[ModelVariable]:
+        """The model variables that make up a port, in order."""
+        return self._variables[port]
+
+    # Loading
+
+    def _interface(self) -> Any:
+        interface = self.description.coSimulation
+        if interface is None:
+            raise ComponentError(
+                f"FMU {self.path} of component {self.name} offers no co-simulation; only such FMUs can be stepped"
+            )
+        return interface
+
+    def _check_binary(self, identifier: str) -> None:
+        folder = fmpy.platform if self.version == 2 else fmpy.platform_tuple
+        wanted = f"binaries/{folder}/{identifier}{fmpy.sharedLibraryExtension}"
+        with zipfile.ZipFile(self.path) as archive:
+            names = archive.namelist()
+        if wanted not in names:
+            found = sorted({name.split("/")[1] for name in names if name.startswith("binaries/") and name.count("/") > 1})
+            if folder in found:
+                raise ComponentError(
+                    f"FMU {self.path} has no library {identifier}{fmpy.sharedLibraryExtension} in binaries/{folder}"
+                )
+            raise ComponentError(
+                f"FMU {self.path} has no binary for this platform ({folder}); it has {', '.join(found) or 'none'}: build it for {folder}"
+            )
+
+    def _unpack(self) -> Path:
+        try:
+            return unpacked.take(self.path)
+        except OSError as error:
+            where = error.filename or tempfile.gettempdir()
+            raise ComponentError(f"FMU {self.path} cannot be unpacked into {where}: {error.strerror}") from error
+
+    def _arguments(self, identifier: str) -> dict[str, Any]:
+        return {
+            "guid": self.description.guid,
+            "unzipDirectory": str(self._directory),
+            "modelIdentifier": identifier,
+            "instanceName": self.name,
+        }
+
+    def _instantiate(self, identifier: str) -> Any:
+        try:
+            if self.version == 2:
+                slave = self._classes[0](**self._arguments(identifier))
+                slave.instantiate(callbacks=self._callbacks(), loggingOn=True)
+            else:
+                slave = self._classes[1](**self._arguments(identifier))
+                slave.instantiate(logMessage=self._log, loggingOn=True)
+        except Exception as error:
+            raise ComponentError(
+                f"FMU {self.path} of component {self.name} cannot be instantiated: {self._why(error)}"
+            ) from error
+        finally:
+            self._forget_python()
+        return slave
+
+    def _forget_python(self) -> None:
+        if self.description.generationTool != OWN_TOOL:  # ours have none, and looking through all modules takes 1 ms
+            _forget_modules(self._directory)
+
+    def _callbacks(self) -> Any:
+        callbacks = fmi2.fmi2CallbackFunctions()
+        callbacks.logger = _LOGGER
+        callbacks.componentEnvironment = self._listener = _listen(self)
+        callbacks.allocateMemory = fmi2.defaultCallbacks.allocateMemory
+        callbacks.freeMemory = fmi2.defaultCallbacks.freeMemory
+        # PythonFMU hands over what its user logs as the format itself: a "%" in it would be taken for an argument.
+        if not (self.description.generationTool or "").startswith("PythonFMU"):
+            addLoggerProxy(ctypes.byref(callbacks))
+        return callbacks
+
+    def _log(self, environment: object, status: int, category: object, message: bytes | None) -> None:
+        self.note(category, message)
+
+    def note(self, category: object, message: bytes | None) -> None:
+        """Keep the last log messages of the FMU until its failure is told, or its step has succeeded."""
+        if message:
+            if self._moment() != self._noted_at:
+                self._messages.clear()
+                self._noted_at = self._moment()
+            self._messages.append(message.decode("utf-8", "replace"))
+            self._left_validity |= category == REQUIREMENT.encode()
+
+    def _failed(self, error: Exception) -> StepFailed:
+        left, self._left_validity = self._left_validity, False
+        return StepFailed(self.name, self._why(error), left_validity=left)
+
+    def _why(self, error: Exception) -> str:
+        """What the FMU itself said, or else what FMPy says."""
+        self._dead |= getattr(error, "status", None) == FATAL
+        said = "; ".join(" ".join(message.split()) for message in self._messages)
+        self._messages.clear()
+        return said or sentence(error)
+
+    # Life cycle
+
+    def enter_initialization(self, start: float, values: Mapping[str, Array]) -> None:
+        try:
+            for name, value in values.items():
+                self._set(name, value)
+            if self.version == 2:
+                self._slave.setupExperiment(startTime=start)
+                self._slave.enterInitializationMode()
+            else:
+                self._slave.enterInitializationMode(startTime=start)
+        except (FMICallException, OSError) as error:
+            raise ComponentError(f"component {self.name}: {self._why(error)}") from error
+
+    def exit_initialization(self) -> None:
+        try:
+            self._slave.exitInitializationMode()
+        except (FMICallException, OSError) as error:
+            raise ComponentError(f"component {self.name} cannot be initialised: {self._why(error)}") from error
+
+    def _set(self, name: str, value: Array) -> None:
+        variables = self._variables[name]
+        references = [variable.valueReference for variable in variables]
+        numbers = [float(x) for x in value]
+        kind = variables[0].type
+        if kind == "Real":
+            self._slave.setReal(references, numbers)
+        elif kind == "Float64":
+            self._slave.setFloat64(references, numbers)
+        elif kind == "Boolean":
+            self._slave.setBoolean(references, [bool(x) for x in numbers])
+        elif kind in ("Integer", "Enumeration") and self.version == 2:
+            self._slave.setInteger(references, [int(x) for x in numbers])
+        elif kind in ("Enumeration", "Int64"):
+            self._slave.setInt64(references, [int(x) for x in numbers])
+        elif kind == "Int32":
+            self._slave.setInt32(references, [int(x) for x in numbers])
+        else:
+            raise ComponentError(f"component {self.name}: variable {name} is of type {kind}, which cannot be set here")
+
+    # Called from C (cosim/freeflyer/master/native.py)
+
+    @property
+    def instance(self) -> int:
+        """The FMU's instance, as an address."""
+        return int(getattr(self._slave.component, "value", self._slave.component))
+
+    def address(self, call: str) -> int:
+        """Of a function of the FMU's library."""
+        return int(ctypes.cast(getattr(self._slave.dll, call), ctypes.c_void_p).value or 0)
+
+    def references(self, names: Sequence[str]) -> NDArray[np.uint32]:
+        """(n) uint32, one a value in FMI 2.0, one a variable in FMI 3.0. Raises ComponentError for what is not real."""
+        variables = self._reals(names)
+        return np.array([variable.valueReference for variable in variables], dtype=np.uint32)
+
+    def count_moments_by(self, moment: Callable[[], int]) -> None:
+        """Messages of an earlier moment are forgotten when there are new ones."""
+        self._moment = moment
+
+    def failure(self, call: str, status: int) -> StepFailed:
+        """What `call`, which gave `status`, is told as."""
+        if self._noted_at != self._moment():
+            self._messages.clear()
+        if call == "fmi2DoStep" and status == DISCARD and self._asked_to_end():
+            return StepFailed(self.name, ASKED_TO_END)
+        return self._failed(FMICallException(call, status))
+
+    # Called from Python
+
+    def _reals(self, names: Sequence[str]) -> list[ModelVariable]:
+        variables = [variable for name in names for variable in self._variables[name]]
+        strange = [variable.name for variable in variables if variable.type not in REAL]
+        if strange:
+            raise ComponentError(
+                f"component {self.name}: {strange[0]} is not a real variable; only real variables can be connected"
+            )
+        return variables
+
+    def _bound(self, names: Sequence[str], buffer: Array) -> tuple[Any, int, Any, int]:
+        """References and a pointer into the buffer, made once; the arrays are kept alive with the component."""
+        variables = self._reals(names)
+        references = (ctypes.c_uint32 * len(variables))(*(variable.valueReference for variable in variables))
+        pointer = buffer.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
+        self._buffers.append((references, buffer))
+        return references, len(variables), pointer, buffer.size
+
+    def bind_inputs(self, names: Sequence[str], buffer: Array) -> Callable[[], None]:
+        references, count, pointer, size = self._bound(names, buffer)
+        slave, instance = self._slave, self._slave.component
+        if self.version == 2:
+            return self._guarded(lambda: slave.fmi2SetReal(instance, references, count, pointer))
+        return self._guarded(lambda: slave.fmi3SetFloat64(instance, references, count, pointer, size))
+
+    def bind_outputs(self, names: Sequence[str], buffer: Array) -> Callable[[], None]:
+        references, count, pointer, size = self._bound(names, buffer)
+        slave, instance = self._slave, self._slave.component
+        if self.version == 2:
+            return self._guarded(lambda: slave.fmi2GetReal(instance, references, count, pointer))
+        return self._guarded(lambda: slave.fmi3GetFloat64(instance, references, count, pointer, size))
+
+    def _guarded(self, call: Callable[[], object]) -> Callable[[], None]:
+        def guarded() -> None:
+            try:
+                call()
+            except (FMICallException, OSError) as error:
+                raise self._failed(error) from error
+
+        return guarded
+
+    def step(self, time: float, size: float) -> None:
+        try:
+            if self.version == 2:
+                self._slave.fmi2DoStep(self._slave.component, time, size, 1)
+            elif self._slave.doStep(time, size)[1]:
+                raise StepFailed(self.name, ASKED_TO_END)
+        except FMICallException as error:
+            if self.version == 2 and error.status == DISCARD and self._asked_to_end():
+                raise StepFailed(self.name, ASKED_TO_END) from error
+            raise self._failed(error) from error
+        except OSError as error:
+            raise self._failed(error) from error
+        if self._messages:
+            self._messages.clear()
+
+    def _asked_to_end(self) -> bool:
+        try:
+            return bool(self._slave.getBooleanStatus(fmi2.fmi2Terminated))
+        except (FMICallException, OSError):
+            return False
+
+    def close(self) -> None:
+        slave, self._slave = self._slave, None
+        if slave is not None:
+            # A failed instance may refuse to be terminated; it is freed all the same, but for a dead one.
+            if not self._dead:
+                with contextlib.suppress(FMICallException, OSError):
+                    slave.terminate()
+                slave.freeInstance()
+            _listeners.pop(self._listener, None)
+            self._forget_python()
+            _forget_paths(self._directory)
+            if self._dead:
+                unpacked.remove(self._directory)
+            else:
+                unpacked.give_back(self._directory)

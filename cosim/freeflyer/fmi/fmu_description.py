@@ -1,0 +1,203 @@
+"""What an FMU says of itself: its model description, its ports, its terminals; a file that is no usable FMU in one sentence.
+
+Arrays of FMI 2.0 (`name[1]` ... `name[n]`) appear as one port, as they do in FMI 3.0.
+"""
+
+from __future__ import annotations
+
+import functools
+import io
+import math
+import re
+import zipfile
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TypeVar
+
+from fmpy.model_description import ModelDescription, ModelVariable, read_model_description
+
+from freeflyer.fmi import archive
+from freeflyer.fmi.archive import Archive, ArchiveError
+from freeflyer.fmi.component import Port
+from freeflyer.foundation.errors import ComponentError
+
+DESCRIPTION = "modelDescription.xml"
+MOST_NUMBERS = 1 << 22
+"""Elements of all variables of an FMU."""
+ELEMENT = re.compile(r"^(?P<name>.+)\[(?P<index>\d+)\]$")
+REAL = ("Real", "Float64")
+UNITS_ANNOTATION = "org.freeflyer-cosim.units"
+OWN_TOOL = "freeflyer-cosim"
+"""The generation tool of FMUs that are known to keep nothing outside their instances."""
+Read = TypeVar("Read")
+
+
+def same_file(path: Path) -> tuple[int, ...]:
+    """What changes when a file does; OSError if there is none."""
+    status = path.stat()
+    return status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns
+
+
+def _once_a_file(read: Callable[[Path], Read]) -> Callable[[Path], Read]:
+    """Keep what was read for as long as the file stays as it is: of a sweep's run, half would be reading XML. Nobody changes it."""
+    kept: dict[Path, tuple[tuple[int, ...], Read]] = {}
+
+    @functools.wraps(read)
+    def once(path: Path) -> Read:
+        try:
+            state = same_file(path)
+        except (OSError, ValueError):
+            return read(path)  # it says what is wrong
+        if path not in kept or kept[path][0] != state:
+            kept[path] = (state, read(path))
+        return kept[path][1]
+
+    return once
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[Archive]:
+    """The FMU's archive, checked; ComponentError with one sentence for whatever is wrong with it, then or while it is read."""
+    if not path.is_file():
+        raise ComponentError(f"FMU {path} " + ("is not a file" if path.exists() else "does not exist"))
+    if not zipfile.is_zipfile(path):
+        raise ComponentError(f"{path} is not an FMU: it is no zip archive")
+    try:
+        with archive.opened(path) as found:
+            if DESCRIPTION not in found.names:
+                raise ComponentError(f"{path} is not an FMU: it contains no {DESCRIPTION}")
+            yield found
+    except ArchiveError as error:
+        raise ComponentError(f"FMU {path} is refused: {error}") from error
+
+
+@_once_a_file
+def describe_fmu(path: Path) -> ModelDescription:
+    """The FMU's model description; ComponentError with one sentence for a file that is no usable FMU.
+
+    Nothing of the FMU is run. FMPy, whose parser leaves entities and document types to lxml's version, sees the checked text alone.
+    """
+    try:
+        with opened(path) as found:
+            root, text = found.xml(DESCRIPTION)
+        version = root.get("fmiVersion", "unknown")
+        if not version.startswith(("2.", "3.")):
+            raise ComponentError(f"FMU {path} is of FMI version {version}; FMI 2.0 and FMI 3.0 are supported")
+        return read_model_description(_alone(text))
+    except OSError as error:
+        raise ComponentError(f"FMU {path} cannot be read: {error.strerror}") from error
+    except ComponentError:
+        raise
+    except Exception as error:  # FMPy raises plain Exception for an invalid description
+        raise ComponentError(f"FMU {path} has an invalid {DESCRIPTION}: {sentence(error)}") from error
+
+
+def _alone(text: bytes) -> io.BytesIO:
+    """An archive with nothing but the description, as FMPy takes it."""
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w") as made:
+        made.writestr(DESCRIPTION, text)
+    return file
+
+
+@_once_a_file
+def annotated_units(path: Path) -> dict[str, tuple[str, ...]]:
+    """Units element by element, which our FMI 3.0 FMUs give in an annotation (FMI 3.0 itself has one unit for an array)."""
+    with opened(path) as found:
+        root, _ = found.xml(DESCRIPTION)
+    units = {}
+    for variable in root.iterfind("ModelVariables/*"):
+        for annotation in variable.iterfind("Annotations/Annotation"):
+            if annotation.get("type") == UNITS_ANNOTATION and annotation.text:
+                units[variable.get("name", "")] = tuple(annotation.text.split())
+    return units
+
+
+@_once_a_file
+def terminals_of(path: Path) -> dict[str, dict[str, str]]:
+    """Terminal -> member -> variable, from FMI 3.0's terminalsAndIcons.xml; our FMI 2.0 FMUs have the same in an annotation."""
+    with opened(path) as found:
+        inside = "terminalsAndIcons/terminalsAndIcons.xml"
+        root, _ = found.xml(inside if inside in found.names else DESCRIPTION)
+    return {
+        terminal.get("name", ""): {
+            member.get("memberName", ""): member.get("variableName", "")
+            for member in terminal.iterfind("TerminalMemberVariable")
+        }
+        for terminal in root.iterfind(".//Terminals/Terminal")
+    }
+
+
+@_once_a_file
+def ports_in(path: Path) -> tuple[dict[str, Port], dict[str, list[ModelVariable]]]:
+    """`ports_of` a file, with its annotated units."""
+    try:
+        return ports_of(describe_fmu(path), annotated_units(path))
+    except (ValueError, OverflowError) as error:
+        raise ComponentError(f"FMU {path} has an invalid {DESCRIPTION}: {sentence(error)}") from error
+
+
+def ports_of(
+    description: ModelDescription, annotated: Mapping[str, tuple[str, ...]]
+) -> tuple[dict[str, Port], dict[str, list[ModelVariable]]]:
+    """Ports by name, and for each the model variables that make it up, in order. ValueError for numbers that are none, or too many."""
+    numbers = sum(map(_size, description.modelVariables))
+    if numbers > MOST_NUMBERS:
+        raise ValueError(f"its variables have {numbers} elements; {MOST_NUMBERS} are allowed")
+    groups: dict[str, list[ModelVariable]] = {}
+    for variable in description.modelVariables:
+        match = ELEMENT.match(variable.name)
+        groups.setdefault(match["name"] if match else variable.name, []).append(variable)
+    unknown = {id(item.variable): item for item in description.outputs}
+    inputs = {id(variable) for variable in description.modelVariables if variable.causality == "input"}
+    owner = {id(variable): name for name, group in groups.items() for variable in group}
+    every_input = frozenset(owner[identity] for identity in inputs)
+    ports = {}
+    for name, group in groups.items():
+        first = group[0]
+        sizes = [_size(variable) for variable in group]
+        units: list[str | None] = []
+        for variable, size in zip(group, sizes, strict=True):
+            units += [variable.unit or (variable.declaredType.unit if variable.declaredType else None)] * size
+        units = list(annotated.get(name, units))
+        items = first.declaredType.items if first.type == "Enumeration" and first.declaredType else []
+        direct: set[str] = set()
+        for variable in group:
+            item = unknown.get(id(variable))
+            if item is None or item.dependencies is None:
+                direct |= every_input if variable.causality == "output" else frozenset()
+            else:
+                direct |= {owner[id(v)] for v in item.dependencies if id(v) in inputs}
+        starts = [value for variable in group for value in _start(variable)]
+        ports[name] = Port(
+            name=name,
+            size=sum(sizes),
+            causality=first.causality or "local",
+            units=tuple(units),
+            start=tuple(starts) if len(starts) == sum(sizes) else None,
+            settable=first.causality in ("parameter", "structuralParameter")
+            or (first.causality != "input" and first.initial in ("exact", "approx")),
+            choices=tuple(item.name for item in items),
+            boolean=first.type == "Boolean",
+            real=first.type in REAL,
+            direct=frozenset(direct),
+            sampled=first.causality == "output" and first.variability == "discrete",
+        )
+    return ports, groups
+
+
+def _size(variable: ModelVariable) -> int:
+    dimensions = variable.shape or [dimension.start or 1 for dimension in variable.dimensions]
+    return math.prod(map(int, dimensions))
+
+
+def _start(variable: ModelVariable) -> list[float]:
+    if variable.start is None or variable.type in ("String", "Binary"):
+        return []
+    words = str(variable.start).split()
+    return [float({"true": 1, "false": 0}.get(word.lower(), word)) for word in words]
+
+
+def sentence(error: Exception) -> str:
+    return " ".join(str(error).split())[:300]

@@ -1,0 +1,192 @@
+"""Components and connections: everything checked before anything moves, and the order of the components at an instant.
+
+A component's output that depends directly on its inputs, or is sampled, must be computed before anybody uses it at the same
+instant (a controller's); an output that is neither (a plant's) is there already. A connection declared delayed carries the
+value from before the instant and orders nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from graphlib import CycleError, TopologicalSorter
+from typing import Literal
+
+from freeflyer.fmi.component import Component, Port
+from freeflyer.foundation.errors import GraphError
+from freeflyer.foundation.suggestions import did_you_mean
+from freeflyer.foundation.units import same
+
+Exchange = Literal["sequential", "parallel"]
+"""Sequential (Gauss-Seidel): a controller's output is used at the instant of its sample. Parallel (Jacobi): everybody steps with
+what all had at the end of their last steps, so that a controller's output reaches the others one step of its own late.
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Connection:
+    """`source` and `target` are COMPONENT.VARIABLE; of terminals, which stand for all connections between their members, they
+    are COMPONENT.TERMINAL.
+    """
+
+    source: str
+    target: str
+    delayed: bool = False
+    of_terminals: bool = False
+
+    def __str__(self) -> str:
+        return f"{self.source} {'<->' if self.of_terminals else '->'} {self.target}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Graph:
+    """Checked. `first` holds the components to be stepped one after the other at an instant, `then` those to be stepped
+    together after them, with inputs taken before any of them moves.
+    """
+
+    components: Mapping[str, Component]
+    connections: tuple[Connection, ...]
+    first: tuple[str, ...]
+    then: tuple[str, ...]
+
+    def inputs_of(self, component: str) -> list[Connection]:
+        return [connection for connection in self.connections if split(connection.target)[0] == component]
+
+
+def split(signal: str) -> tuple[str, str]:
+    component, _, variable = signal.partition(".")
+    return component, variable
+
+
+def port(components: Mapping[str, Component], signal: str, subject: str) -> Port:
+    """The port that COMPONENT.VARIABLE names; GraphError, with the nearest name, if there is none."""
+    component, variable = split(signal)
+    if component not in components:
+        raise GraphError(f"{subject}: there is no component {component!r}{did_you_mean(component, components)}")
+    ports = components[component].ports
+    if variable not in ports:
+        raise GraphError(f"{subject}: component {component!r} has no variable {variable!r}{did_you_mean(variable, ports)}")
+    return ports[variable]
+
+
+def expand(components: Mapping[str, Component], connections: Sequence[Connection]) -> list[Connection]:
+    """Connections of terminals -> those of their members: output to input, where both terminals have the member. GraphError if
+    there is no such terminal, or nothing that fits.
+    """
+    single = [connection for connection in connections if not connection.of_terminals]
+    given = {(connection.source, connection.target, connection.delayed) for connection in single}
+    for connection in connections:
+        if connection.of_terminals:  # what is there already, one by one, is the same wire
+            members = _members(components, connection)
+            single += [m for m in members if (m.source, m.target, m.delayed) not in given]
+    return single
+
+
+def _members(components: Mapping[str, Component], connection: Connection) -> list[Connection]:
+    subject, found = f"connection {connection}", []
+    ends = [(split(end)[0], _terminal(components, end, subject)) for end in (connection.source, connection.target)]
+    for (source, ours), (target, theirs) in (ends, ends[::-1]):
+        for member in ours.keys() & theirs.keys():
+            output, entry = f"{source}.{ours[member]}", f"{target}.{theirs[member]}"
+            kinds = [port(components, end, subject).causality for end in (output, entry)]
+            if kinds == ["output", "input"]:
+                found.append(Connection(source=output, target=entry, delayed=connection.delayed))
+    if not found:
+        raise GraphError(f"{subject}: no output of one terminal is an input of the other")
+    return sorted(found, key=str)
+
+
+def _terminal(components: Mapping[str, Component], end: str, subject: str) -> Mapping[str, str]:
+    component, name = split(end)
+    if component not in components:
+        raise GraphError(f"{subject}: there is no component {component!r}{did_you_mean(component, components)}")
+    terminals: Mapping[str, Mapping[str, str]] = getattr(components[component], "terminals", {})
+    if name not in terminals:
+        raise GraphError(f"{subject}: component {component!r} has no terminal {name!r}{did_you_mean(name, terminals)}")
+    return terminals[name]
+
+
+def build(
+    components: Mapping[str, Component],
+    connections: Sequence[Connection],
+    samples: Mapping[str, bool] | None = None,
+    exchange: Exchange = "sequential",
+) -> Graph:
+    """Check every connection and find the order. Raises GraphError with one sentence.
+
+    `samples` overrides, component by component, what their descriptions say of their outputs: True, they belong to the begin
+    of a step; False, to its end. In `parallel` exchange all outputs belong to the end of a step, so that there is no order and
+    nothing left to delay.
+    """
+    connections = expand(components, connections)
+    driven: dict[str, Connection] = {}
+    for connection in connections:
+        _check(components, connection)
+        if connection.target in driven:
+            raise GraphError(
+                f"input {connection.target} has two sources: {driven[connection.target].source} and {connection.source}"
+            )
+        driven[connection.target] = connection
+    if exchange == "parallel":
+        connections = [replace(connection, delayed=False) for connection in connections]
+        samples = dict.fromkeys(components, False)
+    first = _order(components, connections, samples or {})
+    then = tuple(name for name in components if name not in first)
+    return Graph(components=components, connections=tuple(connections), first=first, then=then)
+
+
+def _check(components: Mapping[str, Component], connection: Connection) -> None:
+    subject = f"connection {connection}"
+    source, target = port(components, connection.source, subject), port(components, connection.target, subject)
+    if source.causality != "output":
+        raise GraphError(f"{subject}: {connection.source} is of causality {source.causality}; an output is expected")
+    if target.causality != "input":
+        raise GraphError(f"{subject}: {connection.target} is of causality {target.causality}; an input is expected")
+    if source.size != target.size:
+        raise GraphError(f"{subject}: sizes differ: {source.size} and {target.size}")
+    for index, (given, wanted) in enumerate(zip(source.units, target.units, strict=True)):
+        if not same(given, wanted):
+            element = f" at element {index + 1}" if source.size > 1 else ""
+            raise GraphError(f"{subject}: units differ{element}: {given} and {wanted}")
+
+
+def _order(
+    components: Mapping[str, Component], connections: Sequence[Connection], samples: Mapping[str, bool]
+) -> tuple[str, ...]:
+    """Components whose outputs in use belong to the begin of a step, each after those whose outputs it uses."""
+    used: dict[str, set[str]] = {name: set() for name in components}
+    for connection in connections:
+        source, variable = split(connection.source)
+        used[source].add(variable)
+    early = {name for name, component in components.items() if _is_early(name, component, used[name], samples.get(name))}
+    sorter: TopologicalSorter[str] = TopologicalSorter()
+    for name in components:  # those that wait for nobody come in the scenario's order
+        sorter.add(name)
+    for connection in connections:
+        (source, _), (target, _) = split(connection.source), split(connection.target)
+        if source in early and not connection.delayed:
+            sorter.add(target, source)
+    try:
+        ordered = list(sorter.static_order())
+    except CycleError as error:
+        # graphlib lists the loop against the flow of data.
+        loop = " -> ".join(reversed(error.args[1]))
+        raise GraphError(
+            f"algebraic loop: {loop}: each needs the other's output of the same instant; declare one of the connections delayed"
+        ) from error
+    return tuple(name for name in ordered if name in early)
+
+
+def _is_early(name: str, component: Component, used: set[str], samples: bool | None) -> bool:
+    """A component whose outputs nobody uses (a monitor) counts by what it has; one with both kinds in use must be declared."""
+    if samples is not None:
+        return samples
+    outputs = [port for port in component.ports.values() if port.causality == "output" and (not used or port.name in used)]
+    prompt = [port.name for port in outputs if port.prompt]
+    settled = [port.name for port in outputs if not port.prompt]
+    if prompt and settled and used:
+        raise GraphError(
+            f"component {name}: its output {prompt[0]} depends directly on its inputs and its output {settled[0]} does not, and "
+            f"both are in use; declare samples = true (its outputs belong to the begin of a step) or false (to its end)"
+        )
+    return bool(prompt)

@@ -1,0 +1,138 @@
+"""What a run leaves behind: time and every recorded signal, one column per element, as Parquet.
+
+`pandas.read_parquet(path)` loads it in one line; the units are in `.attrs["units"]` of the frame, and in the file's schema. There,
+too, is the record's `origin`, under the key freeflyer.origin, where the run was one of a scenario.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as parquet
+
+from freeflyer.fmi.component import Array
+from freeflyer.foundation.errors import CosimError
+from freeflyer.foundation.output_file import write_whole
+from freeflyer.master.provenance import KEY, Origin
+
+MOST_NUMBERS = 1 << 30
+"""Of a record that is read; as doubles, they are 8 GiB."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Signal:
+    """One recorded variable, COMPONENT.VARIABLE, in the columns first ... first + size - 1."""
+
+    name: str
+    first: int
+    size: int
+    units: tuple[str | None, ...]
+
+    @property
+    def columns(self) -> list[str]:
+        return [self.name] if self.size == 1 else [f"{self.name}[{i + 1}]" for i in range(self.size)]
+
+
+class Record:
+    """Preallocated rows of (time, signals)."""
+
+    def __init__(self, signals: Sequence[Signal], rows: int) -> None:
+        self.signals: Mapping[str, Signal] = {signal.name: signal for signal in signals}
+        width = max((signal.first + signal.size for signal in signals), default=0)
+        try:
+            self._time = np.empty(rows)
+            self._values = np.empty((rows, width))
+        except MemoryError as error:
+            size = rows * (width + 1) * 8 / 2**30
+            raise CosimError(
+                f"the record of {rows} rows with {width} columns needs {size:.3g} GiB, more than there is; record less often "
+                f"([record] every_s) or stop earlier"
+            ) from error
+        self.rows = 0
+        self.origin: Origin | None = None
+
+    def append(self, time: float, values: Array) -> None:
+        self._time[self.rows] = time
+        self._values[self.rows] = values
+        self.rows += 1
+
+    @property
+    def storage(self) -> tuple[Array, Array]:
+        """Times (all rows) and values (all rows, width), of which the first `rows` are in use."""
+        return self._time, self._values
+
+    @property
+    def time(self) -> Array:
+        """(rows) [s]."""
+        return self._time[: self.rows]
+
+    def __getitem__(self, name: str) -> Array:
+        """(rows, size) of one signal, or (rows) of a scalar; KeyError if it was not recorded."""
+        signal = self.signals[name]
+        block = self._values[: self.rows, signal.first : signal.first + signal.size]
+        return block[:, 0] if signal.size == 1 else block
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.signals
+
+    @property
+    def units(self) -> dict[str, str]:
+        named = {
+            column: unit or ""
+            for signal in self.signals.values()
+            for column, unit in zip(signal.columns, signal.units, strict=True)
+        }
+        return {"time": "s", **named}
+
+    @classmethod
+    def read(cls, path: Path) -> Record:
+        """What `write` has written; OSError or pyarrow.ArrowException if it cannot be read, ValueError, TypeError or LookupError if it
+        is something else. Nothing in it is run.
+        """
+        with parquet.ParquetFile(path) as file:
+            rows, columns = file.metadata.num_rows, file.metadata.num_columns
+            if not 0 < columns * max(rows, 1) <= MOST_NUMBERS:  # a few bytes of Parquet can stand for any number of rows
+                raise ValueError(f"it has {rows} rows of {columns} columns; {MOST_NUMBERS} numbers at most are expected")
+            table = file.read()
+        elements: dict[str, list[str]] = {}
+        for column in table.column_names[1:]:
+            elements.setdefault(column.partition("[")[0], []).append(column)
+        signals, first = [], 0
+        for name, columns in elements.items():
+            units = tuple((table.field(column).metadata or {}).get(b"unit", b"").decode() or None for column in columns)
+            signals.append(Signal(name=name, first=first, size=len(columns), units=units))
+            first += len(columns)
+        record = cls(signals, table.num_rows)
+        record._time[:] = table.column(0).to_numpy()
+        for place, column in enumerate(c for columns in elements.values() for c in columns):
+            record._values[:, place] = table.column(column).to_numpy()
+        record.rows = table.num_rows
+        origin = (table.schema.metadata or {}).get(KEY)
+        record.origin = None if origin is None else Origin.from_json(origin)
+        return record
+
+    def write(self, path: Path) -> None:
+        """Whole or not at all; OutputError if it cannot be written."""
+        columns = {"time": self.time}
+        for signal in self.signals.values():
+            for offset, column in enumerate(signal.columns):
+                columns[column] = self._values[: self.rows, signal.first + offset]
+        units = self.units
+        fields = [pa.field(name, pa.float64(), metadata={"unit": units[name]}) for name in columns]
+        # pandas keeps DataFrame.attrs under this key of the schema.
+        metadata: dict[str | bytes, str] = {"PANDAS_ATTRS": json.dumps({"units": units})}
+        if self.origin is not None:
+            metadata[KEY] = self.origin.to_json()
+        schema = pa.schema(fields, metadata=metadata)
+        # By its buffer: `pa.array` of an array imports pandas first.
+        arrays = [
+            pa.Array.from_buffers(pa.float64(), len(values), [None, pa.py_buffer(np.ascontiguousarray(values))])
+            for values in columns.values()
+        ]
+        table = pa.table(arrays, schema=schema)
+        write_whole(path, lambda partial: parquet.write_table(table, partial, compression="zstd"))

@@ -1,0 +1,62 @@
+"""One self-contained HTML page: figures, table, scenarios, versions."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import jinja2
+
+from freeflyer.foundation.output_file import write_text
+from freeflyer.scenario.experiment import Result
+
+Verdict = Literal["as stated", "in part", "differs", "not in the paper"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Statement:
+    """One statement of the paper beside what was measured."""
+
+    where: str
+    paper: str
+    measured: str
+    verdict: Verdict
+    remark: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Figure:
+    number: str
+    caption: str
+    path: Path
+
+
+ASSUMPTIONS = (
+    "The paper's text gives neither gains, trajectory amplitudes, start posture, mount, tool nor arm masses (its reference [16] is not "
+    "public). All of them are this project's assumptions, so curves can agree with the paper's in kind, not in value: where the "
+    "paper gives no number, the table says so and claims no agreement."
+)
+
+
+def write(path: Path, statements: Sequence[Statement], figures: Sequence[Figure], results: Mapping[str, Result]) -> None:
+    """Raises OutputError."""
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(Path(__file__).parent), autoescape=True, trim_blocks=True, lstrip_blocks=True
+    )
+    page = environment.get_template("report.html.jinja").render(
+        statements=statements,
+        figures=[(figure, *_embedded(figure.path)) for figure in figures],
+        results=results,
+        versions=next(iter(results.values())).summary["versions"],
+        assumptions=ASSUMPTIONS,
+    )
+    write_text(path, page)
+
+
+def _embedded(path: Path) -> tuple[str, int]:
+    """A PNG as base64, and its width on a page: half its pixels, which a PNG's header holds at byte 16."""
+    data = path.read_bytes()
+    return base64.b64encode(data).decode(), int.from_bytes(data[16:20], "big") // 2

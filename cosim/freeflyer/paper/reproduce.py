@@ -1,0 +1,160 @@
+"""`freeflyer reproduce`: the paper's simulation, its figures, and its statements beside what was measured."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+from matplotlib import rc_context
+from rich.console import Console
+from rich.table import Table
+
+from freeflyer.analysis.audit import figure as audit_figure
+from freeflyer.analysis.audit import ledger, recorded_loop
+from freeflyer.analysis.figure_style import STYLE, save
+from freeflyer.foundation.clock import seconds
+from freeflyer.foundation.errors import DONE, STOPPED
+from freeflyer.foundation.output_file import check_writable, write_text
+from freeflyer.paper import figures, real_time, report
+from freeflyer.paper.report import ASSUMPTIONS, Figure, Statement
+from freeflyer.paper.statements import CASES, real_time_statements, statements
+from freeflyer.scenario import experiment, scenario
+from freeflyer.scenario.experiment import Result
+
+ATTEMPTS = 3
+"""At a loop in real time."""
+
+
+def reproduce(directory: Path, fmi: int, console: Console, *, in_real_time: bool = False) -> int:
+    """Run every case, then write. Ctrl-C keeps the cases that are done, and what was simulated of the present one.
+
+    `in_real_time`: the facility experiment once more, against the virtual facility over CAN and Zenoh.
+    """
+    check_writable(directory)
+    scenarios = [scenario.load(name) for name in CASES]
+    results: dict[str, Result] = {}
+    with experiment.progress_bar(console, scenarios) as reports:
+        for case in scenarios:
+            results[case.name] = experiment.run(case, fmi=fmi, progress=reports[case.name])
+            experiment.write(results[case.name], directory / case.name)
+            if results[case.name].outcome.interrupted:
+                break
+    loops = run_in_real_time(directory, console) if in_real_time and len(results) == len(CASES) else {}
+    summaries = {name: result.summary for name, result in {**results, **loops}.items()}
+    write_text(directory / "summary.json", json.dumps({"cases": summaries}, indent=2) + "\n")
+    if len(results) < len(CASES) or any(result.outcome.interrupted for result in results.values()):
+        console.print(f"Interrupted; the cases {', '.join(results)} are saved in {directory}, without figures", soft_wrap=True)
+        return STOPPED
+    stated = statements(results) + real_time_statements(results, loops)
+    drawn = draw(results, directory) + draw_real_time(loops, directory)
+    report.write(directory / "report.html", stated, drawn, {**results, **loops})
+    console.print(table(stated))
+    console.print(ASSUMPTIONS, style="dim")
+    console.print(f"Report: {directory / 'report.html'}; figures, records and summary.json beside it", soft_wrap=True)
+    surprises = [name for name, result in {**results, **loops}.items() if not result.as_expected]
+    if surprises:
+        console.print(f"Not as expected: {', '.join(surprises)}")
+    return STOPPED if surprises else DONE
+
+
+def run_in_real_time(directory: Path, console: Console) -> dict[str, Result]:
+    """With and without passivity controllers. A machine that is not for real time may hold a process up for longer than the
+    watchdogs allow: a loop that was stopped is run again, and said to have been.
+    """
+    loops = {}
+    for case in map(scenario.load, real_time.CASES):
+        for attempt in range(1, ATTEMPTS + 1):
+            with console.status(f"{case.name} in real time ({seconds(case.stop):g} s)"):
+                result = real_time.run(case, directory / f"{case.name}_real_time")
+            loops[f"{case.name}_real_time"] = result
+            if result.as_expected or result.outcome.interrupted:
+                break
+            console.print(
+                f"{case.name} in real time, attempt {attempt} of {ATTEMPTS}, stopped at {result.outcome.simulated:.1f} s: "
+                f"{result.outcome.cause}",
+                soft_wrap=True,
+            )
+    return loops
+
+
+def draw_real_time(loops: Mapping[str, Result], directory: Path) -> list[Figure]:
+    if not loops:
+        return []
+    passive, without = (result.outcome.record for result in loops.values())
+    bytes_ = "In real time against the virtual facility over CAN FD and Zenoh (its drives, noise and delay: assumed)"
+    drawings = [
+        ("11", figures.facility_manipulator, passive, "tracking error of the hand (top), force of the manipulator (bottom)"),
+        ("12", figures.facility_base, passive, "regulation error of the base (top), force on the base (bottom)"),
+        (
+            "13",
+            figures.energies,
+            without,
+            "without passivity controllers: energy observers of manipulator (top) and base (bottom)",
+        ),
+        (
+            "14",
+            figures.energies,
+            passive,
+            "with passivity controllers: energy observers of manipulator (top) and base (bottom)",
+        ),
+    ]
+    drawn = []
+    with rc_context(STYLE):
+        for number, drawing, record, caption in drawings:
+            path = directory / f"fig{number}_real_time.png"
+            save(drawing(record), path)
+            drawn.append(Figure(number=f"Fig. {number} (real time)", caption=f"{bytes_}: {caption}.", path=path))
+    return drawn
+
+
+def draw(results: Mapping[str, Result], directory: Path) -> list[Figure]:
+    continuous, unstable, passive = (results[name].outcome.record for name in CASES[:3])
+    facility, without = (results[name].outcome.record for name in CASES[4:])
+    both = "T_m = 1 ms, T_b = 0.3 s"
+    inside = "Facility experiment inside one FMI system (T_m = 1 ms, T_b = 4 ms; drives, noise, delay: assumed)"
+    drawings = [
+        ("2", figures.trajectory, continuous, "Desired end-effector position x and orientation theta (amplitudes and frequency: assumed)."),
+        ("3", figures.errors, continuous, "Both controllers at 1 ms (FMUs): error of the end-effector (top) and of the base (bottom)."),
+        ("3 (continuous time)", figures.errors, continuous, "The same loop with nothing sampled: one model-exchange FMU, DOP853, relative tolerance 1e-10."),
+        ("4", figures.errors, unstable, f"Without passivity controllers, {both}: error of the end-effector (top) and of the base (bottom)."),
+        ("7", figures.energies, unstable, f"Energy observers without passivity controllers, {both}: manipulator (top), base (bottom); E(0) included."),
+        ("8", figures.corrections, passive, f"Forces and torques of the passivity controllers, {both}: manipulator (top), base (bottom)."),
+        ("9", figures.energies, passive, f"Energy observers with passivity controllers, {both}: manipulator (top), base (bottom); E(0) included."),
+        ("10", figures.errors, passive, f"With passivity controllers, {both}: error of the end-effector (top) and of the base (bottom)."),
+        ("11", figures.facility_manipulator, facility, f"{inside}: tracking error of the hand (top), force of the manipulator (bottom)."),
+        ("12", figures.facility_base, facility, f"{inside}: regulation error of the base (top), force on the base (bottom)."),
+        ("13", figures.energies, without, f"{inside}, without passivity controllers: energy observers of manipulator (top) and base (bottom)."),
+        ("14", figures.energies, facility, f"{inside}, with passivity controllers: energy observers of manipulator (top) and base (bottom)."),
+    ]  # fmt: skip
+    labels = ("both controllers at 1 ms", "base at 0.3 s, no PC", "base at 0.3 s, with PC")
+    lines = [
+        (label, results[name].outcome.record.time, results[name].errors) for label, name in zip(labels, CASES[:3], strict=True)
+    ]
+    overview = directory / "overview.png"
+    drawn = [
+        Figure(number="Overview", caption="Errors of the three cases of the paper's simulation, on one scale.", path=overview)
+    ]
+    with rc_context(STYLE):
+        save(figures.overview(lines), overview)
+        for number, drawing, record, caption in drawings:
+            exact = number.endswith("time)")
+            figure = figures.errors(record, "continuous_loop") if exact else drawing(record)
+            path = directory / ("fig03_continuous_time.png" if exact else f"fig{int(number):02d}.png")
+            save(figure, path)
+            drawn.append(Figure(number=f"Fig. {number}", caption=caption, path=path))
+    for name, record in (("multirate_unstable", unstable), ("multirate_passive", passive)):
+        path = directory / f"energy_audit_{name}.png"
+        save(audit_figure.draw(ledger.audit(recorded_loop.find(record))), path)
+        caption = f"Energy audit of {name} (not in the paper): powers, balance, where energy enters and goes, observers beside the truth."
+        drawn.append(Figure(number="Energy audit", caption=caption, path=path))
+    return drawn
+
+
+def table(stated: list[Statement]) -> Table:
+    shown = Table(title="The paper's statements beside what was measured", title_justify="left", show_lines=True)
+    for header in ("where", "the paper says", "measured", ""):
+        shown.add_column(header, overflow="fold")
+    for s in stated:
+        shown.add_row(s.where, s.paper, f"{s.measured}\n{s.remark}".strip(), s.verdict)
+    return shown

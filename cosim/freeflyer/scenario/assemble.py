@@ -1,0 +1,173 @@
+"""Scenario -> components -> a master that is ready to run. Component kinds and FMU directories come by entry point."""
+
+from __future__ import annotations
+
+import fnmatch
+import importlib
+import importlib.util
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from freeflyer.fmi.component import Component
+from freeflyer.fmi.fmu import FmuComponent
+from freeflyer.foundation.errors import ComponentError, CosimError, ScenarioError
+from freeflyer.foundation.plugins import load, plugins, renamed
+from freeflyer.foundation.suggestions import did_you_mean
+from freeflyer.master import graph, schedule
+from freeflyer.master.master import Master
+from freeflyer.scenario import parameters
+from freeflyer.scenario.parameters import Values
+from freeflyer.scenario.scenario import ComponentSpec, Scenario
+
+Factory = Callable[[str, Mapping[str, Any], Path], Component]
+
+
+def find_fmu(name: str, options: Mapping[str, Any], directory: Path) -> Path:
+    """`fmu` in options is a path (relative to the scenario), or the name of a shipped FMU (default: the component's name)."""
+    _known_options(name, options, ("fmu", "fmi"))
+    fmu, version = str(options.get("fmu", name)), options.get("fmi", 2)
+    if version not in (2, 3):
+        raise ComponentError(f"component {name}: fmi is {version!r}; 2 or 3 is expected")
+    if fmu.endswith(".fmu"):
+        return directory / fmu
+    known: list[str] = []
+    # Ours first: a package of others that is broken does not keep a shipped FMU from being found.
+    for point in sorted(plugins("freeflyer.fmus").values(), key=lambda point: point.name != "default"):
+        folder = Path(load(point)()) / f"fmi{version}"
+        path = folder / f"{fmu}.fmu"
+        if path.is_file():
+            return path
+        known += [found.stem for found in folder.glob("*.fmu")]
+    raise ComponentError(f"component {name}: no FMU {fmu!r} is shipped for FMI {version}{did_you_mean(fmu, sorted(known))}")
+
+
+def _known_options(name: str, options: Mapping[str, Any], known: tuple[str, ...]) -> None:
+    for key in options:
+        if key not in known:
+            raise ComponentError(
+                f"component {name}: unknown key {key!r}{did_you_mean(key, [*known, 'kind', 'step_s', 'samples', 'parameters'])}"
+            )
+
+
+def fmu_component(name: str, options: Mapping[str, Any], directory: Path) -> Component:
+    return FmuComponent(name, find_fmu(name, options, directory))
+
+
+def model_exchange_component(name: str, options: Mapping[str, Any], directory: Path) -> Component:
+    from freeflyer.fmi.model_exchange import ModelExchangeComponent  # SciPy's integrators are for these alone
+
+    return ModelExchangeComponent(name, find_fmu(name, options, directory))
+
+
+def python_component(name: str, options: Mapping[str, Any], directory: Path) -> Component:
+    """`object` is FILE.py:CALLABLE (relative to the scenario) or MODULE:CALLABLE; it is called with the component's name."""
+    _known_options(name, options, ("object",))
+    where, colon, attribute = str(options.get("object", "")).partition(":")
+    if not colon:
+        raise ComponentError(f"component {name}: object = 'FILE.py:CALLABLE' or 'MODULE:CALLABLE' is expected")
+    try:
+        if where.endswith(".py"):
+            path = directory / where
+            spec = importlib.util.spec_from_file_location(path.stem, path)
+            if spec is None or spec.loader is None or not path.is_file():
+                raise ComponentError(f"component {name}: {path} does not exist")
+            module = importlib.util.module_from_spec(spec)
+            spec.loader.exec_module(module)
+        else:
+            module = importlib.import_module(where)
+        made: Component = getattr(module, attribute)(name)
+    except CosimError:
+        raise
+    except (Exception, SystemExit) as error:  # a user's file may fail in any way
+        raise ComponentError(
+            f"component {name}: {where}:{attribute} cannot be used: {type(error).__name__}: {error}{renamed(error)}"
+        ) from error
+    if not hasattr(made, "ports") or not hasattr(made, "step"):
+        raise ComponentError(f"component {name}: {where}:{attribute} gave a {type(made).__name__}; a component is expected")
+    return made
+
+
+def make(spec: ComponentSpec, directory: Path, fmi: int | None) -> Component:
+    points = plugins("freeflyer.components")
+    if spec.kind not in points:
+        raise ComponentError(f"component {spec.name}: there is no kind {spec.kind!r}{did_you_mean(spec.kind, points)}")
+    factory: Factory = load(points[spec.kind])
+    options = dict(spec.options)
+    if fmi is not None and spec.kind in ("fmu", "model_exchange"):
+        options["fmi"] = fmi
+    try:
+        return factory(spec.name, options, directory)
+    except CosimError:
+        raise
+    except Exception as error:  # a component kind of another package has errors of its own
+        text = " ".join(str(error).split())
+        raise ComponentError(text if text.startswith("component ") else f"component {spec.name}: {text}") from error
+
+
+def _refuse_driven(wiring: graph.Graph, values: Values) -> None:
+    """A value for an input that a connection drives would be lost without a word."""
+    for connection in wiring.connections:
+        component, variable = graph.split(connection.target)
+        if variable in values.get(component, {}):
+            raise ScenarioError(f"{connection.target} cannot be set: it is driven by the connection from {connection.source}")
+
+
+def _recorded(scenario: Scenario, components: Mapping[str, Component]) -> Callable[[str], bool]:
+    """Which signals are recorded; ScenarioError for a pattern that fits none."""
+    outputs = {
+        f"{name}.{port.name}"
+        for name, component in components.items()
+        for port in component.ports.values()
+        if port.causality == "output" and port.real
+    }
+    chosen = {signal for measure in scenario.errors.values() for signal in (measure.actual, measure.desired)}
+    chosen |= set(scenario.observed_energy.values())
+    for pattern in scenario.record_signals:
+        found = fnmatch.filter(outputs, pattern)
+        if not found:
+            raise ScenarioError(f"[record] signals: no output fits {pattern!r}{did_you_mean(pattern, outputs)}")
+        chosen |= set(found)
+    return chosen.__contains__
+
+
+@dataclass(frozen=True, kw_only=True)
+class System:
+    """A scenario with its components loaded and everything checked, before anything is initialised. `steps` in ns."""
+
+    components: Mapping[str, Component]
+    values: Values
+    steps: Mapping[str, int]
+    wiring: graph.Graph
+
+
+@contextmanager
+def loaded(scenario: Scenario, fmi: int | None = None) -> Iterator[System]:
+    """Components are closed at the end. Raises CosimError."""
+    components: dict[str, Component] = {}
+    try:
+        for spec in scenario.components:
+            components[spec.name] = make(spec, scenario.directory, fmi)
+        values = parameters.resolve(scenario, components)
+        samples = {spec.name: spec.samples for spec in scenario.components if spec.samples is not None}
+        wiring = graph.build(components, scenario.connections, samples, scenario.exchange)
+        _refuse_driven(wiring, values)
+        steps = parameters.steps(scenario, components, values)
+        yield System(components=components, values=values, steps=steps, wiring=wiring)
+    finally:
+        for component in components.values():
+            with suppress(Exception):  # one that cannot be closed must not keep the others, or the results, from theirs
+                component.close()
+
+
+@contextmanager
+def assembled(scenario: Scenario, fmi: int | None = None) -> Iterator[tuple[Master, Values]]:
+    """A master with everything loaded, checked and initialised; components are closed at the end. Raises CosimError."""
+    with loaded(scenario, fmi) as system:
+        variable_step = {name: component.variable_step for name, component in system.components.items()}
+        plan = schedule.build(system.steps, scenario.stop, scenario.record_every, variable_step)
+        master = Master(system.wiring, plan, scenario.limits, _recorded(scenario, system.components))
+        master.initialise(system.values)
+        yield master, system.values

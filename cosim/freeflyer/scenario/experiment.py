@@ -1,0 +1,110 @@
+"""One scenario, from file to results on disk."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from freeflyer.fmi.component import Array, Port
+from freeflyer.foundation.clock import seconds
+from freeflyer.foundation.interrupts import interrupts
+from freeflyer.foundation.output_file import write_text
+from freeflyer.master import native
+from freeflyer.master.master import Master, Outcome
+from freeflyer.master.master import Progress as Report
+from freeflyer.master.provenance import Origin
+from freeflyer.scenario import metrics
+from freeflyer.scenario.assemble import assembled
+from freeflyer.scenario.parameters import Values, current
+from freeflyer.scenario.scenario import Scenario
+
+
+@dataclass(frozen=True, kw_only=True)
+class Result:
+    """`errors` are time series (rows of the record) under their names in summary.json."""
+
+    scenario: Scenario
+    outcome: Outcome
+    errors: Mapping[str, Array]
+    summary: Mapping[str, Any]
+
+    @property
+    def as_expected(self) -> bool:
+        return not (self.outcome.interrupted or self.outcome.failed) and self.outcome.diverged == (
+            self.scenario.expect == "diverges"
+        )
+
+
+Engine = Literal["core", "python"]
+"""Who executes the schedule: C (see cosim/freeflyer/master/native.py), or Python through FMPy; with the same numbers."""
+
+
+def run(scenario: Scenario, *, fmi: int | None = None, progress: Report | None = None, engine: Engine = "core") -> Result:
+    """Load, check, simulate, measure. Raises CosimError before the run; afterwards everything is in the result."""
+    with assembled(scenario, fmi) as (master, values):
+        metrics.check(scenario, master.graph.components)
+        with interrupts():  # what was simulated is measured too, whenever a Ctrl-C comes
+            outcome = native.run(master, progress) if engine == "core" else master.run(progress)
+            outcome.record.origin = origin(scenario, master, values)
+            series = metrics.errors(scenario, outcome.record, master.graph.components, values)
+            summary = metrics.summary(scenario, outcome, series)
+    return Result(scenario=scenario, outcome=outcome, errors=series, summary=summary)
+
+
+def origin(scenario: Scenario, master: Master, values: Values) -> Origin:
+    """What the master's record comes from: parameters as they were given, or as the components have them by default."""
+    components, schedule = master.graph.components, master.schedule
+    return Origin(
+        scenario=scenario.name,
+        exchange=scenario.exchange,
+        steps={name: ratio * schedule.tick for name, ratio in schedule.ratios.items()},
+        parameters={
+            name: {
+                port.name: _plain(port, current(components, values, name, port.name))
+                for port in component.ports.values()
+                if port.settable
+            }
+            for name, component in components.items()
+        },
+        sources={connection.target: connection.source for connection in master.graph.connections},
+    )
+
+
+def _plain(port: Port, value: Array) -> Any:
+    """A parameter's value as JSON has it."""
+    if port.choices and value.size == 1 and 1 <= value[0] <= len(port.choices):
+        return port.choices[int(value[0]) - 1]
+    if port.boolean:
+        value = value.astype(bool)
+    return value[0].item() if port.size == 1 else value.tolist()
+
+
+def write(result: Result, directory: Path) -> None:
+    """record.parquet and summary.json, each whole or not at all. Raises OutputError."""
+    with interrupts():  # a Ctrl-C that comes now waits until both are whole
+        result.outcome.record.write(directory / "record.parquet")
+        write_text(directory / "summary.json", json.dumps(result.summary, indent=2) + "\n")
+
+
+@contextmanager
+def progress_bar(console: Console, scenarios: Sequence[Scenario]) -> Iterator[dict[str, Report]]:
+    """A bar per scenario, with the simulated time; shown only where somebody watches."""
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        TextColumn("{task.completed:.0f} of {task.total:.0f} s"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        reports: dict[str, Report] = {}
+        for scenario in scenarios:
+            task = bar.add_task(scenario.name, total=seconds(scenario.stop))
+            reports[scenario.name] = lambda time, task=task: bar.update(task, completed=time)  # type: ignore[misc]
+        yield reports

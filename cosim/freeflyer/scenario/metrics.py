@@ -1,0 +1,117 @@
+"""What a run amounts to: errors, observed energies, and summary.json."""
+
+from __future__ import annotations
+
+import functools
+import platform
+from collections.abc import Mapping
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+import numpy as np
+
+from freeflyer.fmi.component import Array, Component
+from freeflyer.foundation.errors import ScenarioError
+from freeflyer.master.graph import port, split
+from freeflyer.master.master import Outcome
+from freeflyer.master.record import Record
+from freeflyer.scenario.parameters import Values, current
+from freeflyer.scenario.scenario import Scenario
+
+LAST = 10.0
+"""Errors are also given as the maximum over the last 10 s of a run."""
+
+
+def position_error(actual: Array, desired: Array) -> Array:
+    """Euclidean distance (rows) [m]."""
+    return np.asarray(np.linalg.norm(actual - desired, axis=1))
+
+
+def orientation_error(actual: Array, desired: Array) -> Array:
+    """Angle (rows) [deg] between quaternions [x, y, z, w]."""
+    actual = actual / np.linalg.norm(actual, axis=1, keepdims=True)
+    desired = desired / np.linalg.norm(desired, axis=1, keepdims=True)
+    # By the chord between the two, the shorter way round: exact near zero, where a scalar product has lost all digits.
+    nearer = desired * np.where(np.sum(actual * desired, axis=1, keepdims=True) < 0.0, -1.0, 1.0)
+    return np.asarray(np.degrees(4.0 * np.arcsin(0.5 * np.linalg.norm(actual - nearer, axis=1))))
+
+
+def signal_or_parameter(signal: str, record: Record, components: Mapping[str, Component], values: Values) -> Array:
+    """(rows, size) of a recorded output, or a parameter repeated for every row."""
+    if signal in record:
+        return np.atleast_2d(record[signal].T).T
+    port(components, signal, "errors")
+    value = current(components, values, *split(signal))
+    return np.broadcast_to(value, (record.rows, value.size))
+
+
+def check(scenario: Scenario, components: Mapping[str, Component]) -> None:
+    """What will be measured exists and fits, known before the run rather than after it. Raises CosimError."""
+    for name, measure in scenario.errors.items():
+        actual, desired = (port(components, signal, f"errors.{name}") for signal in (measure.actual, measure.desired))
+        size = 4 if name.endswith("orientation") else 3
+        for signal, found in ((measure.actual, actual), (measure.desired, desired)):
+            if found.size != size:
+                raise ScenarioError(f"errors.{name}: {signal} has {found.size} elements; {size} are expected")
+            if not found.real or not (found.causality == "output" or found.start is not None):
+                raise ScenarioError(f"errors.{name}: {signal} is neither an output nor a parameter")
+    for name, signal in scenario.observed_energy.items():
+        if port(components, signal, f"observed_energy.{name}").causality != "output":
+            raise ScenarioError(f"observed_energy.{name}: {signal} is not an output")
+
+
+def errors(scenario: Scenario, record: Record, components: Mapping[str, Component], values: Values) -> dict[str, Array]:
+    """Every error of the scenario over time, under its name in summary.json."""
+    series = {}
+    for name, measure in scenario.errors.items():
+        actual, desired = (signal_or_parameter(s, record, components, values) for s in (measure.actual, measure.desired))
+        if name.endswith("position"):
+            series[f"{name}_error_m"] = position_error(actual, desired)
+        else:
+            series[f"{name}_error_deg"] = orientation_error(actual, desired)
+    return series
+
+
+def summary(scenario: Scenario, outcome: Outcome, series: Mapping[str, Array]) -> dict[str, Any]:
+    """The contract of summary.json. Values that are not finite are left out of the extremes, so that every number is one."""
+    time = outcome.record.time
+    last = time >= outcome.simulated - LAST
+    energies = {}
+    for name, signal in scenario.observed_energy.items():
+        energies[name] = {"min": finite_minimum(outcome.record[signal])}
+    return {
+        "scenario": scenario.name,
+        "diverged": outcome.diverged,
+        "cause": outcome.cause,
+        "diverged_at_s": outcome.simulated if outcome.diverged else None,
+        "failed": outcome.failed,
+        "interrupted": outcome.interrupted,
+        "simulated_s": outcome.simulated,
+        "wall_s": outcome.wall,
+        "steps": outcome.steps,
+        **{name: {"max": finite_maximum(values), "last_10_s": finite_maximum(values[last])} for name, values in series.items()},
+        "observed_energy_j": energies,
+        "versions": dict(versions()),
+    }
+
+
+def finite_maximum(values: Array) -> float | None:
+    """None where nothing is finite: no number stands for that."""
+    finite = values[np.isfinite(values)]
+    return float(finite.max()) if finite.size else None
+
+
+def finite_minimum(values: Array) -> float | None:
+    highest = finite_maximum(-values)
+    return None if highest is None else -highest
+
+
+@functools.cache
+def versions() -> Mapping[str, str]:
+    found = {"python": platform.python_version(), "platform": platform.platform(terse=True)}
+    for package in ("freeflyer-cosim", "fmpy", "casadi", "numpy", "scipy", "ziglang"):
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "not installed"
+    return found

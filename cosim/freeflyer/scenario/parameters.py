@@ -1,0 +1,155 @@
+"""What a scenario gives to its components: values checked against the ports, units converted, references followed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from freeflyer.fmi.component import Array, Component, Port
+from freeflyer.foundation.clock import nanoseconds
+from freeflyer.foundation.errors import ScenarioError
+from freeflyer.foundation.suggestions import did_you_mean
+from freeflyer.foundation.units import DIMENSIONLESS, converted, factor, same
+from freeflyer.scenario.scenario import ComponentSpec, Scenario
+
+Values = dict[str, dict[str, Array]]
+
+
+def resolve(scenario: Scenario, components: Mapping[str, Component]) -> Values:
+    """Start values of every component [SI]: its own parameters, and those of [robot] wherever a component has one.
+
+    Raises ScenarioError for an unknown name, unit or choice, a wrong size, or a value that is not finite.
+    """
+    raw: dict[str, dict[str, Any]] = {}
+    used: set[str] = set()
+    for spec in scenario.components:
+        ports = components[spec.name].ports
+        common = {name: value for name, value in scenario.robot.items() if name in ports and ports[name].settable}
+        used |= set(common)
+        raw[spec.name] = {**common, **spec.parameters}
+    for name in scenario.robot:
+        if name not in used:
+            every = {
+                parameter for component in components.values() for parameter, port in component.ports.items() if port.settable
+            }
+            raise ScenarioError(f"[robot]: no component has a parameter {name!r}{did_you_mean(name, every)}")
+    return {
+        spec.name: {name: _value(raw, components, spec.name, name, value, ()) for name, value in raw[spec.name].items()}
+        for spec in scenario.components
+    }
+
+
+def steps(scenario: Scenario, components: Mapping[str, Component], values: Values) -> dict[str, int]:
+    """Communication steps in ns; "=PARAMETER" takes the component's own parameter."""
+    return {spec.name: _step(spec, components[spec.name], values[spec.name]) for spec in scenario.components}
+
+
+def _step(spec: ComponentSpec, component: Component, values: Mapping[str, Array]) -> int:
+    if isinstance(spec.step, int):
+        return spec.step
+    name = spec.step[1:]
+    port = component.ports.get(name)
+    if port is None or (name not in values and port.start is None):
+        raise ScenarioError(
+            f"component {spec.name}: step_s = {spec.step!r}: there is no parameter {name!r}{did_you_mean(name, component.ports)}"
+        )
+    value = values[name][0] if name in values else (port.start or (0.0,))[0]
+    return nanoseconds(float(value), f"component {spec.name}: parameter {name}")
+
+
+def current(components: Mapping[str, Component], values: Values, component: str, parameter: str) -> Array:
+    """The value a parameter will have: the given one, or the start value of its port."""
+    if parameter in values.get(component, {}):
+        return values[component][parameter]
+    start = components[component].ports[parameter].start
+    return np.array(start if start is not None else [0.0])
+
+
+def _value(
+    raw: Mapping[str, Mapping[str, Any]],
+    components: Mapping[str, Component],
+    component: str,
+    name: str,
+    value: Any,
+    seen: tuple[str, ...],
+) -> Array:
+    subject = f"{component}.{name}"
+    if component not in components:
+        raise ScenarioError(
+            f"{seen[-1] if seen else subject}: there is no component {component!r}{did_you_mean(component, components)}"
+        )
+    ports = components[component].ports
+    if name not in ports:
+        raise ScenarioError(
+            f"component {component!r} has no parameter {name!r}{did_you_mean(name, [n for n, p in ports.items() if p.settable])}"
+        )
+    port = ports[name]
+    if not port.settable and port.causality != "input":
+        raise ScenarioError(f"{subject} cannot be set: it is a computed {port.causality}")
+    if isinstance(value, str) and value.startswith("="):
+        if subject in seen:
+            raise ScenarioError(f"{subject}: its value refers back to itself, by way of {' -> '.join(seen)}")
+        other, _, parameter = value[1:].partition(".")
+        given = raw.get(other, {}).get(parameter)
+        if given is None and other in components and parameter in components[other].ports:
+            start = components[other].ports[parameter].start
+            given = list(start) if start is not None else None
+        result = _sized(_value(raw, components, other, parameter, given, (*seen, subject)), port, subject)
+        for there, here in zip(components[other].ports[parameter].units, port.units, strict=False):
+            if not same(there, here):
+                raise ScenarioError(f"{subject} = {value!r}: units differ: {here} and {there}")
+        return result
+    return _sized(_numbers(value, port, subject), port, subject)
+
+
+def _numbers(value: Any, port: Port, subject: str) -> Array:
+    scale = np.ones(port.size)
+    if isinstance(value, dict):
+        unknown = [key for key in value if key not in ("value", "unit")]
+        if unknown or "value" not in value or "unit" not in value:
+            raise ScenarioError(f"{subject} is {value!r}; {{ value = ..., unit = ... }} is expected")
+        scale = np.array([_factor(value["unit"], unit, subject) for unit in port.units])
+        value = value["value"]
+    if isinstance(value, str):
+        if value not in port.choices:
+            raise ScenarioError(
+                f"{subject} is {value!r}; {_expected(port)} is expected{did_you_mean(value, port.choices) if port.choices else ''}"
+            )
+        return np.array([float(port.choices.index(value) + 1)])
+    items = value if isinstance(value, list) else [value]
+    for item in items:
+        if isinstance(item, bool) != port.boolean or not isinstance(item, bool | int | float):
+            raise ScenarioError(f"{subject} is {value!r}; {_expected(port)} is expected")
+        if not abs(item) <= 1e300:
+            raise ScenarioError(f"{subject} is {value!r}; finite numbers are expected")
+    numbers = np.array([float(item) for item in items])
+    if port.choices and not all(1 <= number <= len(port.choices) and number == int(number) for number in numbers):
+        raise ScenarioError(f"{subject} is {value!r}; {_expected(port)} is expected")
+    scales = scale if numbers.size == scale.size else np.full(numbers.size, scale[0])
+    return np.array([converted(number, by) for number, by in zip(numbers, scales, strict=True)])
+
+
+def _factor(unit: object, target: str | None, subject: str) -> float:
+    try:
+        return factor(str(unit), target or DIMENSIONLESS)
+    except ValueError as error:
+        raise ScenarioError(f"{subject}: {error}; {target or 'a number without unit'} is expected") from error
+
+
+def _sized(numbers: Array, port: Port, subject: str) -> Array:
+    if numbers.size == port.size:
+        return numbers
+    if numbers.size == 1:
+        return np.full(port.size, numbers[0])
+    raise ScenarioError(f"{subject} has {numbers.size} values; {port.size} are expected")
+
+
+def _expected(port: Port) -> str:
+    if port.choices:
+        return "one of " + ", ".join(port.choices)
+    if port.boolean:
+        return "true or false"
+    unit = f" in {port.units[0]}" if port.units and port.units[0] else ""
+    return f"a number{unit}" if port.size == 1 else f"{port.size} numbers{unit}"

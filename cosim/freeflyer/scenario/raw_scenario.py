@@ -1,0 +1,145 @@
+"""A scenario's tables before they are checked: what `extends` merges, and what `--set` changes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from freeflyer.foundation import toml_file
+from freeflyer.foundation.errors import ScenarioError
+from freeflyer.foundation.suggestions import did_you_mean
+
+Raw = dict[str, Any]
+
+
+def merged(base: Raw, change: Raw) -> Raw:
+    """A file's tables over those of the scenario that it extends. `without` names components that it leaves out, with their
+    connections.
+    """
+    change = dict(change)
+    result = _left_out(base, change.pop("without", []))
+    for key in ("connections", "delayed"):
+        # A connection replaces the one that drove the same input; the others stay.
+        if isinstance(result.get(key), list):
+            result[key] = [kept for text in result[key] for kept in _without(text, _driven(change))]
+    for key, value in change.items():
+        if key in ("connections", "delayed") and isinstance(value, list) and isinstance(result.get(key), list):
+            result[key] = [*result[key], *value]
+            continue
+        if key == "devices" and isinstance(value, dict) and isinstance(result.get(key), dict):
+            # A device of another kind has nothing in common with the one it replaces, but its place in the order.
+            kept = {name: {} if _other_kind(table, value.get(name)) else table for name, table in result[key].items()}
+            result[key] = merged(kept, value)
+            continue
+        both_tables = isinstance(value, dict) and isinstance(result.get(key), dict) and "value" not in value
+        result[key] = merged(result[key], value) if both_tables else value
+    return result
+
+
+def _other_kind(table: object, change: object) -> bool:
+    return isinstance(table, dict) and isinstance(change, dict) and change.get("kind", table.get("kind")) != table.get("kind")
+
+
+def _left_out(base: Raw, names: Any) -> Raw:
+    known = base.get("components", {})
+    known = known if isinstance(known, dict) else {}
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise ScenarioError(f"without is {names!r}; a list of components' names is expected")
+    for name in names:
+        if name not in known:
+            raise ScenarioError(f"without: there is no component {name!r}{did_you_mean(name, known)}")
+    result = dict(base)
+    for key in ("components", "devices"):
+        if isinstance(base.get(key), dict):
+            result[key] = {name: table for name, table in base[key].items() if name not in names}
+    for key in ("connections", "delayed"):
+        if isinstance(base.get(key), list):
+            result[key] = [left for text in base[key] for left in _apart_from(str(text), names)]
+    return result
+
+
+def _apart_from(text: str, names: Sequence[str]) -> list[str]:
+    """A connection's text without what comes from the components in `names` or goes to them."""
+    arrow = "<->" if "<->" in text else "->"
+    source, _, targets = text.partition(arrow)
+    left = [target.strip() for target in targets.split(",") if target.strip().partition(".")[0] not in names]
+    return [f"{source.strip()} {arrow} {', '.join(left)}"] if left and source.strip().partition(".")[0] not in names else []
+
+
+def _driven(raw: Raw) -> set[str]:
+    """The inputs that a file's own connections drive."""
+    texts = [text for key in ("connections", "delayed") if isinstance(raw.get(key), list) for text in raw[key]]
+    texts = [text for text in texts if "<->" not in str(text)]
+    return {target.strip() for text in texts for target in str(text).partition("->")[2].split(",")}
+
+
+def _without(text: object, driven: set[str]) -> list[str]:
+    """A connection's text without the targets in `driven`; none if nothing is left."""
+    if "<->" in str(text):
+        return [str(text)]  # terminals: what they drive is known once the FMUs are read
+    source, arrow, targets = str(text).partition("->")
+    left = [target.strip() for target in targets.split(",") if target.strip() not in driven]
+    return [f"{source.strip()} {arrow} {', '.join(left)}"] if left else []
+
+
+def override(raw: Raw, text: str) -> None:
+    """COMPONENT.PARAMETER=VALUE; VALUE as in TOML, or a bare word, or a number with a unit ("300 ms")."""
+    target, equals, value = text.partition("=")
+    assign(raw, target.strip(), parse_value(value.strip()) if equals else None, f"--set {text}")
+
+
+def assign(raw: Raw, target: str, value: Any, where: str) -> None:
+    """Give a target of `--set` its value; None is none. `where` begins what is said of a mistake."""
+    component, dot, parameter = target.partition(".")
+    components = _inner(raw, "components", where)
+    if value is not None and component in ("devices", "facility", "record"):
+        _assign_in_table(raw, where, target.split("."), value)
+        return
+    if value is not None and target in ("stop_s", "exchange"):
+        raw[target] = value
+        return
+    if value is None or not dot or not component or not parameter:
+        raise ScenarioError(f"{where}: COMPONENT.PARAMETER=VALUE is expected, for example base_controller.period=0.1")
+    if component == "robot" and component not in components:
+        _assign_in_table(raw, where, [component, parameter], value)
+        return
+    if component not in components:
+        raise ScenarioError(f"{where}: there is no component {component!r}{did_you_mean(component, components)}")
+    table = _inner(components, component, where)
+    if parameter == "step_s":
+        table["step_s"] = value
+    else:
+        _inner(table, "parameters", where)[parameter] = value
+
+
+def _inner(table: Raw, key: str, where: str) -> Raw:
+    found = table.setdefault(key, {})
+    if not isinstance(found, dict):
+        raise ScenarioError(f"{where}: {key!r} is no table, so that nothing can be set in it")
+    return found
+
+
+def _assign_in_table(raw: Raw, where: str, keys: Sequence[str], value: Any) -> None:
+    """devices.NAME.KEY, facility.KEY and so on; a key may have further parts."""
+    devices = raw.get("devices", {})
+    if keys[0] == "devices" and (len(keys) < 3 or not isinstance(devices, dict) or keys[1] not in devices):
+        names = ", ".join(devices) if isinstance(devices, dict) and devices else "(none)"
+        raise ScenarioError(f"{where}: devices.NAME.KEY=VALUE is expected, NAME one of: {names}")
+    if not all(keys) or not 2 <= len(keys) <= toml_file.DEEPEST:
+        raise ScenarioError(f"{where}: {keys[0]}.KEY=VALUE is expected")
+    table = raw
+    for key in keys[:-1]:
+        table = _inner(table, key, where)
+    table[keys[-1]] = value
+
+
+def parse_value(text: str) -> Any:
+    try:
+        return toml_file.parsed(f"value = {text}")["value"]
+    except ValueError:
+        pass
+    number, _, unit = text.partition(" ")
+    try:
+        return {"value": float(number), "unit": unit.strip()} if unit else text
+    except ValueError:
+        return text

@@ -1,0 +1,381 @@
+"""TOML -> a frozen `Scenario`. Every mistake is one sentence that names the file, the key and what was expected.
+
+A scenario may `extends` another (shipped name or path); tables are merged, everything else is replaced. A value of a
+parameter is a number, a list, a name of an enumeration, a Boolean, `{ value = ..., unit = "deg" }`, or "=COMPONENT.PARAMETER",
+which takes over what another component has.
+"""
+
+from __future__ import annotations
+
+import datetime
+import json
+import math
+import os
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from freeflyer.foundation import toml_file
+from freeflyer.foundation.clock import nanoseconds
+from freeflyer.foundation.errors import ScenarioError
+from freeflyer.foundation.suggestions import did_you_mean
+from freeflyer.foundation.units import converted, factor
+from freeflyer.master.graph import Connection, Exchange
+from freeflyer.master.limits import Limit
+from freeflyer.scenario.raw_scenario import Raw, merged, override
+
+SHIPPED = Path(__file__).parent.parent / "paper" / "scenarios"
+BARE_KEY = re.compile(r"[A-Za-z0-9_-]+", re.ASCII)
+Step = int | str
+"""Nanoseconds, or "=PARAMETER" (of the same component, in seconds)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ComponentSpec:
+    """`kind` is an entry point of the group freeflyer.components; `options` are the keys that belong to it."""
+
+    name: str
+    kind: str
+    step: Step
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    options: Mapping[str, Any] = field(default_factory=dict)
+    samples: bool | None = None
+    """Whether the outputs belong to the begin of a step (True) or its end (False); None: as its description says."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measure:
+    """An error: the actual signal and the desired one (an output, or a parameter)."""
+
+    actual: str
+    desired: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scenario:
+    name: str
+    title: str
+    paper: str
+    directory: Path
+    stop: int
+    record_every: int
+    record_signals: tuple[str, ...]
+    """Patterns of COMPONENT.VARIABLE; what `errors` and `observed_energy` need is recorded in any case."""
+    expect: Literal["completes", "diverges"]
+    exchange: Exchange
+    robot: Mapping[str, Any]
+    components: tuple[ComponentSpec, ...]
+    devices: tuple[ComponentSpec, ...]
+    """What takes the place of the components of the same names when hardware, real or virtual, is in the loop."""
+    facility: Mapping[str, Any]
+    """How the virtual facility behaves; whoever plays it knows the keys."""
+    connections: tuple[Connection, ...]
+    limits: tuple[Limit, ...]
+    errors: Mapping[str, Measure]
+    observed_energy: Mapping[str, str]
+    source: str
+    """The merged scenario, for the report."""
+
+
+def shipped() -> list[str]:
+    return sorted(path.stem for path in SHIPPED.glob("*.toml") if not path.stem.startswith("_"))
+
+
+def load(name: str, overrides: Sequence[str] = ()) -> Scenario:
+    """A shipped scenario by name, or a TOML file by path, with `COMPONENT.PARAMETER=VALUE` overrides applied."""
+    return from_tables(*tables(name, overrides))
+
+
+def tables(name: str, overrides: Sequence[str] = (), beside: Path | None = None) -> tuple[Raw, Path]:
+    """The same, merged and overridden but not checked yet, and the file it is from; `beside` is a folder to look in first."""
+    path = find(name, beside)
+    raw = _read(path, ())
+    for text in overrides:
+        override(raw, text)
+    return raw, path
+
+
+def from_tables(raw: Raw, path: Path) -> Scenario:
+    """Tables as a TOML file has them, which came from `path`."""
+    return _Reader(path).scenario(raw)
+
+
+def find(name: str, beside: Path | None = None) -> Path:
+    candidates = [Path(name)] if beside is None else [beside / name, Path(name)]
+    if beside is not None or not name.startswith("_"):
+        candidates.append(SHIPPED / f"{name}.toml")
+    try:
+        for path in candidates:
+            if path.suffix == ".toml" and path.is_file():
+                return path
+    except (OSError, ValueError):
+        pass  # a name that no file can have
+    if name.lower().endswith(".ssp"):
+        raise ScenarioError(f"{name} is an SSP file; a scenario is expected here (`freeflyer run` takes both)")
+    if name.endswith(".toml"):
+        there = any(map(os.path.lexists, candidates))
+        raise ScenarioError(f"scenario file {name} " + ("is no regular file" if there else "does not exist"))
+    raise ScenarioError(f"there is no scenario {name!r}: neither a shipped one nor a .toml file{did_you_mean(name, shipped())}")
+
+
+def _read(path: Path, seen: tuple[Path, ...]) -> Raw:
+    if path in seen:
+        raise ScenarioError(f"scenario {path} extends itself, by way of {' -> '.join(p.name for p in seen)}")
+    try:
+        raw = toml_file.read(path)
+    except OSError as error:
+        raise ScenarioError(f"scenario {path} cannot be read: {error.strerror}") from error
+    except ValueError as error:
+        raise ScenarioError(f"scenario {path} is not valid TOML: {error}") from error
+    parent = raw.pop("extends", None)
+    if parent is None:
+        return raw
+    if not isinstance(parent, str):
+        raise ScenarioError(f"scenario {path}: 'extends' must be the name of a scenario, got {parent!r}")
+    return merged(_read(find(parent, path.parent), (*seen, path)), raw)
+
+
+class _Reader:
+    """Raw tables -> dataclasses, for one file."""
+
+    KEYS = (
+        "title",
+        "paper",
+        "stop_s",
+        "expect",
+        "robot",
+        "record",
+        "exchange",
+        "components",
+        "devices",
+        "facility",
+        "connections",
+        "delayed",
+        "limits",
+        "errors",
+        "observed_energy",
+    )
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def fail(self, message: str) -> ScenarioError:
+        return ScenarioError(f"scenario {self.path}: {message}")
+
+    def scenario(self, raw: Raw) -> Scenario:
+        self.known(raw, self.KEYS, "the scenario")
+        expect = raw.get("expect", "completes")
+        if expect not in ("completes", "diverges"):
+            raise self.fail(f"expect is {expect!r}; 'completes' or 'diverges' is expected")
+        exchange = raw.get("exchange", "sequential")
+        if exchange not in get_args(Exchange):
+            raise self.fail(f"exchange is {exchange!r}; 'sequential' or 'parallel' is expected")
+        record = self.table(raw, "record")
+        self.known(record, ("every_s", "signals"), "[record]")
+        signals = record.get("signals", ["*"])
+        if not isinstance(signals, list) or not all(isinstance(pattern, str) for pattern in signals):
+            raise self.fail(
+                f"[record] signals is {signals!r}; a list of 'COMPONENT.VARIABLE' with wildcards * and ? is expected"
+            )
+        components = tuple(self.component(name, raw["components"][name]) for name in self.table(raw, "components"))
+        if not components:
+            raise self.fail("it has no components; at least one [components.NAME] is expected")
+        devices = tuple(self.device(name, device, raw["components"]) for name, device in self.table(raw, "devices").items())
+        energies = self.table(raw, "observed_energy")
+        errors = {name: self.measure(name, pair) for name, pair in self.table(raw, "errors").items()}
+        return Scenario(
+            name=self.path.stem,
+            title=self.text(raw, "title", self.path.stem),
+            paper=self.text(raw, "paper", ""),
+            directory=self.path.parent,
+            stop=self.time(raw, "stop_s", "stop_s"),
+            record_every=self.time(record, "every_s", "[record] every_s", 0.01),
+            record_signals=tuple(signals),
+            expect=expect,
+            exchange=exchange,
+            robot=self.table(raw, "robot"),
+            components=components,
+            devices=devices,
+            facility=self.table(raw, "facility"),
+            connections=tuple(self.connections(raw, "connections", False)) + tuple(self.connections(raw, "delayed", True)),
+            limits=tuple(self.limit(item) for item in self.array(raw, "limits")),
+            errors=errors,
+            observed_energy={name: self.text(energies, name, "") for name in energies},
+            source=to_toml(raw),
+        )
+
+    def component(self, name: str, raw: object) -> ComponentSpec:
+        if not isinstance(raw, dict):
+            raise self.fail(f"components.{name} is {raw!r}; a table is expected")
+        if not name.isidentifier():
+            raise self.fail(f"component {name!r}: a name of letters, digits and underscores is expected")
+        rest = dict(raw)
+        kind = rest.pop("kind", "fmu")
+        parameters = rest.pop("parameters", {})
+        samples = rest.pop("samples", None)
+        if samples is not None and not isinstance(samples, bool):
+            raise self.fail(f"component {name}: samples is {samples!r}; true or false is expected")
+        if "step_s" not in rest:
+            raise self.fail(f"component {name} has no step_s, its communication step in seconds")
+        step = rest.pop("step_s")
+        if not isinstance(kind, str) or not isinstance(parameters, dict):
+            raise self.fail(f"component {name}: 'kind' must be a name and 'parameters' a table")
+        if isinstance(step, dict) and isinstance(step.get("unit"), str) and isinstance(step.get("value"), int | float):
+            try:
+                step = converted(step["value"], factor(step["unit"], "s"))
+            except ValueError as error:
+                raise self.fail(f"component {name}: step_s: {error}") from error
+        if isinstance(step, str) and step.startswith("="):
+            return ComponentSpec(name=name, kind=kind, step=step, parameters=parameters, options=rest, samples=samples)
+        if isinstance(step, bool) or not isinstance(step, int | float):
+            raise self.fail(f"component {name}: step_s is {step!r}; seconds or '=PARAMETER' are expected")
+        exact = nanoseconds(step, f"component {name}: step_s")
+        return ComponentSpec(name=name, kind=kind, step=exact, parameters=parameters, options=rest, samples=samples)
+
+    def device(self, name: str, raw: object, components: Raw) -> ComponentSpec:
+        """A device has a kind of its own and the step of the component that it takes the place of."""
+        if name not in components:
+            raise self.fail(
+                f"devices.{name}: there is no component {name!r} whose place it could take{did_you_mean(name, components)}"
+            )
+        if not isinstance(raw, dict) or "kind" not in raw:
+            raise self.fail(f"devices.{name} is {raw!r}; a table with a 'kind' is expected")
+        return self.component(name, {"step_s": components[name]["step_s"], **raw})
+
+    def connections(self, raw: Raw, key: str, delayed: bool) -> Iterable[Connection]:
+        for text in self.array(raw, key):
+            if not isinstance(text, str):
+                raise self.fail(f"{key}: {text!r}; a text with '->' is expected")
+            if "<->" in text:
+                left, _, right = (part.strip() for part in text.partition("<->"))
+                if "." not in left or "." not in right:
+                    raise self.fail(f"{key}: {text!r}; 'COMPONENT.TERMINAL <-> COMPONENT.TERMINAL' is expected")
+                yield Connection(source=left, target=right, delayed=delayed, of_terminals=True)
+                continue
+            source, arrow, targets = text.partition("->")
+            for target in targets.split(","):
+                if not arrow or "." not in source or "." not in target:
+                    raise self.fail(f"{key}: {text!r}; 'COMPONENT.OUTPUT -> COMPONENT.INPUT, ...' is expected")
+                yield Connection(source=source.strip(), target=target.strip(), delayed=delayed)
+
+    def limit(self, raw: object) -> Limit:
+        if not isinstance(raw, dict):
+            raise self.fail(f"limits: {raw!r}; a table is expected")
+        self.known(raw, ("signal", "elements", "norm", "maximum", "minimum", "for_s", "cause"), "[[limits]]")
+        signal, norm = raw.get("signal"), raw.get("norm", "maximum")
+        if not isinstance(signal, str) or ("maximum" in raw) == ("minimum" in raw):
+            raise self.fail(f"limits: {raw!r}; a 'signal' and either a 'maximum' or a 'minimum' are expected")
+        bound = raw.get("maximum", raw.get("minimum"))
+        if (
+            isinstance(bound, bool)
+            or not isinstance(bound, int | float)
+            or math.isnan(bound)
+            or ("maximum" in raw and bound <= 0)
+        ):
+            raise self.fail(f"limit on {signal}: {bound!r}; a number is expected, greater than zero for a maximum")
+        if norm not in ("maximum", "euclidean"):
+            raise self.fail(f"limit on {signal}: norm is {norm!r}; 'maximum' or 'euclidean' is expected")
+        elements = raw.get("elements")
+        whole = isinstance(elements, list) and len(elements) == 2 and all(isinstance(k, int) and k >= 1 for k in elements)
+        if elements is not None and not (whole and elements[0] <= elements[1]):
+            raise self.fail(f"limit on {signal}: elements is {elements!r}; [first, last], counted from 1, is expected")
+        return Limit(
+            signal=signal,
+            bound=float(bound),
+            is_minimum="minimum" in raw,
+            cause=self.text(raw, "cause", "limit passed"),
+            elements=None if elements is None else (elements[0], elements[1]),
+            euclidean=norm == "euclidean",
+            lasting=self.time(raw, "for_s", f"limit on {signal}: for_s") if "for_s" in raw else 0,
+        )
+
+    def measure(self, name: str, pair: object) -> Measure:
+        kinds = ("position", "orientation")
+        if (
+            not name.endswith(kinds)
+            or not isinstance(pair, list)
+            or len(pair) != 2
+            or not all(isinstance(s, str) for s in pair)
+        ):
+            raise self.fail(
+                f"errors.{name}: a name ending in 'position' or 'orientation' with [actual, desired] signals is expected"
+            )
+        return Measure(actual=pair[0], desired=pair[1])
+
+    # One key at a time
+
+    def known(self, raw: Raw, keys: Sequence[str], where: str) -> None:
+        for key in raw:
+            if key not in keys:
+                raise self.fail(f"unknown key {key!r} in {where}{did_you_mean(key, keys)}")
+
+    def table(self, raw: Raw, key: str) -> Raw:
+        value = raw.get(key, {})
+        if not isinstance(value, dict):
+            raise self.fail(f"{key!r} is {value!r}; a table is expected")
+        return value
+
+    def array(self, raw: Raw, key: str) -> list[Any]:
+        value = raw.get(key, [])
+        if not isinstance(value, list):
+            raise self.fail(f"{key!r} is {value!r}; an array is expected")
+        return value
+
+    def text(self, raw: Raw, key: str, default: str) -> str:
+        value = raw.get(key, default)
+        if not isinstance(value, str):
+            raise self.fail(f"{key!r} is {value!r}; a text is expected")
+        return value
+
+    def time(self, raw: Raw, key: str, subject: str, default: float | None = None) -> int:
+        value = raw.get(key, default)
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise self.fail(f"{subject} is {value!r}; a number of seconds is expected")
+        return nanoseconds(value, f"scenario {self.path}: {subject}")
+
+
+def to_toml(raw: Raw) -> str:
+    """The merged scenario as TOML again, for the report: a file with this text is the same scenario."""
+    lines: list[str] = []
+
+    def emit(table: Raw, prefix: str) -> None:
+        plain = {k: v for k, v in table.items() if not isinstance(v, dict)}
+        if prefix and (plain or not table):
+            lines.append(f"\n[{prefix}]")
+        lines.extend(f"{_key(key)} = {literal(value)}" for key, value in plain.items())
+        for key, value in table.items():
+            if isinstance(value, dict):
+                emit(value, f"{prefix}.{_key(key)}" if prefix else _key(key))
+
+    emit(raw, "")
+    return "\n".join(lines).strip() + "\n"
+
+
+def _key(name: str) -> str:
+    return name if BARE_KEY.fullmatch(name) else _text(name)
+
+
+def _text(value: str) -> str:
+    # JSON's escapes are TOML's, apart from DEL, which JSON lets pass.
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def literal(value: object) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return _text(value)
+    if isinstance(value, list):
+        items = [literal(item) for item in value]
+        return (
+            "[" + ", ".join(items) + "]"
+            if sum(map(len, items)) < 90
+            else "[\n" + "".join(f"  {item},\n" for item in items) + "]"
+        )
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{_key(key)} = {literal(item)}" for key, item in value.items()) + " }"
+    if isinstance(value, datetime.date | datetime.time):
+        return value.isoformat()
+    return repr(value)

@@ -1,0 +1,419 @@
+"""A block: declared variables and equations. C, both modelDescription.xml files, documentation and the twin derive from it.
+
+A block is continuous (derivatives, outputs: valid at the end of a communication step) or sampled (it has a `period`, reads
+its inputs at the start of a step when a sample is due, and holds its outputs).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import cached_property
+from typing import Literal
+
+import casadi as ca
+import numpy as np
+
+from freeflyer.foundation.suggestions import did_you_mean
+from freeflyer_fmus.errors import BlockError
+from freeflyer_fmus.robot.robot import Array, constant
+from freeflyer_fmus.units import UNITS
+
+SX = ca.SX
+Units = tuple[str, ...]
+
+WRENCH: Units = ("N",) * 3 + ("N.m",) * 3
+TWIST: Units = ("m/s",) * 3 + ("rad/s",) * 3
+ACCELERATION: Units = ("m/s2",) * 3 + ("rad/s2",) * 3
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Variable:
+    """One variable: a scalar (`size` 1, `is_array` False) or an array (n); `units` has one entry per element."""
+
+    name: str
+    size: int
+    is_array: bool
+    units: Units
+    description: str
+    causality: Literal["parameter", "input", "output", "state"]
+    start: Array | None = None
+    tunable: bool = False
+    kind: Literal["real", "boolean", "enumeration"] = "real"
+    choices: tuple[str, ...] = ()
+    local: bool = False
+    nominal: float = 1.0
+
+    @property
+    def element_names(self) -> tuple[str, ...]:
+        """Names of the elements in FMI 2.0's structured naming."""
+        return tuple(f"{self.name}[{i + 1}]" for i in range(self.size)) if self.is_array else (self.name,)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Requirement:
+    """`value >= minimum` (`>` if strict), or the FMU answers with an error that gives `subject`, value and `remedy`."""
+
+    value: SX
+    minimum: SX
+    strict: bool
+    subject: str
+    remedy: str
+    initially: bool
+
+
+class Block:
+    """Built by declaring variables, which gives symbols, and then equations in them.
+
+    Functions have the arguments (t, p, u, x): time [s], parameters, inputs, states, each one flat vector.
+    """
+
+    def __init__(self, name: str, description: str) -> None:
+        if not (name.isidentifier() and name.isascii()):
+            raise BlockError(f"block {name!r}: the name must be an identifier (letters a to z, digits, underscores)")
+        self.name, self.description = name, description
+        self.variables: dict[str, Variable] = {}
+        self.symbols: dict[str, SX] = {}
+        self.time = SX.sym("t")
+        self.requirements: list[Requirement] = []
+        self.terminals: dict[str, dict[str, str]] = {}
+        self._next: dict[str, SX] = {}
+        self._initial: dict[str, SX] = {}
+        self._outputs: dict[str, SX] = {}
+        self._kinds: set[str] = set()
+        self.period: str | None = None
+        self.default_step = 1e-3
+
+    # Declarations
+
+    def parameter(
+        self,
+        name: str,
+        start: object,
+        unit: str | Units,
+        description: str,
+        *,
+        tunable: bool = False,
+        minimum: float | None = None,
+        above: float | None = None,
+    ) -> SX:
+        """`minimum`: the least value allowed; `above`: a bound that is itself not allowed."""
+        symbol = self._declare(name, "parameter", start, unit, description, tunable=tunable)
+        bound = minimum if minimum is not None else above
+        if bound is not None:
+            given = self.start_of(name)
+            if not ((given >= bound).all() if above is None else (given > bound).all()):
+                raise BlockError(f"block {self.name}: the start value of {name!r} is {given}, beyond its own bound {bound:g}")
+            for element, part in zip(self.variables[name].element_names, ca.vertsplit(symbol), strict=True):
+                self.require(part, bound, f"parameter {element}", "correct the parameter", strict=above is not None)
+        return symbol
+
+    def choice(self, name: str, options: type[IntEnum], start: IntEnum, description: str, *, tunable: bool = True) -> SX:
+        """A parameter of FMI type Enumeration; options are numbered from 1."""
+        choices = tuple(option.name for option in options)
+        if [int(option) for option in options] != list(range(1, len(choices) + 1)):
+            raise BlockError(f"block {self.name}: the options of {name!r} must be numbered from 1")
+        return self._declare(
+            name, "parameter", int(start), "1", description, tunable=tunable, kind="enumeration", choices=choices
+        )
+
+    def switch(self, name: str, start: bool, description: str, *, tunable: bool = True) -> SX:
+        """A parameter of FMI type Boolean."""
+        return self._declare(name, "parameter", float(start), "1", description, tunable=tunable, kind="boolean")
+
+    def input(self, name: str, start: object, unit: str | Units, description: str) -> SX:
+        return self._declare(name, "input", start, unit, description)
+
+    def state(
+        self, name: str, start: object, unit: str | Units, description: str, *, local: bool = False, nominal: float = 1.0
+    ) -> SX:
+        """A state, visible as an output (or local variable) of the same name. Its start value can be set.
+
+        `nominal` is the size that its values typically have; solvers scale their tolerances by it.
+        """
+        if not 0.0 < nominal < float("inf"):
+            raise BlockError(f"block {self.name}: the nominal value of {name!r} is {nominal}; a number above 0 is expected")
+        return self._declare(name, "state", start, unit, description, local=local, nominal=nominal)
+
+    def sampled_every(self, name: str, start: float, description: str) -> SX:
+        """Make the block a sampled one; its period [s] is the fixed parameter `name`."""
+        if self.period is not None:
+            raise BlockError(f"block {self.name}: it is sampled at {self.period!r} already, and cannot be at {name!r} too")
+        self.period = name
+        self.default_step = start
+        return self.parameter(name, start, "s", description, above=0.0)
+
+    def terminal(self, name: str, *variables: str, **members: str) -> None:
+        """Inputs and outputs that are connected in one gesture: members of the same name of two blocks' terminals belong
+        together, output to input. A member has its variable's name, or is given as MEMBER = variable.
+        """
+        group = {variable: variable for variable in variables} | members
+        for variable in group.values():
+            if variable not in self.variables or self.variables[variable].causality == "parameter":
+                raise BlockError(
+                    f"block {self.name}: terminal {name!r} has the member {variable!r}, which is no input or output"
+                )
+        self.terminals[name] = group
+
+    # Equations
+
+    def initial(self, state: str, value: SX) -> None:
+        """A state's value after initialisation, from parameters and its own start value."""
+        self._assign(self._initial, state, value)
+
+    def derivative(self, state: str, value: SX) -> None:
+        """dx/dt of a continuous block."""
+        self._kinds.add("derivative")
+        self._assign(self._next, state, value)
+
+    def update(self, state: str, value: SX) -> None:
+        """x(k) of a sampled block, from x(k-1) and the inputs of sample k."""
+        self._kinds.add("update")
+        self._assign(self._next, state, value)
+
+    def output(self, name: str, value: SX, unit: str | Units, description: str) -> None:
+        value = SX(value)
+        self._declare(name, "output", np.zeros(value.numel()), unit, description, is_array=value.numel() > 1)
+        self._assign(self._outputs, name, value)
+
+    def require(
+        self, value: SX, minimum: SX | float, subject: str, remedy: str, *, strict: bool = False, initially: bool = False
+    ) -> None:
+        """Watched at every sample or step; on parameters alone, or `initially`: when the run begins and parameters change."""
+        self.requirements.append(
+            Requirement(
+                value=SX(value), minimum=SX(minimum), strict=strict, subject=subject, remedy=remedy, initially=initially
+            )
+        )
+
+    # What everything else derives from
+
+    @property
+    def is_sampled(self) -> bool:
+        return self.period is not None
+
+    def having(self, *causalities: str) -> list[Variable]:
+        return [variable for variable in self.variables.values() if variable.causality in causalities]
+
+    @property
+    def arguments(self) -> list[SX]:
+        return [self.time, self._symbols("parameter"), self._symbols("input"), self._symbols("state")]
+
+    @cached_property
+    def static_requirements(self) -> list[Requirement]:
+        """Those on parameters alone, or on start values."""
+        others = ca.vertcat(self.time, *self.arguments[2:])
+        return [r for r in self.requirements if r.initially or not ca.depends_on(ca.vertcat(r.value, r.minimum), others)]
+
+    @cached_property
+    def running_requirements(self) -> list[Requirement]:
+        return [r for r in self.requirements if r not in self.static_requirements]
+
+    @cached_property
+    def functions(self) -> dict[str, ca.Function]:
+        """`initial` -> x; `check` -> margins of the static requirements; and then
+
+        sampled: `update` -> x(k), outputs, margins; continuous: `derivatives` -> dx/dt and `outputs` -> outputs, margins.
+        A margin is value and minimum of one requirement.
+        """
+        names = [variable.name for variable in self.having("state")]
+        missing = [name for name in names if name not in self._next]
+        if missing:
+            raise BlockError(f"block {self.name}: no equation for the states {', '.join(missing)}")
+        wrong = "derivative" if self.is_sampled else "update"
+        if wrong in self._kinds:
+            kind = "sampled" if self.is_sampled else "continuous"
+            raise BlockError(f"block {self.name}: it is {kind}, so `{wrong}` has no meaning in it")
+        if not self._outputs and not names:
+            raise BlockError(f"block {self.name}: it has neither outputs nor states")
+        self._check_symbols()
+        initial = ca.vertcat(*(self._initial.get(name, self.symbols[name]) for name in names))
+        rates = ca.vertcat(*(self._next[name] for name in names))
+        outputs = ca.vertcat(*self._outputs.values())
+        margins = self._margins(self.running_requirements)
+        made = {
+            "initial": self._function("initial", [initial]),
+            "check": self._function("check", [self._margins(self.static_requirements)]),
+        }
+        if self.is_sampled:
+            return made | {"update": self._function("update", [rates, outputs, margins])}
+        return made | {
+            "derivatives": self._function("derivatives", [rates]),
+            "outputs": self._function("outputs", [outputs, margins]),
+        }
+
+    @cached_property
+    def linked(self) -> int:
+        """How many elements of a continuous block's outputs, from the first, reach to the last that is in a terminal: these are
+        made to be connected, and computed without the others when only they are asked for.
+        """
+        members = {variable for group in self.terminals.values() for variable in group.values()}
+        ends = [self.offset(v.name) + v.size for v in self.having("output") if v.name in members and not self.is_sampled]
+        return max(ends, default=0)
+
+    @cached_property
+    def linked_outputs(self) -> ca.Function:
+        """(t, p, u, x) -> the linked outputs, margins: of a continuous block."""
+        outputs, margins = self.functions["outputs"].call(self.arguments)
+        return self._function("linked_outputs", [outputs[: self.linked], margins])
+
+    @cached_property
+    def sensitivities(self) -> dict[str, ca.Function]:
+        """Of every function but `check`: `forward_NAME` (t, p, u, x, seed of (t, p, u, x)) -> that of the results, margins
+        left out; `reverse_NAME` (t, p, u, x, seed of the results) -> that of (t, p, u, x).
+        """
+        made = {}
+        knowns = ca.vertcat(*self.arguments)
+        for name, function in self.functions.items():
+            if name == "check":
+                continue
+            results = function.call(self.arguments)
+            value = ca.vertcat(*(results[:2] if name == "update" else results[:1]))
+            for kind, count in (("forward", knowns.numel()), ("reverse", value.numel())):
+                seed = SX.sym("seed", count)
+                product = ca.jtimes(value, knowns, seed, kind == "reverse")
+                made[f"{kind}_{name}"] = self._function(f"{kind}_{name}", [product], [*self.arguments, seed])
+        return made
+
+    @cached_property
+    def dependencies(self) -> dict[str, list[str]]:
+        """For every output and derivative element, the elements of inputs and continuous states, and `time`, that it depends on
+        directly, at the same instant.
+        """
+        knowns = ["time", *self._elements("input")]
+        given = ca.vertcat(self.time, self._symbols("input"))
+        if not self.is_sampled:
+            knowns += self._elements("state")
+            given = ca.vertcat(given, self._symbols("state"))
+        return self._sparsity(self._unknowns(), given, knowns)
+
+    @cached_property
+    def initial_dependencies(self) -> dict[str, list[str]]:
+        """The same at the end of the initialisation, when the states follow from parameters, inputs and start values."""
+        knowns = ["time", *(name for causality in ("parameter", "input", "state") for name in self._elements(causality))]
+        start = {v.name: self._initial.get(v.name, self.symbols[v.name]) for v in self.having("state")}
+        expressions = self._unknowns()
+        together = ca.vertcat(SX(0, 1), *expressions.values())
+        if start:
+            together = ca.substitute(together, self._symbols("state"), ca.vertcat(*start.values()))
+        substituted = dict(zip(expressions, ca.vertsplit(together), strict=True))
+        for variable in self.having("state"):  # before the first sample a state shows what it begins with
+            substituted |= zip(variable.element_names, ca.vertsplit(start[variable.name]), strict=True)
+        return self._sparsity(substituted, ca.vertcat(*self.arguments), knowns)
+
+    def _elements(self, *causalities: str) -> list[str]:
+        return [name for variable in self.having(*causalities) for name in variable.element_names]
+
+    def _unknowns(self) -> dict[str, SX]:
+        """Expressions of all output and state elements, and of `der(...)` of a continuous block's states."""
+        found: dict[str, SX] = {}
+        for variable in self.having("output", "state"):
+            # A sampled state's visible value is the new one: it depends on the inputs of its sample.
+            expression = self._outputs.get(variable.name)
+            if expression is None:
+                expression = self._next[variable.name] if self.is_sampled else self.symbols[variable.name]
+            found |= zip(variable.element_names, ca.vertsplit(expression), strict=True)
+        for variable in [] if self.is_sampled else self.having("state"):
+            names = [f"der({element})" for element in variable.element_names]
+            found |= zip(names, ca.vertsplit(self._next[variable.name]), strict=True)
+        return found
+
+    @staticmethod
+    def _sparsity(unknowns: dict[str, SX], given: SX, knowns: Sequence[str]) -> dict[str, list[str]]:
+        rows = ca.vertcat(SX(0, 1), *unknowns.values())
+        pattern = ca.jacobian_sparsity(rows, given)
+        result: dict[str, list[str]] = {name: [] for name in unknowns}
+        names = list(unknowns)
+        for row, column in zip(*pattern.get_triplet(), strict=True):
+            result[names[row]].append(knowns[column])
+        return {name: sorted(found, key=knowns.index) for name, found in result.items()}
+
+    def has_start(self, variable: Variable) -> bool:
+        """Whether a start value can be given: not for an output, nor for a state whose initial value follows from others."""
+        if variable.causality == "output":
+            return False
+        expression = self._initial.get(variable.name)
+        return expression is None or bool(ca.depends_on(expression, self.symbols[variable.name]))
+
+    def start_of(self, name: str) -> Array:
+        start = self.variables[name].start
+        assert start is not None
+        return start
+
+    def start_values(self, *causalities: str) -> Array:
+        parts = [variable.start for variable in self.having(*causalities) if variable.start is not None]
+        return np.concatenate(parts) if parts else np.zeros(0)
+
+    def offset(self, name: str) -> int:
+        """Where the variable's elements begin among those of its own causality."""
+        position = 0
+        for variable in self.having(self.variables[name].causality):
+            if variable.name == name:
+                return position
+            position += variable.size
+        raise KeyError(name)
+
+    # Details
+
+    def _declare(
+        self,
+        name: str,
+        causality: Literal["parameter", "input", "output", "state"],
+        start: object,
+        unit: str | Units,
+        description: str,
+        *,
+        is_array: bool | None = None,
+        **more: object,
+    ) -> SX:
+        if name in self.variables or name == "time" or not (name.isidentifier() and name.isascii()):
+            raise BlockError(
+                f"block {self.name}: {name!r} is not an identifier, is declared twice, or is 'time', which every FMU has"
+            )
+        if not (isinstance(description, str) and description.isprintable()):
+            raise BlockError(f"block {self.name}: the description of {name!r} must be one line of printable text")
+        values = np.atleast_1d(np.asarray(start, dtype=np.float64)).ravel()
+        array = np.ndim(np.asarray(start)) > 0 if is_array is None else is_array
+        units = (unit,) * values.size if isinstance(unit, str) else tuple(unit)
+        for one in units:
+            if one not in UNITS:
+                raise BlockError(
+                    f"block {self.name}: {name!r} has the unit {one!r}, which is not known{did_you_mean(one, UNITS)}"
+                )
+        if len(units) != values.size:
+            raise BlockError(f"block {self.name}: {name!r} has {values.size} elements but {len(units)} units")
+        self.variables[name] = Variable(
+            name=name,
+            size=values.size,
+            is_array=array,
+            units=units,
+            description=description,
+            causality=causality,
+            start=None if causality == "output" else constant(values, (values.size,)),
+            **more,  # type: ignore[arg-type]
+        )
+        self.symbols[name] = SX.sym(name, values.size)
+        return self.symbols[name]
+
+    def _assign(self, into: dict[str, SX], name: str, value: SX) -> None:
+        if name not in self.variables or self.variables[name].size != value.numel() or name in into:
+            raise BlockError(f"block {self.name}: equation for {name!r}: undeclared, assigned twice, or of the wrong size")
+        into[name] = ca.densify(ca.reshape(SX(value), -1, 1))
+
+    def _symbols(self, causality: str) -> SX:
+        return ca.vertcat(SX(0, 1), *(self.symbols[variable.name] for variable in self.having(causality)))
+
+    def _margins(self, requirements: Sequence[Requirement]) -> SX:
+        return ca.densify(ca.vertcat(SX(0, 1), *(ca.vertcat(r.value, r.minimum) for r in requirements)))
+
+    def _function(self, name: str, results: Sequence[SX], arguments: Sequence[SX] | None = None) -> ca.Function:
+        shared = ca.cse([ca.densify(SX(result)) for result in results])
+        return ca.Function(f"{self.name}_{name}", arguments or self.arguments, shared)
+
+    def _check_symbols(self) -> None:
+        used = ca.symvar(ca.vertcat(SX(0), *self._next.values(), *self._outputs.values(), *self._initial.values()))
+        known = {str(symbol) for argument in self.arguments for symbol in ca.vertsplit(argument)}
+        strange = sorted({str(symbol) for symbol in used} - known)
+        if strange:
+            raise BlockError(f"block {self.name}: the equations use undeclared symbols {', '.join(strange)}")

@@ -1,0 +1,46 @@
+"""A block from a user's own Python file."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable
+from pathlib import Path
+
+from freeflyer.foundation.plugins import renamed
+from freeflyer_fmus.blocks.block import Block
+from freeflyer_fmus.errors import BlockError, FmuSourceError
+from freeflyer_fmus.robot.robot import Robot
+
+
+def load_block(path: Path) -> Callable[[Robot], Block]:
+    """The function `block` of a user's file."""
+    if not path.is_file():
+        raise BlockError(f"block file {path} does not exist")
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+        made: Callable[[Robot], Block] = module.block
+    except (Exception, SystemExit) as error:  # a user's file may fail in any way
+        raise BlockError(
+            f"block file {path} does not define block(robot): {type(error).__name__}: {error}{renamed(error)}"
+        ) from error
+
+    def make(robot: Robot) -> Block:
+        try:
+            block = made(robot)
+            if isinstance(block, Block):
+                _ = block.functions  # the equations too fail here, if they fail
+        except FmuSourceError:
+            raise
+        except (Exception, SystemExit) as error:
+            raise BlockError(
+                f"block file {path}: block(robot) failed: {type(error).__name__}: {' '.join(str(error).split())}{renamed(error)}"
+            ) from error
+        if not isinstance(block, Block):
+            raise BlockError(f"block file {path}: block(robot) gave a {type(block).__name__}; a Block is expected")
+        return block
+
+    return make

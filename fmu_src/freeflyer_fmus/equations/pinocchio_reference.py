@@ -1,0 +1,75 @@
+"""Pinocchio as an independent witness: the same robot, its own URDF-free model, its own algorithms."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from freeflyer_fmus.equations.dynamics import forward_dynamics
+from freeflyer_fmus.equations.mechanism import State, constant_mechanism
+from freeflyer_fmus.robot.robot import Array, Inertial, Robot
+
+SX = ca.SX
+
+
+def pinocchio_model(robot: Robot) -> Any:
+    """A Pinocchio model of the robot without gravity: a free-flyer joint, then the chain."""
+    import pinocchio as pin
+
+    def inertia(body: Inertial) -> Any:
+        return pin.Inertia(body.mass, np.array(body.centre_of_mass), np.array(body.inertia))
+
+    model = pin.Model()
+    model.gravity.setZero()
+    parent = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "base")
+    model.appendBodyToJoint(parent, inertia(robot.base), pin.SE3.Identity())
+    if robot.base_attachment.mass > 0.0:
+        model.appendBodyToJoint(parent, inertia(robot.base_attachment), pin.SE3.Identity())
+    for joint, body in zip(robot.joints, robot.bodies, strict=True):
+        kind = pin.JointModelRZ() if joint.kind == "revolute" else pin.JointModelPZ()
+        parent = model.addJoint(parent, kind, pin.SE3(np.array(joint.rotation), np.array(joint.translation)), joint.name)
+        if body.mass > 0.0:
+            model.appendBodyToJoint(parent, inertia(body), pin.SE3.Identity())
+    hand = pin.SE3(np.array(robot.end_effector_rotation), np.array(robot.end_effector_translation))
+    if robot.tool.mass > 0.0:
+        model.appendBodyToJoint(parent, inertia(robot.tool), hand)
+    model.addFrame(pin.Frame("end_effector", parent, hand, pin.FrameType.OP_FRAME))
+    return model
+
+
+def accelerations(model: Any, orientation: Array, velocity: Array, q: Array, qd: Array, wrench: Array, torque: Array) -> Array:
+    """(6 + n) by Pinocchio's articulated-body algorithm: x_b'' in I, then q''."""
+    import pinocchio as pin
+
+    R = pin.Quaternion(np.array(orientation)).matrix()
+    v, w = R.T @ velocity[:3], R.T @ velocity[3:]
+    configuration = np.concatenate([np.zeros(3), orientation, q])
+    a = pin.aba(
+        model,
+        model.createData(),
+        configuration,
+        np.concatenate([v, w, qd]),
+        np.concatenate([R.T @ wrench[:3], R.T @ wrench[3:], torque]),
+    )
+    return np.concatenate([R @ (a[:3] + np.cross(w, v)), R @ a[3:6], a[6:]])
+
+
+def disagreement(robot: Robot, states: int = 20, seed: int = 1) -> float:
+    """Largest relative difference of the forward dynamics over random states: a check of a user's robot before it is used."""
+    n = robot.joint_count
+    names = {"orientation": 4, "velocity": 6, "q": n, "qd": n, "wrench": 6, "torque": n}
+    s = {name: SX.sym(name, size) for name, size in names.items()}
+    state = State(s["orientation"], s["velocity"][:3], s["velocity"][3:], s["q"], s["qd"])
+    ours = ca.Function(
+        "f", list(s.values()), [ca.vertcat(*forward_dynamics(constant_mechanism(robot), state, s["wrench"], s["torque"]))]
+    )
+    model, random, worst = pinocchio_model(robot), np.random.default_rng(seed), 0.0
+    for _ in range(states):
+        arguments = {name: random.normal(size=size) for name, size in names.items()}
+        arguments["orientation"] /= np.linalg.norm(arguments["orientation"])
+        theirs = accelerations(model, *arguments.values())
+        difference = np.array(ours(*arguments.values())).ravel() - theirs
+        worst = max(worst, float(np.abs(difference).max() / np.abs(theirs).max()))
+    return worst

@@ -1,0 +1,278 @@
+"""The Python twin of a block: the same equations in process, sampled and integrated as the C runtime does.
+
+It leaves out what guards a binary against strangers (call order, contiguous steps) and the runtime's compensated summation. It needs no compiler, can be stepped in a debugger, and takes an FMU's place in any scenario (`kind = "twin"`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, cast
+
+import casadi as ca
+import numpy as np
+
+from freeflyer.foundation.suggestions import did_you_mean
+from freeflyer_fmus.blocks.block import Block, Requirement, Variable
+from freeflyer_fmus.blocks.shipped import BLOCKS
+from freeflyer_fmus.blocks.user_block import load_block
+from freeflyer_fmus.errors import BlockError
+from freeflyer_fmus.robot.robot import Array
+from freeflyer_fmus.robot.urdf import DEFAULT_ROBOT, load_robot_file, robot_path
+
+
+class TwinError(Exception):
+    """A value that is refused, or a step that cannot be made."""
+
+    left_validity = False
+
+
+class RequirementError(TwinError):
+    """The run has left what the equations hold for."""
+
+    left_validity = True
+
+
+@dataclass(frozen=True, kw_only=True)
+class TwinPort:
+    """A variable as the master sees it."""
+
+    name: str
+    size: int
+    causality: str
+    units: tuple[str | None, ...]
+    start: tuple[float, ...] | None
+    settable: bool
+    choices: tuple[str, ...] = ()
+    boolean: bool = False
+    real: bool = True
+    direct: frozenset[str] = field(default_factory=frozenset)
+    sampled: bool = False
+
+    @property
+    def prompt(self) -> bool:
+        return bool(self.direct) or self.sampled
+
+
+def ports(block: Block) -> dict[str, TwinPort]:
+    owner = {element: v.name for v in block.having("input") for element in v.element_names}
+    result = {}
+    for variable in block.variables.values():
+        depends = {name for element in variable.element_names for name in block.dependencies.get(element, [])}
+        direct = {owner[name] for name in depends if name in owner}
+        started = block.has_start(variable)
+        result[variable.name] = TwinPort(
+            name=variable.name,
+            size=variable.size,
+            causality=_causality(variable),
+            units=variable.units,
+            start=tuple(map(float, variable.start)) if started and variable.start is not None else None,
+            settable=started and variable.causality != "input",
+            choices=variable.choices,
+            boolean=variable.kind == "boolean",
+            real=variable.kind == "real",
+            direct=frozenset(direct),
+            sampled=block.is_sampled and _causality(variable) == "output",
+        )
+    return result
+
+
+def _causality(variable: Variable) -> str:
+    if variable.causality == "state":
+        return "local" if variable.local else "output"
+    return variable.causality
+
+
+class Twin:
+    """One instance. `values` are flat vectors: parameters p, inputs u, states x, outputs y."""
+
+    variable_step = True
+
+    def __init__(self, block: Block, name: str | None = None) -> None:
+        self.block, self.name = block, name or block.name
+        self._ports = ports(block)
+        self._functions = {key: _Evaluator(function) for key, function in block.functions.items()}
+        self._vectors = {key: block.start_values(key) for key in ("parameter", "input", "state")}
+        self._vectors["output"] = np.zeros(sum(variable.size for variable in block.having("output")))
+        self._time = 0.0
+        self._samples = 0
+
+    @property
+    def ports(self) -> Mapping[str, TwinPort]:
+        return self._ports
+
+    @property
+    def terminals(self) -> Mapping[str, Mapping[str, str]]:
+        return self.block.terminals
+
+    def value(self, name: str) -> Array:
+        """A view of one variable (size)."""
+        variable = self.block.variables[name]
+        first = self.block.offset(name)
+        return self._vectors[variable.causality][first : first + variable.size]
+
+    def set(self, name: str, value: object) -> None:
+        """Parameters and start values before, inputs and tunable parameters also between steps."""
+        numbers = np.asarray(value, dtype=float)
+        if not np.isfinite(numbers).all():
+            raise TwinError(f"{self.name}.{name} cannot be set to {value}: it must be a finite number")
+        self.value(name)[:] = numbers
+
+    # Life cycle
+
+    def enter_initialization(self, start: float, values: Mapping[str, Array]) -> None:
+        self._time = self._start = start
+        self._samples = 0
+        for name, value in values.items():
+            self.set(name, value)
+
+    def exit_initialization(self) -> None:
+        (margins,) = self._evaluate("check")
+        self._require(self.block.static_requirements, margins)
+        (self._vectors["state"][:],) = self._evaluate("initial")
+        self._outputs()
+
+    def step(self, time: float, size: float) -> None:
+        """TwinError if a requirement is not met, or if the step would pass over a sample."""
+        self._time = time
+        if self.block.period is not None:
+            self._sample(time, size)
+        else:
+            self._integrate(time, size)
+        self._time = time + size
+        if not self.block.is_sampled:
+            self._outputs()
+
+    def close(self) -> None:
+        pass
+
+    def bind_inputs(self, names: Sequence[str], buffer: Array) -> Callable[[], None]:
+        views = list(_views(self, names, buffer))
+
+        def write() -> None:
+            for own, part in views:
+                own[:] = part
+
+        return write
+
+    def bind_outputs(self, names: Sequence[str], buffer: Array) -> Callable[[], None]:
+        views = list(_views(self, names, buffer))
+
+        def read() -> None:
+            for own, part in views:
+                part[:] = own
+
+        return read
+
+    # Stepping, as in c/instance.c
+
+    def _sample(self, time: float, size: float) -> None:
+        period = float(self.value(str(self.block.period))[0])
+        begin, end = round(time * 1e9), round((time + size) * 1e9)
+        tolerance = 1 + (end - begin) // 100
+        if begin + tolerance >= self._due(period):
+            new_states, outputs, margins = self._evaluate("update")
+            self._require(self.block.running_requirements, margins)
+            self._vectors["state"][:], self._vectors["output"][:] = new_states, outputs
+            self._samples += 1
+        if end > self._due(period) + tolerance:
+            raise TwinError(
+                f"a communication step of {size:g} s passes over a sample of this block, whose period is {period:g} s; "
+                f"choose a step that divides the period"
+            )
+
+    def _due(self, period: float) -> int:
+        return round(self._start * 1e9) + round(self._samples * period * 1e9)
+
+    def _integrate(self, time: float, size: float) -> None:
+        x = self._vectors["state"]
+        if not x.size or size <= 0.0:
+            return
+        count = int(np.ceil(size / self.block.default_step - 1e-9))
+        h = size / count
+        before = x.copy()
+        for i in range(count):
+            t = time + i * h
+            k1 = self._rates(t, x)
+            k2 = self._rates(t + 0.5 * h, x + 0.5 * h * k1)
+            k3 = self._rates(t + 0.5 * h, x + 0.5 * h * k2)
+            k4 = self._rates(t + h, x + h * k3)
+            x += h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+        if not np.isfinite(x).all():
+            x[:] = before
+            raise RequirementError(
+                f"the states did not stay finite in a step of {size:g} s; the step was not made: check the inputs"
+            )
+
+    def rates(self) -> Array:
+        """dx/dt of a continuous block at its present time, inputs and states."""
+        return self._rates(self._time, self._vectors["state"])
+
+    def _rates(self, t: float, x: Array) -> Array:
+        (dx,) = self._functions["derivatives"](t, self._vectors["parameter"], self._vectors["input"], x)
+        return dx
+
+    def _outputs(self) -> None:
+        if self.block.is_sampled:
+            _, outputs, margins = self._evaluate("update")
+        else:
+            outputs, margins = self._evaluate("outputs")
+        self._require(self.block.running_requirements, margins)
+        self._vectors["output"][:] = outputs
+
+    def _evaluate(self, function: str) -> list[Array]:
+        return self._functions[function](self._time, self._vectors["parameter"], self._vectors["input"], self._vectors["state"])
+
+    def _require(self, requirements: Sequence[Requirement], margins: Array) -> None:
+        for requirement, (value, minimum) in zip(requirements, margins.reshape(-1, 2), strict=True):
+            if value > minimum or (value == minimum and not requirement.strict):
+                continue
+            bound = "more than" if requirement.strict else "at least"
+            raise RequirementError(
+                f"{requirement.subject} is {value:.6g}; {bound} {minimum:g} is expected: {requirement.remedy}"
+            )
+
+
+class _Evaluator:
+    """A CasADi function called through its buffer interface: no conversion per call."""
+
+    def __init__(self, function: ca.Function) -> None:
+        self._buffer, self._evaluate = cast(tuple[Any, Callable[[], None]], function.buffer())
+        self._arguments = [np.zeros(function.numel_in(i)) for i in range(function.n_in())]
+        self._results = [np.zeros(function.numel_out(i)) for i in range(function.n_out())]
+        for i, argument in enumerate(self._arguments):
+            self._buffer.set_arg(i, memoryview(cast(Any, argument)))
+        for i, result in enumerate(self._results):
+            self._buffer.set_res(i, memoryview(cast(Any, result)))
+
+    def __call__(self, *arguments: Any) -> list[Array]:
+        for own, given in zip(self._arguments, arguments, strict=True):
+            own[...] = given
+        self._evaluate()
+        return [result.copy() for result in self._results]
+
+
+def _views(twin: Twin, names: Sequence[str], buffer: Array) -> list[tuple[Array, Array]]:
+    parts, first = [], 0
+    for name in names:
+        own = twin.value(name)
+        parts.append((own, buffer[first : first + own.size]))
+        first += own.size
+    return parts
+
+
+def twin_component(name: str, options: Mapping[str, Any], directory: Path) -> Twin:
+    """For scenarios: `block`, a shipped one or a FILE.py (default: the component's name), and `robot`, a shipped robot or the path of a robot file (default: the LWR 4+ with six joints)."""
+    for key in options:
+        if key not in ("block", "robot"):
+            raise BlockError(
+                f"component {name}: unknown key {key!r}{did_you_mean(key, ('block', 'robot', 'step_s', 'parameters'))}"
+            )
+    block = options.get("block", name)
+    robot = robot_path(str(options["robot"]), directory) if "robot" in options else DEFAULT_ROBOT
+    if str(block).endswith(".py"):
+        return Twin(load_block(directory / block)(load_robot_file(robot)), name)
+    if block not in BLOCKS:
+        raise BlockError(f"component {name}: there is no block {block!r}; known are {', '.join(BLOCKS)}")
+    return Twin(BLOCKS[block](load_robot_file(robot)), name)

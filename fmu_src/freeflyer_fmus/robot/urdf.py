@@ -1,0 +1,211 @@
+"""URDF or robot file -> `Robot`: the chain from base to hand, with everything fixed or locked welded to what carries it."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from freeflyer.foundation.suggestions import did_you_mean
+from freeflyer_fmus.errors import RobotError
+from freeflyer_fmus.robot.robot import Array, Inertial, Joint, Robot, constant
+from freeflyer_fmus.robot.urdf_tree import UrdfJoint, UrdfTree
+
+ROBOTS = Path(__file__).parent.parent / "robots"
+DEFAULT_ROBOT = ROBOTS / "lwr4_free_flyer.toml"
+
+
+def shipped_robots() -> list[str]:
+    return sorted(path.stem for path in ROBOTS.glob("*.toml"))
+
+
+def robot_path(text: str, directory: Path = Path()) -> Path:
+    """Of a shipped robot by name, or of a file. RobotError for a name that is neither."""
+    if text not in shipped_robots() and "." not in text:
+        raise RobotError(f"there is no robot {text!r}: neither a shipped one nor a file{did_you_mean(text, shipped_robots())}")
+    return ROBOTS / f"{text}.toml" if text in shipped_robots() else directory / text
+
+
+def load_robot_file(path: Path = DEFAULT_ROBOT) -> Robot:
+    """Read a small TOML file that names the URDF, base link, end-effector, tool, locked joints and posture.
+
+    Raises `RobotError` with one sentence when the file or the robot in it cannot be used.
+    """
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise RobotError(f"robot file {path} cannot be read: {error}") from error
+    known = ("urdf", "base_link", "end_effector", "tool_link", "lock", "posture")
+    for key in data:
+        if key not in known:
+            raise RobotError(f"robot file {path}: unknown key {key!r}{did_you_mean(key, known)}")
+    if not isinstance(data.get("urdf"), str):
+        raise RobotError(f"robot file {path}: 'urdf' must be the path of a URDF file")
+    return load_urdf(
+        path.parent / data["urdf"],
+        base_link=data.get("base_link"),
+        end_effector=data.get("end_effector"),
+        tool_link=data.get("tool_link"),
+        lock=data.get("lock", {}),
+        posture=data.get("posture"),
+    )
+
+
+def load_urdf(
+    path: Path,
+    *,
+    base_link: str | None = None,
+    end_effector: str | None = None,
+    tool_link: str | None = None,
+    lock: Mapping[str, float] | None = None,
+    posture: Mapping[str, float] | Sequence[float] | None = None,
+) -> Robot:
+    """Read a URDF as a free-flyer.
+
+    `base_link` (default: the root) becomes the floating base; `end_effector` (default: the only link without children)
+    is the hand's frame; `tool_link` is the link whose mass becomes an FMU parameter (default: none);
+    `lock` welds joints at the given positions [rad or m]; `posture` gives the start position of the free joints, by name
+    or in order (default: zero, or the middle of the limits where zero lies outside them).
+    Raises `RobotError` with one sentence for a file that is broken, not a serial chain, or physically impossible.
+    """
+    tree = UrdfTree(path)
+    base = base_link or tree.root
+    tree.require_link(base, "base link")
+    tip = end_effector or tree.only_leaf(base)
+    tree.require_link(tip, "end-effector")
+    if tool_link is not None:
+        tree.require_link(tool_link, "tool link")
+    return _robot(tree, base, tip, tool_link, dict(lock or {}), posture)
+
+
+def _robot(
+    tree: UrdfTree,
+    base: str,
+    tip: str,
+    tool: str | None,
+    lock: dict[str, float],
+    posture: Mapping[str, float] | Sequence[float] | None,
+) -> Robot:
+    path = tree.chain(base, tip)
+    for name, value in lock.items():
+        if name not in tree.joints:
+            raise RobotError(f"URDF {tree.path}: locked joint {name!r} does not exist{did_you_mean(name, tree.joints)}")
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise RobotError(f"URDF {tree.path}: joint {name} is locked at {value!r}; a finite number is expected")
+        joint = tree.joints[name]
+        if not joint.lower <= value <= joint.upper:
+            limits = f"[{joint.lower:g}, {joint.upper:g}]"
+            raise RobotError(f"URDF {tree.path}: joint {name} is locked at {value:g}, outside its limits {limits}")
+    base_inertial = tree.links[base]
+    if base_inertial is None:
+        raise RobotError(f"URDF {tree.path}: base link {base!r} has no mass; a floating base needs an <inertial>")
+    tree.refuse_mass_above(base)
+    # B stands at the base body's centre of mass, with the base link's axes.
+    rotation, translation = np.eye(3), -base_inertial.centre_of_mass
+    free: list[Joint] = []
+    bodies: list[Inertial] = []
+    body = _welded(tree, base, rotation, translation, path[0] if path else None, {base, tool}, lock, tip)
+    link, tool_pose = base, None
+    for joint, following in zip(path, [*path[1:], None], strict=True):
+        translation = translation + rotation @ joint.translation
+        rotation = rotation @ joint.rotation
+        if joint.kind == "fixed" or joint.name in lock:
+            rotation, translation = joint.displaced(rotation, translation, lock.get(joint.name, 0.0))
+        else:
+            align = _z_onto(joint.axis)
+            free.append(joint.free(_exact(rotation @ align), constant(translation, (3,))))
+            bodies.append(body)
+            body, tool_pose = Inertial.zero(), None
+            rotation, translation = align.T, np.zeros(3)
+        link = joint.child
+        body = body.merged_with(_welded(tree, link, rotation, translation, following, {base, tool}, lock, tip))
+        if link == tool:
+            tool_pose = (rotation, translation)
+    bodies.append(body)
+    end_rotation, end_translation = _exact(rotation), constant(translation, (3,))
+    tool_inertial = Inertial.zero()
+    if tool is not None:
+        mass = tree.links[tool]
+        if tool_pose is None or mass is None:
+            raise RobotError(
+                f"URDF {tree.path}: tool link {tool!r} must have an <inertial> and stand between the last free joint "
+                f"and the end-effector {tip!r}"
+            )
+        turn = end_rotation.T @ tool_pose[0]
+        tool_inertial = mass.seen_from(turn, end_rotation.T @ (tool_pose[1] - end_translation))
+    return Robot(
+        name=tree.name,
+        base=base_inertial.seen_from(np.eye(3), -base_inertial.centre_of_mass),
+        base_attachment=bodies[0],
+        joints=tuple(free),
+        bodies=tuple(bodies[1:]),
+        end_effector_rotation=end_rotation,
+        end_effector_translation=end_translation,
+        tool=tool_inertial,
+        posture=_posture(tree, free, posture),
+    )
+
+
+def _welded(
+    tree: UrdfTree,
+    link: str,
+    rotation: Array,
+    translation: Array,
+    skip: UrdfJoint | None,
+    apart: set[str | None],
+    lock: Mapping[str, float],
+    tip: str,
+) -> Inertial:
+    """This link and everything welded to it, except the links in `apart` and what hangs below the joint `skip`."""
+    own = tree.links[link]
+    total = Inertial.zero() if own is None or link in apart else own.seen_from(rotation, translation)
+    for joint in tree.children[link]:
+        if joint is skip:
+            continue
+        if joint.kind != "fixed" and joint.name not in lock:
+            raise RobotError(
+                f"URDF {tree.path}: not a serial chain: joint {joint.name!r} moves a branch beside or beyond the path "
+                f"to {tip!r}; lock it or name another end-effector"
+            )
+        turn, shift = rotation @ joint.rotation, translation + rotation @ joint.translation
+        turn, shift = joint.displaced(turn, shift, lock.get(joint.name, 0.0))
+        total = total.merged_with(_welded(tree, joint.child, turn, shift, None, apart, lock, tip))
+    return total
+
+
+def _posture(tree: UrdfTree, free: Sequence[Joint], posture: Mapping[str, float] | Sequence[float] | None) -> Array:
+    names = [joint.name for joint in free]
+    if posture is None:
+        return constant([_neutral(joint) for joint in free], (len(free),))
+    if isinstance(posture, Mapping):
+        for name in posture:
+            if name not in names:
+                raise RobotError(f"URDF {tree.path}: posture names {name!r}, which is no free joint{did_you_mean(name, names)}")
+        missing = [name for name in names if name not in posture]
+        if missing:
+            raise RobotError(f"URDF {tree.path}: posture lacks the joints {', '.join(missing)}")
+        posture = [posture[name] for name in names]
+    return constant(posture, (len(posture),))
+
+
+def _neutral(joint: Joint) -> float:
+    if joint.lower <= 0.0 <= joint.upper:
+        return 0.0
+    return 0.5 * (joint.lower + joint.upper)
+
+
+def _z_onto(axis: Array) -> Array:
+    """A rotation whose third column is `axis`; exact 0 and 1 entries for axes along x, y or z, the identity for z."""
+    helper = np.eye(3)[0 if abs(axis[1]) > 0.9 else 1]
+    first = np.cross(helper, axis)
+    first /= np.linalg.norm(first)
+    return np.column_stack([first, np.cross(axis, first), axis])
+
+
+def _exact(rotation: Array) -> Array:
+    """Rounding dust beside 0 and +-1 removed (a few ulp), so that sparse rotations stay sparse in the generated code."""
+    nearest = np.round(rotation)
+    return constant(np.where(np.abs(rotation - nearest) < 1e-15, nearest, rotation) + 0.0, (3, 3))

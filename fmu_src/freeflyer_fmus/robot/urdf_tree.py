@@ -1,0 +1,261 @@
+"""A URDF file as its links and joints, each checked by itself.
+
+The XML is read directly: the checks need every link's own `<inertial>`, which robotics libraries merge or drop.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+
+from freeflyer.foundation.suggestions import did_you_mean
+from freeflyer_fmus.errors import RobotError
+from freeflyer_fmus.robot.robot import Array, Inertial, Joint, constant
+
+MOVING = ("revolute", "continuous", "prismatic")
+
+
+@dataclass(frozen=True)
+class UrdfJoint:
+    """A URDF joint as written: `axis` in the child link's frame, the placement in the parent link's."""
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    rotation: Array
+    translation: Array
+    axis: Array
+    lower: float
+    upper: float
+    velocity: float
+    effort: float
+
+    def displaced(self, rotation: Array, translation: Array, position: float) -> tuple[Array, Array]:
+        """The child link's pose for a joint frame at (rotation, translation) and a joint held at `position`."""
+        if self.kind == "prismatic":
+            return rotation, translation + rotation @ self.axis * position
+        if self.kind == "fixed" or position == 0.0:
+            return rotation, translation
+        return rotation @ _rotation_about(self.axis, position), translation
+
+    def free(self, rotation: Array, translation: Array) -> Joint:
+        return Joint(
+            name=self.name,
+            kind="prismatic" if self.kind == "prismatic" else "revolute",
+            rotation=rotation,
+            translation=translation,
+            lower=self.lower,
+            upper=self.upper,
+            velocity_limit=self.velocity,
+            effort_limit=self.effort,
+        )
+
+
+class UrdfTree:
+    """The links and joints of one URDF file."""
+
+    def __init__(self, path: Path) -> None:
+        try:
+            root = ElementTree.parse(path).getroot()
+        except OSError as error:
+            raise RobotError(f"URDF {path} cannot be read: {error.strerror}") from error
+        except ElementTree.ParseError as error:
+            raise RobotError(f"URDF {path} is not well-formed XML: {error}") from error
+        if root.tag != "robot":
+            raise RobotError(f"URDF {path}: the root element is <{root.tag}>; <robot> is expected")
+        self.path = path
+        self.name = root.get("name", path.stem)
+        self.links: dict[str, Inertial | None] = {}
+        for element in root.findall("link"):
+            name = self._attribute(element, "name", "a link")
+            if name in self.links:
+                raise RobotError(f"URDF {path}: link {name!r} is defined twice")
+            self.links[name] = self._inertial(element, name)
+        self.joints: dict[str, UrdfJoint] = {}
+        self.parent: dict[str, UrdfJoint] = {}
+        self.children: dict[str, list[UrdfJoint]] = {name: [] for name in self.links}
+        for element in root.findall("joint"):
+            self._add(self._joint(element))
+        roots = [name for name in self.links if name not in self.parent]
+        if len(roots) != 1:
+            found = ", ".join(roots) or "none: the joints form a loop"
+            raise RobotError(f"URDF {path}: one root link is expected, found {found}")
+        self.root = roots[0]
+
+    def require_link(self, name: str, role: str) -> None:
+        if name not in self.links:
+            raise RobotError(f"URDF {self.path}: {role} {name!r} does not exist{did_you_mean(name, self.links)}")
+
+    def only_leaf(self, base: str) -> str:
+        leaves, stack = [], [base]
+        while stack:
+            link = stack.pop()
+            stack += [joint.child for joint in self.children[link]]
+            if not self.children[link]:
+                leaves.append(link)
+        if len(leaves) > 1:
+            raise RobotError(
+                f"URDF {self.path}: the chain ends in several links ({', '.join(sorted(leaves))}); name the end-effector"
+            )
+        return leaves[0]
+
+    def chain(self, base: str, tip: str) -> list[UrdfJoint]:
+        """The joints from base to tip, outward."""
+        path, link = [], tip
+        while link != base:
+            joint = self.parent.get(link)
+            if joint is None:
+                raise RobotError(f"URDF {self.path}: not a serial chain: {tip!r} does not hang below {base!r}")
+            path.append(joint)
+            link = joint.parent
+        return path[::-1]
+
+    def refuse_mass_above(self, base: str) -> None:
+        """What hangs above or beside the base link would be cut off: links without mass may go, masses may not."""
+        below, stack = set(), [base]
+        while stack:
+            link = stack.pop()
+            below.add(link)
+            stack += [joint.child for joint in self.children[link]]
+        lost = sorted(name for name, inertial in self.links.items() if inertial is not None and name not in below)
+        if lost:
+            raise RobotError(
+                f"URDF {self.path}: links {', '.join(lost)} have mass but do not hang below the base link {base!r}; "
+                f"choose {self.root!r} as base link"
+            )
+
+    def _add(self, joint: UrdfJoint) -> None:
+        for role, link in (("parent", joint.parent), ("child", joint.child)):
+            if link not in self.links:
+                raise RobotError(
+                    f"URDF {self.path}: joint {joint.name!r} has {role} link {link!r}, which does not exist{did_you_mean(link, self.links)}"
+                )
+        if joint.name in self.joints:
+            raise RobotError(f"URDF {self.path}: joint {joint.name!r} is defined twice")
+        if joint.child in self.parent:
+            raise RobotError(
+                f"URDF {self.path}: not a tree: link {joint.child!r} hangs on both joints {self.parent[joint.child].name!r} "
+                f"and {joint.name!r}"
+            )
+        self.joints[joint.name] = joint
+        self.parent[joint.child] = joint
+        self.children[joint.parent].append(joint)
+
+    def _joint(self, element: ElementTree.Element) -> UrdfJoint:
+        name = self._attribute(element, "name", "a joint")
+        kind = self._attribute(element, "type", f"joint {name!r}")
+        if kind not in ("fixed", *MOVING):
+            raise RobotError(
+                f"URDF {self.path}: joint {name!r} is of type {kind!r}; fixed, revolute, continuous or prismatic is expected"
+            )
+        if element.find("mimic") is not None:
+            raise RobotError(f"URDF {self.path}: joint {name!r} mimics another joint, which is not supported")
+        parent, child = element.find("parent"), element.find("child")
+        if parent is None or child is None:
+            raise RobotError(f"URDF {self.path}: joint {name!r} lacks its parent or child link")
+        subject = f"joint {name!r}"
+        rotation, translation = self._origin(element.find("origin"), subject)
+        axis_element = element.find("axis")
+        axis = np.array([1.0, 0.0, 0.0]) if axis_element is None else self._vector(axis_element, "xyz", subject)
+        if kind != "fixed" and not np.linalg.norm(axis) > 0.0:
+            raise RobotError(f"URDF {self.path}: joint {name!r} has an axis of zero length")
+        limit = element.find("limit")
+        bounded = limit is not None and kind in ("revolute", "prismatic")
+        lower = self._number(limit, "lower", subject, 0.0) if bounded else -math.inf
+        upper = self._number(limit, "upper", subject, 0.0) if bounded else math.inf
+        if lower > upper:
+            raise RobotError(f"URDF {self.path}: joint {name!r} has lower limit {lower:g} above upper limit {upper:g}")
+        return UrdfJoint(
+            name=name,
+            kind=kind,
+            parent=self._attribute(parent, "link", subject),
+            child=self._attribute(child, "link", subject),
+            rotation=rotation,
+            translation=translation,
+            axis=axis / np.linalg.norm(axis) if kind != "fixed" else axis,
+            lower=lower,
+            upper=upper,
+            velocity=self._number(limit, "velocity", subject, math.inf),
+            effort=self._number(limit, "effort", subject, math.inf),
+        )
+
+    def _inertial(self, link: ElementTree.Element, name: str) -> Inertial | None:
+        element = link.find("inertial")
+        if element is None:
+            return None
+        subject = f"link {name!r}"
+        mass_element, inertia_element = element.find("mass"), element.find("inertia")
+        if mass_element is None or inertia_element is None:
+            raise RobotError(f"URDF {self.path}: {subject} has an <inertial> without <mass> or <inertia>")
+        mass = self._number(mass_element, "value", subject, None)
+        entry = {key: self._number(inertia_element, key, subject, 0.0) for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")}
+        inertia = np.array(
+            [
+                [entry["ixx"], entry["ixy"], entry["ixz"]],
+                [entry["ixy"], entry["iyy"], entry["iyz"]],
+                [entry["ixz"], entry["iyz"], entry["izz"]],
+            ]
+        )
+        if mass == 0.0 and not inertia.any():
+            return None
+        rotation, translation = self._origin(element.find("origin"), subject)
+        inertial = Inertial(mass=mass, centre_of_mass=constant(np.zeros(3), (3,)), inertia=constant(inertia, (3, 3)))
+        inertial = inertial.seen_from(rotation, translation)
+        inertial.check(f"URDF {self.path}, {subject}")
+        return inertial
+
+    def _origin(self, element: ElementTree.Element | None, subject: str) -> tuple[Array, Array]:
+        if element is None:
+            return np.eye(3), np.zeros(3)
+        return _rotation_from_rpy(self._vector(element, "rpy", subject)), self._vector(element, "xyz", subject)
+
+    def _vector(self, element: ElementTree.Element, key: str, subject: str) -> Array:
+        text = element.get(key, "0 0 0")
+        try:
+            values = np.array([float(word) for word in text.split()])
+        except ValueError:
+            values = np.array([])
+        if values.shape != (3,) or not np.isfinite(values).all():
+            raise RobotError(f"URDF {self.path}: {subject} has {key}={text!r}; three finite numbers are expected")
+        return values
+
+    def _number(self, element: ElementTree.Element | None, key: str, subject: str, default: float | None) -> float:
+        text = None if element is None else element.get(key)
+        if text is None and default is not None:
+            return default
+        try:
+            value = float(text or "")
+        except ValueError:
+            value = math.nan
+        if math.isnan(value):
+            raise RobotError(f"URDF {self.path}: {subject} has {key}={text!r}; a number is expected")
+        return value
+
+    def _attribute(self, element: ElementTree.Element, key: str, subject: str) -> str:
+        value = element.get(key)
+        if not value:
+            raise RobotError(f"URDF {self.path}: {subject} lacks the attribute {key!r}")
+        return value
+
+
+def _rotation_from_rpy(rpy: Array) -> Array:
+    """URDF's fixed-axis roll, pitch, yaw."""
+    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def _rotation_about(axis: Array, angle: float) -> Array:
+    x, y, z = axis
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.asarray(np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross)
