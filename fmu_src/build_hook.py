@@ -24,7 +24,9 @@ class BuildHook(BuildHookInterface):  # type: ignore[misc]
 
             robot = load_robot_file()
             directory = Path(self.root) / "fmu_src" / "freeflyer_fmus" / "prebuilt"
-            shutil.rmtree(directory, ignore_errors=True)  # no FMU of an earlier build stays in the wheel
+            shutil.rmtree(
+                directory, ignore_errors=True
+            )  # no FMU of an earlier build stays in the wheel
             core = Path(self.root) / "cosim" / "freeflyer" / "master" / "core"
             compile_core(core, core / "prebuilt" / "core.so", host_platform())
             for _ in build_all([make(robot) for make in BLOCKS.values()], directory):

@@ -7,7 +7,7 @@ import pytest
 from freeflyer.cli import main as command
 
 
-def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str]:
+def run_command(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str]:
     code = command.call(arguments)
     error = capsys.readouterr().err
     assert "Traceback" not in error

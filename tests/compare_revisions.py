@@ -23,7 +23,9 @@ DIFFER = {"wall_s", "versions"}
 
 
 def output(*command: str | Path, **options: Any) -> str:
-    return subprocess.run([str(word) for word in command], check=True, stdout=subprocess.PIPE, text=True, **options).stdout
+    return subprocess.run(
+        [str(word) for word in command], check=True, stdout=subprocess.PIPE, text=True, **options
+    ).stdout
 
 
 def installed(revision: str, folder: Path, constraints: Path | None) -> Path:
@@ -32,17 +34,30 @@ def installed(revision: str, folder: Path, constraints: Path | None) -> Path:
     output("git", "-C", folder / "source", "checkout", "--quiet", revision)
     output(sys.executable, "-m", "venv", folder / "venv")
     same = () if constraints is None else ("--constraint", constraints)
-    output(folder / "venv/bin/pip", "install", "--quiet", "--disable-pip-version-check", *same, folder / "source")
+    output(
+        folder / "venv/bin/pip",
+        "install",
+        "--quiet",
+        "--disable-pip-version-check",
+        *same,
+        folder / "source",
+    )
     return folder / "venv" / "bin"
 
 
 def ran(binaries: Path, scenario: str, master: str, out: Path) -> dict[str, Any]:
     """What a run has written; exit code and summary.json as metadata."""
     done = subprocess.run(
-        [str(binaries / "freeflyer"), "run", scenario, "--master", master, "--out", str(out)], capture_output=True, check=False
+        [str(binaries / "freeflyer"), "run", scenario, "--master", master, "--out", str(out)],
+        capture_output=True,
+        check=False,
     )
     table = parquet.read_table(out / "record.parquet")
-    metadata = {key.decode(): json.loads(value) for key, value in table.schema.metadata.items() if key != b"pandas"}
+    metadata = {
+        key.decode(): json.loads(value)
+        for key, value in table.schema.metadata.items()
+        if key != b"pandas"
+    }
     summary = json.loads((out / "summary.json").read_text())
     return {
         "exit code": done.returncode,
@@ -55,7 +70,9 @@ def ran(binaries: Path, scenario: str, master: str, out: Path) -> dict[str, Any]
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("before")
     parser.add_argument("after", nargs="?", default="HEAD")
     parser.add_argument("--folder", type=Path, help="keep environments and records there")
@@ -65,14 +82,21 @@ def main() -> int:
         first = installed(arguments.before, folder / "before", None)
         frozen = output(first / "pip", "freeze", "--disable-pip-version-check").splitlines()
         constraints = folder / "constraints.txt"
-        constraints.write_text("\n".join(line for line in frozen if not line.startswith("freeflyer")) + "\n")
+        constraints.write_text(
+            "\n".join(line for line in frozen if not line.startswith("freeflyer")) + "\n"
+        )
         second = installed(arguments.after, folder / "after", constraints)
-        names = sorted(path.stem for path in ROOT.glob("cosim/freeflyer/**/scenarios/*.toml") if not path.name.startswith("_"))
+        names = sorted(
+            path.stem
+            for path in ROOT.glob("cosim/freeflyer/**/scenarios/*.toml")
+            if not path.name.startswith("_")
+        )
         differences = 0
         for scenario in names:
             for master in MASTERS:
                 records = [
-                    ran(b, scenario, master, folder / f"{b.parents[1].name}_{scenario}_{master}") for b in (first, second)
+                    ran(b, scenario, master, folder / f"{b.parents[1].name}_{scenario}_{master}")
+                    for b in (first, second)
                 ]
                 unlike = [key for key in records[0] if records[0][key] != records[1][key]]
                 differences += bool(unlike)

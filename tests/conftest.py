@@ -18,7 +18,11 @@ from freeflyer_fmus.robot.robot import Robot
 from freeflyer_fmus.robot.urdf import load_robot_file
 
 settings.register_profile(
-    "default", deadline=None, derandomize=True, max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    "default",
+    deadline=None,
+    derandomize=True,
+    max_examples=50,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 settings.load_profile("default")
 # One thread a test process: two of them run side by side.
@@ -29,7 +33,11 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
     """Benchmarks import other projects' simulators: not for a run that leaves them out."""
-    return True if collection_path.name == "benchmarks" and "not benchmark" in config.option.markexpr else None
+    return (
+        True
+        if collection_path.name == "benchmarks" and "not benchmark" in config.option.markexpr
+        else None
+    )
 
 
 def group_of(nodeid: str) -> str:
@@ -78,5 +86,7 @@ def robot() -> Robot:
 def fmus() -> Path:
     """The FMUs built at install."""
     found = directory()
-    assert (found / "fmi2" / "free_flyer.fmu").is_file(), "the package was installed without its FMUs"
+    assert (found / "fmi2" / "free_flyer.fmu").is_file(), (
+        "the package was installed without its FMUs"
+    )
     return found

@@ -12,7 +12,9 @@ def family(members: Iterable[object], now: int | Collection[object] = 1) -> list
     chosen = list(members)
     default = chosen[:now] if isinstance(now, int) else list(now)
     assert default
-    assert all(member in chosen for member in default), "a member of the default set is none of the family"
+    assert all(member in chosen for member in default), (
+        "a member of the default set is none of the family"
+    )
     return [member if member in default else _slow(member) for member in chosen]
 
 

@@ -59,7 +59,9 @@ class Lab:
         shutil.copytree(self.good, self.expired)
         long_ago = datetime.now(UTC) - timedelta(days=9)
         for name in NAMES:
-            authority.issue(Identity(self.expired, name), days=2, hosts=HOSTS, may_listen=True, begin=long_ago)
+            authority.issue(
+                Identity(self.expired, name), days=2, hosts=HOSTS, may_listen=True, begin=long_ago
+            )
         self.authority = authority
         # A stranger who has been given the authority's certificate, which is no secret, but not its signature.
         self.stranger = folder / "stranger"
@@ -67,7 +69,9 @@ class Lab:
         shutil.copy(self.good / "ca.pem", self.stranger / "ca.pem")
 
     @staticmethod
-    def options(folder: Path | None, port: int, protocol: str = "tls", **changes: Any) -> LinkOptions:
+    def options(
+        folder: Path | None, port: int, protocol: str = "tls", **changes: Any
+    ) -> LinkOptions:
         endpoint = f"{'tcp' if folder is None else protocol}/127.0.0.1:{port}"
         listen = ("tls/127.0.0.1:0",) if folder else ("tcp/127.0.0.1:0",)
         return LinkOptions(connect=(endpoint,), listen=listen, certificates=folder, **changes)
@@ -96,9 +100,14 @@ def session_without_checks(
     if zid is not None:
         settings["id"] = zid
     if authority is not None:
-        settings |= {f"{tls}/root_ca_certificate": str(authority), f"{tls}/enable_mtls": own is not None}
+        settings |= {
+            f"{tls}/root_ca_certificate": str(authority),
+            f"{tls}/enable_mtls": own is not None,
+        }
     if own is not None:
-        settings |= {f"{tls}/{side}_certificate": str(own.certificate) for side in ("connect", "listen")}
+        settings |= {
+            f"{tls}/{side}_certificate": str(own.certificate) for side in ("connect", "listen")
+        }
         settings |= {f"{tls}/{side}_private_key": str(own.key) for side in ("connect", "listen")}
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))
@@ -124,7 +133,9 @@ class Wiretap:
                 far = socket.create_connection(("127.0.0.1", self._target))
                 self._sockets += [near, far]
                 for a, b in ((near, far), (far, near)):
-                    self._threads.append(threading.Thread(target=self._relay, args=(a, b), daemon=True))
+                    self._threads.append(
+                        threading.Thread(target=self._relay, args=(a, b), daemon=True)
+                    )
                     self._threads[-1].start()
 
     def _relay(self, source: socket.socket, sink: socket.socket) -> None:

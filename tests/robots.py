@@ -19,7 +19,12 @@ def ur5_path() -> Path:
 
 def ur5() -> Robot:
     """The UR5 that example-robot-data ships, as a free-flyer: rpy angles that are no exact quarter turns, other axes."""
-    return load_urdf(ur5_path(), base_link="base_link", end_effector="tool0", posture=[0.3, -1.2, 1.4, 0.2, 1.1, -0.4])
+    return load_urdf(
+        ur5_path(),
+        base_link="base_link",
+        end_effector="tool0",
+        posture=[0.3, -1.2, 1.4, 0.2, 1.1, -0.4],
+    )
 
 
 def gantry() -> Robot:
@@ -29,7 +34,14 @@ def gantry() -> Robot:
         end_effector="hand",
         tool_link="gripper",
         lock={"swivel": 0.4},
-        posture={"slide_x": 0.1, "slide_y": -0.2, "turn_1": 0.3, "turn_2": -0.7, "turn_3": 0.5, "turn_4": 0.9},
+        posture={
+            "slide_x": 0.1,
+            "slide_y": -0.2,
+            "turn_1": 0.3,
+            "turn_2": -0.7,
+            "turn_3": 0.5,
+            "turn_4": 0.9,
+        },
     )
 
 

@@ -15,7 +15,13 @@ from freeflyer_fmus.errors import FmuSourceError, RobotError
 from freeflyer_fmus.export.archive import build_all
 from freeflyer_fmus.export.compiler import PLATFORMS, Platform, host_platform
 from freeflyer_fmus.robot.robot import Robot
-from freeflyer_fmus.robot.urdf import DEFAULT_ROBOT, load_robot_file, load_urdf, robot_path, shipped_robots
+from freeflyer_fmus.robot.urdf import (
+    DEFAULT_ROBOT,
+    load_robot_file,
+    load_urdf,
+    robot_path,
+    shipped_robots,
+)
 
 SOURCES = "sources"
 """Stands among the platforms for a target that compiles the FMU itself."""
@@ -30,16 +36,40 @@ class FmusCommand:
             metavar="FILE",
             help=f"a .urdf, a robot file .toml, or a shipped robot: {', '.join(shipped_robots())} (default: {DEFAULT_ROBOT.stem})",
         )
-        parser.add_argument("--base-link", metavar="L", help="the floating base (default: the URDF's root)")
-        parser.add_argument("--end-effector", metavar="L", help="the hand's link (default: the only last link)")
-        parser.add_argument("--tool-link", metavar="L", help="the link whose mass becomes an FMU parameter (default: none)")
         parser.add_argument(
-            "--lock", action="append", default=[], metavar="JOINT=VALUE", help="weld a joint [rad or m]; repeatable"
+            "--base-link", metavar="L", help="the floating base (default: the URDF's root)"
         )
-        parser.add_argument("--posture", nargs="+", metavar="JOINT=VALUE", help="start posture: JOINT=VALUE each, or n numbers")
-        parser.add_argument("--block", type=Path, metavar="FILE.py", help="a file that defines block(robot) -> Block")
         parser.add_argument(
-            "--platforms", default="host", help=f"host (default), all, or a list of {', '.join((*PLATFORMS, SOURCES))}"
+            "--end-effector", metavar="L", help="the hand's link (default: the only last link)"
+        )
+        parser.add_argument(
+            "--tool-link",
+            metavar="L",
+            help="the link whose mass becomes an FMU parameter (default: none)",
+        )
+        parser.add_argument(
+            "--lock",
+            action="append",
+            default=[],
+            metavar="JOINT=VALUE",
+            help="weld a joint [rad or m]; repeatable",
+        )
+        parser.add_argument(
+            "--posture",
+            nargs="+",
+            metavar="JOINT=VALUE",
+            help="start posture: JOINT=VALUE each, or n numbers",
+        )
+        parser.add_argument(
+            "--block",
+            type=Path,
+            metavar="FILE.py",
+            help="a file that defines block(robot) -> Block",
+        )
+        parser.add_argument(
+            "--platforms",
+            default="host",
+            help=f"host (default), all, or a list of {', '.join((*PLATFORMS, SOURCES))}",
         )
         parser.add_argument("--out", type=Path, default=Path("fmus"), metavar="DIR")
 
@@ -54,7 +84,11 @@ class FmusCommand:
         platforms, sources = chosen_platforms(arguments.platforms)
         arguments.robot = None if arguments.robot is None else robot_path(arguments.robot)
         robot = chosen_robot(arguments)
-        makers = BLOCKS if arguments.block is None else {arguments.block.stem: load_block(arguments.block)}
+        makers = (
+            BLOCKS
+            if arguments.block is None
+            else {arguments.block.stem: load_block(arguments.block)}
+        )
         # Everything is declared and checked before the first file is written.
         blocks = [make(robot) for make in makers.values()]
         for block in blocks:
@@ -66,10 +100,17 @@ class FmusCommand:
                     f"robot {robot.name}: the generated forward dynamics differ from Pinocchio's by {difference:.1e}; less than "
                     f"{AGREEMENT:g} is expected: the inertias are too far apart in size to compute with"
                 )
-            console.print(f"{robot.name}: {robot.joint_count} free joints; dynamics agree with Pinocchio's to {difference:.1e}")
-        with console.status(f"compiling {len(blocks)} blocks for {', '.join(p.fmi3 for p in platforms) or 'no platform'}"):
+            console.print(
+                f"{robot.name}: {robot.joint_count} free joints; dynamics agree with Pinocchio's to {difference:.1e}"
+            )
+        with console.status(
+            f"compiling {len(blocks)} blocks for {', '.join(p.fmi3 for p in platforms) or 'no platform'}"
+        ):
             for block, paths in build_all(blocks, arguments.out, platforms, sources=sources):
-                console.print(f"{block.name}: {', '.join(str(path) for path in paths.values())}", soft_wrap=True)
+                console.print(
+                    f"{block.name}: {', '.join(str(path) for path in paths.values())}",
+                    soft_wrap=True,
+                )
         return 0
 
 
@@ -85,7 +126,9 @@ def chosen_platforms(text: str) -> tuple[list[Platform], bool]:
         elif word in PLATFORMS:
             chosen[word] = PLATFORMS[word]
         elif word != SOURCES:
-            raise FmuSourceError(f"--platforms {text}: {word!r} is none of {', '.join((*PLATFORMS, SOURCES))}, host, all")
+            raise FmuSourceError(
+                f"--platforms {text}: {word!r} is none of {', '.join((*PLATFORMS, SOURCES))}, host, all"
+            )
     return list(chosen.values()), SOURCES in words or "all" in words
 
 
@@ -114,7 +157,9 @@ def assignment(text: str, option: str) -> tuple[str, float]:
     try:
         return name, float(value)
     except ValueError as error:
-        raise RobotError(f"{option} {text}: JOINT=VALUE with a number is expected, for example {name}=0.5") from error
+        raise RobotError(
+            f"{option} {text}: JOINT=VALUE with a number is expected, for example {name}=0.5"
+        ) from error
 
 
 def posture_of(words: Sequence[str] | None) -> dict[str, float] | list[float] | None:
@@ -125,4 +170,6 @@ def posture_of(words: Sequence[str] | None) -> dict[str, float] | list[float] | 
     try:
         return [float(word) for word in words]
     except ValueError as error:
-        raise RobotError(f"--posture {' '.join(words)}: numbers, or JOINT=VALUE for each joint, are expected") from error
+        raise RobotError(
+            f"--posture {' '.join(words)}: numbers, or JOINT=VALUE for each joint, are expected"
+        ) from error

@@ -22,20 +22,20 @@ from freeflyer_fmus.robot.robot import Array
 from freeflyer_fmus.robot.urdf import DEFAULT_ROBOT, load_robot_file, robot_path
 
 
-class TwinError(Exception):
+class InProcessError(Exception):
     """A value that is refused, or a step that cannot be made."""
 
     left_validity = False
 
 
-class RequirementError(TwinError):
+class RequirementError(InProcessError):
     """The run has left what the equations hold for."""
 
     left_validity = True
 
 
 @dataclass(frozen=True, kw_only=True)
-class TwinPort:
+class BlockPort:
     """A variable as the master sees it."""
 
     name: str
@@ -55,19 +55,25 @@ class TwinPort:
         return bool(self.direct) or self.sampled
 
 
-def ports(block: Block) -> dict[str, TwinPort]:
+def ports(block: Block) -> dict[str, BlockPort]:
     owner = {element: v.name for v in block.having("input") for element in v.element_names}
     result = {}
     for variable in block.variables.values():
-        depends = {name for element in variable.element_names for name in block.dependencies.get(element, [])}
+        depends = {
+            name
+            for element in variable.element_names
+            for name in block.dependencies.get(element, [])
+        }
         direct = {owner[name] for name in depends if name in owner}
         started = block.has_start(variable)
-        result[variable.name] = TwinPort(
+        result[variable.name] = BlockPort(
             name=variable.name,
             size=variable.size,
             causality=_causality(variable),
             units=variable.units,
-            start=tuple(map(float, variable.start)) if started and variable.start is not None else None,
+            start=tuple(map(float, variable.start))
+            if started and variable.start is not None
+            else None,
             settable=started and variable.causality != "input",
             choices=variable.choices,
             boolean=variable.kind == "boolean",
@@ -84,7 +90,7 @@ def _causality(variable: Variable) -> str:
     return variable.causality
 
 
-class Twin:
+class InProcessBlock:
     """One instance. `values` are flat vectors: parameters p, inputs u, states x, outputs y."""
 
     variable_step = True
@@ -94,12 +100,14 @@ class Twin:
         self._ports = ports(block)
         self._functions = {key: _Evaluator(function) for key, function in block.functions.items()}
         self._vectors = {key: block.start_values(key) for key in ("parameter", "input", "state")}
-        self._vectors["output"] = np.zeros(sum(variable.size for variable in block.having("output")))
+        self._vectors["output"] = np.zeros(
+            sum(variable.size for variable in block.having("output"))
+        )
         self._time = 0.0
         self._samples = 0
 
     @property
-    def ports(self) -> Mapping[str, TwinPort]:
+    def ports(self) -> Mapping[str, BlockPort]:
         return self._ports
 
     @property
@@ -116,7 +124,9 @@ class Twin:
         """Parameters and start values before, inputs and tunable parameters also between steps."""
         numbers = np.asarray(value, dtype=float)
         if not np.isfinite(numbers).all():
-            raise TwinError(f"{self.name}.{name} cannot be set to {value}: it must be a finite number")
+            raise InProcessError(
+                f"{self.name}.{name} cannot be set to {value}: it must be a finite number"
+            )
         self.value(name)[:] = numbers
 
     # Life cycle
@@ -134,7 +144,7 @@ class Twin:
         self._outputs()
 
     def step(self, time: float, size: float) -> None:
-        """TwinError if a requirement is not met, or if the step would pass over a sample."""
+        """InProcessError if a requirement is not met, or if the step would pass over a sample."""
         self._time = time
         if self.block.period is not None:
             self._sample(time, size)
@@ -177,7 +187,7 @@ class Twin:
             self._vectors["state"][:], self._vectors["output"][:] = new_states, outputs
             self._samples += 1
         if end > self._due(period) + tolerance:
-            raise TwinError(
+            raise InProcessError(
                 f"a communication step of {size:g} s passes over a sample of this block, whose period is {period:g} s; "
                 f"choose a step that divides the period"
             )
@@ -210,7 +220,9 @@ class Twin:
         return self._rates(self._time, self._vectors["state"])
 
     def _rates(self, t: float, x: Array) -> Array:
-        (dx,) = self._functions["derivatives"](t, self._vectors["parameter"], self._vectors["input"], x)
+        (dx,) = self._functions["derivatives"](
+            t, self._vectors["parameter"], self._vectors["input"], x
+        )
         return dx
 
     def _outputs(self) -> None:
@@ -222,7 +234,9 @@ class Twin:
         self._vectors["output"][:] = outputs
 
     def _evaluate(self, function: str) -> list[Array]:
-        return self._functions[function](self._time, self._vectors["parameter"], self._vectors["input"], self._vectors["state"])
+        return self._functions[function](
+            self._time, self._vectors["parameter"], self._vectors["input"], self._vectors["state"]
+        )
 
     def _require(self, requirements: Sequence[Requirement], margins: Array) -> None:
         for requirement, (value, minimum) in zip(requirements, margins.reshape(-1, 2), strict=True):
@@ -253,7 +267,7 @@ class _Evaluator:
         return [result.copy() for result in self._results]
 
 
-def _views(twin: Twin, names: Sequence[str], buffer: Array) -> list[tuple[Array, Array]]:
+def _views(twin: InProcessBlock, names: Sequence[str], buffer: Array) -> list[tuple[Array, Array]]:
     parts, first = [], 0
     for name in names:
         own = twin.value(name)
@@ -262,7 +276,7 @@ def _views(twin: Twin, names: Sequence[str], buffer: Array) -> list[tuple[Array,
     return parts
 
 
-def twin_component(name: str, options: Mapping[str, Any], directory: Path) -> Twin:
+def in_process_component(name: str, options: Mapping[str, Any], directory: Path) -> InProcessBlock:
     """For scenarios: `block`, a shipped one or a FILE.py (default: the component's name), and `robot`, a shipped robot or the path of a robot file (default: the LWR 4+ with six joints)."""
     for key in options:
         if key not in ("block", "robot"):
@@ -272,7 +286,9 @@ def twin_component(name: str, options: Mapping[str, Any], directory: Path) -> Tw
     block = options.get("block", name)
     robot = robot_path(str(options["robot"]), directory) if "robot" in options else DEFAULT_ROBOT
     if str(block).endswith(".py"):
-        return Twin(load_block(directory / block)(load_robot_file(robot)), name)
+        return InProcessBlock(load_block(directory / block)(load_robot_file(robot)), name)
     if block not in BLOCKS:
-        raise BlockError(f"component {name}: there is no block {block!r}; known are {', '.join(BLOCKS)}")
-    return Twin(BLOCKS[block](load_robot_file(robot)), name)
+        raise BlockError(
+            f"component {name}: there is no block {block!r}; known are {', '.join(BLOCKS)}"
+        )
+    return InProcessBlock(BLOCKS[block](load_robot_file(robot)), name)

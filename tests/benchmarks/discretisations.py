@@ -28,9 +28,13 @@ def loop_inertia(factor: float) -> tuple[Array, Array]:
     robot = load_robot_file()
     model = pinocchio_model(robot)
     base = model.inertias[1]
-    own = pin.Inertia(robot.base.mass, np.array(robot.base.centre_of_mass), np.array(robot.base.inertia))
+    own = pin.Inertia(
+        robot.base.mass, np.array(robot.base.centre_of_mass), np.array(robot.base.inertia)
+    )
     model.inertias[1] = pin.Inertia(
-        base.mass + (factor - 1.0) * own.mass, base.lever, base.inertia + (factor - 1.0) * own.inertia
+        base.mass + (factor - 1.0) * own.mass,
+        base.lever,
+        base.inertia + (factor - 1.0) * own.inertia,
     )
     data = model.createData()
     q = np.concatenate([np.zeros(3), [0.0, 0.0, 0.0, 1.0], robot.posture])
@@ -39,7 +43,9 @@ def loop_inertia(factor: float) -> tuple[Array, Array]:
     pin.computeJointJacobians(model, data, q)
     pin.framesForwardKinematics(model, data, q)
     J = pin.getFrameJacobian(model, data, model.getFrameId("end_effector"), pin.LOCAL_WORLD_ALIGNED)
-    to_joints = np.block([[I6, Z6], [-np.linalg.solve(J[:, 6:], J[:, :6]), np.linalg.inv(J[:, 6:])]])
+    to_joints = np.block(
+        [[I6, Z6], [-np.linalg.solve(J[:, 6:], J[:, :6]), np.linalg.inv(J[:, 6:])]]
+    )
     return to_joints.T @ H @ to_joints, J[:, :6]
 
 
@@ -74,7 +80,12 @@ def matched_poles_per_axis(M: Array, K: Array, D: Array, T: float) -> Array:
     return gains
 
 
-LAWS = {"emulated": emulated, "poles, per axis": matched_poles_per_axis, "poles, coupled": matched_poles, "mean": mean}
+LAWS = {
+    "emulated": emulated,
+    "poles, per axis": matched_poles_per_axis,
+    "poles, coupled": matched_poles,
+    "mean": mean,
+}
 
 
 @dataclass(frozen=True)
@@ -103,7 +114,9 @@ def gain_sets(count: int, seed: int) -> Iterator[Gains]:
         )
 
 
-def spectral_radius(M: Array, Jb: Array, base: Array, hand: Array, compensation: Array, T_b: float) -> float:
+def spectral_radius(
+    M: Array, Jb: Array, base: Array, hand: Array, compensation: Array, T_b: float
+) -> float:
     """Of the map over one base period. State [dx_b, dx_m, x_b', x_m']; base and hand: gains on their own states; compensation: J_b^T
     times these gains on the hand's state is in the held base wrench.
     """
@@ -127,7 +140,11 @@ def main() -> None:
     M_base, M_hand = np.linalg.inv(inverse[:6, :6]), np.linalg.inv(inverse[6:, 6:])
     true = {factor: loop_inertia(factor)[0] for factor in FACTORS}
     sets = list(gain_sets(400, 1))
-    print("| base's law | hand's law | J_b^T F_m in the held wrench | " + " | ".join(f"{f:g}" for f in FACTORS) + " |")
+    print(
+        "| base's law | hand's law | J_b^T F_m in the held wrench | "
+        + " | ".join(f"{f:g}" for f in FACTORS)
+        + " |"
+    )
     print("|---|---|---|" + "---|" * len(FACTORS))
     for base, hand, share in (
         ("emulated", "emulated", "of the sample"),
@@ -145,7 +162,11 @@ def main() -> None:
             slow = fast if share == "of the sample" else mean(M_hand, g.K_m, g.D_m, g.T_b)
             for factor, inertia in true.items():
                 stable[factor] += spectral_radius(inertia, Jb, law, fast, slow, g.T_b) < 1.0
-        print(f"| {base} | {hand} | {share} | " + " | ".join(f"{100 * n / len(sets):.1f} %" for n in stable.values()) + " |")
+        print(
+            f"| {base} | {hand} | {share} | "
+            + " | ".join(f"{100 * n / len(sets):.1f} %" for n in stable.values())
+            + " |"
+        )
 
 
 if __name__ == "__main__":

@@ -27,15 +27,28 @@ REFERENCE = 2.0 * np.pi * 0.1
 def main(sweep: str, directory: str, *cases: str) -> None:
     plan = Plan(file.read(sweep))
     table = pandas.read_parquet(Path(directory) / "results.parquet")
-    growing = table[table["case"].isin(cases) & table["stable"].eq(False) & ~table["diverged"] & ~table["failed"]]
+    growing = table[
+        table["case"].isin(cases)
+        & table["stable"].eq(False)
+        & ~table["diverged"]
+        & ~table["failed"]
+    ]
     settled = dict.fromkeys(cases, 0)
     for number in growing["run"]:
         run = plan.run(int(number))
         scenario = plan.setup.scenario(run.case, run.assignments)
-        scenario = replace(scenario, stop=LONGER * scenario.stop, record_every=10 * scenario.record_every, record_signals=())
+        scenario = replace(
+            scenario,
+            stop=LONGER * scenario.stop,
+            record_every=10 * scenario.record_every,
+            record_signals=(),
+        )
         result = experiment.run(scenario)
         record = result.outcome.record
-        before = {name: verdict.earlier(record.time, error, result.outcome.simulated) for name, error in result.errors.items()}
+        before = {
+            name: verdict.earlier(record.time, error, result.outcome.simulated)
+            for name, error in result.errors.items()
+        }
         stable = verdict.stable(result.summary, before)
         settled[run.case] += stable is True
         given = dict(run.assignments)
@@ -51,7 +64,9 @@ def main(sweep: str, directory: str, *cases: str) -> None:
         )
     for case in cases:
         count = int(growing["case"].eq(case).sum())
-        print(f"{case}: {settled[case]} of {count} that grew at the end are stable in the longer run")
+        print(
+            f"{case}: {settled[case]} of {count} that grew at the end are stable in the longer run"
+        )
 
 
 if __name__ == "__main__":

@@ -26,11 +26,16 @@ def times(checkout: Path, folder: Path, name: str) -> dict[str, tuple[float, flo
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    links = (f'devices.arm_drive.channel="{name}"', f'devices.base_robot.connect=["tcp/127.0.0.1:{port}"]')
+    links = (
+        f'devices.arm_drive.channel="{name}"',
+        f'devices.base_robot.connect=["tcp/127.0.0.1:{port}"]',
+    )
     sets = [word for setting in (*SETTINGS, *links) for word in ("--set", setting)]
     environment = {
         **os.environ,
-        "PYTHONPATH": os.pathsep.join(str(checkout / root) for root in ("adapters", "cosim", "fmu_src")),
+        "PYTHONPATH": os.pathsep.join(
+            str(checkout / root) for root in ("adapters", "cosim", "fmu_src")
+        ),
     }
     command = [sys.executable, "-m", "freeflyer.cli.main"]
     with subprocess.Popen(
@@ -57,15 +62,22 @@ def main(before: str, after: str, rounds: str = "5") -> None:
     with tempfile.TemporaryDirectory() as folder:
         for k in range(int(rounds)):
             for label, checkout in (
-                (("before", before), ("after", after)) if k % 2 == 0 else (("after", after), ("before", before))
+                (("before", before), ("after", after))
+                if k % 2 == 0
+                else (("after", after), ("before", before))
             ):
                 seen[label].append(times(Path(checkout).absolute(), Path(folder), f"{label}-{k}"))
                 print(f"round {k + 1}, {label}: done", flush=True)
     print(f"medians over {rounds} rounds of {SECONDS} s in turn [us]: before, after, ratio")
     for key in seen["before"][0]:
         for i, share in enumerate(("p50", "p99")):
-            old, new = (float(np.median([run[key][i] for run in seen[label]])) for label in ("before", "after"))
-            print(f"  {key}, {share}: {old:.0f}, {new:.0f}, {new / old if old else float('nan'):.3f}")
+            old, new = (
+                float(np.median([run[key][i] for run in seen[label]]))
+                for label in ("before", "after")
+            )
+            print(
+                f"  {key}, {share}: {old:.0f}, {new:.0f}, {new / old if old else float('nan'):.3f}"
+            )
 
 
 if __name__ == "__main__":

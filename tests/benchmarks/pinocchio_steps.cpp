@@ -44,7 +44,8 @@ int main(int argc, char **argv)
     pinocchio::Model model;
     model.gravity.setZero();
     const int n = (int)number(), nv = 6 + n, nq = 7 + n;
-    auto parent = model.addJoint(0, pinocchio::JointModelFreeFlyer(), pinocchio::SE3::Identity(), "base");
+    auto parent =
+        model.addJoint(0, pinocchio::JointModelFreeFlyer(), pinocchio::SE3::Identity(), "base");
     model.appendBodyToJoint(parent, body(), pinocchio::SE3::Identity());
     for (int i = 0; i < n; i++) {
         bool revolute = number() != 0;
@@ -72,7 +73,8 @@ int main(int argc, char **argv)
         pinocchio::aba(model, data, at_q, at_v, effort);
         Eigen::Quaterniond turn(at_q[6], at_q[3], at_q[4], at_q[5]);
         q_slope.head<3>() = turn._transformVector(at_v.head<3>());
-        q_slope.segment<4>(3) = 0.5 * (turn * Eigen::Quaterniond(0, at_v[3], at_v[4], at_v[5])).coeffs();
+        q_slope.segment<4>(3) =
+            0.5 * (turn * Eigen::Quaterniond(0, at_v[3], at_v[4], at_v[5])).coeffs();
         q_slope.tail(n) = at_v.tail(n);
     };
     auto stage = [&](double h) {

@@ -25,7 +25,9 @@ CORE = Path(freeflyer.__path__[0]) / "master" / "core"
 
 def wall(engine: Engine, *changes: str, fmi: int = 2) -> float:
     """Seconds of stepping and recording all outputs every 10 ms, 100 s of multirate_passive."""
-    return experiment.run(scenario.load("multirate_passive", changes), engine=engine, fmi=fmi).outcome.wall
+    return experiment.run(
+        scenario.load("multirate_passive", changes), engine=engine, fmi=fmi
+    ).outcome.wall
 
 
 def best(measure: Callable[[], float], times: int = 5) -> float:
@@ -35,7 +37,9 @@ def best(measure: Callable[[], float], times: int = 5) -> float:
 def test_the_cores_own_cost(tmp_path: Path) -> None:
     program = tmp_path / "core_alone"
     sources = [str(HERE.parent / "master" / "core_alone.c"), *map(str, sorted(CORE.glob("*.c")))]
-    subprocess.run(["gcc", "-std=c99", "-O2", "-I", str(CORE), *sources, "-lm", "-o", str(program)], check=True)
+    subprocess.run(
+        ["gcc", "-std=c99", "-O2", "-I", str(CORE), *sources, "-lm", "-o", str(program)], check=True
+    )
     done = subprocess.run([str(program), "200000"], capture_output=True, text=True, check=True)
     without, tenth, every = map(float, done.stdout.split())
     print(
@@ -44,16 +48,30 @@ def test_the_cores_own_cost(tmp_path: Path) -> None:
     )
 
 
-def test_multirate_passive_beside_its_fmus_and_the_master_in_python(fmus: Path, robot: Robot, tmp_path: Path) -> None:
+def test_multirate_passive_beside_its_fmus_and_the_master_in_python(
+    fmus: Path, robot: Robot, tmp_path: Path
+) -> None:
     each = [
         step_times(fmus, tmp_path, BLOCKS[name](robot), 1e-3)
         for name in ("free_flyer", "reference_trajectory", "manipulator_controller")
     ]
-    alone, _, turn = (0.1 * sum(times) for times in zip(*each, strict=True))  # the base's every 300 ms does not count
-    core, core3, python = best(lambda: wall("core")), best(lambda: wall("core", fmi=3)), best(lambda: wall("python"), 2)
-    print(f"\nmultirate_passive, 100 s, all outputs every 10 ms: {core:.3f} s, {100 / core:.0f} times real time")
-    print(f"  {core / alone:.2f} times the sum of its FMUs' doStep, {alone:.3f} s, measured alone; FMI 3.0: {core3:.3f} s")
-    print(f"  {core / turn:.2f} times their turns of setting connected inputs, doStep, getting connected outputs, {turn:.3f} s")
+    alone, _, turn = (
+        0.1 * sum(times) for times in zip(*each, strict=True)
+    )  # the base's every 300 ms does not count
+    core, core3, python = (
+        best(lambda: wall("core")),
+        best(lambda: wall("core", fmi=3)),
+        best(lambda: wall("python"), 2),
+    )
+    print(
+        f"\nmultirate_passive, 100 s, all outputs every 10 ms: {core:.3f} s, {100 / core:.0f} times real time"
+    )
+    print(
+        f"  {core / alone:.2f} times the sum of its FMUs' doStep, {alone:.3f} s, measured alone; FMI 3.0: {core3:.3f} s"
+    )
+    print(
+        f"  {core / turn:.2f} times their turns of setting connected inputs, doStep, getting connected outputs, {turn:.3f} s"
+    )
     print(f"  --master python: {python:.2f} s, {python / core:.1f} times as long")
     assert core < python
 

@@ -35,18 +35,27 @@ print(json.dumps(late))
 
 
 def test_the_pacer_wakes_up_as_a_c_loop_does(tmp_path: Path) -> None:
-    compiler = [shutil.which("gcc")] if shutil.which("gcc") else [sys.executable, "-m", "ziglang", "cc"]
+    compiler = (
+        [shutil.which("gcc")] if shutil.which("gcc") else [sys.executable, "-m", "ziglang", "cc"]
+    )
     binary = tmp_path / "wake_up"
     subprocess.run([*compiler, "-O2", str(HERE / "wake_up.c"), "-o", str(binary)], check=True)
     c, python = [], []
     for _ in range(ROUNDS):  # in turn, so that what disturbs the machine disturbs both
         done = subprocess.run([str(binary), str(COUNT)], check=True, capture_output=True, text=True)
         c.append(np.array(done.stdout.split(), dtype=float) / 1e3)
-        done = subprocess.run([sys.executable, "-c", PYTHON_LOOP], check=True, capture_output=True, text=True)
+        done = subprocess.run(
+            [sys.executable, "-c", PYTHON_LOOP], check=True, capture_output=True, text=True
+        )
         python.append(np.array(json.loads(done.stdout), dtype=float) / 1e3)
-    print(f"\nwake-up lateness at 1 kHz under SCHED_FIFO, {ROUNDS} rounds of {COUNT} in turn; medians over the rounds [us]")
+    print(
+        f"\nwake-up lateness at 1 kHz under SCHED_FIFO, {ROUNDS} rounds of {COUNT} in turn; medians over the rounds [us]"
+    )
     for share in (50, 99):
-        ours, theirs = (float(np.median([np.percentile(part, share) for part in parts])) for parts in (python, c))
+        ours, theirs = (
+            float(np.median([np.percentile(part, share) for part in parts]))
+            for parts in (python, c)
+        )
         print(f"  p{share}: Python {ours:.0f}, C {theirs:.0f}, ratio {ours / theirs:.2f}")
         assert ours < 10.0 * theirs  # gross regressions only
     print(f"  longest: Python {max(map(np.max, python)):.0f}, C {max(map(np.max, c)):.0f}")
@@ -69,7 +78,11 @@ ERRORS = (
 )
 
 
-@pytest.mark.parametrize("settings", [(), PATIENT], ids=["every rule at its default", "holes of up to a second only counted"])
+@pytest.mark.parametrize(
+    "settings",
+    [(), PATIENT],
+    ids=["every rule at its default", "holes of up to a second only counted"],
+)
 def test_a_minute_on_the_virtual_facility(settings: tuple[str, ...], tmp_path: Path) -> None:
     """At the defaults, a machine that holds a process up for longer than a rule allows stops the loop, and the loop says so; with
     patient rules it goes on, and every lost cycle is counted.
@@ -81,15 +94,24 @@ def test_a_minute_on_the_virtual_facility(settings: tuple[str, ...], tmp_path: P
     loop = result.summary["real_time"]
     print(f"\n{result.outcome.simulated:g} s in {result.outcome.wall:.2f} s; {loop['stop']}")
     for name, _ in ERRORS:
-        print(f"  {name}: {result.summary[name]['max']:.4g}, without a wall clock {without_clock[name]['max']:.4g}")
+        print(
+            f"  {name}: {result.summary[name]['max']:.4g}, without a wall clock {without_clock[name]['max']:.4g}"
+        )
     for name, times in {**loop["times"], **facility["times"]}.items():
-        print(f"  {name}: p50 {times['p50_us']:.0f}, p99 {times['p99_us']:.0f}, longest {times['max_us']:.0f} us")
+        print(
+            f"  {name}: p50 {times['p50_us']:.0f}, p99 {times['p99_us']:.0f}, longest {times['max_us']:.0f} us"
+        )
     for title, devices in (("loop", loop["devices"]), ("facility", facility["devices"])):
         for device, counts in devices.items():
-            print(f"  {title}, {device}: " + ", ".join(f"{name} {count:.0f}" for name, count in counts.items()))
+            print(
+                f"  {title}, {device}: "
+                + ", ".join(f"{name} {count:.0f}" for name, count in counts.items())
+            )
     if settings:
         assert result.as_expected
         for name, tolerance in ERRORS:
-            assert result.summary[name]["max"] == pytest.approx(without_clock[name]["max"], rel=0.1, abs=tolerance)
+            assert result.summary[name]["max"] == pytest.approx(
+                without_clock[name]["max"], rel=0.1, abs=tolerance
+            )
     else:
         assert result.as_expected or result.outcome.cause

@@ -34,7 +34,9 @@ def resident(pid: int) -> float:
     return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
-def test_the_loop_pays_microseconds_and_the_recorder_a_part_of_a_core(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_loop_pays_microseconds_and_the_recorder_a_part_of_a_core(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     took: list[int] = []
     seen: list[tuple[float, float, float]] = []
     original = Tap.write
@@ -48,7 +50,9 @@ def test_the_loop_pays_microseconds_and_the_recorder_a_part_of_a_core(tmp_path: 
 
     monkeypatch.setattr(Tap, "write", timed)
     chosen = scenario.load("facility", [f"stop_s={SECONDS}"])
-    result, report = hil.run(chosen, simulated=True, recording=Recording(directory=tmp_path), say=lambda text: None)
+    result, report = hil.run(
+        chosen, simulated=True, recording=Recording(directory=tmp_path), say=lambda text: None
+    )
     assert result.as_expected
     assert report.recording is not None
     assert report.recording["missing"] == []
@@ -56,11 +60,15 @@ def test_the_loop_pays_microseconds_and_the_recorder_a_part_of_a_core(tmp_path: 
     (begin, used, memory), (end, used_then, memory_then) = seen
     share = (used_then - used) / (end - begin)
     size = (tmp_path / "recording.mcap").stat().st_size
-    print(f"\na row in the loop: least {cost.min():.1f}, p50 {np.median(cost):.1f}, p99 {np.percentile(cost, 99):.1f} us")
+    print(
+        f"\na row in the loop: least {cost.min():.1f}, p50 {np.median(cost):.1f}, p99 {np.percentile(cost, 99):.1f} us"
+    )
     print(
         f"recorder: {share:.3f} of a core, {memory_then:.0f} MiB, {(memory_then - memory) / (end - begin) * 3600:.0f} MiB an hour more"
     )
     print(f"recording: {size / SECONDS / 1e6:.2f} MB/s, {report.recording['rows_lost']} rows lost")
     begin = time.perf_counter()
     frame = read_recording(tmp_path / "recording.mcap")
-    print(f"reading it into pandas: {time.perf_counter() - begin:.2f} s for {len(frame)} rows of {frame.shape[1]} columns")
+    print(
+        f"reading it into pandas: {time.perf_counter() - begin:.2f} s for {len(frame)} rows of {frame.shape[1]} columns"
+    )

@@ -41,9 +41,18 @@ def step_times(fmus: Path, tmp_path: Path, block: Block, step: float) -> list[fl
 
     outputs = [variable for variable in block.having("output", "state") if not variable.local]
     members = {name for group in block.terminals.values() for name in group.values()}
-    lists = [references(block.having("input")), references(outputs), references([v for v in outputs if v.name in members])]
+    lists = [
+        references(block.having("input")),
+        references(outputs),
+        references([v for v in outputs if v.name in members]),
+    ]
     command = [str(program), str(tmp_path / library), token, str(step), "10000", *lists]
-    return [float(word) for word in subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()]
+    return [
+        float(word)
+        for word in subprocess.run(
+            command, capture_output=True, text=True, check=True
+        ).stdout.split()
+    ]
 
 
 def ours_at_the_start(robot: Robot) -> Array:
@@ -52,16 +61,30 @@ def ours_at_the_start(robot: Robot) -> Array:
     start = {name: np.array(variable.start) for name, variable in x.items()}
     start["base_velocity"] = np.array(BASE_VELOCITY)
     start["joint_velocity"] = np.full(robot.joint_count, JOINT_VELOCITY)
-    given = [0.0, block.start_values("parameter"), block.start_values("input"), np.concatenate(list(start.values()))]
+    given = [
+        0.0,
+        block.start_values("parameter"),
+        block.start_values("input"),
+        np.concatenate(list(start.values())),
+    ]
     rates = np.array(block.functions["derivatives"](*given)).ravel()
     first = {name: block.offset(name) for name in start}
-    return np.concatenate([rates[first[name] :][: start[name].size] for name in ("base_velocity", "joint_velocity")])
+    return np.concatenate(
+        [rates[first[name] :][: start[name].size] for name in ("base_velocity", "joint_velocity")]
+    )
 
 
 def test_step_times(fmus: Path, robot: Robot, tmp_path: Path) -> None:
     """Of doStep, and of a master's whole turn: set the inputs, step, get outputs; all of them, or what terminals connect."""
-    steps = {"free_flyer": 1e-3, "reference_trajectory": 1e-3, "manipulator_controller": 1e-3, "base_controller": 0.3}
-    times = {name: step_times(fmus, tmp_path, BLOCKS[name](robot), step) for name, step in steps.items()}
+    steps = {
+        "free_flyer": 1e-3,
+        "reference_trajectory": 1e-3,
+        "manipulator_controller": 1e-3,
+        "base_controller": 0.3,
+    }
+    times = {
+        name: step_times(fmus, tmp_path, BLOCKS[name](robot), step) for name, step in steps.items()
+    }
     print(f"\n{'us':24s} doStep  set, step, get all  set, step, get connected")
     for name, (alone, everything, connected) in times.items():
         print(f"{name:24s} {alone:6.2f} {everything:19.2f} {connected:25.2f}")
@@ -73,10 +96,14 @@ def test_the_plant_beside_mujoco_and_pinocchio(fmus: Path, robot: Robot, tmp_pat
     peers = {"MuJoCo": MuJoCo(robot), "Pinocchio, C++ -O2": Pinocchio(robot, tmp_path, "-O2")}
     expected = ours_at_the_start(robot)
     for peer in peers.values():  # the same robot
-        np.testing.assert_allclose(peer.acceleration, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
+        np.testing.assert_allclose(
+            peer.acceleration, expected, rtol=0, atol=1e-9 * np.abs(expected).max()
+        )
     times = {"ours": np.inf} | dict.fromkeys(peers, np.inf)
     for _ in range(3):  # in turn: the machine is not always equally fast
-        times["ours"] = min(times["ours"], step_times(fmus, tmp_path, BLOCKS["free_flyer"](robot), 1e-3)[0])
+        times["ours"] = min(
+            times["ours"], step_times(fmus, tmp_path, BLOCKS["free_flyer"](robot), 1e-3)[0]
+        )
         for name, peer in peers.items():
             times[name] = min(times[name], peer.step_time())
     print("\nRK4 step of 1 ms, same robot")
@@ -92,4 +119,6 @@ def test_build_and_size_of_all_fmus(robot: Robot, tmp_path: Path) -> None:
     made = list(build_all([make(robot) for make in BLOCKS.values()], tmp_path / "fmus"))
     wall = time.perf_counter() - begin
     largest = max((path.stat().st_size, path.name) for _, paths in made for path in paths.values())
-    print(f"\n{len(made)} blocks, both FMI versions: {wall:.1f} s; the largest is {largest[1]} with {largest[0] / 1e3:.0f} kB")
+    print(
+        f"\n{len(made)} blocks, both FMI versions: {wall:.1f} s; the largest is {largest[1]} with {largest[0] / 1e3:.0f} kB"
+    )

@@ -49,7 +49,9 @@ def test_help_costs_little_more_than_finding_the_commands() -> None:
     script = str(Path(sys.executable).with_name("freeflyer"))
     times = medians({"least": [sys.executable, "-c", LEAST], "help": [script, "--help"]})
     ratio = times["help"] / times["least"]
-    print(f"\nfreeflyer --help: {times['help']:.3f} s of CPU, {ratio:.2f} x argparse and a look at the entry points")
+    print(
+        f"\nfreeflyer --help: {times['help']:.3f} s of CPU, {ratio:.2f} x argparse and a look at the entry points"
+    )
     assert ratio <= 2.0
 
 
@@ -58,10 +60,15 @@ def test_time_to_the_first_integration_step(tmp_path: Path) -> None:
     times = []
     for _ in range(ROUNDS):
         done = subprocess.run(
-            [sys.executable, "-P", "-c", FIRST_STEP, str(tmp_path)], capture_output=True, text=True, check=True
+            [sys.executable, "-P", "-c", FIRST_STEP, str(tmp_path)],
+            capture_output=True,
+            text=True,
+            check=True,
         )
         times.append(float(done.stdout))
     numpy = statistics.median(cpu([sys.executable, "-c", "import numpy"]) for _ in range(ROUNDS))
     first = statistics.median(times)
-    print(f"\nfirst integration step after {first:.2f} s of CPU, {first / numpy:.1f} x `import numpy`")
+    print(
+        f"\nfirst integration step after {first:.2f} s of CPU, {first / numpy:.1f} x `import numpy`"
+    )
     assert first < 8.0 * numpy  # gross regressions only

@@ -33,10 +33,16 @@ def swept(directory: Path, workers: int, runs: int) -> tuple[float, float, panda
     command = directory / "command.py"
     command.write_text(code)
     arguments = ["sweep", str(file), "--workers", str(workers), "--out", str(out)]
-    process = subprocess.Popen([sys.executable, str(command), *arguments], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    process = subprocess.Popen(
+        [sys.executable, str(command), *arguments],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+    )
     _, error = process.communicate()
     assert process.returncode == 0, error
-    parts = sorted((path.stat().st_mtime, len(pandas.read_parquet(path))) for path in (out / "parts").iterdir())
+    parts = sorted(
+        (path.stat().st_mtime, len(pandas.read_parquet(path))) for path in (out / "parts").iterdir()
+    )
     frame = pandas.read_parquet(out / "results.parquet")
     assert len(frame) == runs
     assert not frame["failed"].any()
@@ -48,8 +54,12 @@ def test_two_workers_are_nearly_twice_as_fast_as_one_and_memory_stays_flat(tmp_p
     two, memory, frame = swept(tmp_path, 2, RUNS)
     speed = two / one
     overhead = 1e3 * (frame["run_s"] - frame["wall_s"])
-    print(f"\n{RUNS} runs of {STOP} s, {two:.1f} a second on two workers; {speed:.2f} times as fast as one")
-    print(f"besides stepping, a run takes {overhead.median():.1f} ms (median), {overhead.min():.1f} ms (least)")
+    print(
+        f"\n{RUNS} runs of {STOP} s, {two:.1f} a second on two workers; {speed:.2f} times as fast as one"
+    )
+    print(
+        f"besides stepping, a run takes {overhead.median():.1f} ms (median), {overhead.min():.1f} ms (least)"
+    )
     print(f"peak memory of the command: {memory:.0f} MB; load {os.getloadavg()[0]:.1f}")
     assert memory < 400.0
     assert speed >= 1.85

@@ -35,18 +35,28 @@ class Pair:
         self.host = open_session(options.connect, options.listen, "controller", ends[1])
         stack.callback(self.host.close)
         out, back = (
-            rmw_zenoh.topic_key(options.domain, topic, ros_messages.TYPE_NAME, ros_messages.TYPE_HASH)
+            rmw_zenoh.topic_key(
+                options.domain, topic, ros_messages.TYPE_NAME, ros_messages.TYPE_HASH
+            )
             for topic in (options.setpoint_topic, options.measured_topic)
         )
-        fast = {"congestion_control": zenoh.CongestionControl.DROP, "priority": zenoh.Priority.REAL_TIME, "express": True}
+        fast = {
+            "congestion_control": zenoh.CongestionControl.DROP,
+            "priority": zenoh.Priority.REAL_TIME,
+            "express": True,
+        }
         answer = self.robot.declare_publisher(back, **fast)
         self.sender = self.host.declare_publisher(out, **fast)
         self.came: Queue[int] = Queue()
         self.kept = [
             self.robot.declare_subscriber(out, lambda sample: answer.put(sample.payload)),
-            self.host.declare_subscriber(back, lambda sample: self.came.put(time.perf_counter_ns())),
+            self.host.declare_subscriber(
+                back, lambda sample: self.came.put(time.perf_counter_ns())
+            ),
         ]
-        self.message = OdometryWriter("inertial", "base").write(0, np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(6))
+        self.message = OdometryWriter("inertial", "base").write(
+            0, np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(6)
+        )
         assert waited(self._answers)
 
     def _answers(self) -> bool:
@@ -71,7 +81,10 @@ class Pair:
 def test_tls_costs_the_base_link_little_of_its_period(tmp_path: Path) -> None:
     lab = Lab(tmp_path / "lab")
     with ExitStack() as stack:
-        pairs = {name: Pair(stack, Lab.options(folder, free_port())) for name, folder in (("tcp", None), ("tls", lab.good))}
+        pairs = {
+            name: Pair(stack, Lab.options(folder, free_port()))
+            for name, folder in (("tcp", None), ("tls", lab.good))
+        }
         for period, title in ((PERIOD, f"every {PERIOD * 1e3:g} ms"), (0.0, "one after the other")):
             times: dict[str, list[float]] = {name: [] for name in pairs}
             for _ in range(BLOCKS):

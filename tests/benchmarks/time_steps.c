@@ -54,7 +54,8 @@ int main(int argc, char **argv)
     LOAD(fmi2GetReal)
     LOAD(fmi2SetReal)
     fmi2Component c = fmi2Instantiate_("x", fmi2CoSimulation, argv[2], "", NULL, 0, 0);
-    if (!c || fmi2SetupExperiment_(c, 0, 0, 0, 0, 0) || fmi2EnterInitializationMode_(c) || fmi2ExitInitializationMode_(c))
+    if (!c || fmi2SetupExperiment_(c, 0, 0, 0, 0, 0) || fmi2EnterInitializationMode_(c) ||
+        fmi2ExitInitializationMode_(c))
         return 4;
     static List inputs, outputs;
     read_list(argv[5], &inputs);
@@ -69,7 +70,8 @@ int main(int argc, char **argv)
         for (int run = 0; run < 7; run++) {
             double begin = now();
             for (int k = 0; k < count; k++, time += step)
-                if ((list > 5 && fmi2SetReal_(c, inputs.reference, inputs.n, inputs.value)) || fmi2DoStep_(c, time, step, 1) ||
+                if ((list > 5 && fmi2SetReal_(c, inputs.reference, inputs.n, inputs.value)) ||
+                    fmi2DoStep_(c, time, step, 1) ||
                     (list > 5 && fmi2GetReal_(c, outputs.reference, outputs.n, outputs.value)))
                     return 6;
             double each = (now() - begin) / count;

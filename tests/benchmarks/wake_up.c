@@ -9,7 +9,8 @@
 
 int main(int count_of_arguments, char **arguments)
 {
-    long count = count_of_arguments > 1 ? atol(arguments[1]) : 1000, *late = malloc((size_t)count * sizeof *late);
+    long count = count_of_arguments > 1 ? atol(arguments[1]) : 1000,
+         *late = malloc((size_t)count * sizeof *late);
     struct sched_param priority = {.sched_priority = 40};
     struct timespec deadline, now;
     int real_time = sched_setscheduler(0, SCHED_FIFO, &priority) == 0;

@@ -32,10 +32,13 @@ class Joints:
     """Two joints of 1 kg m^2 behind the drives; a brake stops them at once."""
 
     def __init__(self, table: dict[str, Any], watchdog: int = 4) -> None:
-        self.virtual = VirtualCia402("arm", table, Path(), FacilitySettings(arm_watchdog_cycles=watchdog), TICK)
+        self.virtual = VirtualCia402(
+            "arm", table, Path(), FacilitySettings(arm_watchdog_cycles=watchdog), TICK
+        )
         n = self.virtual.options.joints
         self.values = {
-            p.name: np.array(p.start or (0.0,) * p.size) for p in (*self.virtual.commands, *self.virtual.measurements)
+            p.name: np.array(p.start or (0.0,) * p.size)
+            for p in (*self.virtual.commands, *self.virtual.measurements)
         }
         self.position, self.velocity = np.zeros(n), np.zeros(n)
         self.torques: list[np.ndarray] = []
@@ -48,9 +51,15 @@ class Joints:
         self.virtual.receive(self.values)
         torque = self.values["joint_torque_command"].copy()
         self.torques.append(torque)
-        self.velocity = np.zeros_like(torque) if self.values["brake"][0] else self.velocity + TICK * torque
+        self.velocity = (
+            np.zeros_like(torque) if self.values["brake"][0] else self.velocity + TICK * torque
+        )
         self.position = self.position + TICK * self.velocity
-        for name, value in (("joint_position", self.position), ("joint_velocity", self.velocity), ("joint_torque", torque)):
+        for name, value in (
+            ("joint_position", self.position),
+            ("joint_velocity", self.velocity),
+            ("joint_torque", torque),
+        ):
             self.values[name][:] = value
         self.virtual.send(self.values)
 
@@ -138,7 +147,9 @@ class Pair:
 
 
 @contextmanager
-def pair(patch: pytest.MonkeyPatch, watchdog: int = 4, drives: dict[str, Any] | None = None, **host: Any) -> Iterator[Pair]:
+def pair(
+    patch: pytest.MonkeyPatch, watchdog: int = 4, drives: dict[str, Any] | None = None, **host: Any
+) -> Iterator[Pair]:
     """`drives`: what the drives are given otherwise than the host; `host`: parameters, or keys of the table, of the host alone."""
     host_end, drive_end = End(), End()
     host_end.other, drive_end.other = drive_end, host_end
@@ -151,13 +162,16 @@ def pair(patch: pytest.MonkeyPatch, watchdog: int = 4, drives: dict[str, Any] | 
     keys = {
         key: value
         for key, value in host.items()
-        if key in ("velocity", "gear_ratio", "node_ids", "joints", "rated_torque", "largest_load", "eds")
+        if key
+        in ("velocity", "gear_ratio", "node_ids", "joints", "rated_torque", "largest_load", "eds")
     }
     arm = Cia402Arm("arm", options_from("arm", {**TABLE, **keys}, Path()))
     arm.values["joint_effort_limit"][:] = (100.0, 40.0)
     arm.values["torque_rate_limit"][:] = 1e6
     arm.values["configure_timeout"][:] = 0.3
-    arm.values["watchdog_cycles"][:] = 1000  # the host's own is of the real clock, the drives' is not
+    arm.values["watchdog_cycles"][:] = (
+        1000  # the host's own is of the real clock, the drives' is not
+    )
     for key, value in host.items():
         if key not in keys:
             arm.values[key][:] = value

@@ -48,10 +48,13 @@ class Facility(threading.Thread):
     def __init__(self, channel: str) -> None:
         super().__init__(daemon=True)
         table = {**TABLE, "interface": "virtual", "channel": channel}
-        self.virtual = VirtualCia402("arm", table, Path(), FacilitySettings(arm_watchdog_cycles=100), 0.001)
+        self.virtual = VirtualCia402(
+            "arm", table, Path(), FacilitySettings(arm_watchdog_cycles=100), 0.001
+        )
         self.ended = threading.Event()
         self.values = {
-            p.name: np.array(p.start or (0.0,) * p.size) for p in (*self.virtual.commands, *self.virtual.measurements)
+            p.name: np.array(p.start or (0.0,) * p.size)
+            for p in (*self.virtual.commands, *self.virtual.measurements)
         }
         self.values["joint_position"][:] = (0.25, -1.0)
 
@@ -92,7 +95,9 @@ def enabled(network: canopen.Network, node_id: int) -> BaseNode402:
     node.nmt.state = "OPERATIONAL"
     network.sync.start(0.01)
     node.rpdo[1].start(0.005)
-    node.TIMEOUT_SWITCH_STATE_FINAL = node.TIMEOUT_SWITCH_STATE_SINGLE = node.TIMEOUT_CHECK_TPDO = 2.0
+    node.TIMEOUT_SWITCH_STATE_FINAL = node.TIMEOUT_SWITCH_STATE_SINGLE = node.TIMEOUT_CHECK_TPDO = (
+        2.0
+    )
     node.check_statusword()
     node.state = "OPERATION ENABLED"
     return node
@@ -117,7 +122,9 @@ def test_canopens_cia_402_master_reads_the_mapping_enables_and_drives_the_virtua
     assert logic.braked
 
 
-def test_canopens_cia_402_master_sees_a_fault_its_emergency_and_resets_it(master: tuple[canopen.Network, Facility]) -> None:
+def test_canopens_cia_402_master_sees_a_fault_its_emergency_and_resets_it(
+    master: tuple[canopen.Network, Facility],
+) -> None:
     network, facility = master
     node = enabled(network, 7)
     facility.virtual.fail(2, 0x4310)
@@ -130,7 +137,9 @@ def test_canopens_cia_402_master_sees_a_fault_its_emergency_and_resets_it(master
     until(lambda: not node.emcy.active)
 
 
-def test_canopens_quick_stop_ends_in_switch_on_disabled(master: tuple[canopen.Network, Facility]) -> None:
+def test_canopens_quick_stop_ends_in_switch_on_disabled(
+    master: tuple[canopen.Network, Facility],
+) -> None:
     network, facility = master
     node = enabled(network, 3)
     node.rpdo[1][0x6071].raw = 100
@@ -141,7 +150,9 @@ def test_canopens_quick_stop_ends_in_switch_on_disabled(master: tuple[canopen.Ne
     assert facility.virtual.logic.drives[0].braked
 
 
-def test_the_drive_answers_mistakes_with_the_standards_abort_codes(master: tuple[canopen.Network, Facility]) -> None:
+def test_the_drive_answers_mistakes_with_the_standards_abort_codes(
+    master: tuple[canopen.Network, Facility],
+) -> None:
     network, _ = master
     node = enabled(network, 3)
     for index, sub, value, code in (
@@ -153,7 +164,9 @@ def test_the_drive_answers_mistakes_with_the_standards_abort_codes(master: tuple
         assert caught.value.code == code, hex(index)
 
 
-def test_a_reset_node_boots_and_has_forgotten_what_was_written(master: tuple[canopen.Network, Facility]) -> None:
+def test_a_reset_node_boots_and_has_forgotten_what_was_written(
+    master: tuple[canopen.Network, Facility],
+) -> None:
     network, facility = master
     node = enabled(network, 3)
     boots: list[int] = []
@@ -177,13 +190,20 @@ def remote(channel: str) -> Iterator[tuple[RemoteDrive, canopen.LocalNode]]:
     node.sdo[0x608F][1].raw, node.sdo[0x6091][1].raw = 4096, 100
     here = PolledNetwork(can.Bus(interface="virtual", channel=channel))
     try:
-        yield RemoteDrive("arm", 0, 3, options, here, patience=2.0, permit=Permit("arm", watchdog=16_000_000)), node
+        yield (
+            RemoteDrive(
+                "arm", 0, 3, options, here, patience=2.0, permit=Permit("arm", watchdog=16_000_000)
+            ),
+            node,
+        )
     finally:
         here.disconnect()
         there.disconnect()
 
 
-def test_our_host_compares_and_sets_up_canopens_local_node(remote: tuple[RemoteDrive, canopen.LocalNode]) -> None:
+def test_our_host_compares_and_sets_up_canopens_local_node(
+    remote: tuple[RemoteDrive, canopen.LocalNode],
+) -> None:
     drive, node = remote
     node.sdo[0x6041].raw = 0x0250
     drive.identify()
@@ -201,7 +221,12 @@ def test_our_host_compares_and_sets_up_canopens_local_node(remote: tuple[RemoteD
     assert node.nmt.state == "PRE-OPERATIONAL"
 
 
-def test_our_host_refuses_a_local_node_that_stays_in_another_mode(remote: tuple[RemoteDrive, canopen.LocalNode]) -> None:
+def test_our_host_refuses_a_local_node_that_stays_in_another_mode(
+    remote: tuple[RemoteDrive, canopen.LocalNode],
+) -> None:
     drive, _ = remote
-    with pytest.raises(DeviceError, match=r"stays in mode 0 \(6061h\); mode 10, cyclic synchronous torque, was written"):
+    with pytest.raises(
+        DeviceError,
+        match=r"stays in mode 0 \(6061h\); mode 10, cyclic synchronous torque, was written",
+    ):
         drive.set_up(0.004)

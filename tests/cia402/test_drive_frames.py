@@ -74,7 +74,10 @@ def test_raw_numbers_survive_the_way_to_si_and_back(position: int, torque: int) 
 def test_rounding_keeps_the_sum_of_all_torques_to_half_a_unit(wanted: np.ndarray) -> None:
     scaling = Scaling([MOTOR])
     raw = np.array([scaling.raw_torque(np.array([w]))[0] for w in wanted])
-    assert abs(raw.sum() * MOTOR.torque_step - wanted.sum()) <= 0.5 * MOTOR.torque_step + 1e-9 * np.abs(wanted).sum()
+    assert (
+        abs(raw.sum() * MOTOR.torque_step - wanted.sum())
+        <= 0.5 * MOTOR.torque_step + 1e-9 * np.abs(wanted).sum()
+    )
     assert (np.abs(raw * MOTOR.torque_step - wanted) <= MOTOR.torque_step + 1e-9).all()
 
 
@@ -88,18 +91,32 @@ def test_the_load_of_six_drives_is_what_bits_say() -> None:
     # Worst frames with 11-bit identifiers: 47 + 8 n bits and a stuff bit for every four of the first 34 + 8 n after the first:
     # 0 bytes 55, 1 byte 65, 4 bytes 95, 8 bytes 135.
     cyclic = 55 + 6 * (95 + 135 + 95) + 2 * 135
-    assert load.load(6, 4e-3, 1e6, 0.1, measured_velocity=True) == pytest.approx(cyclic / 4000 + 7 * 65 / 100_000)
+    assert load.load(6, 4e-3, 1e6, 0.1, measured_velocity=True) == pytest.approx(
+        cyclic / 4000 + 7 * 65 / 100_000
+    )
     without = 55 + 6 * (95 + 135) + 2 * 135
-    assert load.load(6, 4e-3, 1e6, 0.1, measured_velocity=False) == pytest.approx(without / 4000 + 7 * 65 / 100_000)
+    assert load.load(6, 4e-3, 1e6, 0.1, measured_velocity=False) == pytest.approx(
+        without / 4000 + 7 * 65 / 100_000
+    )
 
 
 @pytest.mark.parametrize(
     ("cycle", "bitrate", "measured", "sentence"),
     [
-        (0.001, 1e6, True, "take up to 228 % of a CAN bus of 1000 kbit/s, 80 % is the limit: a cycle of 3 ms fits"),
+        (
+            0.001,
+            1e6,
+            True,
+            "take up to 228 % of a CAN bus of 1000 kbit/s, 80 % is the limit: a cycle of 3 ms fits",
+        ),
         (0.001, 1e6, False, "take up to 171 %"),
         (0.002, 1e6, False, "take up to 86 %"),
-        (0.004, 5e5, True, 'velocity = "estimated" (no TPDO2) would take 86 %, which is still too much; 1 Mbit/s fits'),
+        (
+            0.004,
+            5e5,
+            True,
+            'velocity = "estimated" (no TPDO2) would take 86 %, which is still too much; 1 Mbit/s fits',
+        ),
         (0.005, 5e5, True, 'velocity = "estimated" (no TPDO2) would take 69 %, which fits'),
     ],
 )
@@ -111,7 +128,9 @@ def test_what_the_bus_cannot_carry_is_refused_with_load_and_remedy(
 
 
 @given(st.integers(1, 20), st.sampled_from([1, 2, 3, 4, 5, 8, 10, 20]), st.booleans())
-def test_the_cycle_that_a_refusal_names_fits_and_none_shorter_does(joints: int, ms: int, measured: bool) -> None:
+def test_the_cycle_that_a_refusal_names_fits_and_none_shorter_does(
+    joints: int, ms: int, measured: bool
+) -> None:
     try:
         load.check("arm", joints, 1e-3 * ms, 1e6, 0.1, 0.8, measured_velocity=measured)
     except DeviceError as error:
@@ -122,9 +141,13 @@ def test_the_cycle_that_a_refusal_names_fits_and_none_shorter_does(joints: int, 
             load.check("arm", joints, 1e-3 * (named - 1), 1e6, 0.1, 0.8, measured_velocity=measured)
 
 
-def test_a_load_that_is_too_much_is_refused_before_a_bus_is_opened(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_load_that_is_too_much_is_refused_before_a_bus_is_opened(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     with pair(monkeypatch, largest_load=0.1) as bench:
-        monkeypatch.setattr("freeflyer_adapters.cia402.arm.open_bus", lambda *a: pytest.fail("the bus was opened"))
+        monkeypatch.setattr(
+            "freeflyer_adapters.cia402.arm.open_bus", lambda *a: pytest.fail("the bus was opened")
+        )
         with pytest.raises(DeviceError, match="2 drives at a cycle of 4 ms"):
             bench.host.configure()
 

@@ -30,7 +30,12 @@ def refused(bench: Pair, sentence: str, call: Callable[[], object] | None = None
 def stored(bench: Pair) -> list[dict[tuple[int, int], str]]:
     """What each drive's own objects are."""
     return [
-        {(i, s): data.hex() for i, subs in drive.node.data_store.items() for s, data in subs.items()} for drive in bench.drives
+        {
+            (i, s): data.hex()
+            for i, subs in drive.node.data_store.items()
+            for s, data in subs.items()
+        }
+        for drive in bench.drives
     ]
 
 
@@ -59,22 +64,34 @@ def test_activation_is_bumpless_and_the_arm_then_obeys(monkeypatch: pytest.Monke
         np.testing.assert_allclose(bench.host.values["joint_torque"], [5.0, -2.0], atol=0.05)
         # Nine cycles of 4 ms after the SYNC from which the first target acted, at 1 kg m^2.
         np.testing.assert_allclose(bench.host.values["joint_velocity"], [0.18, -0.072], atol=1e-3)
-        np.testing.assert_allclose(bench.host.values["joint_velocity"], bench.joints.velocity, atol=0.02)
+        np.testing.assert_allclose(
+            bench.host.values["joint_velocity"], bench.joints.velocity, atol=0.02
+        )
 
 
 @pytest.mark.parametrize("faulty", [False, True])
-def test_configuring_and_checking_leave_every_drive_as_it_was_found(monkeypatch: pytest.MonkeyPatch, faulty: bool) -> None:
+def test_configuring_and_checking_leave_every_drive_as_it_was_found(
+    monkeypatch: pytest.MonkeyPatch, faulty: bool
+) -> None:
     with pair(monkeypatch) as bench:
         if faulty:
             bench.joints.virtual.fail(2)
-        before = stored(bench), [drive.node.nmt.state for drive in bench.drives], [drive.state for drive in bench.logics]
+        before = (
+            stored(bench),
+            [drive.node.nmt.state for drive in bench.drives],
+            [drive.state for drive in bench.logics],
+        )
         bench.host.configure()
         bench.host.check_start()
         bench.host.stay()
         bench.host.deactivate()
         for _ in range(2 * TICKS):
             bench.joints.tick()
-        assert before == (stored(bench), [d.node.nmt.state for d in bench.drives], [d.state for d in bench.logics])
+        assert before == (
+            stored(bench),
+            [d.node.nmt.state for d in bench.drives],
+            [d.state for d in bench.logics],
+        )
         # Nothing but requests to read: 40h is SDO's initiate upload.
         assert {m.arbitration_id for m in bench.host_end.sent} == {0x603, 0x607}
         assert {m.data[0] for m in bench.host_end.sent} == {0x40}
@@ -92,9 +109,17 @@ def test_what_the_host_wrote_is_what_the_profile_says(monkeypatch: pytest.Monkey
             assert written[0x1017, 0] == "1400"
             assert written[0x605A, 0] == "0200"
             assert [written[0x1600, k] for k in range(3)] == ["02", "10004060", "10007160"]
-            assert [written[0x1A00, k] for k in range(4)] == ["03", "10004160", "10007760", "20006460"]
+            assert [written[0x1A00, k] for k in range(4)] == [
+                "03",
+                "10004160",
+                "10007760",
+                "20006460",
+            ]
             assert [written[0x1A01, k] for k in range(2)] == ["01", "20006c60"]
-            assert (written[0x1400, 1], written[0x1400, 2]) == ((0x4000_0200 + node).to_bytes(4, "little").hex(), "01")
+            assert (written[0x1400, 1], written[0x1400, 2]) == (
+                (0x4000_0200 + node).to_bytes(4, "little").hex(),
+                "01",
+            )
             assert (written[0x1800, 1], written[0x1801, 1]) == tuple(
                 (0x4000_0000 + base + node).to_bytes(4, "little").hex() for base in (0x180, 0x280)
             )
@@ -153,20 +178,28 @@ PDOMapping=0
 """
 
 
-def test_further_pdos_of_a_drives_own_eds_are_switched_off(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_further_pdos_of_a_drives_own_eds_are_switched_off(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     own = tmp_path / "own.eds"
-    own.write_text(objects.SHIPPED_EDS.read_text(encoding="utf-8") + FURTHER_PDO.format(access="rw"))
+    own.write_text(
+        objects.SHIPPED_EDS.read_text(encoding="utf-8") + FURTHER_PDO.format(access="rw")
+    )
     with pair(monkeypatch, drives={"eds": str(own)}, eds=str(own)) as bench:
         assert not bench.drives[0].node.get_data(0x1802, 1)[3] & 0x80
         bench.activated()
         assert bench.drives[0].node.get_data(0x1802, 1)[3] & 0x80
-    own.write_text(objects.SHIPPED_EDS.read_text(encoding="utf-8") + FURTHER_PDO.format(access="ro"))
+    own.write_text(
+        objects.SHIPPED_EDS.read_text(encoding="utf-8") + FURTHER_PDO.format(access="ro")
+    )
     with pair(monkeypatch, drives={"eds": str(own)}, eds=str(own)) as bench:
         sentence = "drive of joint 1 (node 3) does not switch off its further PDO (1802h): SDO abort, Code 0x06010002"
         refused(bench, sentence, bench.prepared)
 
 
-def test_a_torque_acts_from_the_sync_after_the_one_that_it_answers(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_torque_acts_from_the_sync_after_the_one_that_it_answers(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     with pair(monkeypatch) as bench:
         bench.activated()
         for _ in range(3):
@@ -183,7 +216,9 @@ def test_a_torque_acts_from_the_sync_after_the_one_that_it_answers(monkeypatch: 
         assert all(acted[first:])
 
 
-def test_without_tpdo2_the_speed_is_estimated_from_positions(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_tpdo2_the_speed_is_estimated_from_positions(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     with pair(monkeypatch, velocity="estimated") as bench:
         bench.activated()
         assert bench.drives[0].node.get_data(0x1801, 1)[3] & 0x80  # not valid
@@ -200,7 +235,9 @@ def test_without_tpdo2_the_speed_is_estimated_from_positions(monkeypatch: pytest
         assert 0x183 in sent
         assert 0x283 not in sent
         # A resolution of 2 pi / 409600 in 4 ms, and what the speed changed since.
-        np.testing.assert_allclose(bench.host.values["joint_velocity"], bench.joints.velocity, atol=0.03)
+        np.testing.assert_allclose(
+            bench.host.values["joint_velocity"], bench.joints.velocity, atol=0.03
+        )
         assert bench.host.bus_load < 0.25
 
 
@@ -249,10 +286,14 @@ def test_an_sdo_abort_is_said_with_drive_object_and_reason(monkeypatch: pytest.M
         refused(bench, sentence, bench.prepared)
 
 
-def test_an_arm_that_stands_elsewhere_is_refused_with_both_poses(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_arm_that_stands_elsewhere_is_refused_with_both_poses(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     with pair(monkeypatch, start_joint_position=(0.0, 0.5)) as bench:
         bench.host.configure()
-        with pytest.raises(DeviceError, match=r"joint 2 is at 0\.0000 rad, the scenario starts at 0\.5000 rad"):
+        with pytest.raises(
+            DeviceError, match=r"joint 2 is at 0\.0000 rad, the scenario starts at 0\.5000 rad"
+        ):
             bench.host.check_start()
 
 
@@ -279,19 +320,26 @@ def test_a_fault_that_stays_after_its_reset_is_told_with_its_code_and_nothing_is
     with pair(monkeypatch) as bench:
         bench.joints.virtual.fail(2, 0x4310)
         monkeypatch.setattr(bench.logics[1], "obey", lambda word: None)
-        refused(bench, "drive of joint 2 (node 7) stays in Fault (statusword 0x0218", bench.prepared)
+        refused(
+            bench, "drive of joint 2 (node 7) stays in Fault (statusword 0x0218", bench.prepared
+        )
         bench.host.deactivate()
         bench.joints.tick()
         assert not bench.controlwords(3)
         assert [drive.node.nmt.state for drive in bench.drives] == ["PRE-OPERATIONAL"] * 2
 
 
-def test_a_drive_that_does_not_become_enabled_is_named_with_its_state_and_error(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_drive_that_does_not_become_enabled_is_named_with_its_state_and_error(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     with pair(monkeypatch) as bench:
         bench.prepared()
         monkeypatch.setattr(bench.logics[1], "obey", lambda word: bench.logics[1].fail(0x4310))
         with pytest.raises(
-            DeviceError, match=re.escape("drive of joint 2 (node 7) does not come to Operation enabled: it is in Fault")
+            DeviceError,
+            match=re.escape(
+                "drive of joint 2 (node 7) does not come to Operation enabled: it is in Fault"
+            ),
         ) as caught:
             bench.host.activate(lambda: False)
         assert "its error code (603Fh) is 0x4310 (the drive is too hot)" in str(caught.value)
@@ -302,7 +350,9 @@ def test_a_drive_that_does_not_become_enabled_is_named_with_its_state_and_error(
         assert [drive.node.nmt.state for drive in bench.drives] == ["PRE-OPERATIONAL"] * 2
 
 
-def test_each_step_to_operation_enabled_answers_the_statusword_of_the_step_before(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_step_to_operation_enabled_answers_the_statusword_of_the_step_before(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     with pair(monkeypatch) as bench:
         bench.prepared()
         seen: list[tuple[int, int]] = []
@@ -310,9 +360,13 @@ def test_each_step_to_operation_enabled_answers_the_statusword_of_the_step_befor
         # The bus as it is heard: controlwords, and statuswords of TPDOs.
         for end, call, first in ((bench.host_end, send, 0x200), (bench.drive_end, take, 0x180)):
 
-            def heard(message: can.Message, call: Callable[..., None] = call, first: int = first) -> None:
+            def heard(
+                message: can.Message, call: Callable[..., None] = call, first: int = first
+            ) -> None:
                 if message.arbitration_id in (first + 3, first + 7):
-                    seen.append((message.arbitration_id, int.from_bytes(message.data[:2], "little") & 0x6F))
+                    seen.append(
+                        (message.arbitration_id, int.from_bytes(message.data[:2], "little") & 0x6F)
+                    )
                 call(message)
 
             monkeypatch.setattr(end, "send", heard)
@@ -337,7 +391,11 @@ def test_a_fault_of_before_is_reset_by_activation(monkeypatch: pytest.MonkeyPatc
         assert bench.logics[0].state is STATES.operation_enabled
         # Once, by SDO (2Bh: download of two bytes), and before the drives process PDOs.
         sent = bench.host_end.sent
-        words = [m.data[4] for m in sent if m.arbitration_id == 0x603 and m.data[:3] == bytes.fromhex("2b 40 60")]
+        words = [
+            m.data[4]
+            for m in sent
+            if m.arbitration_id == 0x603 and m.data[:3] == bytes.fromhex("2b 40 60")
+        ]
         assert words == [0x00, 0x80, 0x00]
         started = next(k for k, m in enumerate(sent) if m.arbitration_id == 0 and m.data[0] == 1)
         assert all(m.arbitration_id not in (0x203, 0x207) for m in sent[:started])
@@ -360,7 +418,9 @@ def test_no_cyclic_frame_resets_a_fault(monkeypatch: pytest.MonkeyPatch) -> None
         assert not [word for node in (3, 7) for word in bench.controlwords(node) if word & 0x80]
 
 
-def test_a_fault_is_reset_by_an_edge_even_if_the_bit_was_left_set(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_fault_is_reset_by_an_edge_even_if_the_bit_was_left_set(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     with pair(monkeypatch) as bench:
         bench.joints.virtual.fail(1)
         bench.logics[0].obey(0x80)  # resets it
@@ -377,7 +437,10 @@ def test_a_drive_that_faults_stops_the_loop_in_its_own_words_and_the_others_are_
         for _ in range(20):
             bench.cycle(8.0, -4.0)
         bench.joints.virtual.fail(2, 0x2310)
-        stopped(bench, "drive of joint 2 (node 7) left Operation enabled by itself: it is in Fault reaction active")
+        stopped(
+            bench,
+            "drive of joint 2 (node 7) left Operation enabled by itself: it is in Fault reaction active",
+        )
         ramped_down(bench)
         assert bench.host.at_rest
         assert bench.logics[0].state is STATES.switch_on_disabled
@@ -391,7 +454,8 @@ def test_an_emergency_stops_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
         bench.activated()
         bench.drives[0].node.emcy.send(0x3210, 1)
         stopped(
-            bench, "drive of joint 1 (node 3) sent an emergency: it is in Operation enabled (statusword 0x1237, EMCY 0x3210 ("
+            bench,
+            "drive of joint 1 (node 3) sent an emergency: it is in Operation enabled (statusword 0x1237, EMCY 0x3210 (",
         )
 
 
@@ -402,7 +466,9 @@ def test_a_drive_whose_heartbeat_is_missing_stops_the_loop(monkeypatch: pytest.M
         stopped(bench, "drive of joint 2 (node 7) has sent no heartbeat for")
 
 
-def test_lost_tpdos_are_counted_survived_and_too_many_of_them_stop(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lost_tpdos_are_counted_survived_and_too_many_of_them_stop(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     with pair(monkeypatch) as bench:
         bench.activated()
         for k in range(20):
@@ -411,7 +477,10 @@ def test_lost_tpdos_are_counted_survived_and_too_many_of_them_stop(monkeypatch: 
         assert bench.host.report()["cycles_lost"] == 8.0
         assert bench.host.report()["longest_loss_cycles"] == 2.0
         bench.drive_end.dropped = {0x187}
-        stopped(bench, "5 cycles in a row were lost, 5 are one too many (TPDOs of arm, cycles of 0.004 s); silent is node 7")
+        stopped(
+            bench,
+            "5 cycles in a row were lost, 5 are one too many (TPDOs of arm, cycles of 0.004 s); silent is node 7",
+        )
 
 
 def test_one_lost_speed_is_a_lost_cycle_too(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -422,7 +491,9 @@ def test_one_lost_speed_is_a_lost_cycle_too(monkeypatch: pytest.MonkeyPatch) -> 
         assert bench.host.report()["cycles_lost"] == 1.0
 
 
-def test_without_the_host_every_drive_stops_by_itself_and_the_session_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_host_every_drive_stops_by_itself_and_the_session_ends(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     with pair(monkeypatch) as bench:
         bench.activated()
         for _ in range(20):
@@ -432,8 +503,13 @@ def test_without_the_host_every_drive_stops_by_itself_and_the_session_ends(monke
         while not bench.joints.virtual.logic.braked:
             bench.joints.tick()
             ticks += 1
-            assert ticks < 4 * TICKS + 500 + 2  # the watchdog's four cycles, then twice the ramp-down time at most
-        assert {drive.error for drive in bench.logics} <= {objects.SYNC_LOST, objects.HEARTBEAT_LOST}
+            assert (
+                ticks < 4 * TICKS + 500 + 2
+            )  # the watchdog's four cycles, then twice the ramp-down time at most
+        assert {drive.error for drive in bench.logics} <= {
+            objects.SYNC_LOST,
+            objects.HEARTBEAT_LOST,
+        }
         assert {drive.state for drive in bench.logics} == {STATES.fault}
         for _ in range(1100):
             bench.joints.tick()
@@ -456,7 +532,9 @@ def test_a_host_whose_heartbeat_ends_is_left_by_the_drives(monkeypatch: pytest.M
         assert bench.logics[0].error == objects.HEARTBEAT_LOST
 
 
-def test_a_second_controller_is_refused_while_the_first_sends_sync_or_holds_a_drive(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_second_controller_is_refused_while_the_first_sends_sync_or_holds_a_drive(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     with pair(monkeypatch) as bench:
         bench.host_end.waiting.append(can.Message(arbitration_id=0x80, is_extended_id=False))
         refused(bench, "another controller sends SYNC")
@@ -465,7 +543,10 @@ def test_a_second_controller_is_refused_while_the_first_sends_sync_or_holds_a_dr
             for word in (0x06, 0x07, 0x0F):
                 logic.obey(word)
         with pytest.raises(
-            DeviceError, match=re.escape("(node 3) is in Operation enabled already: another controller drives it")
+            DeviceError,
+            match=re.escape(
+                "(node 3) is in Operation enabled already: another controller drives it"
+            ),
         ):
             bench.host.configure()
         bench.host.deactivate()
@@ -481,9 +562,13 @@ def test_a_strange_sync_stops_a_running_loop(monkeypatch: pytest.MonkeyPatch) ->
         stopped(bench, "another controller sends SYNC", cycles=1)
 
 
-def test_targets_of_another_controller_are_a_second_controller(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_targets_of_another_controller_are_a_second_controller(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def theirs() -> can.Message:
-        return can.Message(arbitration_id=0x207, is_extended_id=False, data=bytes.fromhex("0f00 0000"))
+        return can.Message(
+            arbitration_id=0x207, is_extended_id=False, data=bytes.fromhex("0f00 0000")
+        )
 
     with pair(monkeypatch) as bench:
         bench.host.configure()
@@ -519,7 +604,9 @@ def test_after_every_stop_no_controllers_frames_move_the_drives(
         for word in (0x00, 0x80, 0x00, 0x06, 0x07, 0x0F, 0x0F):
             for node in (3, 7):
                 data = word.to_bytes(2, "little") + bytes.fromhex("6400")
-                bench.drive_end.waiting.append(can.Message(arbitration_id=0x200 + node, is_extended_id=False, data=data))
+                bench.drive_end.waiting.append(
+                    can.Message(arbitration_id=0x200 + node, is_extended_id=False, data=data)
+                )
             bench.drive_end.waiting.append(can.Message(arbitration_id=0x80, is_extended_id=False))
             for _ in range(TICKS):
                 bench.joints.tick()
@@ -527,7 +614,9 @@ def test_after_every_stop_no_controllers_frames_move_the_drives(
                 assert all(drive.braked for drive in bench.logics)
 
 
-def test_a_loop_that_was_held_up_stops_for_good_and_enables_nothing_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_loop_that_was_held_up_stops_for_good_and_enables_nothing_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     with pair(monkeypatch, watchdog_cycles=25) as bench:  # 0.1 s of the real clock
         bench.activated()
         bench.cycles(20, 8.0, -4.0)
@@ -549,7 +638,9 @@ def test_a_loop_that_was_held_up_stops_for_good_and_enables_nothing_again(monkey
         assert {drive.state for drive in bench.logics} == {STATES.fault}
 
 
-def test_the_graded_stop_ends_with_brakes_and_silent_drives_are_not_called_at_rest(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_graded_stop_ends_with_brakes_and_silent_drives_are_not_called_at_rest(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     with pair(monkeypatch) as bench:
         bench.activated()
         for _ in range(20):
@@ -581,7 +672,9 @@ def test_limits_clip_and_stop_as_for_every_arm(monkeypatch: pytest.MonkeyPatch) 
             bench.host.write()
 
 
-def test_one_target_goes_out_for_each_sync_however_often_write_is_called(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_target_goes_out_for_each_sync_however_often_write_is_called(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     with pair(monkeypatch) as bench:
         bench.activated()
         before = bench.host.report()["cycles_with_targets_sent"]

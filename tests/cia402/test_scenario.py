@@ -57,7 +57,11 @@ def late(folder: Path, period: float) -> Result:
 
 
 def errors(result: Result) -> dict[str, float]:
-    return {name: numbers["max"] for name, numbers in result.summary.items() if name.endswith(("_error_m", "_error_deg"))}
+    return {
+        name: numbers["max"]
+        for name, numbers in result.summary.items()
+        if name.endswith(("_error_m", "_error_deg"))
+    }
 
 
 def test_four_milliseconds_and_a_sync_of_delay_leave_the_errors_as_they_are(tmp_path: Path) -> None:

@@ -22,7 +22,9 @@ from freeflyer_adapters.cia402.state_machine import (
 from freeflyer_adapters.device.ramp_down import RampDown
 from freeflyer_adapters.facility.drive_logic import STOPPING, DriveLogic
 
-words = st.one_of(st.integers(0, 0xFFFF), st.sampled_from([0x00, 0x02, 0x06, 0x07, 0x0F, 0x80, 0x8F]))
+words = st.one_of(
+    st.integers(0, 0xFFFF), st.sampled_from([0x00, 0x02, 0x06, 0x07, 0x0F, 0x80, 0x8F])
+)
 steps = st.lists(
     st.one_of(
         st.tuples(st.just("sync"), words, st.floats(-500, 500)),
@@ -63,7 +65,9 @@ def test_no_sequence_of_controlwords_yields_commanded_torque_outside_operation_e
         if drive.state in (DriveState.quick_stop_active, DriveState.fault_reaction_active):
             assert not drive.braked
             if kind == "sync" and before[0] in (*STOPPING, DriveState.operation_enabled):
-                assert drive.torque == before[1]  # a target does not reach a drive that stops by itself
+                assert (
+                    drive.torque == before[1]
+                )  # a target does not reach a drive that stops by itself
         elif drive.state is DriveState.operation_enabled:
             assert not drive.braked
             if kind == "sync":
@@ -74,7 +78,9 @@ def test_no_sequence_of_controlwords_yields_commanded_torque_outside_operation_e
 
 
 @given(st.floats(-2, 2), st.floats(-300, 300))
-def test_a_drive_without_syncs_brakes_by_itself_within_its_ramp(velocity: float, torque: float) -> None:
+def test_a_drive_without_syncs_brakes_by_itself_within_its_ramp(
+    velocity: float, torque: float
+) -> None:
     drive = logic()
     for word in (0x06, 0x07, 0x0F, 0x0F):
         drive.synchronise(word, torque)
@@ -108,9 +114,16 @@ def test_every_commanded_transition_is_one_of_canopens_table_and_none_is_missing
     theirs = set(State402.TRANSITIONTABLE)
     ours = {(a.value.upper(), b.value.upper()) for (a, _), (_, b) in TRANSITIONS.items()}
     assert ours <= theirs
-    automatic = {(a, b) for a, b in theirs if State402.TRANSITIONTABLE[a, b] == 0 and b in ("NOT READY TO SWITCH ON", "FAULT")}
+    automatic = {
+        (a, b)
+        for a, b in theirs
+        if State402.TRANSITIONTABLE[a, b] == 0 and b in ("NOT READY TO SWITCH ON", "FAULT")
+    }
     automatic.add(("NOT READY TO SWITCH ON", "SWITCH ON DISABLED"))
-    optional_or_reset = {("QUICK STOP ACTIVE", "OPERATION ENABLED"), ("FAULT", "SWITCH ON DISABLED")}
+    optional_or_reset = {
+        ("QUICK STOP ACTIVE", "OPERATION ENABLED"),
+        ("FAULT", "SWITCH ON DISABLED"),
+    }
     assert theirs - ours == automatic | optional_or_reset
     for (a, b), word in State402.TRANSITIONTABLE.items():
         if (a, b) in ours:

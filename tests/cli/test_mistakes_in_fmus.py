@@ -6,7 +6,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from commands import said
+from commands import run_command
 from robots import DATA, ur5_path
 
 from freeflyer_fmus.robot.urdf import ROBOTS as SHIPPED_ROBOTS
@@ -38,7 +38,10 @@ GANTRY = ("--end-effector", "hand", "--lock", "swivel=0.4")
             [('ixx="8" iyy="9" izz="7"', 'ixx="-8" iyy="9" izz="7"')],
             "link 'bus': inertia is not positive definite; its principal moments are (",
         ),
-        ([('<mass value="60"/>', '<mass value="heavy"/>')], "link 'bus' has value='heavy'; a number is expected"),
+        (
+            [('<mass value="60"/>', '<mass value="heavy"/>')],
+            "link 'bus' has value='heavy'; a number is expected",
+        ),
         (
             [('<parent link="boom"/>', '<parent link="bom"/>')],
             "joint 'turn_1' has parent link 'bom', which does not exist; did you mean 'boom'",
@@ -47,17 +50,25 @@ GANTRY = ("--end-effector", "hand", "--lock", "swivel=0.4")
             [('name="antenna_mount" type="fixed"', 'name="antenna_mount" type="revolute"')],
             "not a serial chain: joint 'antenna_mount' moves a branch",
         ),
-        ([('name="turn_2" type="revolute"', 'name="turn_2" type="planar"')], "joint 'turn_2' is of type 'planar'"),
+        (
+            [('name="turn_2" type="revolute"', 'name="turn_2" type="planar"')],
+            "joint 'turn_2' is of type 'planar'",
+        ),
         ([('xyz="0 -1 0.3"', 'xyz="0 0 0"')], "joint 'turn_2' has an axis of zero length"),
         ([('xyz="0 -1 0.3"', 'xyz="0 -1"')], "three finite numbers are expected"),
-        ([('<child link="hand"/>', '<child link="palm"/>')], "not a tree: link 'palm' hangs on both joints"),
+        (
+            [('<child link="hand"/>', '<child link="palm"/>')],
+            "not a tree: link 'palm' hangs on both joints",
+        ),
         ([('<link name="hand"/>', '<link name="bus"/>')], "link 'bus' is defined twice"),
     ],
 )
 def test_urdfs_that_cannot_be_used(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, changes: list[tuple[str, str]], message: str
 ) -> None:
-    code, error = said(capsys, "fmus", "--robot", urdf(tmp_path, *changes), *GANTRY, "--out", str(tmp_path / "out"))
+    code, error = run_command(
+        capsys, "fmus", "--robot", urdf(tmp_path, *changes), *GANTRY, "--out", str(tmp_path / "out")
+    )
     assert message in error
     assert code == 2
     assert not (tmp_path / "out").exists()
@@ -67,24 +78,58 @@ def test_urdfs_that_cannot_be_used(
     ("options", "message"),
     [
         (("--end-effector", "hnad"), "end-effector 'hnad' does not exist; did you mean 'hand'"),
-        (("--end-effector", "hand", "--base-link", "bsu"), "base link 'bsu' does not exist; did you mean 'bus'"),
-        (("--end-effector", "hand", "--lock", "swivl=0"), "locked joint 'swivl' does not exist; did you mean 'swivel'"),
+        (
+            ("--end-effector", "hand", "--base-link", "bsu"),
+            "base link 'bsu' does not exist; did you mean 'bus'",
+        ),
+        (
+            ("--end-effector", "hand", "--lock", "swivl=0"),
+            "locked joint 'swivl' does not exist; did you mean 'swivel'",
+        ),
         (("--end-effector", "hand", "--lock", "swivel"), "JOINT=VALUE with a number is expected"),
-        ((*GANTRY, "--lock", "turn_4=0"), "needs at least six free joints so that the hand can move every way, got 5"),
+        (
+            (*GANTRY, "--lock", "turn_4=0"),
+            "needs at least six free joints so that the hand can move every way, got 5",
+        ),
         ((*GANTRY, "--posture", "1", "2"), "posture has 2 values; one for each of the free joints"),
         (
-            (*GANTRY, "--posture", "slide_x=9", "slide_y=0", "turn_1=0", "turn_2=0", "turn_3=0", "turn_4=0"),
+            (
+                *GANTRY,
+                "--posture",
+                "slide_x=9",
+                "slide_y=0",
+                "turn_1=0",
+                "turn_2=0",
+                "turn_3=0",
+                "turn_4=0",
+            ),
             "outside its limits [-0.5, 0.5]",
         ),
         ((*GANTRY, "--posture", "slide_x=0"), "posture lacks the joints slide_y"),
-        ((*GANTRY, "--tool-link", "antenna"), "tool link 'antenna' must have an <inertial> and stand between"),
+        (
+            (*GANTRY, "--tool-link", "antenna"),
+            "tool link 'antenna' must have an <inertial> and stand between",
+        ),
         ((*GANTRY, "--platforms", "amiga"), "'amiga' is none of"),
         (("--end-effector", "antenna"), "not a serial chain: joint 'slide_x' moves a branch"),
-        (("--base-link", "palm", "--end-effector", "hand"), "have mass but do not hang below the base link 'palm'"),
+        (
+            ("--base-link", "palm", "--end-effector", "hand"),
+            "have mass but do not hang below the base link 'palm'",
+        ),
     ],
 )
-def test_options_of_fmus(capsys: pytest.CaptureFixture[str], tmp_path: Path, options: tuple[str, ...], message: str) -> None:
-    code, error = said(capsys, "fmus", "--robot", str(DATA / "gantry.urdf"), *options, "--out", str(tmp_path / "out"))
+def test_options_of_fmus(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, options: tuple[str, ...], message: str
+) -> None:
+    code, error = run_command(
+        capsys,
+        "fmus",
+        "--robot",
+        str(DATA / "gantry.urdf"),
+        *options,
+        "--out",
+        str(tmp_path / "out"),
+    )
     assert message in error
     assert code == 2
 
@@ -103,7 +148,7 @@ def test_a_singular_start_posture_is_refused_before_anything_is_built(
         "--out",
         str(tmp_path / "out"),
     )
-    code, error = said(capsys, *arguments)
+    code, error = run_command(capsys, *arguments)
     assert code == 2
     assert "at the start posture the smallest singular value of J_m is" in error
     assert "give another start posture with --posture" in error
@@ -113,14 +158,20 @@ def test_a_singular_start_posture_is_refused_before_anything_is_built(
 def test_robot_files_and_missing_urdfs(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     robot = tmp_path / "robot.toml"
     robot.write_text('urdf = "x.urdf"\nend_efector = "hand"\n')
-    assert "unknown key 'end_efector'; did you mean 'end_effector'" in said(capsys, "fmus", "--robot", str(robot))[1]
-    assert "cannot be read: No such file" in said(capsys, "fmus", "--robot", str(tmp_path / "none.urdf"))[1]
-    assert "belong to a URDF" in said(capsys, "fmus", "--end-effector", "hand")[1]
+    assert (
+        "unknown key 'end_efector'; did you mean 'end_effector'"
+        in run_command(capsys, "fmus", "--robot", str(robot))[1]
+    )
+    assert (
+        "cannot be read: No such file"
+        in run_command(capsys, "fmus", "--robot", str(tmp_path / "none.urdf"))[1]
+    )
+    assert "belong to a URDF" in run_command(capsys, "fmus", "--end-effector", "hand")[1]
     shutil.copy(SHIPPED_ROBOTS / "lwr4_free_flyer.urdf", tmp_path)
     robot.write_text('urdf = "lwr4_free_flyer.urdf"\nposture = [0, 0.1, -1.6, 0, -1.4, 0]\n')
     assert (
         "posture has 6 values; one for each of the free joints joint_a1, joint_a2, joint_e1"
-        in said(capsys, "fmus", "--robot", str(robot))[1]
+        in run_command(capsys, "fmus", "--robot", str(robot))[1]
     )
 
 
@@ -166,9 +217,11 @@ def test_robot_files_and_missing_urdfs(capsys: pytest.CaptureFixture[str], tmp_p
         ),
     ],
 )
-def test_blocks_that_cannot_be_built(capsys: pytest.CaptureFixture[str], tmp_path: Path, text: str, message: str) -> None:
+def test_blocks_that_cannot_be_built(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, text: str, message: str
+) -> None:
     path = tmp_path / "mine.py"
     path.write_text(text)
-    code, error = said(capsys, "fmus", "--block", str(path), "--out", str(tmp_path / "out"))
+    code, error = run_command(capsys, "fmus", "--block", str(path), "--out", str(tmp_path / "out"))
     assert message in error
     assert code == 2

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pandas
 import pytest
-from commands import said
+from commands import run_command
 
 from freeflyer.cli import main as command
 
@@ -28,9 +28,15 @@ def scenario_file(directory: Path, text: str, base: str | None = "multirate_pass
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("base_controler.period=0.1", "no component 'base_controler'; did you mean 'base_controller'"),
+        (
+            "base_controler.period=0.1",
+            "no component 'base_controler'; did you mean 'base_controller'",
+        ),
         ("base_controller.perod=0.1", "no parameter 'perod'; did you mean 'period'"),
-        ("base_controller.period=fast", "base_controller.period is 'fast'; a number in s is expected"),
+        (
+            "base_controller.period=fast",
+            "base_controller.period is 'fast'; a number in s is expected",
+        ),
         ("base_controller.period=0.1 parsec", "unit 'parsec' cannot be converted to 's'"),
         ("base_controller.period=0.1 foo_", "unit 'foo_' is not known"),
         ("base_controller.period=nan", "finite numbers are expected"),
@@ -40,9 +46,15 @@ def scenario_file(directory: Path, text: str, base: str | None = "multirate_pass
             "base_controller.period=0.0025",
             "step of 0.0025 s is no multiple of the smallest step, 0.001 s; 0.002 s or 0.003 s would fit",
         ),
-        ("base_controller.stiffness=[1,2,3]", "base_controller.stiffness has 3 values; 6 are expected"),
+        (
+            "base_controller.stiffness=[1,2,3]",
+            "base_controller.stiffness has 3 values; 6 are expected",
+        ),
         ("base_controller.stiffness=true", "6 numbers"),
-        ("manipulator_controller.observer=prot", "one of paper, port, tracking is expected; did you mean 'port'"),
+        (
+            "manipulator_controller.observer=prot",
+            "one of paper, port, tracking is expected; did you mean 'port'",
+        ),
         ("manipulator_controller.observer=7", "one of paper, port, tracking is expected"),
         ("manipulator_controller.base_passivity_control=1", "true or false is expected"),
         ("base_controller.base_wrench=1", "cannot be set: it is a computed output"),
@@ -52,16 +64,28 @@ def scenario_file(directory: Path, text: str, base: str | None = "multirate_pass
         ("base_controller.period='=base_controller.period'", "refers back to itself"),
     ],
 )
-def test_overrides(capsys: pytest.CaptureFixture[str], tmp_path: Path, override: str, message: str) -> None:
-    code, error = said(capsys, "run", "multirate_passive", "--set", override, "--out", str(tmp_path / "out"))
+def test_overrides(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, override: str, message: str
+) -> None:
+    code, error = run_command(
+        capsys, "run", "multirate_passive", "--set", override, "--out", str(tmp_path / "out")
+    )
     assert message in error
     assert code == 2
     assert not list((tmp_path / "out").glob("*.json"))
 
 
-def test_a_singular_posture_is_refused_at_the_start(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    code, error = said(
-        capsys, "run", "multirate_passive", "--set", "free_flyer.joint_position=[0,0,0,0,0,0]", "--out", str(tmp_path)
+def test_a_singular_posture_is_refused_at_the_start(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    code, error = run_command(
+        capsys,
+        "run",
+        "multirate_passive",
+        "--set",
+        "free_flyer.joint_position=[0,0,0,0,0,0]",
+        "--out",
+        str(tmp_path),
     )
     assert code == 2
     assert "manipulator_controller" in error
@@ -69,9 +93,13 @@ def test_a_singular_posture_is_refused_at_the_start(capsys: pytest.CaptureFixtur
     assert "at least 0.02 is expected" in error
 
 
-def test_a_singular_jacobian_in_mid_run_stops_the_run_and_keeps_it(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_singular_jacobian_in_mid_run_stops_the_run_and_keeps_it(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     override = "reference_trajectory.translation_amplitude=[0.9, 0, 0]"
-    code, error = said(capsys, "run", "multirate_passive", "--set", override, "--out", str(tmp_path))
+    code, error = run_command(
+        capsys, "run", "multirate_passive", "--set", override, "--out", str(tmp_path)
+    )
     assert code == 3
     assert "the run diverged at" in error
     summary = json.loads((tmp_path / "summary.json").read_text())
@@ -84,7 +112,10 @@ def test_a_singular_jacobian_in_mid_run_stops_the_run_and_keeps_it(capsys: pytes
     ("text", "message"),
     [
         ("stop = 3\n", "unknown key 'stop' in the scenario; did you mean 'stop_s'"),
-        ("[componets.x]\nstep_s=1\n", "unknown key 'componets' in the scenario; did you mean 'components'"),
+        (
+            "[componets.x]\nstep_s=1\n",
+            "unknown key 'componets' in the scenario; did you mean 'components'",
+        ),
         ("stop_s = 'long'\n", "stop_s is 'long'; a number of seconds is expected"),
         ("stop_s = 0.3333333333\n", "a positive whole number of nanoseconds"),
         ("expect = 'glory'\n", "expect is 'glory'"),
@@ -93,25 +124,50 @@ def test_a_singular_jacobian_in_mid_run_stops_the_run_and_keeps_it(capsys: pytes
             "[components.extra]\nfmu='free_flier'\nstep_s=0.001\n",
             "no FMU 'free_flier' is shipped for FMI 2; did you mean 'free_flyer'",
         ),
-        ("[components.extra]\nfmu='free_flyer'\nfmi=1\nstep_s=0.001\n", "fmi is 1; 2 or 3 is expected"),
-        ("[components.extra]\nkind='fnu'\nstep_s=0.001\n", "there is no kind 'fnu'; did you mean 'fmu'"),
+        (
+            "[components.extra]\nfmu='free_flyer'\nfmi=1\nstep_s=0.001\n",
+            "fmi is 1; 2 or 3 is expected",
+        ),
+        (
+            "[components.extra]\nkind='fnu'\nstep_s=0.001\n",
+            "there is no kind 'fnu'; did you mean 'fmu'",
+        ),
         (
             "[components.extra]\nfmu='free_flyer'\nstep_s=0.001\nparametres={a=1}\n",
             "unknown key 'parametres'; did you mean 'parameters'",
         ),
         ("[components.extra]\nfmu='there/is/none.fmu'\nstep_s=0.001\n", "does not exist"),
-        ("[components.extra]\nkind='python'\nobject='none.py:x'\nstep_s=0.001\n", "none.py does not exist"),
-        ("[components.extra]\nkind='twin'\nblock='free_flier'\nstep_s=0.001\n", "there is no block 'free_flier'"),
-        ("delayed = ['base_controller.base_wrench => x.y']\n", "'COMPONENT.OUTPUT -> COMPONENT.INPUT, ...' is expected"),
-        ("[robot]\nbase_mas = 100\n", "[robot]: no component has a parameter 'base_mas'; did you mean 'base_mass'"),
+        (
+            "[components.extra]\nkind='python'\nobject='none.py:x'\nstep_s=0.001\n",
+            "none.py does not exist",
+        ),
+        (
+            "[components.extra]\nkind='twin'\nblock='free_flier'\nstep_s=0.001\n",
+            "there is no block 'free_flier'",
+        ),
+        (
+            "delayed = ['base_controller.base_wrench => x.y']\n",
+            "'COMPONENT.OUTPUT -> COMPONENT.INPUT, ...' is expected",
+        ),
+        (
+            "[robot]\nbase_mas = 100\n",
+            "[robot]: no component has a parameter 'base_mas'; did you mean 'base_mass'",
+        ),
         ("[errors]\nhand = ['a', 'b']\n", "errors.hand"),
         ("[record]\nevery_s = 0.0015\n", "the recording interval of 0.0015 s is no multiple"),
         ("stop_s = \n", "is not valid TOML"),
-        ("[[limits]]\nsignal = 'free_flyer.base_speed'\nmaximum = 1.0\n", "no variable 'base_speed'; did you mean"),
+        (
+            "[[limits]]\nsignal = 'free_flyer.base_speed'\nmaximum = 1.0\n",
+            "no variable 'base_speed'; did you mean",
+        ),
     ],
 )
-def test_scenario_files(capsys: pytest.CaptureFixture[str], tmp_path: Path, text: str, message: str) -> None:
-    code, error = said(capsys, "run", scenario_file(tmp_path, text), "--out", str(tmp_path / "out"))
+def test_scenario_files(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, text: str, message: str
+) -> None:
+    code, error = run_command(
+        capsys, "run", scenario_file(tmp_path, text), "--out", str(tmp_path / "out")
+    )
     assert message in error
     assert code == 2
 
@@ -131,8 +187,14 @@ def test_scenario_files(capsys: pytest.CaptureFixture[str], tmp_path: Path, text
             "[[limits]]\nsignal='free_flyer.base_velocity'\nmaximum=1.0\nelements=[7,9]\n",
             "elements 7 to 9 are watched, but it has 6",
         ),
-        ("[[limits]]\nsignal='free_flyer.base_velocity'\nmaximum=1.0\nminimum=0.0\n", "either a 'maximum' or a 'minimum'"),
-        ("[[limits]]\nsignal='free_flyer.base_velocity'\nminimum=nan\n", "nan; a number is expected"),
+        (
+            "[[limits]]\nsignal='free_flyer.base_velocity'\nmaximum=1.0\nminimum=0.0\n",
+            "either a 'maximum' or a 'minimum'",
+        ),
+        (
+            "[[limits]]\nsignal='free_flyer.base_velocity'\nminimum=nan\n",
+            "nan; a number is expected",
+        ),
         (
             "[errors]\nbase_position=['free_flyer.base_positon','base_controller.position_setpoint']\n",
             "no variable 'base_positon'; did you mean",
@@ -146,21 +208,43 @@ def test_scenario_files(capsys: pytest.CaptureFixture[str], tmp_path: Path, text
             "no variable 'base_observed_enrgy'; did you mean",
         ),
         ("stop_s = 1e9\n", "needs "),
-        ("[components.free_flyer]\nkind='twin'\nblok='free_flyer'\n", "unknown key 'blok'; did you mean 'block'"),
-        ("[components.free_flyer.parameters]\nbase_mass='=base_controller.period'\n", "units differ: kg and s"),
+        (
+            "[components.free_flyer]\nkind='twin'\nblok='free_flyer'\n",
+            "unknown key 'blok'; did you mean 'block'",
+        ),
+        (
+            "[components.free_flyer.parameters]\nbase_mass='=base_controller.period'\n",
+            "units differ: kg and s",
+        ),
         (
             "[components.base_controller.parameters]\nbase_position=[1,0,0]\n",
             "it is driven by the connection from free_flyer.base_position",
         ),
-        ("[components.'x.y']\nstep_s=0.001\n", "a name of letters, digits and underscores is expected"),
-        ("[components.base_controller]\nstep_s=0.5\n", "passes over a sample of this block, whose period is 0.3 s"),
+        (
+            "[components.'x.y']\nstep_s=0.001\n",
+            "a name of letters, digits and underscores is expected",
+        ),
+        (
+            "[components.base_controller]\nstep_s=0.5\n",
+            "passes over a sample of this block, whose period is 0.3 s",
+        ),
         ("[components.free_flyer]\nsamples='yes'\n", "samples is 'yes'; true or false is expected"),
-        ("[components.extra]\nkind='python'\nobject='builtins:exit'\nstep_s=0.001\n", "cannot be used: SystemExit"),
-        ("[components.extra]\nkind='python'\nobject='builtins:str'\nstep_s=0.001\n", "gave a str; a component is expected"),
+        (
+            "[components.extra]\nkind='python'\nobject='builtins:exit'\nstep_s=0.001\n",
+            "cannot be used: SystemExit",
+        ),
+        (
+            "[components.extra]\nkind='python'\nobject='builtins:str'\nstep_s=0.001\n",
+            "gave a str; a component is expected",
+        ),
     ],
 )
-def test_scenario_files_that_look_right(capsys: pytest.CaptureFixture[str], tmp_path: Path, text: str, message: str) -> None:
-    code, error = said(capsys, "run", scenario_file(tmp_path, text), "--out", str(tmp_path / "out"))
+def test_scenario_files_that_look_right(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, text: str, message: str
+) -> None:
+    code, error = run_command(
+        capsys, "run", scenario_file(tmp_path, text), "--out", str(tmp_path / "out")
+    )
     assert message in error
     assert code == 2
 
@@ -178,7 +262,13 @@ def test_a_failure_that_is_no_divergence_is_none_even_where_divergence_is_expect
         "            raise RuntimeError('boom')\n"
     )
     text = "[components.lame]\nkind='python'\nobject='lame.py:Lame'\nstep_s=0.1\n"
-    code, error = said(capsys, "run", scenario_file(tmp_path, text, "multirate_unstable"), "--out", str(tmp_path / "out"))
+    code, error = run_command(
+        capsys,
+        "run",
+        scenario_file(tmp_path, text, "multirate_unstable"),
+        "--out",
+        str(tmp_path / "out"),
+    )
     assert code == 3
     assert "the run stopped at 1.1 s: lame: RuntimeError: boom (" in error
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
@@ -192,7 +282,10 @@ def test_one_connection_can_be_replaced(tmp_path: Path) -> None:
         tmp_path,
         'connections = ["free_flyer.base_position -> base_controller.base_position"]\ndelayed = ["manipulator_controller.base_damping -> base_controller.base_damping"]\n',
     )
-    before, after = scenarios.load("multirate_passive").connections, scenarios.load(mine).connections
+    before, after = (
+        scenarios.load("multirate_passive").connections,
+        scenarios.load(mine).connections,
+    )
     assert len(before) == len(after)
     assert [c.delayed for c in after if c.target == "base_controller.base_damping"] == [True]
 
@@ -206,7 +299,17 @@ def test_a_reader_that_goes_away_does_not_stop_the_work(tmp_path: Path) -> None:
 
 
 def test_the_table_shows_its_units(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    assert command.call(["run", scenario_file(tmp_path, "stop_s = 1.2\ntitle = '[/bold] odd'\n"), "--out", str(tmp_path)]) == 0
+    assert (
+        command.call(
+            [
+                "run",
+                scenario_file(tmp_path, "stop_s = 1.2\ntitle = '[/bold] odd'\n"),
+                "--out",
+                str(tmp_path),
+            ]
+        )
+        == 0
+    )
     shown = capsys.readouterr().out
     assert "end effector position error [m]" in shown
     assert "[deg]" in shown
@@ -216,17 +319,19 @@ def test_the_table_shows_its_units(capsys: pytest.CaptureFixture[str], tmp_path:
 def test_scenarios_that_are_not_there(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert (
         "there is no scenario 'multirate_pasive': neither a shipped one nor a .toml file; did you mean 'multirate_passive'"
-        in said(capsys, "run", "multirate_pasive")[1]
+        in run_command(capsys, "run", "multirate_pasive")[1]
     )
-    assert "does not exist" in said(capsys, "run", "nowhere.toml")[1]
+    assert "does not exist" in run_command(capsys, "run", "nowhere.toml")[1]
     loop = tmp_path / "loop.toml"
     loop.write_text('extends = "loop.toml"\n')
-    code, error = said(capsys, "run", str(loop))
+    code, error = run_command(capsys, "run", str(loop))
     assert (code, "extends itself" in error) == (2, True)
 
 
-def test_a_scenario_that_is_a_real_algebraic_loop_is_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    code, error = said(
+def test_a_scenario_that_is_a_real_algebraic_loop_is_refused(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    code, error = run_command(
         capsys,
         "run",
         scenario_file(
@@ -244,7 +349,10 @@ def test_a_scenario_that_is_a_real_algebraic_loop_is_refused(capsys: pytest.Capt
 def fmu_with(tmp_path: Path, fmus: Path, change: object) -> Path:
     """A copy of the reference FMU whose entries `change` may rewrite, rename or drop."""
     path = tmp_path / "changed.fmu"
-    with zipfile.ZipFile(fmus / "fmi2" / "reference_trajectory.fmu") as old, zipfile.ZipFile(path, "w") as new:
+    with (
+        zipfile.ZipFile(fmus / "fmi2" / "reference_trajectory.fmu") as old,
+        zipfile.ZipFile(path, "w") as new,
+    ):
         for name in old.namelist():
             entry = change(name, old.read(name))  # type: ignore[operator]
             if entry is not None:
@@ -255,17 +363,35 @@ def fmu_with(tmp_path: Path, fmus: Path, change: object) -> Path:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda n, d: None if n.endswith(".xml") else (n, d), "is not an FMU: it contains no modelDescription.xml"),
-        (lambda n, d: None if n.startswith("binaries") else (n, d), "has no binary for this platform"),
-        (lambda n, d: (n.replace("linux64", "win64"), d), "has no binary for this platform (linux64); it has win64"),
+        (
+            lambda n, d: None if n.endswith(".xml") else (n, d),
+            "is not an FMU: it contains no modelDescription.xml",
+        ),
+        (
+            lambda n, d: None if n.startswith("binaries") else (n, d),
+            "has no binary for this platform",
+        ),
+        (
+            lambda n, d: (n.replace("linux64", "win64"), d),
+            "has no binary for this platform (linux64); it has win64",
+        ),
         (
             lambda n, d: (n, d.replace(b'fmiVersion="2.0"', b'fmiVersion="1.0"')),
             "is of FMI version 1.0; FMI 2.0 and FMI 3.0 are supported",
         ),
-        (lambda n, d: (n, d.replace(b"<CoSimulation", b"<CoSimulacrum")), "has an invalid modelDescription.xml"),
+        (
+            lambda n, d: (n, d.replace(b"<CoSimulation", b"<CoSimulacrum")),
+            "has an invalid modelDescription.xml",
+        ),
         (lambda n, d: (n, d.replace(b'guid="{', b'guid="{0')), "cannot be instantiated"),
-        (lambda n, d: ("../evil.so" if n.startswith("binaries") else n, d), "points outside the archive"),
-        (lambda n, d: (n, b"not a library" if n.startswith("binaries") else d), "cannot be instantiated"),
+        (
+            lambda n, d: ("../evil.so" if n.startswith("binaries") else n, d),
+            "points outside the archive",
+        ),
+        (
+            lambda n, d: (n, b"not a library" if n.startswith("binaries") else d),
+            "cannot be instantiated",
+        ),
     ],
 )
 def test_fmus_that_cannot_be_used(
@@ -274,7 +400,7 @@ def test_fmus_that_cannot_be_used(
     if sys.platform != "linux":
         pytest.skip("the altered archives are those of Linux")
     path = fmu_with(tmp_path, fmus, change)
-    code, error = said(
+    code, error = run_command(
         capsys,
         "run",
         scenario_file(tmp_path, f"[components.extra]\nfmu='{path.name}'\nstep_s=0.001\n"),
@@ -285,23 +411,34 @@ def test_fmus_that_cannot_be_used(
     assert code == 2
 
 
-def test_a_file_that_is_no_archive_is_no_fmu(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_file_that_is_no_archive_is_no_fmu(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     (tmp_path / "x.fmu").write_text("hello")
-    code, error = said(capsys, "run", scenario_file(tmp_path, "[components.extra]\nfmu='x.fmu'\nstep_s=0.001\n"))
+    code, error = run_command(
+        capsys, "run", scenario_file(tmp_path, "[components.extra]\nfmu='x.fmu'\nstep_s=0.001\n")
+    )
     assert (code, "it is no zip archive" in error) == (2, True)
 
 
-def test_an_output_directory_that_cannot_be_made(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_an_output_directory_that_cannot_be_made(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     (tmp_path / "file").write_text("")
-    code, error = said(capsys, "run", "multirate_passive", "--out", str(tmp_path / "file" / "below"))
+    code, error = run_command(
+        capsys, "run", "multirate_passive", "--out", str(tmp_path / "file" / "below")
+    )
     assert code == 2
     assert "cannot be written" in error
 
 
 @pytest.mark.parametrize(
-    ("limit", "code", "message"), [(700_000, 3, "record.parquet cannot be written"), (20_000, 2, "cannot be unpacked into")]
+    ("limit", "code", "message"),
+    [(700_000, 3, "record.parquet cannot be written"), (20_000, 2, "cannot be unpacked into")],
 )
-def test_a_full_disk_leaves_nothing_half_written(tmp_path: Path, limit: int, code: int, message: str) -> None:
+def test_a_full_disk_leaves_nothing_half_written(
+    tmp_path: Path, limit: int, code: int, message: str
+) -> None:
     """A limit on file size stands for the full disk: the write fails in the middle, of the record or of an FMU's library."""
     scenario = scenario_file(tmp_path, "stop_s = 20.0\n")
 
@@ -364,18 +501,26 @@ def test_a_run_that_diverges_where_it_must_not_ends_with_3_and_is_saved(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     text = "[components.manipulator_controller.parameters]\nmanipulator_initial_energy = 0\n"
-    code, error = said(capsys, "run", scenario_file(tmp_path, text), "--out", str(tmp_path / "out"))
+    code, error = run_command(
+        capsys, "run", scenario_file(tmp_path, text), "--out", str(tmp_path / "out")
+    )
     assert code == 3
     assert "the run diverged at" in error
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["diverged_at_s"] < 3.0
 
 
-def test_a_scenario_that_expects_to_diverge_and_does_ends_with_0(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    code, error = said(capsys, "run", "overdamped_base", "--out", str(tmp_path))
+def test_a_scenario_that_expects_to_diverge_and_does_ends_with_0(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    code, error = run_command(capsys, "run", "overdamped_base", "--out", str(tmp_path))
     assert (code, error) == (0, "")
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert summary["diverged"]
-    assert all(value == value for key in ("max", "last_10_s") for value in [summary["base_position_error_m"][key]])
+    assert all(
+        value == value
+        for key in ("max", "last_10_s")
+        for value in [summary["base_position_error_m"][key]]
+    )
 
 
 def test_arguments_that_argparse_refuses(capsys: pytest.CaptureFixture[str]) -> None:

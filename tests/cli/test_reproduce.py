@@ -54,9 +54,16 @@ def test_reproduce_that_is_interrupted_keeps_the_cases_that_are_done(
     shown = " ".join(capsys.readouterr().out.split())
     assert "Interrupted; the cases continuous, multirate_unstable are saved in" in shown
     cases = json.loads((tmp_path / "summary.json").read_text())["cases"]
-    assert {name: case["interrupted"] for name, case in cases.items()} == {"continuous": False, "multirate_unstable": True}
+    assert {name: case["interrupted"] for name, case in cases.items()} == {
+        "continuous": False,
+        "multirate_unstable": True,
+    }
     assert all(case.keys() >= KEYS for case in cases.values())
-    assert {path.name for path in tmp_path.iterdir()} == {"continuous", "multirate_unstable", "summary.json"}
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "continuous",
+        "multirate_unstable",
+        "summary.json",
+    }
     assert (tmp_path / "continuous" / "record.parquet").is_file()
 
 
@@ -81,7 +88,9 @@ def test_reproduce_of_the_first_21_seconds_writes_figures_page_and_table(
 
 
 @pytest.mark.slow
-def test_reproduce_writes_figures_page_table_and_summary(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_reproduce_writes_figures_page_table_and_summary(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert command.call(["reproduce", "--fmi", "3", "--out", str(tmp_path)]) == 0
     shown = capsys.readouterr()
     assert shown.err == ""

@@ -27,7 +27,9 @@ class Hello:
 def python(code: str, *path: Path) -> str:
     """What the code prints, in an interpreter of its own."""
     lines = [f"import sys; sys.path[:0] = {[str(folder) for folder in path]!r}", code]
-    done = subprocess.run([sys.executable, "-P", "-c", "\n".join(lines)], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", "\n".join(lines)], capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -78,7 +80,9 @@ def test_a_command_of_another_package_is_listed_and_run(tmp_path: Path) -> None:
     assert "greet the world: 100 % friendly" in python(called("hello", "--help"), place)
 
 
-def test_a_command_of_another_package_is_loaded_only_if_it_is_called_or_listed(tmp_path: Path) -> None:
+def test_a_command_of_another_package_is_loaded_only_if_it_is_called_or_listed(
+    tmp_path: Path,
+) -> None:
     place = installed(tmp_path, hello="other:Hello")
     assert "other" not in python(f"{called('run', '--help')}\nprint(*sys.modules)", place).split()
 
@@ -105,8 +109,17 @@ class Bad:
 """
 
 
-def test_odd_commands_of_other_packages_are_listed_and_their_errors_are_sentences(tmp_path: Path) -> None:
-    place = installed(tmp_path, late="odd:Late", made="odd:factory", silent="odd:Silent", bad="odd:Bad", module="odd")
+def test_odd_commands_of_other_packages_are_listed_and_their_errors_are_sentences(
+    tmp_path: Path,
+) -> None:
+    place = installed(
+        tmp_path,
+        late="odd:Late",
+        made="odd:factory",
+        silent="odd:Silent",
+        bad="odd:Bad",
+        module="odd",
+    )
     (place / "odd.py").write_text(ODD)
     shown = " ".join(python(called("--help"), place).split())
     assert shown.count("its help is made late") == 2
@@ -118,7 +131,9 @@ def test_odd_commands_of_other_packages_are_listed_and_their_errors_are_sentence
 
 
 @pytest.mark.parametrize("word", ["--version", "no-such-command", "--no-such-option", "--"])
-def test_a_command_of_another_package_is_not_loaded_to_say_something_else(tmp_path: Path, word: str) -> None:
+def test_a_command_of_another_package_is_not_loaded_to_say_something_else(
+    tmp_path: Path, word: str
+) -> None:
     place = installed(tmp_path, hello="other:Hello")
     shown = python(f"{called(word)}\nprint(*sys.modules)", place).split()
     assert "code" in shown
@@ -126,10 +141,15 @@ def test_a_command_of_another_package_is_not_loaded_to_say_something_else(tmp_pa
 
 
 def test_a_command_that_cannot_be_loaded_spoils_no_other(tmp_path: Path) -> None:
-    place = installed(tmp_path, broken="nowhere.to_be:Found", hello="other:Hello", old="adapters.cli:HilCommand")
+    place = installed(
+        tmp_path, broken="nowhere.to_be:Found", hello="other:Hello", old="adapters.cli:HilCommand"
+    )
     shown = " ".join(python(called("--help"), place).split())
     assert "greet the world" in shown
-    assert "entry point 'broken' (freeflyer.commands) cannot be loaded from nowhere.to_be:Found: ModuleNotFoundError" in shown
+    assert (
+        "entry point 'broken' (freeflyer.commands) cannot be loaded from nowhere.to_be:Found: ModuleNotFoundError"
+        in shown
+    )
     assert "since 0.2.0 adapters is freeflyer_adapters" in shown
     assert python(called("hello"), place).split() == ["hello", "code", "0"]
     assert python(called("broken"), place).split() == ["code", "2"]
@@ -144,4 +164,6 @@ def test_broken_fmus_of_another_package_do_not_hide_the_shipped_ones(tmp_path: P
     place = installed(tmp_path, "freeflyer.fmus", aaa="nowhere:directory")
     run = ["run", "multirate_passive", "--set", "stop_s=0.01", "--out", str(tmp_path / "out")]
     assert python(called(*run), place).endswith("code 0\n")
-    assert python(called(*run, "--set", 'free_flyer.fmu="none_of_that_name"'), place).endswith("code 2\n")
+    assert python(called(*run, "--set", 'free_flyer.fmu="none_of_that_name"'), place).endswith(
+        "code 2\n"
+    )

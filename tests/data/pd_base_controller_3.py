@@ -13,7 +13,11 @@ class PdBaseController3(Fmi3Slave):
         super().__init__(**kwargs)
         self.time = 0.0
         self.register_units([Unit("m", m=1)])
-        self.register_variable(Float64("time", causality=Fmi3Causality.independent, variability=Fmi3Variability.continuous))
+        self.register_variable(
+            Float64(
+                "time", causality=Fmi3Causality.independent, variability=Fmi3Variability.continuous
+            )
+        )
         self.vector("stiffness", [150.0] * 3 + [40.0] * 3, Fmi3Causality.parameter)
         self.vector("damping", [150.0] * 3 + [40.0] * 3, Fmi3Causality.parameter)
         self.vector("position_setpoint", [0.0] * 3, Fmi3Causality.parameter, "m")
@@ -27,9 +31,15 @@ class PdBaseController3(Fmi3Slave):
 
     def vector(self, name, values, causality, unit=None):
         setattr(self, name, np.array(values))
-        variability = Fmi3Variability.tunable if causality == Fmi3Causality.parameter else Fmi3Variability.continuous
+        variability = (
+            Fmi3Variability.tunable
+            if causality == Fmi3Causality.parameter
+            else Fmi3Variability.continuous
+        )
         size = [Dimension(start=str(len(values)))]
-        array = Float64(name, causality=causality, variability=variability, dimensions=size, unit=unit)
+        array = Float64(
+            name, causality=causality, variability=variability, dimensions=size, unit=unit
+        )
         # PythonFMU3 0.3.4's own setter calls numpy.reshape(newshape=...), which NumPy 2.4 no longer has.
         array.setter = lambda value: setattr(self, name, np.array(value))
         self.register_variable(array)

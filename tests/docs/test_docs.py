@@ -24,7 +24,9 @@ ROOT = Path(__file__).parents[2]
 def test_the_table_of_fmu_variables_is_up_to_date(robot: Robot) -> None:
     made = page(make(robot) for make in BLOCKS.values())
     written = (ROOT / "docs" / "fmu_variables.md").read_text(encoding="utf-8")
-    assert made == written, "run: python -m freeflyer_fmus.export.documentation > docs/fmu_variables.md"
+    assert made == written, (
+        "run: python -m freeflyer_fmus.export.documentation > docs/fmu_variables.md"
+    )
 
 
 def test_the_interface_control_document_is_up_to_date() -> None:
@@ -35,7 +37,9 @@ def test_the_interface_control_document_is_up_to_date() -> None:
 
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
-PUBLIC = {package.__name__: package.__all__ for package in (freeflyer, freeflyer_adapters, freeflyer_fmus)}
+PUBLIC = {
+    package.__name__: package.__all__ for package in (freeflyer, freeflyer_adapters, freeflyer_fmus)
+}
 
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
@@ -48,7 +52,11 @@ def test_links_and_commands_in_the_documents_exist(path: Path) -> None:
 
 
 def test_every_page_is_in_the_index() -> None:
-    linked = set(re.findall(r"\]\(([a-z0-9_]+\.md)\)", (ROOT / "docs" / "index.md").read_text(encoding="utf-8")))
+    linked = set(
+        re.findall(
+            r"\]\(([a-z0-9_]+\.md)\)", (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
+        )
+    )
     assert linked == {path.name for path in (ROOT / "docs").glob("*.md")} - {"index.md"}
 
 

@@ -27,7 +27,9 @@ def audited(name: str, *overrides: str) -> Audit:
 
 
 def without_pc(T_b: float, *overrides: str) -> Audit:
-    return audited("multirate_unstable", "stop_s=10", EVERY_SAMPLE, f"base_controller.period={T_b}", *overrides)
+    return audited(
+        "multirate_unstable", "stop_s=10", EVERY_SAMPLE, f"base_controller.period={T_b}", *overrides
+    )
 
 
 @pytest.mark.parametrize(
@@ -41,7 +43,9 @@ def without_pc(T_b: float, *overrides: str) -> Audit:
     ],
     ids=lambda overrides: overrides[0] if overrides else "as shipped",
 )
-def test_the_held_work_is_the_kinetic_energy_and_the_ports_close_to_the_stated_residual(overrides: tuple[str, ...]) -> None:
+def test_the_held_work_is_the_kinetic_energy_and_the_ports_close_to_the_stated_residual(
+    overrides: tuple[str, ...],
+) -> None:
     audit = audited("multirate_passive", "stop_s=20", EVERY_SAMPLE, *overrides)
     balance = audit.balance
     assert balance is not None
@@ -53,14 +57,27 @@ def test_the_held_work_is_the_kinetic_energy_and_the_ports_close_to_the_stated_r
 
 def terms(port: Port) -> np.ndarray:
     """What port.work is made of."""
-    return port.feed_forward + port.reference + port.stale + port.virtual - port.stored - port.dissipated - port.taken
+    return (
+        port.feed_forward
+        + port.reference
+        + port.stale
+        + port.virtual
+        - port.stored
+        - port.dissipated
+        - port.taken
+    )
 
 
-@pytest.mark.parametrize("name", ["multirate_unstable", "multirate_passive", "overdamped_base", "facility"])
+@pytest.mark.parametrize(
+    "name", ["multirate_unstable", "multirate_passive", "overdamped_base", "facility"]
+)
 def test_the_terms_of_each_port_add_up_to_its_work(name: str) -> None:
     audit = audited(name, "stop_s=12")
     for port in (audit.base, audit.manipulator):
-        scale = sum(np.abs(term).max() for term in (port.feed_forward, port.virtual, port.stored, port.dissipated))
+        scale = sum(
+            np.abs(term).max()
+            for term in (port.feed_forward, port.virtual, port.stored, port.dissipated)
+        )
         assert np.abs(terms(port) - port.work).max() < 1e-12 * scale
         assert np.all(np.diff(port.dissipated) >= 0.0)
 
@@ -95,9 +112,14 @@ def test_no_multi_rate_energy_enters_at_one_rate_and_more_does_the_slower_the_ba
 
 
 def test_a_coarser_record_gives_the_same_story_with_a_larger_residual() -> None:
-    fine, coarse = without_pc(0.3), audited("multirate_unstable", "stop_s=10", "base_controller.period=0.3")
+    fine, coarse = (
+        without_pc(0.3),
+        audited("multirate_unstable", "stop_s=10", "base_controller.period=0.3"),
+    )
     assert not fine.notes
-    assert "`freeflyer run SCENARIO --set record.every_s=0.001` closes the balance" in coarse.notes[0]
+    assert (
+        "`freeflyer run SCENARIO --set record.every_s=0.001` closes the balance" in coarse.notes[0]
+    )
     for term in ("work", "stale", "virtual", "dissipated"):
         one, other = getattr(fine.base, term)[-1], getattr(coarse.base, term)[-1]
         assert other == pytest.approx(one, rel=0.01), term
@@ -110,7 +132,9 @@ def test_the_passivity_controllers_took_what_their_wrenches_say() -> None:
     """Against a plain sum of F_pcb x_b' T over the record."""
     audit = audited("multirate_passive", "stop_s=20", EVERY_SAMPLE)
     record = recorded("multirate_passive", "stop_s=20", EVERY_SAMPLE)
-    power = np.sum(record["base_controller.passivity_wrench"] * record["free_flyer.base_velocity"], axis=1)
+    power = np.sum(
+        record["base_controller.passivity_wrench"] * record["free_flyer.base_velocity"], axis=1
+    )
     assert audit.base.taken[-1] > 5e-4
     assert audit.base.taken[-1] == pytest.approx(-0.001 * power.sum(), rel=0.02)
     assert np.all(audited("multirate_unstable", "stop_s=10").base.taken == 0.0)
@@ -120,9 +144,10 @@ def test_a_record_keeps_what_the_audit_needs(tmp_path: Path) -> None:
     record = recorded("multirate_unstable", "stop_s=10")
     record.write(tmp_path / "record.parquet")
     again = Record.read(tmp_path / "record.parquet")
-    assert again.origin == record.origin
+    assert again.provenance == record.provenance
     assert np.array_equal(
-        ledger.audit(recorded_loop.find(again)).base.virtual, audited("multirate_unstable", "stop_s=10").base.virtual
+        ledger.audit(recorded_loop.find(again)).base.virtual,
+        audited("multirate_unstable", "stop_s=10").base.virtual,
     )
 
 
@@ -149,7 +174,9 @@ def test_other_exchange_is_refused() -> None:
         audited("multirate_passive", "stop_s=1", "exchange=parallel")
 
 
-def test_what_a_user_puts_between_controller_and_robot_is_the_work_of_others(tmp_path: Path) -> None:
+def test_what_a_user_puts_between_controller_and_robot_is_the_work_of_others(
+    tmp_path: Path,
+) -> None:
     (tmp_path / "kick.py").write_text(
         "import numpy as np\n"
         "from freeflyer.fmi.component import Port, PythonComponent\n"

@@ -8,7 +8,7 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as parquet
 import pytest
-from commands import said
+from commands import run_command
 
 from freeflyer.cli import main as command
 from freeflyer.master.provenance import KEY
@@ -33,7 +33,15 @@ def test_the_audit_writes_figure_and_numbers_and_says_what_they_amount_to(
     assert (tmp_path / "energy_audit.pdf").is_file()
     numbers = json.loads((tmp_path / "energy_audit.json").read_text())
     for port in numbers["ports"].values():
-        terms = ("feed_forward", "reference", "multi_rate", "virtual", "spring", "damping", "passivity_controller")
+        terms = (
+            "feed_forward",
+            "reference",
+            "multi_rate",
+            "virtual",
+            "spring",
+            "damping",
+            "passivity_controller",
+        )
         assert sum(port[f"{term}_j"] for term in terms) == pytest.approx(port["work_j"], abs=1e-12)
     works = sum(port["work_j"] for port in numbers["ports"].values())
     balance = numbers["balance"]
@@ -47,24 +55,36 @@ def test_the_file_itself_will_do_and_results_go_beside_it(run: Path) -> None:
     assert (run / "energy_audit.json").is_file()
 
 
-def test_a_diverged_run_is_audited_to_its_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_diverged_run_is_audited_to_its_end(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     experiment.write(experiment.run(scenario.load("overdamped_base")), tmp_path)
     assert command.call(["audit", str(tmp_path)]) == 0
     numbers = json.loads((tmp_path / "energy_audit.json").read_text())
     assert numbers["to_s"] == pytest.approx(19.5, abs=1.0)
     assert numbers["ports"]["B"]["virtual_j"] > numbers["balance"]["kinetic_energy_change_j"] > 1.0
-    assert "`freeflyer run SCENARIO --set record.every_s=0.001`" in capsys.readouterr().out.replace("\n", " ")
+    assert "`freeflyer run SCENARIO --set record.every_s=0.001`" in capsys.readouterr().out.replace(
+        "\n", " "
+    )
 
 
-def changed(run: Path, target: Path, *, drop: str = "", metadata: dict[bytes, bytes] | None = None) -> str:
+def changed(
+    run: Path, target: Path, *, drop: str = "", metadata: dict[bytes, bytes] | None = None
+) -> str:
     """A record without some columns, or with other metadata."""
     table = parquet.read_table(run / "record.parquet")
-    table = table.select([name for name in table.column_names if not (drop and name.startswith(drop))])
-    parquet.write_table(table if metadata is None else table.replace_schema_metadata(metadata), target)
+    table = table.select(
+        [name for name in table.column_names if not (drop and name.startswith(drop))]
+    )
+    parquet.write_table(
+        table if metadata is None else table.replace_schema_metadata(metadata), target
+    )
     return str(target)
 
 
-def test_mistakes_get_one_sentence(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_mistakes_get_one_sentence(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = ("--out", str(tmp_path / "out"))
     whole = (run / "record.parquet").read_bytes()
     (tmp_path / "half.parquet").write_bytes(whole[: len(whole) // 2])
@@ -82,11 +102,23 @@ def test_mistakes_get_one_sentence(run: Path, tmp_path: Path, capsys: pytest.Cap
         (str(tmp_path / "words.parquet"), "cannot be read as a record of `freeflyer run`"),
         (str(tmp_path / "empty.parquet"), "cannot be read as a record of `freeflyer run`"),
         (str(run / "summary.json"), "cannot be read as a record of `freeflyer run`"),
-        (changed(run, tmp_path / "a.parquet", metadata={}), "does not say which system it came from"),
-        (changed(run, tmp_path / "b.parquet", metadata={KEY: b"[1]"}), "cannot be read as a record"),
+        (
+            changed(run, tmp_path / "a.parquet", metadata={}),
+            "does not say which system it came from",
+        ),
+        (
+            changed(run, tmp_path / "b.parquet", metadata={KEY: b"[1]"}),
+            "cannot be read as a record",
+        ),
         (changed(run, tmp_path / "c.parquet", metadata={KEY: b"{"}), "cannot be read as a record"),
-        (changed(run, tmp_path / "d.parquet", drop="base_controller.port_wrench"), "lacks component with the base's outputs"),
-        (changed(run, tmp_path / "e.parquet", drop="reference_trajectory.vel"), "it lacks reference_trajectory.velocity"),
+        (
+            changed(run, tmp_path / "d.parquet", drop="base_controller.port_wrench"),
+            "lacks component with the base's outputs",
+        ),
+        (
+            changed(run, tmp_path / "e.parquet", drop="reference_trajectory.vel"),
+            "it lacks reference_trajectory.velocity",
+        ),
         (
             changed(run, tmp_path / "f.parquet", drop="free_flyer.end_effector_velocity[6]"),
             "lacks 6 elements of free_flyer.end_effector_velocity",
@@ -101,7 +133,7 @@ def test_mistakes_get_one_sentence(run: Path, tmp_path: Path, capsys: pytest.Cap
         ),
     ]
     for record, sentence in cases:
-        code, error = said(capsys, "audit", record, *out)
+        code, error = run_command(capsys, "audit", record, *out)
         assert sentence in error
         assert code == 2
     assert not (tmp_path / "out").exists()
@@ -111,6 +143,6 @@ def test_an_output_directory_that_cannot_be_is_said_before_anything_is_written(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "file").write_text("")
-    code, error = said(capsys, "audit", str(run), "--out", str(tmp_path / "file" / "out"))
+    code, error = run_command(capsys, "audit", str(run), "--out", str(tmp_path / "file" / "out"))
     assert "cannot be written" in error
     assert code == 2

@@ -46,7 +46,9 @@ def test_the_virtual_energy_of_a_held_spring_damper_on_a_mass(
             s = row * h
             xs.append(x + v * s + 0.5 * a * s * s)
             vs.append(v + a * s)
-        expected += 0.5 * K * (v * T + 0.5 * a * T * T) ** 2 + D * (0.5 * v * a * T**2 + a * a * T**3 / 3.0)
+        expected += 0.5 * K * (v * T + 0.5 * a * T * T) ** 2 + D * (
+            0.5 * v * a * T**2 + a * a * T**3 / 3.0
+        )
     time = np.arange(len(xs)) * h
     position, velocity = on_x(np.array(xs)), on_x(np.array(vs))
     sampled = [energy.last_samples(time, values, period) for values in (position, velocity)]
@@ -58,7 +60,9 @@ def test_the_virtual_energy_of_a_held_spring_damper_on_a_mass(
     scale = np.abs(given).max() + stored.max() + taken.max() + 1e-12
     assert virtual == pytest.approx(expected, abs=1e-9 * scale)
     gained = 0.5 * m * (vs[-1] ** 2 - vs[0] ** 2)
-    assert virtual - (stored[-1] - stored[0])[0] - taken[-1, 0] == pytest.approx(gained, abs=1e-9 * (scale + 0.5 * m))
+    assert virtual - (stored[-1] - stored[0])[0] - taken[-1, 0] == pytest.approx(
+        gained, abs=1e-9 * (scale + 0.5 * m)
+    )
 
 
 def test_a_held_spring_wins_against_its_damper_beyond_twice_the_damping() -> None:
@@ -68,7 +72,11 @@ def test_a_held_spring_wins_against_its_damper_beyond_twice_the_damping() -> Non
     speed = on_x(0.5 * np.cos(0.5 * time))
     for D, wins in ((14.0, True), (16.0, False)):
         K, period = 150.0, 200_000_000
-        force = energy.held(-K * energy.last_samples(time, slow, period) - D * energy.last_samples(time, speed, period), 1.0)
+        force = energy.held(
+            -K * energy.last_samples(time, slow, period)
+            - D * energy.last_samples(time, speed, period),
+            1.0,
+        )
         gain = energy.work(force, np.diff(slow, axis=0))[-1, 0]
         assert (gain + 0.5 * K * slow[-1, 0] ** 2 > 0.0) == wins
 
@@ -76,11 +84,16 @@ def test_a_held_spring_wins_against_its_damper_beyond_twice_the_damping() -> Non
 def turning(time: Array, spin: float, nod: float) -> tuple[Array, Array, Array]:
     """Orientation, twist and exact integral of w of R = R_z(spin t) R_x(nod t): w = spin z + nod R_z x."""
     orientation = (
-        Rotation.from_rotvec(np.outer(time, [0, 0, spin])) * Rotation.from_rotvec(np.outer(time, [nod, 0, 0]))
+        Rotation.from_rotvec(np.outer(time, [0, 0, spin]))
+        * Rotation.from_rotvec(np.outer(time, [nod, 0, 0]))
     ).as_quat()
     zero = np.zeros_like(time)
-    twist = np.column_stack([zero, zero, zero, nod * np.cos(spin * time), nod * np.sin(spin * time), zero + spin])
-    integral = np.column_stack([nod * np.sin(spin * time) / spin, nod * (1 - np.cos(spin * time)) / spin, spin * time])
+    twist = np.column_stack(
+        [zero, zero, zero, nod * np.cos(spin * time), nod * np.sin(spin * time), zero + spin]
+    )
+    integral = np.column_stack(
+        [nod * np.sin(spin * time) / spin, nod * (1 - np.cos(spin * time)) / spin, spin * time]
+    )
     return orientation, twist, integral
 
 
@@ -89,13 +102,17 @@ def test_the_integral_of_the_angular_velocity_is_of_fourth_order() -> None:
     for rows in (101, 201):
         time = np.linspace(0.0, 5.0, rows)
         orientation, twist, integral = turning(time, 0.7, 1.1)
-        moved = energy.summed(energy.displacement(time, np.zeros((rows, 3)), orientation, twist))[:, 3:]
+        moved = energy.summed(energy.displacement(time, np.zeros((rows, 3)), orientation, twist))[
+            :, 3:
+        ]
         errors.append(np.abs(moved - integral).max())
     assert errors[1] < 1e-7
     assert errors[0] / errors[1] == pytest.approx(16.0, rel=0.1)
 
 
-def test_a_held_torsion_spring_to_a_turning_reference_makes_energy_in_proportion_to_its_period() -> None:
+def test_a_held_torsion_spring_to_a_turning_reference_makes_energy_in_proportion_to_its_period() -> (
+    None
+):
     """So its potential is the right one: with a wrong one, something stays as the period goes to nothing."""
     made = []
     for rows in (2001, 4001):
@@ -104,7 +121,9 @@ def test_a_held_torsion_spring_to_a_turning_reference_makes_energy_in_proportion
         desired, w_d, _ = turning(time, 0.5, -0.3)
         place = np.zeros((rows, 3))
         error = energy.pose_error(place, actual, place, desired)
-        relative = energy.displacement(time, place, actual, w) - energy.displacement(time, place, desired, w_d)
+        relative = energy.displacement(time, place, actual, w) - energy.displacement(
+            time, place, desired, w_d
+        )
         given = energy.work(energy.held(-40.0 * error, 1.0), relative).sum(axis=1)
         stored = energy.spring_energy(np.full(6, 40.0), error).sum(axis=1)
         assert np.ptp(stored) > 10.0
@@ -121,7 +140,9 @@ def test_the_mean_of_samples_on_a_line_each_held(first: float, last: float, samp
 
 
 @given(st.lists(st.floats(-5, 5), min_size=15, max_size=15))
-def test_a_wrench_at_the_hand_has_the_same_power_at_the_base_that_carries_it(numbers: list[float]) -> None:
+def test_a_wrench_at_the_hand_has_the_same_power_at_the_base_that_carries_it(
+    numbers: list[float],
+) -> None:
     F, p, twist = np.array(numbers[:6]), np.array(numbers[6:9]), np.array(numbers[9:])
     hand = np.concatenate([twist[:3] + np.cross(twist[3:], p), twist[3:]])
     assert energy.at_base(F[None], p[None])[0] @ twist == pytest.approx(F @ hand, abs=1e-9)

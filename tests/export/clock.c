@@ -7,7 +7,8 @@
 
 #define STEPS 10000000
 
-static void say(fmi2ComponentEnvironment e, fmi2String name, fmi2Status s, fmi2String category, fmi2String text, ...)
+static void say(fmi2ComponentEnvironment e, fmi2String name, fmi2Status s, fmi2String category,
+                fmi2String text, ...)
 {
     (void)e;
     fprintf(stderr, "%s %d %s %s\n", name, (int)s, category, text);
@@ -16,8 +17,11 @@ static void say(fmi2ComponentEnvironment e, fmi2String name, fmi2Status s, fmi2S
 int main(int count, char **arguments)
 {
     fmi2CallbackFunctions callbacks = {say, calloc, free, NULL, NULL};
-    fmi2Component c = count > 2 ? fmi2Instantiate("clock", fmi2CoSimulation, arguments[1], "", &callbacks, 0, 0) : NULL;
-    if (!c || fmi2SetupExperiment(c, 0, 0, 0, 0, 0) || fmi2EnterInitializationMode(c) || fmi2ExitInitializationMode(c))
+    fmi2Component c =
+        count > 2 ? fmi2Instantiate("clock", fmi2CoSimulation, arguments[1], "", &callbacks, 0, 0)
+                  : NULL;
+    if (!c || fmi2SetupExperiment(c, 0, 0, 0, 0, 0) || fmi2EnterInitializationMode(c) ||
+        fmi2ExitInitializationMode(c))
         return 1;
     int summed = atoi(arguments[2]);
     double time = 0;
@@ -28,7 +32,8 @@ int main(int count, char **arguments)
     }
     fmi2ValueReference reference = (fmi2ValueReference)atoi(arguments[3]);
     double last, value;
-    if (fmi2GetRealStatus(c, fmi2LastSuccessfulTime, &last) || fmi2GetReal(c, &reference, 1, &value))
+    if (fmi2GetRealStatus(c, fmi2LastSuccessfulTime, &last) ||
+        fmi2GetReal(c, &reference, 1, &value))
         return 3;
     printf("%.17g %.17g\n", last, value);
     fmi2FreeInstance(c);

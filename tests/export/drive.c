@@ -47,7 +47,8 @@ static void find(const char *name, void *function, size_t size)
     name##TYPE *name; \
     find(#name, &name, sizeof name)
 
-static void say(fmi2ComponentEnvironment e, fmi2String name, fmi2Status s, fmi2String category, fmi2String format, ...)
+static void say(fmi2ComponentEnvironment e, fmi2String name, fmi2Status s, fmi2String category,
+                fmi2String format, ...)
 {
     va_list arguments;
     va_start(arguments, format);
@@ -114,7 +115,8 @@ int main(int argc, char **argv)
         out[i] = (fmi2ValueReference)word(10);
 
     fmi2CallbackFunctions callbacks = {say, calloc, free, NULL, NULL};
-    fmi2Component c = fmi2Instantiate("driven", fmi2CoSimulation, argv[2], "", &callbacks, fmi2False, fmi2False);
+    fmi2Component c =
+        fmi2Instantiate("driven", fmi2CoSimulation, argv[2], "", &callbacks, fmi2False, fmi2False);
     if (!c)
         stop("fmi2Instantiate");
     check(fmi2SetupExperiment(c, fmi2False, 0.0, 0.0, fmi2False, 0.0), "fmi2SetupExperiment");
@@ -129,7 +131,8 @@ int main(int argc, char **argv)
         for (size_t i = 0; i < outputs; i++) {
             uint64_t bits;
             memcpy(&bits, &y[i], sizeof bits);
-            printf("%08lx%08lx\n", (unsigned long)(bits >> 32), (unsigned long)(bits & 0xffffffffu));
+            printf("%08lx%08lx\n", (unsigned long)(bits >> 32),
+                   (unsigned long)(bits & 0xffffffffu));
         }
     }
     check(fmi2Terminate(c), "fmi2Terminate");

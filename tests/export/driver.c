@@ -20,7 +20,8 @@
 
 static int said;
 
-static void say2(fmi2ComponentEnvironment e, fmi2String name, fmi2Status s, fmi2String category, fmi2String format, ...)
+static void say2(fmi2ComponentEnvironment e, fmi2String name, fmi2Status s, fmi2String category,
+                 fmi2String format, ...)
 {
     char text[512];
     va_list arguments;
@@ -83,16 +84,20 @@ static void drive2(const char *token, int sampled)
     EXPECT(fmi2SetFMUstate(c, copy) == fmi2OK);
     EXPECT(fmi2DoStep(c, 0.4, 0.001, 1) == fmi2OK);
     free(bytes);
-    EXPECT(fmi2FreeFMUstate(c, &saved) == fmi2OK && fmi2FreeFMUstate(c, &copy) == fmi2OK && !saved && !copy);
+    EXPECT(fmi2FreeFMUstate(c, &saved) == fmi2OK && fmi2FreeFMUstate(c, &copy) == fmi2OK &&
+           !saved && !copy);
     EXPECT(fmi2DoStep(c, 7.0, 0.001, 1) == fmi2Error);
     EXPECT(fmi2DoStep(c, 0.401, 0.001, 1) == fmi2OK);
     EXPECT(fmi2Reset(c) == fmi2OK);
-    EXPECT(fmi2SetupExperiment(c, 0, 0, 5.0, 0, 0) == fmi2OK && fmi2EnterInitializationMode(c) == fmi2OK);
+    EXPECT(fmi2SetupExperiment(c, 0, 0, 5.0, 0, 0) == fmi2OK &&
+           fmi2EnterInitializationMode(c) == fmi2OK);
     EXPECT(fmi2ExitInitializationMode(c) == fmi2OK && fmi2DoStep(c, 5.0, NAN, 1) == fmi2Error);
     EXPECT(fmi2Reset(c) == fmi2OK && fmi2SetupExperiment(c, 0, 0, 0, 1, -1) == fmi2Error);
-    EXPECT(fmi2SetupExperiment(c, 0, 0, 0, 1, 0.002) == fmi2OK && fmi2EnterInitializationMode(c) == fmi2OK);
+    EXPECT(fmi2SetupExperiment(c, 0, 0, 0, 1, 0.002) == fmi2OK &&
+           fmi2EnterInitializationMode(c) == fmi2OK);
     EXPECT(fmi2ExitInitializationMode(c) == fmi2OK && fmi2DoStep(c, 0, 0.001, 1) == fmi2OK);
-    EXPECT(fmi2DoStep(c, 0.001, 0.00105, 1) == fmi2Error && fmi2DoStep(c, 0.001, 0.001, 1) == fmi2OK);
+    EXPECT(fmi2DoStep(c, 0.001, 0.00105, 1) == fmi2Error &&
+           fmi2DoStep(c, 0.001, 0.001, 1) == fmi2OK);
     EXPECT(fmi2DoStep(c, 0.002, 0.001, 1) == fmi2Error);
     EXPECT(fmi2Terminate(c) == fmi2OK);
     fmi2FreeInstance(c);
@@ -107,9 +112,11 @@ static void drive_model_exchange2(const char *token)
     fmi2EventInfo info;
     fmi2Real x[64], dx[64];
     size_t n = (size_t)block.states.count;
-    EXPECT(c && fmi2SetupExperiment(c, 0, 0, 0, 0, 0) == fmi2OK && fmi2EnterInitializationMode(c) == fmi2OK);
+    EXPECT(c && fmi2SetupExperiment(c, 0, 0, 0, 0, 0) == fmi2OK &&
+           fmi2EnterInitializationMode(c) == fmi2OK);
     EXPECT(fmi2ExitInitializationMode(c) == fmi2OK && fmi2NewDiscreteStates(c, &info) == fmi2OK);
-    EXPECT(fmi2EnterContinuousTimeMode(c) == fmi2OK && fmi2GetContinuousStates(c, x, n + 1) == fmi2Error);
+    EXPECT(fmi2EnterContinuousTimeMode(c) == fmi2OK &&
+           fmi2GetContinuousStates(c, x, n + 1) == fmi2Error);
     EXPECT(fmi2GetContinuousStates(c, x, n) == fmi2OK);
     for (int k = 0; k < 20; k++) {
         EXPECT(fmi2SetTime(c, k * 0.01) == fmi2OK && fmi2SetContinuousStates(c, x, n) == fmi2OK);
@@ -123,7 +130,8 @@ static void drive_model_exchange2(const char *token)
         /* Whatever the equations make of absurd states, no derivative that is not finite is handed out as a good one. */
         for (size_t i = 0; i < n; i++)
             x[i] = 1e200;
-        EXPECT(fmi2SetContinuousStates(c, x, n) == fmi2OK && fmi2GetDerivatives(c, dx, n) == fmi2Error);
+        EXPECT(fmi2SetContinuousStates(c, x, n) == fmi2OK &&
+               fmi2GetDerivatives(c, dx, n) == fmi2Error);
     }
     EXPECT(fmi2DoStep(c, 0, 0.001, 1) == fmi2Error);
     EXPECT(fmi2Terminate(c) == fmi2OK);
@@ -136,12 +144,14 @@ static void drive_model_exchange3(const char *token)
     fmi3Boolean a, b, d, e, f, enter, terminate;
     fmi3Float64 next, x[64], dx[64];
     size_t n = 99;
-    EXPECT(c && fmi3EnterInitializationMode(c, 0, 0, 0, 0, 0) == fmi3OK && fmi3ExitInitializationMode(c) == fmi3OK);
+    EXPECT(c && fmi3EnterInitializationMode(c, 0, 0, 0, 0, 0) == fmi3OK &&
+           fmi3ExitInitializationMode(c) == fmi3OK);
     EXPECT(fmi3UpdateDiscreteStates(c, &a, &b, &d, &e, &f, &next) == fmi3OK && !a && !f);
     EXPECT(fmi3EnterContinuousTimeMode(c) == fmi3OK);
     EXPECT(fmi3GetNumberOfContinuousStates(c, &n) == fmi3OK && n == (size_t)block.states.count);
     EXPECT(fmi3GetContinuousStates(c, x, n) == fmi3OK && fmi3SetTime(c, 0.1) == fmi3OK);
-    EXPECT(fmi3SetContinuousStates(c, x, n) == fmi3OK && fmi3GetContinuousStateDerivatives(c, dx, n) == fmi3OK);
+    EXPECT(fmi3SetContinuousStates(c, x, n) == fmi3OK &&
+           fmi3GetContinuousStateDerivatives(c, dx, n) == fmi3OK);
     EXPECT(fmi3CompletedIntegratorStep(c, 1, &enter, &terminate) == fmi3OK && !enter && !terminate);
     EXPECT(fmi3EnterEventMode(c) == fmi3OK && fmi3Terminate(c) == fmi3OK);
     fmi3FreeInstance(c);
@@ -151,14 +161,16 @@ static void drive3(const char *token)
 {
     EXPECT(!fmi3InstantiateCoSimulation("x", token, "", 0, 0, 1, 0, NULL, 0, NULL, say3, NULL));
     EXPECT(!fmi3InstantiateCoSimulation("x", "wrong", "", 0, 0, 0, 0, NULL, 0, NULL, say3, NULL));
-    fmi3Instance c = fmi3InstantiateCoSimulation("x", token, "", 0, 0, 0, 0, NULL, 0, NULL, say3, NULL);
+    fmi3Instance c =
+        fmi3InstantiateCoSimulation("x", token, "", 0, 0, 0, 0, NULL, 0, NULL, say3, NULL);
     fmi3Boolean event, terminate, early;
     fmi3Float64 last, values[64];
     EXPECT(c && fmi3DoStep(c, 0, 0.001, 1, &event, &terminate, &early, &last) == fmi3Error);
-    EXPECT(fmi3EnterInitializationMode(c, 0, 0, 0, 0, 0) == fmi3OK && fmi3ExitInitializationMode(c) == fmi3OK);
+    EXPECT(fmi3EnterInitializationMode(c, 0, 0, 0, 0, 0) == fmi3OK &&
+           fmi3ExitInitializationMode(c) == fmi3OK);
     for (int k = 0; k < 400; k++)
-        EXPECT(fmi3DoStep(c, k * 0.001, 0.001, 1, &event, &terminate, &early, &last) == fmi3OK && !event && !terminate &&
-               !early);
+        EXPECT(fmi3DoStep(c, k * 0.001, 0.001, 1, &event, &terminate, &early, &last) == fmi3OK &&
+               !event && !terminate && !early);
     EXPECT(fabs(last - 0.4) < 1e-12);
     for (fmi3ValueReference r = 0; r < 2000; r++)
         for (size_t n = 0; n < 64; n++) {

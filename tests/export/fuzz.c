@@ -152,12 +152,14 @@ static int permitted(const Slot *s, const Call *call)
         const char *pattern = deviations[i].call;
         size_t n = strcspn(pattern, "*");
         int clock = !strcmp(pattern, "clock functions") &&
-                    (strstr(call->name, "Clock") || strstr(call->name, "Interval") || strstr(call->name, "Shift"));
+                    (strstr(call->name, "Clock") || strstr(call->name, "Interval") ||
+                     strstr(call->name, "Shift"));
         if (!clock && strncmp(pattern, call->name, pattern[n] ? n : strlen(call->name) + 1))
             continue;
-        int other = deviations[i].instead == MADE || (deviations[i].instead == MADE_IF_EMPTY && want.empty);
-        if (is_in(s->m.state, s->model_exchange ? deviations[i].me : deviations[i].cs) && allowed != other &&
-            (other || deviations[i].instead == REFUSED)) {
+        int other =
+            deviations[i].instead == MADE || (deviations[i].instead == MADE_IF_EMPTY && want.empty);
+        if (is_in(s->m.state, s->model_exchange ? deviations[i].me : deviations[i].cs) &&
+            allowed != other && (other || deviations[i].instead == REFUSED)) {
             deviations[i].met++;
             return other;
         }
@@ -171,22 +173,28 @@ static void judge(Slot *s, const Call *call, int status)
     for (size_t i = 0; i < sizeof states / sizeof *states; i++)
         state = states[i].state == s->m.state ? states[i].name : state;
     LAW(status == 0 || status == 2 || status == 3, "status %d", status);
-    LAW(status == 0 || s->mute || want.given == UNSAID || (said.count == 1 && said.status == status),
+    LAW(status == 0 || s->mute || want.given == UNSAID ||
+            (said.count == 1 && said.status == status),
         "%d messages, the last with status %d", said.count, said.status);
-    int about_fmu = s->mute || strstr(said.text, "this FMU has no ") || strstr(said.text, "belongs to model exchange");
+    int about_fmu = s->mute || strstr(said.text, "this FMU has no ") ||
+                    strstr(said.text, "belongs to model exchange");
     if (!permitted(s, call)) {
         refused++;
         LAW(status == 3, "%s in %s is not refused", call->name, state);
-        int about_variable = want.given == BAD && strstr(call->name, "Set") && strstr(said.text, want.named);
-        LAW(about_fmu || about_variable || (strstr(said.text, call->name) && strstr(said.text, state)),
+        int about_variable =
+            want.given == BAD && strstr(call->name, "Set") && strstr(said.text, want.named);
+        LAW(about_fmu || about_variable ||
+                (strstr(said.text, call->name) && strstr(said.text, state)),
             "the message does not name %s and %s", call->name, state);
         return;
     }
     LAW(want.given != GOOD || status == 0, "a good call fails");
     LAW(want.given != UNSAID || status == 2, "there is no such status");
     LAW((want.given != BAD && want.given != LACKED) || status != 0, "a bad call succeeds");
-    LAW(want.given != LACKED || (status == 3 && about_fmu), "the message does not say what is lacking");
-    LAW(want.given != BAD || s->mute || strstr(said.text, want.named), "the message does not say %s", want.named);
+    LAW(want.given != LACKED || (status == 3 && about_fmu),
+        "the message does not say what is lacking");
+    LAW(want.given != BAD || s->mute || strstr(said.text, want.named),
+        "the message does not say %s", want.named);
     if (s->m.failed && status == 0 && !strstr(call->name, "Get") && !strstr(call->name, "Reset") &&
         !strstr(call->name, "State") && !strstr(call->name, "state"))
         deviates("no error state");
@@ -219,7 +227,9 @@ static void perform(Slot *s, const Call *call)
         judge(s, call, status);
     if (status == 0) {
         s->m = want.after;
-        s->m.state = strstr(call->name, "ExitInit") && s->model_exchange ? EVENT : call->next ? call->next : s->m.state;
+        s->m.state = strstr(call->name, "ExitInit") && s->model_exchange ? EVENT
+                     : call->next                                        ? call->next
+                                                                         : s->m.state;
     }
     s->m.failed |= status == 3;
     after = realloc(after, memory_size);
@@ -228,16 +238,19 @@ static void perform(Slot *s, const Call *call)
         int may_change = &slots[i] == s && status == 0 && !strstr(call->name, "Get");
         void *again = NULL; /* what was saved can be read back */
         if (&slots[i] == s && !(s->m.wild & 2))
-            LAW((s->version == 2 ? (int)fmi2DeSerializeFMUstate(s->c, (char *)after, memory_size, &again)
-                                 : (int)fmi3DeserializeFMUState(s->c, after, memory_size, &again)) == 0,
+            LAW((s->version == 2
+                     ? (int)fmi2DeSerializeFMUstate(s->c, (char *)after, memory_size, &again)
+                     : (int)fmi3DeserializeFMUState(s->c, after, memory_size, &again)) == 0,
                 "a saved state cannot be read back");
         free_state(&slots[i], &again);
-        LAW(may_change || same(&slots[i], slots[i].bytes, after, &slots[i] == s && s->inner_sets), "instance %d has changed",
-            i);
+        LAW(may_change || same(&slots[i], slots[i].bytes, after, &slots[i] == s && s->inner_sets),
+            "instance %d has changed", i);
     }
-    if (watched && (status != 0 || strstr(call->name, "Get")) && !s->inner_sets && m.state == s->m.state) {
+    if (watched && (status != 0 || strstr(call->name, "Get")) && !s->inner_sets &&
+        m.state == s->m.state) {
         read_all(s, seen[1]);
-        LAW(!memcmp(seen[0], seen[1], (size_t)block.values * sizeof(double)), "what can be read has changed");
+        LAW(!memcmp(seen[0], seen[1], (size_t)block.values * sizeof(double)),
+            "what can be read has changed");
     }
     s->inner_sets = inner ? s->inner_sets : 0;
 }
@@ -250,20 +263,22 @@ static const Call *named(const Slot *s, const char *name)
     return table;
 }
 
-static void on_update(fmi3InstanceEnvironment e, fmi3Float64 time, fmi3Boolean set, fmi3Boolean get, fmi3Boolean finished,
-                      fmi3Boolean can_return, fmi3Boolean *early, fmi3Float64 *early_time)
+static void on_update(fmi3InstanceEnvironment e, fmi3Float64 time, fmi3Boolean set, fmi3Boolean get,
+                      fmi3Boolean finished, fmi3Boolean can_return, fmi3Boolean *early,
+                      fmi3Float64 *early_time)
 {
     Slot *s = e;
     LAW(set && get && finished && can_return == s->early, "the flags of an intermediate update");
-    LAW(time > s->begin && time < s->end && time >= s->seen, "an intermediate update at %.17g", time);
+    LAW(time > s->begin && time < s->end && time >= s->seen, "an intermediate update at %.17g",
+        time);
     s->seen = time;
     s->m.state = INTERMEDIATE;
     note("\n    update at %.17g\n", time);
     for (unsigned n = below(4) ? 0 : 1 + below(2); n > 0; n--) {
         Want outer_want = want;
         Said outer_said = said;
-        perform(s,
-                below(3) ? &table3[below(sizeof table3 / sizeof *table3)] : named(s, below(2) ? "GetFloat64" : "SetFloat64"));
+        perform(s, below(3) ? &table3[below(sizeof table3 / sizeof *table3)]
+                            : named(s, below(2) ? "GetFloat64" : "SetFloat64"));
         want = outer_want;
         said = outer_said;
     }
@@ -285,15 +300,16 @@ static void *instantiate(Slot *s, const char *name, const char *key)
     s->silent = !logging && !s->mute;
     if (name && !*name)
         deviates("blank name");
-    note("%td = %s of FMI %d, %s, %s%s\n", s - slots, s->model_exchange ? "model exchange" : "co-simulation", s->version,
-         s->mute ? "mute" : "", s->early ? "early return" : "", s->callback ? ", updates" : "");
+    note("%td = %s of FMI %d, %s, %s%s\n", s - slots,
+         s->model_exchange ? "model exchange" : "co-simulation", s->version, s->mute ? "mute" : "",
+         s->early ? "early return" : "", s->callback ? ", updates" : "");
     if (s->version == 2)
-        return fmi2Instantiate(name, s->model_exchange ? fmi2ModelExchange : fmi2CoSimulation, key, "",
-                               s->mute ? NULL : &callbacks, 0, logging);
+        return fmi2Instantiate(name, s->model_exchange ? fmi2ModelExchange : fmi2CoSimulation, key,
+                               "", s->mute ? NULL : &callbacks, 0, logging);
     if (s->model_exchange)
         return fmi3InstantiateModelExchange(name, key, NULL, 0, logging, s, s->mute ? NULL : hear3);
-    return fmi3InstantiateCoSimulation(name, key, NULL, 0, logging, 0, s->early, some, below(3), s, s->mute ? NULL : hear3,
-                                       s->callback ? on_update : NULL);
+    return fmi3InstantiateCoSimulation(name, key, NULL, 0, logging, 0, s->early, some, below(3), s,
+                                       s->mute ? NULL : hear3, s->callback ? on_update : NULL);
 }
 
 static void begin(Slot *s, int version)
@@ -312,7 +328,8 @@ static void begin(Slot *s, int version)
         said.count = 0;
         s->model_exchange |= what == 2 && sampled;
         if (what < 2 || sampled)
-            LAW(!instantiate(s, what == 0 ? NULL : "x", what == 1 ? "wrong" : token) && said.count == 1 && said.status == 3,
+            LAW(!instantiate(s, what == 0 ? NULL : "x", what == 1 ? "wrong" : token) &&
+                    said.count == 1 && said.status == 3,
                 "a bad instance");
         s->mute = mute;
         s->model_exchange = kind;
@@ -335,7 +352,8 @@ static void end(Slot *s)
 /* What a master would do next. */
 static const char *usual(const Slot *s)
 {
-    static const char *const event[] = {"EnterContinuousTimeMode", "EnterContinuousTimeMode", "SetContinuousStates"};
+    static const char *const event[] = {"EnterContinuousTimeMode", "EnterContinuousTimeMode",
+                                        "SetContinuousStates"};
     static const char *const continuous[] = {"SetTime", "SetContinuousStates", "EnterEventMode"};
     switch (s->m.state) {
     case INSTANTIATED:
@@ -397,8 +415,10 @@ static void sequence(void)
         } else if (what < 50)
             perform(s, named(s, version == 2 ? "SetReal" : "SetFloat64"));
         else if (what < 60) {
-            static const char *const two[] = {"GetFMUstate", "SerializeFMUstate", "DeSerializeFMUstate", "SetFMUstate"};
-            static const char *const three[] = {"GetFMUState", "SerializeFMUState", "DeserializeFMUState", "SetFMUState"};
+            static const char *const two[] = {"GetFMUstate", "SerializeFMUstate",
+                                              "DeSerializeFMUstate", "SetFMUstate"};
+            static const char *const three[] = {"GetFMUState", "SerializeFMUState",
+                                                "DeserializeFMUState", "SetFMUState"};
             perform(s, named(s, version == 2 ? two[below(4)] : three[below(4)]));
         } else if (what < 62)
             perform(s, named(s, "Terminate"));
@@ -423,9 +443,11 @@ int main(int argc, char **argv)
         return 2;
     token = argv[1];
     sampled = argv[2][0] == '1';
-    const unsigned long long first = strtoull(argv[3], NULL, 10), count = strtoull(argv[4], NULL, 10);
+    const unsigned long long first = strtoull(argv[3], NULL, 10),
+                             count = strtoull(argv[4], NULL, 10);
     void *c = fmi2Instantiate("size", fmi2CoSimulation, token, "", NULL, 0, 0), *state = NULL;
-    LAW(c && fmi2GetFMUstate(c, &state) == fmi2OK && fmi2SerializedFMUstateSize(c, state, &memory_size) == fmi2OK,
+    LAW(c && fmi2GetFMUstate(c, &state) == fmi2OK &&
+            fmi2SerializedFMUstateSize(c, state, &memory_size) == fmi2OK,
         "no instance at all");
     fmi2FreeFMUstate(c, &state);
     fmi2FreeInstance(c);

@@ -43,12 +43,16 @@ static unsigned reference(const Slot *s, int kind, int (*fits)(const Slot *, uns
         if (elements(s, r) && block.value[r].kind == kind && (!fits || fits(s, r)))
             return r;
     }
-    return forced ? 0 : below(3) ? below((unsigned)block.values + 3) : below(2) ? UINT32_MAX : 100000;
+    return forced     ? 0
+           : below(3) ? below((unsigned)block.values + 3)
+           : below(2) ? UINT32_MAX
+                      : 100000;
 }
 
 static int open_to_set(const Slot *s, unsigned r)
 {
-    return block.value[r].access == INPUT || (!is_in(s->m.state, "suect") && block.value[r].access != READ_ONLY);
+    return block.value[r].access == INPUT ||
+           (!is_in(s->m.state, "suect") && block.value[r].access != READ_ONLY);
 }
 
 static int values(Slot *s, Transfer *transfer, int kind, int set)
@@ -63,12 +67,14 @@ static int values(Slot *s, Transfer *transfer, int kind, int set)
         for (int k = 0; k < elements(s, r[i]); k++) {
             double good = good_value(r[i] + (unsigned)k);
             v[n++] = once_in(30) && kind == REAL ? not_finite()
-                     : rough && below(8) == 0    ? (kind == REAL ? wild_number() : (double)below(9) - 3)
-                                                 : good;
+                     : rough && below(8) == 0
+                         ? (kind == REAL ? wild_number() : (double)below(9) - 3)
+                         : good;
         }
     }
     size_t told = once_in(20) ? below(9) : s->version == 2 ? nr : n;
-    int no_r = once_in(40), no_v = once_in(40), null = nr > 0 && (no_r || (no_v && (told > 0 || s->version == 2)));
+    int no_r = once_in(40), no_v = once_in(40),
+        null = nr > 0 && (no_r || (no_v && (told > 0 || s->version == 2)));
     want.empty = nr == 0 && !(s->version == 3 && told > 0);
     if (s->version == 2)
         told = nr;
@@ -83,7 +89,8 @@ static int values(Slot *s, Transfer *transfer, int kind, int set)
             if (block.value[e].access == INPUT)
                 want.after.wild_inputs |= fabs(v[at] - block.start[e]) > 2e-4;
             else
-                want.after.wild |= v[at] != block.start[e] && !(kind == BOOLEAN && (v[at] != 0) == (block.start[e] != 0));
+                want.after.wild |= v[at] != block.start[e] &&
+                                   !(kind == BOOLEAN && (v[at] != 0) == (block.start[e] != 0));
         }
     if (!set && doubtful(s) && want.given == GOOD)
         want.given = OPEN;
@@ -105,11 +112,12 @@ static int values(Slot *s, Transfer *transfer, int kind, int set)
         note("%s%g", i ? " " : no_v ? ": null " : ": ", v[i]);
     note("; %zu", told);
     int status = transfer(s->c, no_r ? NULL : exact, nr, no_v ? NULL : given, told);
-    if (status == 0 && set && !no_v && want.given == GOOD && s->version == 2 && nr == 1 && !is_in(s->m.state, "i") &&
-        kind == REAL) {
+    if (status == 0 && set && !no_v && want.given == GOOD && s->version == 2 && nr == 1 &&
+        !is_in(s->m.state, "i") && kind == REAL) {
         double back = NAN;
-        LAW(within(r[0], block.states) || (fmi2GetReal(s->c, r, 1, &back) == fmi2OK && back == v[0]), "#%u is %g, set to %g",
-            r[0], back, v[0]);
+        LAW(within(r[0], block.states) ||
+                (fmi2GetReal(s->c, r, 1, &back) == fmi2OK && back == v[0]),
+            "#%u is %g, set to %g", r[0], back, v[0]);
     }
     s->inner_sets += set && status == 0 && is_in(s->m.state, "u");
     free(exact);
@@ -211,7 +219,10 @@ static int run_reset(Slot *s)
 
 static int run_logging(Slot *s)
 {
-    const char *names[] = {"logStatusError", "logRequirement", below(4) ? "logStatusError" : below(2) ? "unknown" : NULL};
+    const char *names[] = {"logStatusError", "logRequirement",
+                           below(4)   ? "logStatusError"
+                           : below(2) ? "unknown"
+                                      : NULL};
     size_t n = below(4);
     int on = (int)below(2), null = once_in(20);
     if (n > 0 && (null || (n == 3 && (!names[2] || *names[2] == 'u'))))
@@ -226,7 +237,8 @@ static int run_logging(Slot *s)
 /* Sets the start time: FMI 2.0 apart, FMI 3.0 with the entry into initialization mode. */
 static int run_start(Slot *s)
 {
-    static const double good[] = {0, 5, -3, 0.125, 1000}, far[] = {1.9e9, -1.9e9, 1e7}, bad[] = {LATEST, -1e308, 9.1e9};
+    static const double good[] = {0, 5, -3, 0.125, 1000}, far[] = {1.9e9, -1.9e9, 1e7},
+                        bad[] = {LATEST, -1e308, 9.1e9};
     double start = once_in(8)            ? not_finite()
                    : once_in(8)          ? bad[below(3)]
                    : rough && once_in(4) ? far[below(3)]
@@ -255,7 +267,8 @@ static int run_initialized(Slot *s)
 {
     want.given = doubtful(s) ? OPEN : GOOD;
     want.after.written = 0;
-    return s->version == 2 ? (int)fmi2ExitInitializationMode(s->c) : (int)fmi3ExitInitializationMode(s->c);
+    return s->version == 2 ? (int)fmi2ExitInitializationMode(s->c)
+                           : (int)fmi3ExitInitializationMode(s->c);
 }
 
 /* Saved states */
@@ -286,7 +299,8 @@ static int run_restore(Slot *s)
     else if (stash[j].from != s)
         deviates("another instance's state");
     want.after = stash[j].m;
-    return s->version == 2 ? (int)fmi2SetFMUstate(s->c, stash[j].state) : (int)fmi3SetFMUState(s->c, stash[j].state);
+    return s->version == 2 ? (int)fmi2SetFMUstate(s->c, stash[j].state)
+                           : (int)fmi3SetFMUState(s->c, stash[j].state);
 }
 
 static int run_free_state(Slot *s)
@@ -303,8 +317,9 @@ static int run_size(Slot *s)
     size_t size = memory_size;
     if (null || !stash[j].state)
         want_bad("null pointer");
-    int status = s->version == 2 ? (int)fmi2SerializedFMUstateSize(s->c, stash[j].state, null ? NULL : &size)
-                                 : (int)fmi3SerializedFMUStateSize(s->c, stash[j].state, null ? NULL : &size);
+    int status = s->version == 2
+                     ? (int)fmi2SerializedFMUstateSize(s->c, stash[j].state, null ? NULL : &size)
+                     : (int)fmi3SerializedFMUStateSize(s->c, stash[j].state, null ? NULL : &size);
     LAW(size == memory_size, "a state has another size");
     return status;
 }
@@ -317,8 +332,9 @@ static int run_serialize(Slot *s)
     note("state %u, %zu bytes", j, size);
     if (!bytes || !stash[j].state || size != memory_size)
         want_bad(bytes && stash[j].state ? "size" : "null pointer");
-    int status = s->version == 2 ? (int)fmi2SerializeFMUstate(s->c, stash[j].state, (char *)bytes, size)
-                                 : (int)fmi3SerializeFMUState(s->c, stash[j].state, bytes, size);
+    int status = s->version == 2
+                     ? (int)fmi2SerializeFMUstate(s->c, stash[j].state, (char *)bytes, size)
+                     : (int)fmi3SerializeFMUState(s->c, stash[j].state, bytes, size);
     if (status == 0) {
         free(written.bytes);
         written.bytes = bytes;
@@ -344,10 +360,13 @@ static int run_deserialize(Slot *s)
     size_t size = how == 2 ? below(2 * (unsigned)memory_size) : memory_size;
     unsigned char *bytes = once_in(20) ? NULL : malloc(size);
     for (size_t i = 0; bytes && i < size; i++)
-        bytes[i] = how != 3 && written.bytes && i < memory_size ? written.bytes[i] : (unsigned char)below(256);
+        bytes[i] = how != 3 && written.bytes && i < memory_size ? written.bytes[i]
+                                                                : (unsigned char)below(256);
     for (unsigned k = 0; bytes && k < flips; k++)
-        bytes[below(2) ? below((unsigned)size) : below(sizeof(Memory))] ^= (unsigned char)(1u << below(8));
-    flips = flips && bytes && size == memory_size && written.bytes && memcmp(bytes, written.bytes, size) != 0;
+        bytes[below(2) ? below((unsigned)size) : below(sizeof(Memory))] ^=
+            (unsigned char)(1u << below(8));
+    flips = flips && bytes && size == memory_size && written.bytes &&
+            memcmp(bytes, written.bytes, size) != 0;
     int agreed = flips && below(2); /* with a check sum that agrees: by somebody who means it */
     if (agreed)
         sum_up(bytes, size - sizeof(uint64_t));
@@ -370,7 +389,8 @@ static int run_deserialize(Slot *s)
                                  : (int)fmi3DeserializeFMUState(s->c, bytes, size, state);
     LAW(status == 0 || old == *state, "a state that was refused is there");
     if (status == 0) {
-        Memory peek; /* a flipped bit may have made another state of it, a good one as far as anybody can tell */
+        Memory
+            peek; /* a flipped bit may have made another state of it, a good one as far as anybody can tell */
         memcpy(&peek, bytes, sizeof peek);
         stash[j].m = written.m;
         stash[j].from = s;
@@ -389,12 +409,14 @@ static int run_deserialize(Slot *s)
 
 static int is_unknown(const Slot *s, unsigned r)
 {
-    return (void)s, within(r, block.outputs) || within(r, block.derivatives) || within(r, block.states);
+    return (void)s,
+           within(r, block.outputs) || within(r, block.derivatives) || within(r, block.states);
 }
 
 static int is_known(const Slot *s, unsigned r)
 {
-    return (void)s, r == 0 || within(r, block.inputs) || within(r, block.states) || within(r, block.parameters);
+    return (void)s, r == 0 || within(r, block.inputs) || within(r, block.states) ||
+                        within(r, block.parameters);
 }
 
 static int sensitivity(Slot *s, int adjoint)
@@ -403,8 +425,10 @@ static int sensitivity(Slot *s, int adjoint)
     unsigned *r[2] = {malloc(nu * sizeof(unsigned)), malloc(nk * sizeof(unsigned))};
     for (size_t i = 0; i < nu + nk; i++) {
         int known = i >= nu;
-        unsigned x = r[known][known ? i - nu : i] = reference(s, REAL, known ? is_known : is_unknown);
-        if (!elements(s, x) || !(known ? is_known(s, x) && block.value[x].kind == REAL : is_unknown(s, x)))
+        unsigned x = r[known][known ? i - nu : i] =
+            reference(s, REAL, known ? is_known : is_unknown);
+        if (!elements(s, x) ||
+            !(known ? is_known(s, x) && block.value[x].kind == REAL : is_unknown(s, x)))
             want_bad("value reference");
         n[known] += (size_t)elements(s, x);
         note("%s#%u", i == nu ? " by " : " ", x);
@@ -414,7 +438,8 @@ static int sensitivity(Slot *s, int adjoint)
         results = below(40);
     if (s->version == 3 && results != n[adjoint])
         want_bad("");
-    double *v = malloc(seeds * sizeof *v), *result = once_in(40) ? NULL : malloc(results * sizeof *result);
+    double *v = malloc(seeds * sizeof *v),
+           *result = once_in(40) ? NULL : malloc(results * sizeof *result);
     for (size_t i = 0; i < seeds; i++) {
         v[i] = once_in(30) ? not_finite() : once_in(10) ? wild_number() : (double)below(5) - 2;
         want.given = want.given == GOOD && fabs(v[i]) <= 2 ? GOOD : want.given == BAD ? BAD : OPEN;
@@ -426,9 +451,12 @@ static int sensitivity(Slot *s, int adjoint)
     if (doubtful(s) && want.given == GOOD)
         want.given = OPEN;
     deviates("any known");
-    int status = s->version == 2 ? (int)fmi2GetDirectionalDerivative(s->c, r[0], nu, r[1], nk, v, result)
-                 : adjoint       ? (int)fmi3GetAdjointDerivative(s->c, r[0], nu, r[1], nk, v, seeds, result, results)
-                                 : (int)fmi3GetDirectionalDerivative(s->c, r[0], nu, r[1], nk, v, seeds, result, results);
+    int status =
+        s->version == 2 ? (int)fmi2GetDirectionalDerivative(s->c, r[0], nu, r[1], nk, v, result)
+        : adjoint
+            ? (int)fmi3GetAdjointDerivative(s->c, r[0], nu, r[1], nk, v, seeds, result, results)
+            : (int)fmi3GetDirectionalDerivative(s->c, r[0], nu, r[1], nk, v, seeds, result,
+                                                results);
     for (size_t i = 0; result && i < results && status == 0; i++)
         LAW(isfinite(result[i]), "a derivative is %g", result[i]);
     free(r[0]), free(r[1]), free(v), free(result);
@@ -445,14 +473,17 @@ typedef int Vector(void *c, double *x, size_t n);
 
 static int vector(Slot *s, Vector *function, int set)
 {
-    size_t count = (size_t)block.states.count, n = once_in(8) ? (below(2) ? below(40) : count + ((size_t)1 << 32)) : count;
+    size_t count = (size_t)block.states.count,
+           n = once_in(8) ? (below(2) ? below(40) : count + ((size_t)1 << 32)) : count;
     double *x = n > 0xffff ? calloc(count, sizeof *x) : once_in(12) ? NULL : calloc(n, sizeof *x);
     note("%zu%s", n, x ? "" : ", null");
     if ((!x && n > 0) || n != count)
         want_bad(!x && n > 0 ? "null pointer" : "continuous states");
-    if (set && x && want.given == GOOD && s->version == 2 && fmi2GetContinuousStates(s->c, x, n) != fmi2OK)
+    if (set && x && want.given == GOOD && s->version == 2 &&
+        fmi2GetContinuousStates(s->c, x, n) != fmi2OK)
         want.empty = 0;
-    if (set && x && want.given == GOOD && s->version == 3 && fmi3GetContinuousStates(s->c, x, n) != fmi3OK)
+    if (set && x && want.given == GOOD && s->version == 3 &&
+        fmi3GetContinuousStates(s->c, x, n) != fmi3OK)
         want.empty = 0;
     if (set && x && want.given == GOOD && n > 0 && once_in(4)) {
         unsigned i = below((unsigned)n);
@@ -485,7 +516,9 @@ CALL(fmi3GetEventIndicators, fmi3GetEventIndicators(s->c, room, lacking()))
 
 static int run_time(Slot *s)
 {
-    double time = once_in(6) ? not_finite() : once_in(6) ? LATEST : s->m.start + (double)below(1000) / 100;
+    double time = once_in(6)   ? not_finite()
+                  : once_in(6) ? LATEST
+                               : s->m.start + (double)below(1000) / 100;
     note("%g", time);
     if (!(fabs(time) < LATEST))
         want_bad("time");
@@ -508,7 +541,8 @@ static void *place(void)
 CALL(fmi2NewDiscreteStates, fmi2NewDiscreteStates(s->c, place()))
 CALL(fmi2CompletedIntegratorStep, fmi2CompletedIntegratorStep(s->c, 1, place(), place()))
 CALL(fmi3CompletedIntegratorStep, fmi3CompletedIntegratorStep(s->c, 1, place(), place()))
-CALL(fmi3UpdateDiscreteStates, fmi3UpdateDiscreteStates(s->c, place(), place(), place(), place(), place(), place()))
+CALL(fmi3UpdateDiscreteStates,
+     fmi3UpdateDiscreteStates(s->c, place(), place(), place(), place(), place(), place()))
 CALL(fmi3GetNumberOfEventIndicators, fmi3GetNumberOfEventIndicators(s->c, place()))
 CALL(fmi3GetNumberOfContinuousStates, fmi3GetNumberOfContinuousStates(s->c, place()))
 
@@ -531,7 +565,8 @@ static int run_fmi2GetRealStatus(Slot *s)
     double time = s->m.time;
     fmi2StatusKind kind = inquiry(fmi2LastSuccessfulTime);
     int status = (int)fmi2GetRealStatus(s->c, kind, &time);
-    LAW(time == s->m.time || s->m.wild, "the last successful time is %.17g, not %.17g", time, s->m.time);
+    LAW(time == s->m.time || s->m.wild, "the last successful time is %.17g, not %.17g", time,
+        s->m.time);
     return status;
 }
 
@@ -543,16 +578,22 @@ CALL(fmi2GetStringStatus, fmi2GetStringStatus(s->c, inquiry(NONE_KNOWN), (void *
 static int run_step(Slot *s)
 {
     static const double sizes[] = {0.001, 0.0004, 0.003, 0.01},
-                        odd[] = {0, -0.0, -0.001, NAN, INFINITY, -INFINITY, 1e308, 2e10, 1e-13, 5e-324, 5e4, 2e5};
-    double at = s->m.time, rest = sampled ? limit(&s->m) - at : 0, size = sampled ? rest / (1 + below(2)) : sizes[below(4)];
-    double misfits[] = {at + 1e-6, at - 0.001, NAN, INFINITY, -1.9e9, 1.9e9, 1e308, at + 4e-10, at - 4e-10},
+                        odd[] = {0,     -0.0, -0.001, NAN,    INFINITY, -INFINITY,
+                                 1e308, 2e10, 1e-13,  5e-324, 5e4,      2e5};
+    double at = s->m.time, rest = sampled ? limit(&s->m) - at : 0,
+           size = sampled ? rest / (1 + below(2)) : sizes[below(4)];
+    double misfits[] = {at + 1e-6, at - 0.001, NAN,        INFINITY,  -1.9e9,
+                        1.9e9,     1e308,      at + 4e-10, at - 4e-10},
            time = once_in(12) ? misfits[below(9)] : at;
-    size = once_in(5) ? odd[below(12)] : sampled && once_in(8) ? rest + period() * (0.1 + below(3)) : size;
+    size = once_in(5)              ? odd[below(12)]
+           : sampled && once_in(8) ? rest + period() * (0.1 + below(3))
+                                   : size;
     note("%.17g, %.17g", time, size);
     int null = s->version == 3 && once_in(40);
     if (null)
         want_bad("null pointer");
-    else if (!(size >= 0) || !(fabs(time) < LATEST) || !(fabs(time + size) < LATEST) || !(fabs(time - at) < 2e-9 || s->m.wild))
+    else if (!(size >= 0) || !(fabs(time) < LATEST) || !(fabs(time + size) < LATEST) ||
+             !(fabs(time - at) < 2e-9 || s->m.wild))
         want_bad("");
     else if (s->m.set_up == 2 && time + size > s->m.start + RUN + size / 50)
         want_bad(fabs(time - at) < 2e-9 ? "beyond the stop time" : "");
@@ -572,9 +613,11 @@ static int run_step(Slot *s)
         s->inner_sets = s->asked = 0;
     }
     int status = s->version == 2 ? (int)fmi2DoStep(s->c, time, size, 1)
-                                 : (int)fmi3DoStep(s->c, time, size, 1, &event, &terminate, &early, null ? NULL : &last);
+                                 : (int)fmi3DoStep(s->c, time, size, 1, &event, &terminate, &early,
+                                                   null ? NULL : &last);
     LAW(!event && !terminate && (!early || (s->asked && s->early)), "what the step reports");
-    LAW(status != 0 || s->version == 2 || s->m.wild || (early ? last < s->end && last == s->seen : last == s->end),
+    LAW(status != 0 || s->version == 2 || s->m.wild ||
+            (early ? last < s->end && last == s->seen : last == s->end),
         "last successful time %.17g", last);
     want.after = s->m; /* an intermediate update may have set inputs */
     want.after.time = early ? last : s->end;

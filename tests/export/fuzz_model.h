@@ -16,52 +16,75 @@ static const struct {
 /* Where this FMU knowingly does other than the standards (FMI 2.0.5, 3.0.2). `call` with a * stands for all that begin so; a
    row without states is about arguments or about what a state is. Each must be met, or it is no deviation any more. */
 static struct {
-    const char *call, *cs, *me; /* the states in question, of a co-simulation and of a model exchange instance */
+    const char *call, *cs,
+        *me; /* the states in question, of a co-simulation and of a model exchange instance */
     enum { REFUSED, MADE, MADE_IF_EMPTY } instead;
     const char *clause;
     long met;
 } deviations[] = {
-    {"fmi2SetTime", "", "e", MADE, "2.0: 3.2.3 table, condition 8: in event mode for purely discrete FMUs only", 0},
-    {"fmi2SetReal", "t", "t", MADE_IF_EMPTY, "2.0: 3.2.3, 4.2.4 tables: no setting; without references nothing is set", 0},
+    {"fmi2SetTime", "", "e", MADE,
+     "2.0: 3.2.3 table, condition 8: in event mode for purely discrete FMUs only", 0},
+    {"fmi2SetReal", "t", "t", MADE_IF_EMPTY,
+     "2.0: 3.2.3, 4.2.4 tables: no setting; without references nothing is set", 0},
     {"fmi2SetInteger", "t", "ct", MADE_IF_EMPTY, "as fmi2SetReal", 0},
     {"fmi2SetBoolean", "t", "ct", MADE_IF_EMPTY, "as fmi2SetReal", 0},
     {"fmi2SetString", "t", "ct", MADE_IF_EMPTY, "as fmi2SetReal", 0},
-    {"fmi2SetRealInputDerivatives", "", "in", MADE_IF_EMPTY, "2.0: 4.2.4 table: co-simulation only", 0},
-    {"fmi2GetRealOutputDerivatives", "", "t", MADE_IF_EMPTY, "2.0: 4.2.4 table: co-simulation only", 0},
-    {"fmi2GetStatus", "", "t", MADE, "2.0: 4.2.4 table: co-simulation only (and the other four)", 0},
+    {"fmi2SetRealInputDerivatives", "", "in", MADE_IF_EMPTY, "2.0: 4.2.4 table: co-simulation only",
+     0},
+    {"fmi2GetRealOutputDerivatives", "", "t", MADE_IF_EMPTY, "2.0: 4.2.4 table: co-simulation only",
+     0},
+    {"fmi2GetStatus", "", "t", MADE, "2.0: 4.2.4 table: co-simulation only (and the other four)",
+     0},
     {"fmi2GetRealStatus", "", "t", MADE, "as fmi2GetStatus", 0},
     {"fmi2GetIntegerStatus", "", "t", MADE, "as fmi2GetStatus", 0},
     {"fmi2GetBooleanStatus", "", "t", MADE, "as fmi2GetStatus", 0},
     {"fmi2GetStringStatus", "", "t", MADE, "as fmi2GetStatus", 0},
-    {"fmi3GetFloat64", "i", "i", REFUSED, "3.0: 2.3.2 table of equations: start values may be read (not in its list of calls)",
-     0},
+    {"fmi3GetFloat64", "i", "i", REFUSED,
+     "3.0: 2.3.2 table of equations: start values may be read (not in its list of calls)", 0},
     {"fmi3GetInt64", "i", "i", REFUSED, "as fmi3GetFloat64", 0},
     {"fmi3GetBoolean", "i", "i", REFUSED, "as fmi3GetFloat64", 0},
-    {"fmi3Set*", "t", "t", MADE_IF_EMPTY, "3.0: 2.3.8: no setting; without references nothing is set", 0},
-    {"fmi3EvaluateDiscreteStates", "n", "ne", MADE, "3.0: 2.3.5: in event mode, if providesEvaluateDiscreteStates", 0},
-    {"fmi3FreeFMUState", "u", "", MADE, "3.0: 4.2.2: values only, during an intermediate update", 0},
-    {"fmi3GetNumberOfEventIndicators", "", "nct", MADE, "3.0: 2.3.2, 2.3.5: when instantiated and in event mode", 0},
+    {"fmi3Set*", "t", "t", MADE_IF_EMPTY,
+     "3.0: 2.3.8: no setting; without references nothing is set", 0},
+    {"fmi3EvaluateDiscreteStates", "n", "ne", MADE,
+     "3.0: 2.3.5: in event mode, if providesEvaluateDiscreteStates", 0},
+    {"fmi3FreeFMUState", "u", "", MADE, "3.0: 4.2.2: values only, during an intermediate update",
+     0},
+    {"fmi3GetNumberOfEventIndicators", "", "nct", MADE,
+     "3.0: 2.3.2, 2.3.5: when instantiated and in event mode", 0},
     {"fmi3GetNumberOfContinuousStates", "", "nct", MADE, "as fmi3GetNumberOfEventIndicators", 0},
     {"fmi3GetOutputDerivatives", "", "t", MADE_IF_EMPTY, "3.0: 2.3.8: not in model exchange", 0},
     {"clock functions", "insut", "inect", MADE_IF_EMPTY,
      "3.0: 2.3.3, 2.3.5: clocks in some states only; without references nothing is done", 0},
     {"no error state", "", "", MADE,
-     "2.0: 2.1.3, 3.2.3, 4.2.4; 3.0: 2.2.3, 2.3.1: after an Error only reading, restoring, resetting and freeing", 0},
-    {"no set-up", "", "", MADE, "2.0: 2.1.6: fmi2SetupExperiment before fmi2EnterInitializationMode", 0},
-    {"reading after setting", "", "", MADE, "2.0: 4.2.4, 3.0: 4.2.1: a step between setting and getting in co-simulation", 0},
-    {"any variable", "", "", MADE, "2.0: 3.2.3, 4.2.4, condition 2: in initialization mode outputs and initial unknowns only",
+     "2.0: 2.1.3, 3.2.3, 4.2.4; 3.0: 2.2.3, 2.3.1: after an Error only reading, restoring, "
+     "resetting and freeing",
      0},
-    {"any intermediate variable", "", "", MADE, "3.0: 4.2.2: those named at instantiation only, no reading after setting", 0},
+    {"no set-up", "", "", MADE,
+     "2.0: 2.1.6: fmi2SetupExperiment before fmi2EnterInitializationMode", 0},
+    {"reading after setting", "", "", MADE,
+     "2.0: 4.2.4, 3.0: 4.2.1: a step between setting and getting in co-simulation", 0},
+    {"any variable", "", "", MADE,
+     "2.0: 3.2.3, 4.2.4, condition 2: in initialization mode outputs and initial unknowns only", 0},
+    {"any intermediate variable", "", "", MADE,
+     "3.0: 4.2.2: those named at instantiation only, no reading after setting", 0},
     {"state set one by one", "", "", REFUSED,
-     "2.0: 3.2.3, condition 5; 3.0: 2.3.5, 3.2.1: a state by fmiXSetReal/Float64 after initialization", 0},
+     "2.0: 3.2.3, condition 5; 3.0: 2.3.5, 3.2.1: a state by fmiXSetReal/Float64 after "
+     "initialization",
+     0},
     {"step of no size", "", "", MADE, "2.0: 4.2.2, 3.0: 4.2.1: a step's size is above 0", 0},
     {"time goes back", "", "", MADE,
-     "2.0: 3.2.1, 3.0: 3.2.1: not before the start, the last event or the second last completed step", 0},
-    {"any known", "", "", MADE, "2.0: 2.1.9, 3.0: 2.2.11: derivatives by and of what a state's equations have only", 0},
+     "2.0: 3.2.1, 3.0: 3.2.1: not before the start, the last event or the second last completed "
+     "step",
+     0},
+    {"any known", "", "", MADE,
+     "2.0: 2.1.9, 3.0: 2.2.11: derivatives by and of what a state's equations have only", 0},
     {"blank name", "", "", MADE, "2.0: 2.1.5, 3.0: 2.3.1: an instance's name is not empty", 0},
-    {"told all the same", "", "", MADE, "2.0: 2.1.5, 3.0: 2.3.1: no messages if logging is off, or of a category that is", 0},
-    {"status without a word", "", "", MADE, "3.0: 2.3.1, 2.0: 2.1.3: what is not OK is told (fmi2GetXxxStatus is not)", 0},
-    {"another instance's state", "", "", MADE, "2.0: 2.1.8, 3.0: 2.2.4: a saved state is one of this instance", 0},
+    {"told all the same", "", "", MADE,
+     "2.0: 2.1.5, 3.0: 2.3.1: no messages if logging is off, or of a category that is", 0},
+    {"status without a word", "", "", MADE,
+     "3.0: 2.3.1, 2.0: 2.1.3: what is not OK is told (fmi2GetXxxStatus is not)", 0},
+    {"another instance's state", "", "", MADE,
+     "2.0: 2.1.8, 3.0: 2.2.4: a saved state is one of this instance", 0},
 };
 
 #define LATEST 2e9 /* s; no time beyond it */
@@ -179,18 +202,21 @@ static void hear(Slot *s, int status, const char *category, const char *text)
     said.count++;
     said.status = status;
     snprintf(said.text, sizeof said.text, "%s", text);
-    LAW(category && (!strcmp(category, "logStatusError") || !strcmp(category, "logRequirement")), "category %s", category);
+    LAW(category && (!strcmp(category, "logStatusError") || !strcmp(category, "logRequirement")),
+        "category %s", category);
     LAW(strlen(text) > 10, "an empty message");
     for (const char *p = text; *p; p++)
         LAW(*p >= ' ' && *p <= '~', "a message that cannot be read: %s", text);
     for (const char *e = strchr(text, 'e'); e; e = strchr(e + 1, 'e'))
-        LAW(!((e[1] == '-' || e[1] == '+') && e[2] >= '0' && e[2] <= '9') || (e > text && e[-1] >= '0' && e[-1] <= '9'),
+        LAW(!((e[1] == '-' || e[1] == '+') && e[2] >= '0' && e[2] <= '9') ||
+                (e > text && e[-1] >= '0' && e[-1] <= '9'),
             "a number that cannot be read: %s", text);
     if (s && s->silent)
         deviates("told all the same");
 }
 
-static void hear2(fmi2ComponentEnvironment e, fmi2String name, fmi2Status status, fmi2String category, fmi2String format, ...)
+static void hear2(fmi2ComponentEnvironment e, fmi2String name, fmi2Status status,
+                  fmi2String category, fmi2String format, ...)
 {
     char text[512];
     va_list arguments;
@@ -201,7 +227,8 @@ static void hear2(fmi2ComponentEnvironment e, fmi2String name, fmi2Status status
     hear(e, (int)status, category, text);
 }
 
-static void hear3(fmi3InstanceEnvironment e, fmi3Status status, fmi3String category, fmi3String text)
+static void hear3(fmi3InstanceEnvironment e, fmi3Status status, fmi3String category,
+                  fmi3String text)
 {
     hear(e, (int)status, category, text);
 }
@@ -222,7 +249,8 @@ static int once_in(unsigned n) { return !forced && below(n) == 0; }
 
 static double wild_number(void)
 {
-    static const double numbers[] = {1e308, -1e308, 5e-324, -1e-310, 1e200, -1e20, 0, -0.0, 1e-13, 3, -7, 4e9, 1e160, 0.5};
+    static const double numbers[] = {1e308, -1e308, 5e-324, -1e-310, 1e200, -1e20, 0,
+                                     -0.0,  1e-13,  3,      -7,      4e9,   1e160, 0.5};
     return numbers[below(sizeof numbers / sizeof *numbers)];
 }
 
@@ -239,9 +267,15 @@ static int letter(State state)
     return 0;
 }
 
-static int is_in(State state, const char *letters) { return strchr(letters, letter(state)) != NULL; }
+static int is_in(State state, const char *letters)
+{
+    return strchr(letters, letter(state)) != NULL;
+}
 
-static int within(unsigned r, Range range) { return (int)r >= range.first && (int)r < range.first + range.count; }
+static int within(unsigned r, Range range)
+{
+    return (int)r >= range.first && (int)r < range.first + range.count;
+}
 
 static int doubtful(const Slot *s) { return s->m.wild || s->m.wild_inputs; }
 
@@ -249,7 +283,8 @@ static int doubtful(const Slot *s) { return s->m.wild || s->m.wild_inputs; }
 static int settable(const Slot *s, unsigned r)
 {
     int access = block.value[r].access, c = letter(s->m.state);
-    if (access == START && (c == 'c' || (c == 'e' && s->version == 3)) && !deviates("state set one by one"))
+    if (access == START && (c == 'c' || (c == 'e' && s->version == 3)) &&
+        !deviates("state set one by one"))
         return 1;
     return access == READ_ONLY    ? 0
            : c == 'i' || c == 'n' ? 1
@@ -289,14 +324,16 @@ static int get_state(Slot *s, void **state)
 
 static int free_state(Slot *s, void **state)
 {
-    return s->version == 2 ? (int)fmi2FreeFMUstate(s->c, state) : (int)fmi3FreeFMUState(s->c, state);
+    return s->version == 2 ? (int)fmi2FreeFMUstate(s->c, state)
+                           : (int)fmi3FreeFMUState(s->c, state);
 }
 
 static void snapshot(Slot *s, unsigned char *bytes)
 {
-    int ok = get_state(s, &s->before) == 0 &&
-             (s->version == 2 ? (int)fmi2SerializeFMUstate(s->c, s->before, (char *)bytes, memory_size)
-                              : (int)fmi3SerializeFMUState(s->c, s->before, bytes, memory_size)) == 0;
+    int ok =
+        get_state(s, &s->before) == 0 &&
+        (s->version == 2 ? (int)fmi2SerializeFMUstate(s->c, s->before, (char *)bytes, memory_size)
+                         : (int)fmi3SerializeFMUState(s->c, s->before, bytes, memory_size)) == 0;
     LAW(ok, "the state cannot be saved");
 }
 
@@ -307,14 +344,17 @@ static int same(const Slot *s, const unsigned char *a, const unsigned char *b, i
     Memory x, y;
     memcpy(&x, a, sizeof x);
     memcpy(&y, b, sizeof y);
-    if (x.identity != y.identity || x.state != y.state || x.start != y.start || x.next_sample != y.next_sample ||
-        memcmp(&x.clock, &y.clock, sizeof x.clock))
+    if (x.identity != y.identity || x.state != y.state || x.start != y.start ||
+        x.next_sample != y.next_sample || memcmp(&x.clock, &y.clock, sizeof x.clock))
         return 0;
     for (unsigned r = 1; r < (unsigned)(block.values + block.states.count); r++) {
-        int held = sampled && !is_in(s->m.state, "in"); /* outputs are a sampled block's memory between samples */
+        int held =
+            sampled &&
+            !is_in(s->m.state, "in"); /* outputs are a sampled block's memory between samples */
         int computed = within(r, block.derivatives) || (within(r, block.outputs) && !held);
         if (!computed && !(inputs && within(r, block.inputs)) &&
-            memcmp(a + values + r * sizeof(double), b + values + r * sizeof(double), sizeof(double)))
+            memcmp(a + values + r * sizeof(double), b + values + r * sizeof(double),
+                   sizeof(double)))
             return 0;
     }
     return 1;
@@ -332,14 +372,17 @@ static void read_all(Slot *s, double *value)
         if (s->version == 2 && kind == REAL)
             status = (int)fmi2GetReal(s->c, &r, 1, &value[r]);
         else if (s->version == 2)
-            status = (int)(kind == BOOLEAN ? fmi2GetBoolean(s->c, &r, 1, &number) : fmi2GetInteger(s->c, &r, 1, &number));
+            status = (int)(kind == BOOLEAN ? fmi2GetBoolean(s->c, &r, 1, &number)
+                                           : fmi2GetInteger(s->c, &r, 1, &number));
         else if (extent > 0 && kind == REAL)
             status = (int)fmi3GetFloat64(s->c, &r, 1, &value[r], (size_t)extent);
         else if (extent > 0)
-            status = (int)(kind == BOOLEAN ? fmi3GetBoolean(s->c, &r, 1, &flag, 1) : fmi3GetInt64(s->c, &r, 1, &whole, 1));
+            status = (int)(kind == BOOLEAN ? fmi3GetBoolean(s->c, &r, 1, &flag, 1)
+                                           : fmi3GetInt64(s->c, &r, 1, &whole, 1));
         if (kind != REAL)
             value[r] = number + (double)whole + flag;
-        LAW(status == 0 || doubtful(s) || (s->version == 3 && extent == 0), "%s cannot be read", block.value[r].name);
+        LAW(status == 0 || doubtful(s) || (s->version == 3 && extent == 0), "%s cannot be read",
+            block.value[r].name);
         if (s->version == 3 && extent > 1)
             r += (unsigned)extent - 1;
     }

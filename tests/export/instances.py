@@ -30,7 +30,9 @@ class Instance:
             if "[" in name:  # x[1] and, of FMI 2.0's derivatives, der(x[1])
                 name = name.partition("[")[0] + (")" if name.startswith("der(") else "")
             self.references.setdefault(name, []).append(variable.valueReference)
-            self.sizes[name] = self.sizes.get(name, 0) + int(np.prod([int(d.start) for d in variable.dimensions] or [1]))
+            self.sizes[name] = self.sizes.get(name, 0) + int(
+                np.prod([int(d.start) for d in variable.dimensions] or [1])
+            )
         self._directory = fmpy.extract(str(path))
         kinds = {2: (fmi2.FMU2Slave, fmi2.FMU2Model), 3: (fmi3.FMU3Slave, fmi3.FMU3Model)}
         self.fmu: Any = kinds[self.version][model_exchange](
@@ -41,7 +43,9 @@ class Instance:
         )
         self.said: list[str] = []
         if self.version == 3:
-            options["logMessage"] = lambda _, status, category, message: self.said.append(message.decode())
+            options["logMessage"] = lambda _, status, category, message: self.said.append(
+                message.decode()
+            )
         self.fmu.instantiate(**options)
 
     def initialise(self, start: float = 0.0) -> Instance:
@@ -58,10 +62,14 @@ class Instance:
 
     def set(self, name: str, values: Array | Sequence[float] | float) -> None:
         numbers = [float(x) for x in np.atleast_1d(values)]
-        (self.fmu.setReal if self.version == 2 else self.fmu.setFloat64)(self.references[name], numbers)
+        (self.fmu.setReal if self.version == 2 else self.fmu.setFloat64)(
+            self.references[name], numbers
+        )
 
     def choose(self, name: str, value: int) -> None:
-        (self.fmu.setInteger if self.version == 2 else self.fmu.setInt64)(self.references[name], [value])
+        (self.fmu.setInteger if self.version == 2 else self.fmu.setInt64)(
+            self.references[name], [value]
+        )
 
     def switch(self, name: str, value: bool) -> None:
         self.fmu.setBoolean(self.references[name], [value])
@@ -83,7 +91,9 @@ class Instance:
         return self._having("input")
 
     def _having(self, causality: str) -> list[str]:
-        found = {v.valueReference for v in self.description.modelVariables if v.causality == causality}
+        found = {
+            v.valueReference for v in self.description.modelVariables if v.causality == causality
+        }
         return [name for name, references in self.references.items() if references[0] in found]
 
     def step(self, time: float, size: float) -> Any:

@@ -31,7 +31,9 @@ def test_an_fmu_is_small(fmus: Path, version: int, name: str) -> None:
 
 
 @pytest.mark.parametrize(("version", "name"), EVERY)
-def test_capabilities_are_told_as_they_are(fmus: Path, robot: Robot, version: int, name: str) -> None:
+def test_capabilities_are_told_as_they_are(
+    fmus: Path, robot: Robot, version: int, name: str
+) -> None:
     with ZipFile(path_of(fmus, version, name)) as archive:
         root = ElementTree.fromstring(archive.read("modelDescription.xml"))
     slave, model = root.find("CoSimulation"), root.find("ModelExchange")
@@ -39,20 +41,33 @@ def test_capabilities_are_told_as_they_are(fmus: Path, robot: Robot, version: in
     assert slave is not None
     assert (model is None) == sampled
     state = (
-        ["canGetAndSetFMUstate", "canSerializeFMUstate"] if version == 2 else ["canGetAndSetFMUState", "canSerializeFMUState"]
+        ["canGetAndSetFMUstate", "canSerializeFMUstate"]
+        if version == 2
+        else ["canGetAndSetFMUState", "canSerializeFMUState"]
     )
-    derivatives = {2: ["providesDirectionalDerivative"], 3: ["providesDirectionalDerivatives", "providesAdjointDerivatives"]}
-    inner = [] if version == 2 or sampled else ["providesIntermediateUpdate", "canReturnEarlyAfterIntermediateUpdate"]
+    derivatives = {
+        2: ["providesDirectionalDerivative"],
+        3: ["providesDirectionalDerivatives", "providesAdjointDerivatives"],
+    }
+    inner = (
+        []
+        if version == 2 or sampled
+        else ["providesIntermediateUpdate", "canReturnEarlyAfterIntermediateUpdate"]
+    )
     memory = ["canNotUseMemoryManagementFunctions"] if version == 2 else []
     common = {*state, *derivatives[version], *memory}
     told = {key for key, value in slave.attrib.items() if value == "true"}
     assert told == {*common, *inner, "canHandleVariableCommunicationStepSize"}
     if model is not None:
-        assert {key for key, value in model.attrib.items() if value == "true"} - common <= {"completedIntegratorStepNotNeeded"}
+        assert {key for key, value in model.attrib.items() if value == "true"} - common <= {
+            "completedIntegratorStepNotNeeded"
+        }
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_angles_are_displayed_in_degrees_and_units_are_products_of_si_units(fmus: Path, version: int) -> None:
+def test_angles_are_displayed_in_degrees_and_units_are_products_of_si_units(
+    fmus: Path, version: int
+) -> None:
     description = read_model_description(str(path_of(fmus, version, "free_flyer")))
     units = {unit.name: unit for unit in description.unitDefinitions}
     assert units["rad"].displayUnits[0].name == "deg"
@@ -80,7 +95,9 @@ GESTURES = (
 def test_terminals_connect_the_loop_in_nine_gestures(tmp_path: Path, fmi: int) -> None:
     """The same connections, and the same numbers, as one by one."""
     written = scenario.load("multirate_passive", ["stop_s=0.6"])
-    text = written.source.partition("connections = [")[0] + f"connections = {list(GESTURES)}\n".replace("'", '"')
+    text = written.source.partition("connections = [")[
+        0
+    ] + f"connections = {list(GESTURES)}\n".replace("'", '"')
     text += 'delayed = ["base_controller.applied <-> manipulator_controller.applied"]\n'
     text += "[record]" + written.source.partition("[record]")[2]
     (tmp_path / "by_terminals.toml").write_text(text)
@@ -100,23 +117,39 @@ def test_wrong_terminals_are_named(tmp_path: Path) -> None:
     with assembled(scenario.load(str(tmp_path / "same.toml"))) as (master, _):
         assert len(master.graph.connections) == 25  # the same wires as one by one, and no others
     for wrong, sentence in (
-        ("free_flyer.bas <-> base_controller.base", "component 'free_flyer' has no terminal 'bas'; did you mean 'base'"),
+        (
+            "free_flyer.bas <-> base_controller.base",
+            "component 'free_flyer' has no terminal 'bas'; did you mean 'base'",
+        ),
         ("free_flier.base <-> base_controller.base", "there is no component 'free_flier'"),
-        ("free_flyer.hand <-> base_controller.base", "no output of one terminal is an input of the other"),
+        (
+            "free_flyer.hand <-> base_controller.base",
+            "no output of one terminal is an input of the other",
+        ),
     ):
-        (tmp_path / "a.toml").write_text(f'extends = "multirate_passive"\nconnections = ["{wrong}"]\n')
-        with pytest.raises(CosimError, match=sentence), assembled(scenario.load(str(tmp_path / "a.toml"))):
+        (tmp_path / "a.toml").write_text(
+            f'extends = "multirate_passive"\nconnections = ["{wrong}"]\n'
+        )
+        with (
+            pytest.raises(CosimError, match=sentence),
+            assembled(scenario.load(str(tmp_path / "a.toml"))),
+        ):
             pass
 
 
 def test_terminals_are_valid_by_the_standards_schema(fmus: Path) -> None:
     from lxml import etree
 
-    schema = etree.XMLSchema(file=str(Path(fmpy.__file__).parent / "schema" / "fmi3" / "fmi3TerminalsAndIcons.xsd"))
+    schema = etree.XMLSchema(
+        file=str(Path(fmpy.__file__).parent / "schema" / "fmi3" / "fmi3TerminalsAndIcons.xsd")
+    )
     for name in ("free_flyer", "manipulator_controller", "base_controller", "reference_trajectory"):
         with ZipFile(path_of(fmus, 3, name)) as archive:
             data = archive.read("terminalsAndIcons/terminalsAndIcons.xml")
-            names = {variable.name for variable in read_model_description(str(path_of(fmus, 3, name))).modelVariables}
+            names = {
+                variable.name
+                for variable in read_model_description(str(path_of(fmus, 3, name))).modelVariables
+            }
         schema.assertValid(etree.fromstring(data))
         members = ElementTree.fromstring(data).iter("TerminalMemberVariable")
         assert {member.get("variableName") for member in members} <= names

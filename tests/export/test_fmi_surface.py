@@ -42,7 +42,9 @@ def driven(instance: Instance, robot: Robot, random: np.random.Generator) -> Cal
 
     def drive() -> None:
         for name, start in starts.items():
-            instance.set(name, start + 0.01 * random.uniform(-1.0, 1.0, start.shape) * (1.0 + np.abs(start)))
+            instance.set(
+                name, start + 0.01 * random.uniform(-1.0, 1.0, start.shape) * (1.0 + np.abs(start))
+            )
 
     return drive
 
@@ -51,7 +53,9 @@ def driven(instance: Instance, robot: Robot, random: np.random.Generator) -> Cal
 
 
 @pytest.mark.parametrize(("version", "name"), family(EVERY, alternating(VERSIONS, BLOCKS)))
-def test_a_state_saved_at_any_instant_resumes_bit_for_bit(fmus: Path, robot: Robot, version: int, name: str) -> None:
+def test_a_state_saved_at_any_instant_resumes_bit_for_bit(
+    fmus: Path, robot: Robot, version: int, name: str
+) -> None:
     """In the same instance and, from its bytes, in another one."""
     random = np.random.default_rng(version)
     one = Instance(path_of(fmus, version, name)).initialise()
@@ -80,7 +84,9 @@ def test_a_state_saved_at_any_instant_resumes_bit_for_bit(fmus: Path, robot: Rob
 
 @pytest.mark.parametrize("version", family(VERSIONS))
 @given(data=st.data())
-def test_bytes_that_are_no_saved_state_are_refused(fmus: Path, version: int, data: st.DataObject) -> None:
+def test_bytes_that_are_no_saved_state_are_refused(
+    fmus: Path, version: int, data: st.DataObject
+) -> None:
     instance = Instance(path_of(fmus, version, "manipulator_controller")).initialise()
     try:
         saved = bytearray(instance.save())
@@ -195,7 +201,9 @@ def test_an_importer_may_look_and_act_inside_a_communication_step(fmus: Path) ->
     seen: list[float] = []
     positions = []
 
-    def update(_: object, time: float, settable: bool, gettable: bool, finished: bool, *rest: object) -> None:
+    def update(
+        _: object, time: float, settable: bool, gettable: bool, finished: bool, *rest: object
+    ) -> None:
         assert settable
         assert gettable
         assert finished
@@ -206,7 +214,10 @@ def test_an_importer_may_look_and_act_inside_a_communication_step(fmus: Path) ->
             inner.step(time, MS)
 
     path = path_of(fmus, 3, "free_flyer")
-    inner, outer = Instance(path, intermediateUpdate=update).initialise(), Instance(path).initialise()
+    inner, outer = (
+        Instance(path, intermediateUpdate=update).initialise(),
+        Instance(path).initialise(),
+    )
     for instance in (inner, outer):
         instance.set("joint_torque", [0.0] * 6)
     assert inner.step(0.0, 5 * MS)[2:] == (False, 5 * MS)
@@ -228,7 +239,9 @@ def test_an_importer_may_end_a_communication_step_early(fmus: Path, allowed: boo
         assert bool(rest[3]) is allowed
         early[0] = time > 2.5 * MS
 
-    plant = Instance(path_of(fmus, 3, "free_flyer"), intermediateUpdate=update, earlyReturnAllowed=allowed).initialise()
+    plant = Instance(
+        path_of(fmus, 3, "free_flyer"), intermediateUpdate=update, earlyReturnAllowed=allowed
+    ).initialise()
     *_, early, last = plant.step(0.0, 10 * MS)
     assert (early, last) == ((True, pytest.approx(3 * MS)) if allowed else (False, 10 * MS))
     plant.step(last, 10 * MS - last if allowed else MS)
@@ -251,19 +264,29 @@ def test_an_importers_solver_comes_to_the_co_simulations_result(fmus: Path, vers
     fmu = model.fmu
     (fmu.newDiscreteStates if version == 2 else fmu.updateDiscreteStates)()
     fmu.enterContinuousTimeMode()
-    states = ["base_position", "base_orientation", "base_velocity", "joint_position", "joint_velocity"]
+    states = [
+        "base_position",
+        "base_orientation",
+        "base_velocity",
+        "joint_position",
+        "joint_velocity",
+    ]
     x0 = np.concatenate([model.get(name) for name in states])
 
     def rates(t: float, x: Array) -> Array:
         dx, x = np.empty_like(x), np.ascontiguousarray(x)
         fmu.setTime(t)
         fmu.setContinuousStates(pointer(x), x.size)
-        (fmu.getDerivatives if version == 2 else fmu.getContinuousStateDerivatives)(pointer(dx), dx.size)
+        (fmu.getDerivatives if version == 2 else fmu.getContinuousStateDerivatives)(
+            pointer(dx), dx.size
+        )
         return dx
 
     nominals = np.empty_like(x0)
     (fmu.getNominalsOfContinuousStates)(pointer(nominals), nominals.size)
-    told = {v.name.partition("[")[0]: float(v.nominal or 1.0) for v in model.description.modelVariables}
+    told = {
+        v.name.partition("[")[0]: float(v.nominal or 1.0) for v in model.description.modelVariables
+    }
     assert nominals.tolist() == [told[name] for name in states for _ in range(model.sizes[name])]
     solver = DOP853(rates, 0.0, x0, 1.0, rtol=1e-11, atol=1e-12 * nominals)
     while solver.status == "running":
@@ -278,7 +301,9 @@ def test_an_importers_solver_comes_to_the_co_simulations_result(fmus: Path, vers
         e = np.eye(x0.size)[column]
         difference = (rates(1.0, solver.y + 1e-6 * e) - rates(1.0, solver.y - 1e-6 * e)) / 2e-6
         rates(1.0, solver.y)
-        np.testing.assert_allclose(model.directional(derivatives, states, e), difference, rtol=1e-5, atol=1e-5)
+        np.testing.assert_allclose(
+            model.directional(derivatives, states, e), difference, rtol=1e-5, atol=1e-5
+        )
     model.close()
     slave.close()
 
@@ -292,13 +317,18 @@ def pointer(array: Array) -> object:
 
 @pytest.mark.parametrize(("version", "name"), EVERY)
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e300, -1e200])
-def test_a_wrong_input_leaves_everything_as_it_was(fmus: Path, version: int, name: str, value: float, capfd: object) -> None:
+def test_a_wrong_input_leaves_everything_as_it_was(
+    fmus: Path, version: int, name: str, value: float, capfd: object
+) -> None:
     """Refused with the variable's name when it is set, or when a step with it would end beyond numbers."""
     instance = Instance(path_of(fmus, version, name)).initialise()
     instance.step(0.0, MS)
     for wrong in instance.inputs:
         good = {name: instance.get(name) for name in instance.inputs}
-        outputs, saved = instance.all_outputs(), instance.save()  # in this order: outputs are computed when they are read
+        outputs, saved = (
+            instance.all_outputs(),
+            instance.save(),
+        )  # in this order: outputs are computed when they are read
         numbers = good[wrong].copy()
         numbers[-1] = value
         refused = False
@@ -323,14 +353,21 @@ def test_a_wrong_input_leaves_everything_as_it_was(fmus: Path, version: int, nam
 # Many instances
 
 
-def test_a_hundred_instances_on_eight_threads_compute_the_same_and_give_their_memory_back(fmus: Path) -> None:
+def test_a_hundred_instances_on_eight_threads_compute_the_same_and_give_their_memory_back(
+    fmus: Path,
+) -> None:
     path = path_of(fmus, 3, "free_flyer")
     description, folder = read_model_description(str(path)), fmpy.extract(str(path))
     names = {variable.name: variable.valueReference for variable in description.modelVariables}
 
     def once() -> bytes:
         made = [
-            FMU3Slave(guid=description.guid, unzipDirectory=folder, modelIdentifier=path.stem, instanceName=f"number {i}")
+            FMU3Slave(
+                guid=description.guid,
+                unzipDirectory=folder,
+                modelIdentifier=path.stem,
+                instanceName=f"number {i}",
+            )
             for i in range(100)
         ]
         results = [b""] * len(made)
@@ -343,7 +380,9 @@ def test_a_hundred_instances_on_eight_threads_compute_the_same_and_give_their_me
                 made[i].setFloat64([names["joint_torque"]], [0.1, -0.2, 0.3, 0.1, 0.0, 0.05])
                 for k in range(100):
                     made[i].doStep(k * MS, MS)
-                results[i] = np.array(made[i].getFloat64([names["end_effector_velocity"]], nValues=6)).tobytes()
+                results[i] = np.array(
+                    made[i].getFloat64([names["end_effector_velocity"]], nValues=6)
+                ).tobytes()
 
         threads = [threading.Thread(target=work, args=(which,)) for which in range(8)]
         for thread in threads:
@@ -358,7 +397,12 @@ def test_a_hundred_instances_on_eight_threads_compute_the_same_and_give_their_me
 
     assert once() == once()
     # Memory: often enough that FMPy's own of an importer (4 kB each) cannot be mistaken for ours (9 kB each).
-    slave = FMU3Slave(guid=description.guid, unzipDirectory=folder, modelIdentifier=path.stem, instanceName="again")
+    slave = FMU3Slave(
+        guid=description.guid,
+        unzipDirectory=folder,
+        modelIdentifier=path.stem,
+        instanceName="again",
+    )
 
     def again(times: int) -> None:
         for _ in range(times):
@@ -375,5 +419,9 @@ def test_a_hundred_instances_on_eight_threads_compute_the_same_and_give_their_me
 
 def resident() -> float:
     """Bytes of this process in memory."""
-    pages = int(Path("/proc/self/statm").read_text().split()[1]) if Path("/proc/self/statm").exists() else 0
+    pages = (
+        int(Path("/proc/self/statm").read_text().split()[1])
+        if Path("/proc/self/statm").exists()
+        else 0
+    )
     return float(pages * resource.getpagesize())

@@ -39,7 +39,11 @@ def test_fmpy_simulates_it_alone_with_its_defaults(fmus: Path, version: str, nam
 
 
 def test_model_exchange_and_co_simulation_of_the_plant_agree(fmus: Path) -> None:
-    options = {"start_values": {"joint_velocity[2]": 0.3, "base_velocity[4]": 0.1}, "stop_time": 1.0, "output_interval": 0.1}
+    options = {
+        "start_values": {"joint_velocity[2]": 0.3, "base_velocity[4]": 0.1},
+        "stop_time": 1.0,
+        "output_interval": 0.1,
+    }
     path = str(fmus / "fmi2" / "free_flyer.fmu")
     stepped = fmpy.simulate_fmu(path, fmi_type="CoSimulation", **options)
     solved = fmpy.simulate_fmu(path, fmi_type="ModelExchange", relative_tolerance=1e-10, **options)
@@ -59,7 +63,10 @@ def fresh_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         yield
 
 
-@pytest.mark.parametrize("name", family(["reference_trajectory", "free_flyer", "manipulator_controller", "base_controller"]))
+@pytest.mark.parametrize(
+    "name",
+    family(["reference_trajectory", "free_flyer", "manipulator_controller", "base_controller"]),
+)
 def test_two_builds_of_the_same_source_are_the_same_files(
     robot: Robot, fmus: Path, tmp_path: Path, fresh_cache: None, name: str
 ) -> None:
@@ -80,7 +87,9 @@ def test_an_archive_holds_nothing_of_this_machine(fmus: Path) -> None:
 
 @pytest.mark.parametrize("version", VERSIONS)
 @pytest.mark.parametrize("step", [0.001, 0.01, 0.05, 0.3])
-def test_a_controller_computes_the_same_at_any_step_that_divides_its_period(fmus: Path, version: str, step: float) -> None:
+def test_a_controller_computes_the_same_at_any_step_that_divides_its_period(
+    fmus: Path, version: str, step: float
+) -> None:
     controller = FmuComponent("base_controller", fmus / version / "base_controller.fmu")
     controller.enter_initialization(0.0, {})
     controller.exit_initialization()
@@ -100,14 +109,19 @@ def test_a_controller_computes_the_same_at_any_step_that_divides_its_period(fmus
 
 @pytest.mark.parametrize("version", VERSIONS)
 @pytest.mark.parametrize("step", [0.4, 0.2])
-def test_a_step_over_a_sample_is_an_error_that_names_both(fmus: Path, version: str, step: float) -> None:
+def test_a_step_over_a_sample_is_an_error_that_names_both(
+    fmus: Path, version: str, step: float
+) -> None:
     controller = FmuComponent("base_controller", fmus / version / "base_controller.fmu")
     controller.enter_initialization(0.0, {})
     controller.exit_initialization()
     first_over = int(0.3 / step)
     for k in range(first_over):
         controller.step(k * step, step)
-    with pytest.raises(StepFailed, match=f"step of {step:g} s passes over a sample of this block, whose period is 0.3 s"):
+    with pytest.raises(
+        StepFailed,
+        match=f"step of {step:g} s passes over a sample of this block, whose period is 0.3 s",
+    ):
         controller.step(first_over * step, step)
     controller.close()
 
@@ -128,7 +142,9 @@ def test_a_last_step_of_almost_no_length_is_harmless(fmus: Path, version: str) -
 def bad(fmus: Path, name: str, values: dict[str, object], version: str = "fmi2") -> str:
     component = FmuComponent(name, fmus / version / f"{name}.fmu")
     try:
-        component.enter_initialization(0.0, {key: np.atleast_1d(np.array(value, dtype=float)) for key, value in values.items()})
+        component.enter_initialization(
+            0.0, {key: np.atleast_1d(np.array(value, dtype=float)) for key, value in values.items()}
+        )
         component.exit_initialization()
     except ComponentError as error:
         return str(error)
@@ -144,19 +160,27 @@ def test_impossible_parameters_are_refused_with_name_and_value(fmus: Path, versi
 
     assert "base_mass is -1; more than 0 is expected" in said("free_flyer", base_mass=-1.0)
     assert "base_mass cannot be set to NaN" in said("free_flyer", base_mass=np.nan)
-    assert "base_inertia[2] cannot be set to infinity" in said("free_flyer", base_inertia=[1, np.inf, 1, 0, 0, 0])
+    assert "base_inertia[2] cannot be set to infinity" in said(
+        "free_flyer", base_inertia=[1, np.inf, 1, 0, 0, 0]
+    )
     assert "triangle inequality" in said("free_flyer", base_inertia=[1, 1, 5, 0, 0, 0])
     assert "positive definite" in said("free_flyer", base_inertia=[1, 1, 1, 2, 0, 0])
-    assert "squared norm of base_orientation is 0" in said("free_flyer", base_orientation=[0, 0, 0, 0])
+    assert "squared norm of base_orientation is 0" in said(
+        "free_flyer", base_orientation=[0, 0, 0, 0]
+    )
     assert "period is 0; more than 0 is expected" in said("base_controller", period=0.0)
     assert "none of the enumeration's items" in said("manipulator_controller", observer=9)
     singular = said("manipulator_controller", joint_position=[0, 0, 0, 0, 0, 0])
-    assert re.search(r"smallest singular value of J_m is \d\S*; at least 0.02 is expected", singular), singular
+    assert re.search(
+        r"smallest singular value of J_m is \d\S*; at least 0.02 is expected", singular
+    ), singular
     assert "is computed" in said("manipulator_controller", manipulator_observed_energy=[5.0] * 6)
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_a_step_that_blows_up_is_discarded_and_the_next_good_one_works(fmus: Path, version: str) -> None:
+def test_a_step_that_blows_up_is_discarded_and_the_next_good_one_works(
+    fmus: Path, version: str
+) -> None:
     plant = FmuComponent("free_flyer", fmus / version / "free_flyer.fmu")
     plant.enter_initialization(0.0, {})
     plant.exit_initialization()
@@ -186,13 +210,20 @@ def test_a_saved_state_resumes_bit_for_bit(fmus: Path) -> None:
 
     path = str(fmus / "fmi2" / "free_flyer.fmu")
     description = read_model_description(path)
-    slave = FMU2Slave(guid=description.guid, unzipDirectory=fmpy.extract(path), modelIdentifier="free_flyer", instanceName="x")
+    slave = FMU2Slave(
+        guid=description.guid,
+        unzipDirectory=fmpy.extract(path),
+        modelIdentifier="free_flyer",
+        instanceName="x",
+    )
     slave.instantiate()
     slave.setupExperiment(startTime=0.0)
     slave.enterInitializationMode()
     slave.exitInitializationMode()
     outputs = [v.valueReference for v in description.modelVariables if v.causality == "output"]
-    torque = [v.valueReference for v in description.modelVariables if v.name.startswith("joint_torque")]
+    torque = [
+        v.valueReference for v in description.modelVariables if v.name.startswith("joint_torque")
+    ]
     slave.setReal(torque, [0.1, -0.2, 0.3, 0.1, 0.05, -0.02])
     for k in range(50):
         slave.doStep(k * 1e-3, 1e-3)
@@ -220,7 +251,10 @@ def test_enumerations_and_booleans_are_read_back_as_set(fmus: Path) -> None:
     description = read_model_description(path)
     reference = {v.name: v.valueReference for v in description.modelVariables}
     slave = FMU3Slave(
-        guid=description.guid, unzipDirectory=fmpy.extract(path), modelIdentifier="manipulator_controller", instanceName="x"
+        guid=description.guid,
+        unzipDirectory=fmpy.extract(path),
+        modelIdentifier="manipulator_controller",
+        instanceName="x",
     )
     slave.instantiate()
     slave.setInt64([reference["observer"]], [3])

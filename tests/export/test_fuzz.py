@@ -32,9 +32,19 @@ STRICT = [
 ]
 # The equations are straight lines, whose arithmetic test_runtime_c.py compiles with every check: here without optimisation, and
 # with checks of the arrays that they read and write only, which takes seconds a block where -O1 with all checks takes a minute in all.
-STRAIGHT = ["-std=c99", "-g0", "-O0", "-ffp-contract=off", "-fsanitize=address", "--param", "asan-stack=0"]
+STRAIGHT = [
+    "-std=c99",
+    "-g0",
+    "-O0",
+    "-ffp-contract=off",
+    "-fsanitize=address",
+    "--param",
+    "asan-stack=0",
+]
 
-pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="no system gcc: the sanitizers need one (CI has it)")
+pytestmark = pytest.mark.skipif(
+    shutil.which("gcc") is None, reason="no system gcc: the sanitizers need one (CI has it)"
+)
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +55,18 @@ def runtime(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     def compiled(source: Path) -> str:
         target = directory / f"{source.stem}.o"
         run(
-            ["gcc", *STRICT, "-isystem", str(fmi_headers()), "-I", str(SOURCES), "-c", str(source), "-o", str(target)],
+            [
+                "gcc",
+                *STRICT,
+                "-isystem",
+                str(fmi_headers()),
+                "-I",
+                str(SOURCES),
+                "-c",
+                str(source),
+                "-o",
+                str(target),
+            ],
             f"compiling {source.name} with sanitizers",
         )
         return str(target)
@@ -67,8 +88,22 @@ def test_any_sequence_of_calls_is_survived(
     block = BLOCKS[name](robot)
     source, program, token = tmp_path / "block.c", tmp_path / "fuzz", content_token(block)
     source.write_text(print_block(block, token))
-    run(["gcc", *STRAIGHT, "-I", str(SOURCES), "-c", str(source), "-o", str(tmp_path / "block.o")], "compiling block.c")
-    run(["gcc", "-fsanitize=address,undefined", str(tmp_path / "block.o"), *runtime, "-lm", "-o", str(program)], "linking")
+    run(
+        ["gcc", *STRAIGHT, "-I", str(SOURCES), "-c", str(source), "-o", str(tmp_path / "block.o")],
+        "compiling block.c",
+    )
+    run(
+        [
+            "gcc",
+            "-fsanitize=address,undefined",
+            str(tmp_path / "block.o"),
+            *runtime,
+            "-lm",
+            "-o",
+            str(program),
+        ],
+        "linking",
+    )
     first = 1_000_000 * list(BLOCKS).index(name)
     done = subprocess.run(
         [str(program), token, "1" if block.is_sampled else "0", str(first), str(SEQUENCES)],

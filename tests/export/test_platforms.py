@@ -28,7 +28,15 @@ from freeflyer_fmus.blocks.block import Block
 from freeflyer_fmus.blocks.shipped import BLOCKS
 from freeflyer_fmus.export.archive import build, content_token
 from freeflyer_fmus.export.c_code import print_block
-from freeflyer_fmus.export.compiler import FLAGS, PLATFORMS, Platform, compiler, fmi_headers, host_platform, run
+from freeflyer_fmus.export.compiler import (
+    FLAGS,
+    PLATFORMS,
+    Platform,
+    compiler,
+    fmi_headers,
+    host_platform,
+    run,
+)
 from freeflyer_fmus.export.layout import layout
 from freeflyer_fmus.robot.robot import Array, Robot
 
@@ -36,7 +44,14 @@ DRIVE = Path(__file__).parent / "drive.c"
 STEPS = 200
 FROM_THE_C_LIBRARY = re.compile(r"\b(exp|log|tan|asin|acos|atan|sinh|cosh|tanh|pow|atan2|fmod)\(")
 """No two C libraries need agree on these to the last bit."""
-DRIVEN = ("free_flyer", "reference_trajectory", "manipulator_controller", "base_controller", "arm_drive", "base_robot")
+DRIVEN = (
+    "free_flyer",
+    "reference_trajectory",
+    "manipulator_controller",
+    "base_controller",
+    "arm_drive",
+    "base_robot",
+)
 """The closed loop, and blocks with friction and noise: what is driven on other platforms (each compilation takes seconds)."""
 
 
@@ -44,14 +59,30 @@ def every_operation(_: Robot) -> Block:
     """Whatever a block's equations may ask of the C library."""
     block = Block("every_operation", "Every function that the equations of a block may use")
     x = block.input("x", [0.3, 0.6], "1", "Arguments")
-    one = [ca.sin, ca.cos, ca.tan, ca.asin, ca.acos, ca.atan, ca.sinh, ca.cosh, ca.tanh, ca.exp, ca.log]
+    one = [
+        ca.sin,
+        ca.cos,
+        ca.tan,
+        ca.asin,
+        ca.acos,
+        ca.atan,
+        ca.sinh,
+        ca.cosh,
+        ca.tanh,
+        ca.exp,
+        ca.log,
+    ]
     one += [ca.sqrt, ca.floor, ca.ceil, ca.fabs, ca.sign]
     two = [ca.fmin, ca.fmax, ca.fmod, ca.atan2, ca.power]
-    block.output("y", ca.vertcat(*(f(x[0]) for f in one), *(f(x[0], x[1]) for f in two)), "1", "Results")
+    block.output(
+        "y", ca.vertcat(*(f(x[0]) for f in one), *(f(x[0], x[1]) for f in two)), "1", "Results"
+    )
     return block
 
 
-MAKERS: Mapping[str, Callable[[Robot], Block]] = {name: BLOCKS[name] for name in DRIVEN} | {"every_operation": every_operation}
+MAKERS: Mapping[str, Callable[[Robot], Block]] = {name: BLOCKS[name] for name in DRIVEN} | {
+    "every_operation": every_operation
+}
 
 
 Built = Callable[..., Path]
@@ -91,7 +122,10 @@ class Machine:
         # The library's own flags: the parts of the C library that the compiler brings along are then built once, not twice.
         flags = [*FLAGS, "-fPIC", "-Wl,-s", "-isystem", str(fmi_headers())]
         system = ["-ldl"] if "linux" in self.target.target else []
-        run([*compiler(self.target, *flags), str(DRIVE), *system, "-o", str(self.drive)], "compiling drive.c")
+        run(
+            [*compiler(self.target, *flags), str(DRIVE), *system, "-o", str(self.drive)],
+            "compiling drive.c",
+        )
 
     @property
     def drive(self) -> Path:
@@ -119,9 +153,24 @@ def test_vector(block: Block) -> tuple[str, int]:
     plan = layout(block)
     first, inputs = plan.ranges["inputs"]
     start = np.array(plan.start[first : first + inputs])
-    read = [first + k for name in ("states", "outputs", "derivatives") for first, n in [plan.ranges[name]] for k in range(n)]
-    values = start + 1e-2 * (1.0 + np.abs(start)) * np.random.default_rng(1).uniform(-1.0, 1.0, (STEPS, inputs))
-    words = [STEPS, inputs, len(read), bits(block.default_step), *range(first, first + inputs), *read, *map(bits, values.flat)]
+    read = [
+        first + k
+        for name in ("states", "outputs", "derivatives")
+        for first, n in [plan.ranges[name]]
+        for k in range(n)
+    ]
+    values = start + 1e-2 * (1.0 + np.abs(start)) * np.random.default_rng(1).uniform(
+        -1.0, 1.0, (STEPS, inputs)
+    )
+    words = [
+        STEPS,
+        inputs,
+        len(read),
+        bits(block.default_step),
+        *range(first, first + inputs),
+        *read,
+        *map(bits, values.flat),
+    ]
     return "\n".join(map(str, words)), len(read)
 
 
@@ -142,11 +191,15 @@ def aarch64_linux(tmp_path_factory: pytest.TempPathFactory) -> Machine:
     """On Debian from the packages qemu-user and libc6-arm64-cross."""
     program = shutil.which("qemu-aarch64") or shutil.which("qemu-aarch64-static")
     if program is None:
-        pytest.skip("no qemu-aarch64 (nor qemu-aarch64-static): nothing here runs programs for aarch64-linux")
+        pytest.skip(
+            "no qemu-aarch64 (nor qemu-aarch64-static): nothing here runs programs for aarch64-linux"
+        )
     root = Path("/usr/aarch64-linux-gnu")
     if not (root / "lib" / "ld-linux-aarch64.so.1").exists():
         pytest.skip(f"no C library for aarch64-linux in {root} (Debian: libc6-arm64-cross)")
-    return Machine(PLATFORMS["aarch64-linux"], tmp_path_factory.mktemp("aarch64"), (program, "-L", str(root)))
+    return Machine(
+        PLATFORMS["aarch64-linux"], tmp_path_factory.mktemp("aarch64"), (program, "-L", str(root))
+    )
 
 
 @pytest.fixture(scope="module")
@@ -161,9 +214,16 @@ def x86_64_windows(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Machine
         pytest.skip("no wine64 (nor wine): nothing here runs programs for x86_64-windows")
     with tempfile.TemporaryDirectory() as prefix:
         (Path(prefix) / ".update-timestamp").write_text("disable\n")
-        environment = {"WINEPREFIX": prefix, "WINEBOOTSTRAPMODE": "1", "WINEDEBUG": "-all", "DISPLAY": ""}
+        environment = {
+            "WINEPREFIX": prefix,
+            "WINEBOOTSTRAPMODE": "1",
+            "WINEDEBUG": "-all",
+            "DISPLAY": "",
+        }
         environment["WINEDLLOVERRIDES"] = "mscoree,mshtml="  # or Wine asks whether to download them
-        yield Machine(PLATFORMS["x86_64-windows"], tmp_path_factory.mktemp("windows"), (program,), environment)
+        yield Machine(
+            PLATFORMS["x86_64-windows"], tmp_path_factory.mktemp("windows"), (program,), environment
+        )
         # The server stays a little longer than its last program, and works in the prefix.
         if server := shutil.which("wineserver"):
             subprocess.run([server, "-w"], env=os.environ | environment, timeout=60, check=False)
@@ -181,12 +241,20 @@ def assert_same(block: Block, values: Array, expected: Array) -> None:
 @pytest.mark.parametrize("machine", family(["aarch64_linux", "x86_64_windows"]))
 @pytest.mark.parametrize("name", family(MAKERS, ["base_robot"]))
 def test_another_platform_computes_the_same_bits(
-    robot: Robot, built: Built, here: Machine, request: pytest.FixtureRequest, machine: str, name: str
+    robot: Robot,
+    built: Built,
+    here: Machine,
+    request: pytest.FixtureRequest,
+    machine: str,
+    name: str,
 ) -> None:
     there: Machine = request.getfixturevalue(machine)
     block = MAKERS[name](robot)
     directory = built(name, there.target)
-    values = [m.values(block, library(directory, name, m.target, m.directory / name)) for m in (there, here)]
+    values = [
+        m.values(block, library(directory, name, m.target, m.directory / name))
+        for m in (there, here)
+    ]
     assert_same(block, *values)
 
 
@@ -199,7 +267,9 @@ def test_fmus_with_all_their_parts_are_valid(built: Built, version: int, name: s
     path = built(name, PLATFORMS["aarch64-linux"]) / f"fmi{version}" / f"{name}.fmu"
     assert validate_fmu(str(path)) == []
     if version == 3:
-        schema = etree.XMLSchema(file=str(Path(fmpy.__file__).parent / "schema" / "fmi3" / "fmi3BuildDescription.xsd"))
+        schema = etree.XMLSchema(
+            file=str(Path(fmpy.__file__).parent / "schema" / "fmi3" / "fmi3BuildDescription.xsd")
+        )
         with zipfile.ZipFile(path) as archive:
             schema.assertValid(etree.fromstring(archive.read("sources/buildDescription.xml")))
 
@@ -207,14 +277,29 @@ def test_fmus_with_all_their_parts_are_valid(built: Built, version: int, name: s
 @pytest.mark.slow
 @pytest.mark.parametrize("version", [2, 3])
 @pytest.mark.parametrize("program", ["gcc", "clang"])
-def test_the_sources_compile_alone_without_a_warning(built: Built, tmp_path: Path, program: str, version: int) -> None:
+def test_the_sources_compile_alone_without_a_warning(
+    built: Built, tmp_path: Path, program: str, version: int
+) -> None:
     """C99, and nothing of the C library but mathematics and memory."""
     if shutil.which(program) is None:
         pytest.skip(f"no {program} on this machine (CI has it)")
-    flags = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Wno-sign-conversion", "-Werror", "-O1"]
+    flags = [
+        "-std=c99",
+        "-pedantic",
+        "-Wall",
+        "-Wextra",
+        "-Wconversion",
+        "-Wno-sign-conversion",
+        "-Werror",
+        "-O1",
+    ]
     for name in SMALL:
         with zipfile.ZipFile(built(name) / f"fmi{version}" / f"{name}.fmu") as archive:
-            sources = [entry for entry in archive.namelist() if entry.startswith("sources/") and entry.endswith(".c")]
+            sources = [
+                entry
+                for entry in archive.namelist()
+                if entry.startswith("sources/") and entry.endswith(".c")
+            ]
             assert sources == [f"sources/{name}.c"]
             (tmp_path / f"{name}.c").write_bytes(archive.read(sources[0]))
         headers = tmp_path / "headers"  # the standard's, and no others
@@ -266,7 +351,15 @@ MATHEMATICS = {
     "sincos",
     "sqrt",
 }
-MEMORY = {"calloc", "free", "malloc", "memcpy", "memset", "strlen", "_GLOBAL_OFFSET_TABLE_"}  # strlen: gcc's own idea
+MEMORY = {
+    "calloc",
+    "free",
+    "malloc",
+    "memcpy",
+    "memset",
+    "strlen",
+    "_GLOBAL_OFFSET_TABLE_",
+}  # strlen: gcc's own idea
 
 
 @pytest.mark.slow
@@ -280,7 +373,9 @@ def test_an_importer_compiles_the_sources_and_gets_the_same_bits(
     name = "manipulator_controller"
     unpacked, own = tmp_path / "unpacked", tmp_path / f"{name}.fmu"
     with zipfile.ZipFile(built(name) / f"fmi{version}" / own.name) as archive:
-        archive.extractall(unpacked, [entry for entry in archive.namelist() if not entry.startswith("binaries/")])
+        archive.extractall(
+            unpacked, [entry for entry in archive.namelist() if not entry.startswith("binaries/")]
+        )
     (tmp_path / "build").mkdir()
     build_platform_binary(unpacked, tmp_path / "build", configuration="Release")
     with zipfile.ZipFile(own, "w") as archive:
@@ -292,7 +387,10 @@ def test_an_importer_compiles_the_sources_and_gets_the_same_bits(
         component.enter_initialization(0.0, {})
         component.exit_initialization()
         u, y = np.zeros(6), np.zeros(6)
-        write, read = component.bind_inputs(["desired_velocity"], u), component.bind_outputs(["end_effector_wrench"], y)
+        write, read = (
+            component.bind_inputs(["desired_velocity"], u),
+            component.bind_outputs(["end_effector_wrench"], y),
+        )
         found = []
         for k in range(50):
             u[:] = np.sin(0.1 * k + np.arange(6))
@@ -322,13 +420,17 @@ def small(robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> Callable[[s
 
 
 @pytest.mark.parametrize("platform", family(PLATFORMS))
-def test_a_library_is_the_same_wherever_it_is_built(small: Callable[[str, int], bytes], platform: str) -> None:
+def test_a_library_is_the_same_wherever_it_is_built(
+    small: Callable[[str, int], bytes], platform: str
+) -> None:
     assert tempfile.gettempdir().encode() not in small(platform, 0)
     assert small(platform, 0) == small(platform, 1)
 
 
 @pytest.mark.parametrize("platform", family(["x86_64-linux", "aarch64-linux"]))
-def test_on_linux_a_c_library_of_2012_is_enough(small: Callable[[str, int], bytes], platform: str) -> None:
+def test_on_linux_a_c_library_of_2012_is_enough(
+    small: Callable[[str, int], bytes], platform: str
+) -> None:
     data = small(platform, 0)
     versions = {tuple(map(int, found)) for found in re.findall(rb"GLIBC_(\d+)\.(\d+)", data)}
     assert versions
@@ -338,7 +440,10 @@ def test_on_linux_a_c_library_of_2012_is_enough(small: Callable[[str, int], byte
 
 @pytest.mark.slow
 def test_on_windows_nothing_but_the_system_is_needed(small: Callable[[str, int], bytes]) -> None:
-    needed = {name.lower() for name in re.findall(rb"[\w.-]+\.dll", small("x86_64-windows", 0), re.IGNORECASE)}
+    needed = {
+        name.lower()
+        for name in re.findall(rb"[\w.-]+\.dll", small("x86_64-windows", 0), re.IGNORECASE)
+    }
     # The universal C runtime is a part of Windows since Windows 10.
     others = {name for name in needed if not name.startswith(b"api-ms-win-crt-")}
     assert others == {b"kernel32.dll", b"every_operation.dll"}
@@ -346,7 +451,9 @@ def test_on_windows_nothing_but_the_system_is_needed(small: Callable[[str, int],
 
 @pytest.mark.slow
 @pytest.mark.parametrize("platform", ["x86_64-darwin", "aarch64-darwin"])
-def test_on_macos_nothing_but_the_system_is_needed(small: Callable[[str, int], bytes], platform: str) -> None:
+def test_on_macos_nothing_but_the_system_is_needed(
+    small: Callable[[str, int], bytes], platform: str
+) -> None:
     data = small(platform, 0)
     named = set(re.findall(rb"[@\w.+-]*/[\w./+-]+\.dylib", data))
     assert named == {b"@rpath/every_operation.dylib", b"/usr/lib/libSystem.B.dylib"}

@@ -29,7 +29,19 @@ def compiled(tmp_path: Path, text: str) -> ctypes.CDLL:
     source, library = tmp_path / "probe.c", tmp_path / "probe.so"
     source.write_text(text)
     zig = compiler(host_platform(), "-shared", "-fPIC", "-std=c99", "-O2", "-ffp-contract=off")
-    run([*zig, "-I", str(SOURCES), str(source), str(SOURCES / "message.c"), "-lm", "-o", str(library)], "probe")
+    run(
+        [
+            *zig,
+            "-I",
+            str(SOURCES),
+            str(source),
+            str(SOURCES / "message.c"),
+            "-lm",
+            "-o",
+            str(library),
+        ],
+        "probe",
+    )
     return ctypes.CDLL(str(library))
 
 
@@ -113,19 +125,33 @@ def test_ten_million_steps_end_exactly_where_they_should(
     block = make(robot)
     token = content_token(block)
     (tmp_path / "block.c").write_text(print_block(block, token))
-    zig = compiler(host_platform(), "-std=c99", "-O2", "-isystem", str(fmi_headers()), "-I", str(SOURCES))
-    files = [str(DRIVER.with_name("clock.c")), str(tmp_path / "block.c"), *map(str, sorted(SOURCES.glob("*.c")))]
+    zig = compiler(
+        host_platform(), "-std=c99", "-O2", "-isystem", str(fmi_headers()), "-I", str(SOURCES)
+    )
+    files = [
+        str(DRIVER.with_name("clock.c")),
+        str(tmp_path / "block.c"),
+        *map(str, sorted(SOURCES.glob("*.c"))),
+    ]
     run([*zig, *files, "-lm", "-o", str(tmp_path / "clock")], "compiling clock.c")
     state = layout(block).reference[block.having("state")[0].name]
     command = [str(tmp_path / "clock"), token, str(int(summed)), str(state)]
-    last, value = map(float, subprocess.run(command, capture_output=True, text=True, check=True).stdout.split())
+    last, value = map(
+        float, subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
+    )
     assert value == pytest.approx(expected, abs=1e-9)
-    assert abs(last - 1e4) < (2e-6 if summed else 2e-12)  # one rounding of the last step's begin and size
+    assert abs(last - 1e4) < (
+        2e-6 if summed else 2e-12
+    )  # one rounding of the last step's begin and size
 
 
-@pytest.mark.skipif(shutil.which("gcc") is None, reason="no system gcc: the sanitizers need one (CI has it)")
+@pytest.mark.skipif(
+    shutil.which("gcc") is None, reason="no system gcc: the sanitizers need one (CI has it)"
+)
 @pytest.mark.parametrize("name", family(BLOCKS, ["hand_kinematics"]))
-def test_the_runtime_is_clean_under_sanitizers_and_gcc_warnings(robot: Robot, tmp_path: Path, name: str) -> None:
+def test_the_runtime_is_clean_under_sanitizers_and_gcc_warnings(
+    robot: Robot, tmp_path: Path, name: str
+) -> None:
     """Both interfaces, legal and illegal calls, with address, leak and undefined-behaviour checks."""
     block = BLOCKS[name](robot)
     source = tmp_path / "block.c"
@@ -145,11 +171,26 @@ def test_the_runtime_is_clean_under_sanitizers_and_gcc_warnings(robot: Robot, tm
     ]
     files = [str(DRIVER), str(source), *map(str, sorted(SOURCES.glob("*.c")))]
     run(
-        ["gcc", *flags, "-isystem", str(fmi_headers()), "-I", str(SOURCES), *files, "-lm", "-o", str(program)],
+        [
+            "gcc",
+            *flags,
+            "-isystem",
+            str(fmi_headers()),
+            "-I",
+            str(SOURCES),
+            *files,
+            "-lm",
+            "-o",
+            str(program),
+        ],
         "gcc with sanitizers",
     )
     done = subprocess.run(
-        [str(program), token, "1" if block.is_sampled else "0"], capture_output=True, text=True, timeout=120, check=False
+        [str(program), token, "1" if block.is_sampled else "0"],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
     )
     assert done.returncode == 0, done.stderr[-2000:]
     assert "all calls made" in done.stdout

@@ -36,7 +36,9 @@ def disturb(instance: Instance, block: Block, random: np.random.Generator) -> di
     return values
 
 
-def outputs_after(instance: Instance, block: Block, saved: bytes, values: dict[str, Array]) -> Array:
+def outputs_after(
+    instance: Instance, block: Block, saved: bytes, values: dict[str, Array]
+) -> Array:
     """What the inputs make of the outputs: at this instant of a continuous block, at the next sample of a sampled one."""
     instance.restore(saved)
     for name, value in values.items():
@@ -46,8 +48,12 @@ def outputs_after(instance: Instance, block: Block, saved: bytes, values: dict[s
     return instance.all_outputs()
 
 
-@pytest.mark.parametrize("instance", [(v, n) for v, n in EVERY if not n.endswith(("trajectory", "loop"))], indirect=True)
-def test_the_directional_derivative_is_the_limit_of_differences(robot: Robot, instance: Instance) -> None:
+@pytest.mark.parametrize(
+    "instance", [(v, n) for v, n in EVERY if not n.endswith(("trajectory", "loop"))], indirect=True
+)
+def test_the_directional_derivative_is_the_limit_of_differences(
+    robot: Robot, instance: Instance
+) -> None:
     block = BLOCKS[instance.description.modelName](robot)
     random = RANDOM(3)
     instance.initialise()
@@ -58,13 +64,20 @@ def test_the_directional_derivative_is_the_limit_of_differences(robot: Robot, in
     exact = instance.directional(instance.outputs, instance.inputs, given)
     h = 1e-5
     sides = [
-        outputs_after(instance, block, saved, {name: value + sign * h * seed[name] for name, value in values.items()})
+        outputs_after(
+            instance,
+            block,
+            saved,
+            {name: value + sign * h * seed[name] for name, value in values.items()},
+        )
         for sign in (1, -1)
     ]
     difference = (sides[0] - sides[1]) / (2.0 * h)
     scale = 1.0 + np.abs(exact).max()
     if block.name == "arm_drive":  # quantised positions: steps with a slope of zero
-        unquantised = np.concatenate([np.full(instance.sizes[name], name != "joint_position") for name in instance.outputs])
+        unquantised = np.concatenate(
+            [np.full(instance.sizes[name], name != "joint_position") for name in instance.outputs]
+        )
         exact, difference = exact[unquantised], difference[unquantised]
     assert np.abs(exact - difference).max() < 1e-6 * scale
 
@@ -83,28 +96,50 @@ def test_the_adjoint_is_the_transpose(robot: Robot, instance: Instance) -> None:
     instance.enter()
     disturb(instance, block, random)
     for mode in ("initialization", "step"):
-        v, w = random.normal(size=instance.width(knowns)), random.normal(size=instance.width(unknowns))
+        v, w = (
+            random.normal(size=instance.width(knowns)),
+            random.normal(size=instance.width(unknowns)),
+        )
         forward = instance.directional(unknowns, knowns, v)
         backward = instance.adjoint(unknowns, knowns, w)
         assert np.abs(forward).max() > 0.0
-        assert w @ forward == pytest.approx(backward @ v, rel=1e-9, abs=1e-9 * np.abs(backward).max()), mode
+        assert w @ forward == pytest.approx(
+            backward @ v, rel=1e-9, abs=1e-9 * np.abs(backward).max()
+        ), mode
         if mode == "initialization":
             instance.fmu.exitInitializationMode()
 
 
 @pytest.mark.parametrize("instance", EVERY, indirect=True)
-def test_in_initialization_mode_parameters_and_start_values_count(robot: Robot, instance: Instance) -> None:
+def test_in_initialization_mode_parameters_and_start_values_count(
+    robot: Robot, instance: Instance
+) -> None:
     block = BLOCKS[instance.description.modelName](robot)
     random = RANDOM(7)
-    knowns = [v.name for v in block.having("parameter", "state", "input") if v.kind == "real" and block.has_start(v)]
-    knowns = [name for name in knowns if not name.endswith(("inertia", "period", "seed", "velocity_floor"))]
+    knowns = [
+        v.name
+        for v in block.having("parameter", "state", "input")
+        if v.kind == "real" and block.has_start(v)
+    ]
+    knowns = [
+        name
+        for name in knowns
+        if not name.endswith(("inertia", "period", "seed", "velocity_floor"))
+    ]
     instance.enter()
     # The nearer of two joint limits changes in the middle of the range, where some joints begin.
-    values = {name: block.start_of(name) + (0.01 if name == "joint_position" else 0.0) for name in knowns}
-    seed = {name: random.uniform(0.0, 1.0, value.shape) * (1.0 + np.abs(value)) for name, value in values.items()}
+    values = {
+        name: block.start_of(name) + (0.01 if name == "joint_position" else 0.0) for name in knowns
+    }
+    seed = {
+        name: random.uniform(0.0, 1.0, value.shape) * (1.0 + np.abs(value))
+        for name, value in values.items()
+    }
     for name, value in values.items():
         instance.set(name, value)
-    exact = instance.directional(instance.outputs, knowns, np.concatenate([seed[name] for name in knowns]))
+    exact = instance.directional(
+        instance.outputs, knowns, np.concatenate([seed[name] for name in knowns])
+    )
     h, sides = 1e-6, []
     for factor in (0.0, 1.0, 2.0):  # one-sided: some parameters begin at their bounds
         for name, value in values.items():
@@ -112,16 +147,29 @@ def test_in_initialization_mode_parameters_and_start_values_count(robot: Robot, 
         sides.append(instance.all_outputs())
     difference = (-3.0 * sides[0] + 4.0 * sides[1] - sides[2]) / (2.0 * h)
     if block.name == "arm_drive":
-        smooth = np.concatenate([np.full(instance.sizes[name], name != "joint_position") for name in instance.outputs])
+        smooth = np.concatenate(
+            [np.full(instance.sizes[name], name != "joint_position") for name in instance.outputs]
+        )
         exact, difference = exact[smooth], difference[smooth]
     assert np.abs(exact - difference).max() < 1e-4 * (1.0 + np.abs(exact).max())
 
 
 BRANCHES = {
-    "manipulator_controller": {"manipulator_observed_energy", "base_observed_energy", "end_effector_damping", "base_damping"}
+    "manipulator_controller": {
+        "manipulator_observed_energy",
+        "base_observed_energy",
+        "end_effector_damping",
+        "base_damping",
+    }
     | {"passivity_wrench"},
     "base_controller": {"passivity_wrench"},
-    "arm_drive": {"true_joint_position", "true_joint_velocity", "joint_position", "joint_velocity", "joint_torque"},
+    "arm_drive": {
+        "true_joint_position",
+        "true_joint_velocity",
+        "joint_position",
+        "joint_velocity",
+        "joint_torque",
+    },
     "base_robot": {"base_acceleration"},
 }
 """Outputs that some inputs reach only while a damper is at work, a brake holds, a step of a sensor is passed or a delay has run."""
@@ -137,9 +185,17 @@ def test_dependencies_are_true(robot: Robot, instance: Instance) -> None:
         unknown.variable.valueReference: {known.valueReference for known in unknown.dependencies}
         for unknown in [*description.outputs, *description.derivatives]
     }
-    names = {reference: name for name, references in instance.references.items() for reference in references}
+    names = {
+        reference: name
+        for name, references in instance.references.items()
+        for reference in references
+    }
     states = [variable for variable in block.having("state") if not block.is_sampled]
-    knowns = [r for name in ["time", *instance.inputs, *(v.name for v in states)] for r in instance.references[name]]
+    knowns = [
+        r
+        for name in ["time", *instance.inputs, *(v.name for v in states)]
+        for r in instance.references[name]
+    ]
     for variable in states:
         start = block.start_of(variable.name)
         instance.set(variable.name, start + 0.1 * random.uniform(0.2, 1.0, start.shape))
@@ -159,7 +215,9 @@ def test_dependencies_are_true(robot: Robot, instance: Instance) -> None:
             for unknown in listed:
                 size = instance.sizes[names[unknown]] // len(instance.references[names[unknown]])
                 more = () if instance.version == 2 else (size,)
-                found = np.abs(instance.fmu.getDirectionalDerivative([unknown], [known], seed, *more)).max()
+                found = np.abs(
+                    instance.fmu.getDirectionalDerivative([unknown], [known], seed, *more)
+                ).max()
                 influence[unknown, known] = max(influence.get((unknown, known), 0.0), found)
     for (unknown, known), size in influence.items():
         pair = f"{names[unknown]} to {names[known]}"
@@ -168,11 +226,15 @@ def test_dependencies_are_true(robot: Robot, instance: Instance) -> None:
         elif names[unknown] not in BRANCHES.get(block.name, ()):
             # An element of an array may by symmetry have none here, but the array has.
             others = [k for k in instance.references[names[known]] if k in listed[unknown]]
-            assert max(influence[unknown, k] for k in others) > 0.0, f"listed, without influence: {pair}"
+            assert max(influence[unknown, k] for k in others) > 0.0, (
+                f"listed, without influence: {pair}"
+            )
 
 
 @pytest.mark.parametrize("version", [2, 3])
-def test_a_wrong_reference_or_size_is_refused_by_name(fmus: Path, version: int, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_wrong_reference_or_size_is_refused_by_name(
+    fmus: Path, version: int, capfd: pytest.CaptureFixture[str]
+) -> None:
     instance = Instance(fmus / f"fmi{version}" / "free_flyer.fmu").initialise()
     with pytest.raises(FMICallException):
         instance.directional(["base_mass"], ["joint_torque"], np.zeros(6))

@@ -14,7 +14,9 @@ WITHIN = 5.0
 """Seconds after the death of the controllers, on a busy machine; a loop that ends in order writes before it ends."""
 
 
-def flight_of(out: Path, reason: str, *, by: str = "the recorder", gap: float = 0.2) -> pandas.DataFrame:
+def flight_of(
+    out: Path, reason: str, *, by: str = "the recorder", gap: float = 0.2
+) -> pandas.DataFrame:
     """The flight recording, after checking its span, reason (a regular expression) and writer. `gap`: how long the loop may have
     stood still at the time where it begins [s].
     """
@@ -26,5 +28,9 @@ def flight_of(out: Path, reason: str, *, by: str = "the recorder", gap: float = 
     assert frame["instant"].iloc[0] == 0 or span >= FLIGHT_SECONDS - gap
     first = int(frame["instant"].iloc[0])
     assert frame["instant"].tolist() == list(range(first, first + len(frame)))
-    assert {"arm_drive: state", "arm_drive.joint_position[1]", "base_robot.base_position[1]"} <= set(frame.columns)
+    assert {
+        "arm_drive: state",
+        "arm_drive.joint_position[1]",
+        "base_robot.base_position[1]",
+    } <= set(frame.columns)
     return frame

@@ -57,7 +57,11 @@ class Process:
 
     def __init__(self, arguments: Sequence[str]) -> None:
         self.popen = subprocess.Popen(
-            [*COMMAND, *arguments], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
+            [*COMMAND, *arguments],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
         )
         self._lines: queue.Queue[str | None] = queue.Queue()
         self.said: list[str] = []
@@ -77,7 +81,9 @@ class Process:
             try:
                 line = self._lines.get(timeout=max(0.01, end - time.monotonic()))
             except queue.Empty:
-                raise AssertionError(f"{text!r} was not said within {timeout} s, but:\n" + "\n".join(self.said)) from None
+                raise AssertionError(
+                    f"{text!r} was not said within {timeout} s, but:\n" + "\n".join(self.said)
+                ) from None
             if line is None:
                 raise AssertionError(f"{text!r} was not said, but:\n" + "\n".join(self.said))
             self.said.append(line)
@@ -152,10 +158,16 @@ class Listener:
             if message is not None and message.arbitration_id == state.identifier:
                 said = state.unpack(message.data)
                 self.states.append(
-                    State(message.timestamp, self.frames.life_cycle(said["life_cycle"][0]), said["brakes"][0] > 0.5)
+                    State(
+                        message.timestamp,
+                        self.frames.life_cycle(said["life_cycle"][0]),
+                        said["brakes"][0] > 0.5,
+                    )
                 )
             elif message is not None:
-                self.commands.append((message.timestamp, self.frames.mode(command.unpack(message.data)["mode"][0])))
+                self.commands.append(
+                    (message.timestamp, self.frames.mode(command.unpack(message.data)["mode"][0]))
+                )
 
     def after_the_first_brake(self) -> list[State]:
         """All states from the first engaged brake on, of an arm that has had power."""
@@ -218,7 +230,10 @@ class Rig:
 
     @property
     def links(self) -> list[str]:
-        settings = (f'devices.arm_drive.channel="{self.channel}"', f'devices.base_robot.connect=["{self.endpoint}"]')
+        settings = (
+            f'devices.arm_drive.channel="{self.channel}"',
+            f'devices.base_robot.connect=["{self.endpoint}"]',
+        )
         return [word for setting in settings for word in ("--set", setting)]
 
     def start(self, *arguments: str) -> Process:
@@ -228,14 +243,18 @@ class Rig:
 
     def facility(self, *settings: str) -> Process:
         sets = [word for setting in settings for word in ("--set", setting)]
-        process = self.start("facility", self.scenario, *self.links, *sets, "--out", str(self.folder / "facility"))
+        process = self.start(
+            "facility", self.scenario, *self.links, *sets, "--out", str(self.folder / "facility")
+        )
         process.wait_for("is there")
         return process
 
     def hil(self, *settings: str, options: Sequence[str] = (), out: str = "hil") -> Process:
         sets = [word for setting in settings for word in ("--set", setting)]
         out = str(self.folder / out)
-        return self.start("hil", self.scenario, *self.links, *sets, "--no-view", "--out", out, *options)
+        return self.start(
+            "hil", self.scenario, *self.links, *sets, "--no-view", "--out", out, *options
+        )
 
     def listener(self) -> Listener:
         self.ends.append(made := Listener(self.channel))
@@ -251,7 +270,10 @@ class Rig:
         directory, end = (self.folder / out).absolute(), time.monotonic() + timeout
         while time.monotonic() < end:
             for path in rings().glob("*.ring"):
-                with suppress(OSError, RecordError), closing(RingReader(path)) as ring:  # one that is being made, or removed
+                with (
+                    suppress(OSError, RecordError),
+                    closing(RingReader(path)) as ring,
+                ):  # one that is being made, or removed
                     if Path(ring.head.directory) == directory and ring.written > 0:
                         return
             time.sleep(0.01)

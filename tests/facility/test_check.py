@@ -12,7 +12,9 @@ import pytest
 from freeflyer.cli.main import call
 
 
-def test_a_check_shows_what_devices_measure_and_moves_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_check_shows_what_devices_measure_and_moves_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert call(["hil", "facility", "--check", "--accelerated"]) == 0
     said = capsys.readouterr().out
     assert "arm_drive measures" in said
@@ -21,11 +23,27 @@ def test_a_check_shows_what_devices_measure_and_moves_nothing(tmp_path: Path, ca
     assert "active" not in said.replace("activated", "")
 
 
-def test_a_check_says_why_a_device_could_not_be_activated(capsys: pytest.CaptureFixture[str]) -> None:
-    assert call(["hil", "facility", "--check", "--accelerated", "--set", "base_robot.true_position=[0.1, 0, 0.08]"]) == 2
+def test_a_check_says_why_a_device_could_not_be_activated(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert (
+        call(
+            [
+                "hil",
+                "facility",
+                "--check",
+                "--accelerated",
+                "--set",
+                "base_robot.true_position=[0.1, 0, 0.08]",
+            ]
+        )
+        == 2
+    )
     both = capsys.readouterr()
     # Measured after it was listened to for a tenth of a second, in which the base moves by less than a thousandth of its limits.
-    assert re.search(r"0\.0600 m and 0\.00\d deg apart, 0\.005 m and 0\.573 deg are allowed", both.err), both.err
+    assert re.search(
+        r"0\.0600 m and 0\.00\d deg apart, 0\.005 m and 0\.573 deg are allowed", both.err
+    ), both.err
     assert "Traceback" not in both.err
 
 
@@ -48,13 +66,16 @@ def test_accelerated_is_the_same_experiment_with_the_faults_of_its_file(
 
 
 @pytest.mark.parametrize(
-    ("device", "sentence"), [("arm_drive", "no description frame within"), ("base_robot", "sends nothing on topic")]
+    ("device", "sentence"),
+    [("arm_drive", "no description frame within"), ("base_robot", "sends nothing on topic")],
 )
 def test_a_link_that_is_cut_from_the_begin_is_told_and_nothing_moves(
     device: str, sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "cut.toml"
-    path.write_text(f'extends = "facility"\n[[facility.faults]]\ndevice = "{device}"\nkind = "cut"\n')
+    path.write_text(
+        f'extends = "facility"\n[[facility.faults]]\ndevice = "{device}"\nkind = "cut"\n'
+    )
     assert call(["hil", str(path), "--accelerated", "--out", str(tmp_path / "out")]) == 2
     both = capsys.readouterr()
     assert sentence in both.err

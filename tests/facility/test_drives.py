@@ -35,13 +35,20 @@ def test_over_canopen_the_experiment_is_what_it_is_without_a_wall_clock(bench: R
     summary = bench.summary()
     without_clock = experiment.run(scenario.load(SCENARIO, [f"stop_s={SECONDS}"])).summary
     for name in ("end_effector_position_error_m", "base_position_error_m"):
-        assert summary[name]["max"] == pytest.approx(without_clock[name]["max"], rel=0.1, abs=1e-3), name
+        assert summary[name]["max"] == pytest.approx(
+            without_clock[name]["max"], rel=0.1, abs=1e-3
+        ), name
     for name in ("end_effector_orientation_error_deg", "base_orientation_error_deg"):
-        assert summary[name]["max"] == pytest.approx(without_clock[name]["max"], rel=0.1, abs=0.1), name
+        assert summary[name]["max"] == pytest.approx(
+            without_clock[name]["max"], rel=0.1, abs=0.1
+        ), name
     arm = summary["real_time"]["devices"]["arm_drive"]
     instants = summary["steps"]["arm_drive"]
     assert instants == round(SECONDS * 250)
-    assert summary["real_time"]["times"]["arm_drive: all drives' answers after SYNC"]["count"] >= instants - arm["cycles_lost"]
+    assert (
+        summary["real_time"]["times"]["arm_drive: all drives' answers after SYNC"]["count"]
+        >= instants - arm["cycles_lost"]
+    )
     assert arm["bus_load_percent"] == 57.0
     assert report["devices"]["arm_drive"]["syncs"] >= instants
     said = events(report, "arm_drive")
@@ -75,7 +82,9 @@ def test_drives_whose_controller_was_killed_stop_and_brake_by_themselves(bench: 
     facility.wait_for("return to their start poses")
 
 
-def run(channel: str, *settings: str, simulated: bool = False) -> tuple[experiment.Result, hil.LoopReport]:
+def run(
+    channel: str, *settings: str, simulated: bool = False
+) -> tuple[experiment.Result, hil.LoopReport]:
     chosen = scenario.load(SCENARIO, [f'devices.arm_drive.channel="{channel}"', *settings])
     return hil.run(chosen, real_time=False, simulated=simulated, say=lambda text: None)
 
@@ -90,7 +99,9 @@ def test_without_drives_on_the_bus_the_loop_says_which_one_is_missing(bench: Rig
 
 
 def test_at_1_ms_classic_can_is_refused_with_its_load(bench: Rig) -> None:
-    with pytest.raises(DeviceError, match=r"take up to 228 % of a CAN bus of 1000 kbit/s.*: a cycle of 3 ms fits"):
+    with pytest.raises(
+        DeviceError, match=r"take up to 228 % of a CAN bus of 1000 kbit/s.*: a cycle of 3 ms fits"
+    ):
         run(bench.channel, "devices.arm_drive.parameters.period=0.001")
 
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from commands import said
+from commands import run_command
 from families import family
 from processes import PATIENT_FACILITY, PATIENT_LOOP, Process, Rig, events, rig
 
@@ -25,17 +25,24 @@ BO_ 385 STATE: 48 Drive
 
 
 def own_dbc(
-    folder: Path, torque_scale: float = 0.01, state_size: int = 48, left_out: str = "", activation: str = "implicit"
+    folder: Path,
+    torque_scale: float = 0.01,
+    state_size: int = 48,
+    left_out: str = "",
+    activation: str = "implicit",
 ) -> str:
     """A small arm of six joints; a scenario beside it that uses it."""
-    command = [f' SG_ C{i + 1} : {16 * i}|16@1- ({torque_scale},0) [0|0] "Nm" Drive' for i in range(6)]
+    command = [
+        f' SG_ C{i + 1} : {16 * i}|16@1- ({torque_scale},0) [0|0] "Nm" Drive' for i in range(6)
+    ]
     state, first = [], 8
     for name, unit, scale in (("Q", "rad", 1e-3), ("W", "rad/s", 1e-3), ("T", "Nm", 0.01)):
         for i in range(6):
             state.append(f' SG_ {name}{i + 1} : {first}|16@1- ({scale},0) [0|0] "{unit}" PC')
             first += 16
     text = OWN_DBC.format(
-        command="\n".join(command[:6]), state="\n".join(line for line in state if f" {left_out} :" not in line)
+        command="\n".join(command[:6]),
+        state="\n".join(line for line in state if f" {left_out} :" not in line),
     )
     (folder / "own.dbc").write_text(text.replace("STATE: 48", f"STATE: {state_size}"))
     (folder / "own.toml").write_text(
@@ -80,7 +87,10 @@ signals = { cycle = "N", joint_torque_command = "C{}", joint_position = "Q{}", j
         ("devices.arm_drive.e2e_offset=100", "not within them"),
         ("devices.arm_drive.e2e_offset=-1", "not within them"),
         ("devices.arm_drive.e2e_offset=3", "lies in the E2E header"),
-        ('devices.arm_drive.data_ids={command="x"}', "data_ids.command is 'x'; a whole number from 0 to 65535"),
+        (
+            'devices.arm_drive.data_ids={command="x"}',
+            "data_ids.command is 'x'; a whole number from 0 to 65535",
+        ),
         ("devices.arm_drive.data_ids={state=99999999}", "a whole number from 0 to 65535"),
         ("devices.arm_drive.messages={command=3}", "the name of a message is expected"),
         ("devices.arm_drive.signals={joint_position=3}", "a list of names, is expected"),
@@ -91,7 +101,10 @@ signals = { cycle = "N", joint_torque_command = "C{}", joint_position = "Q{}", j
         ("devices.arm_drive.mode_values={torque=99}", "holds 7 at most"),
         ("devices.arm_drive.life_cycle_values={active=1}", "two states have the same number"),
         ("facility.arm_watchdog_cycle=3", "did you mean 'arm_watchdog_cycles'"),
-        ("devices.arm_drive.parameters.torque_rate_limit=-1", "torque_rate_limit is -1 N.m/s; more than 0 N.m/s is expected"),
+        (
+            "devices.arm_drive.parameters.torque_rate_limit=-1",
+            "torque_rate_limit is -1 N.m/s; more than 0 N.m/s is expected",
+        ),
         ("devices.arm_drive.parameters.joint_effort_limit=0", "joint_effort_limit is 0 N.m"),
         ("devices.arm_drive.parameters.lost_consecutive=0", "lost_consecutive is 0"),
         ("devices.arm_drive.parameters.lost_consecutive=1.5", "a whole number is expected"),
@@ -106,11 +119,13 @@ signals = { cycle = "N", joint_torque_command = "C{}", joint_position = "Q{}", j
 def test_a_setting_that_cannot_be_is_refused(
     setting: str, sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    code, error = said(capsys, "hil", "facility", "--no-view", "--out", str(tmp_path), "--set", setting)
+    code, error = run_command(
+        capsys, "hil", "facility", "--no-view", "--out", str(tmp_path), "--set", setting
+    )
     assert code == 2
     assert re.search(sentence.replace("+", "[+]"), error), error
     if "parameters" not in setting:  # what the host alone has
-        code, other = said(capsys, "facility", "facility", "--set", setting)
+        code, other = run_command(capsys, "facility", "facility", "--set", setting)
         if "bus" not in setting and "e2e" not in setting:
             assert code == 2
             assert re.search(sentence.replace("+", "[+]"), other), other
@@ -121,17 +136,26 @@ def test_a_setting_that_cannot_be_is_refused(
     [
         (("hil", "multirate_passive"), "nothing to put into the loop"),
         (("facility", "multirate_passive"), "nothing for a virtual facility to play"),
-        (("facility", "facility", "--set", "facility.arm_watchdog_cycle=3"), "did you mean 'arm_watchdog_cycles'"),
+        (
+            ("facility", "facility", "--set", "facility.arm_watchdog_cycle=3"),
+            "did you mean 'arm_watchdog_cycles'",
+        ),
         (("facility", "facility", "--set", "facility.arm_watchdog_cycles=0"), "greater than zero"),
-        (("facility", "facility", "--set", "facility.base_jump_m=true"), "a number greater than zero"),
+        (
+            ("facility", "facility", "--set", "facility.base_jump_m=true"),
+            "a number greater than zero",
+        ),
         (("hil", "nothing"), "there is no scenario 'nothing'"),
-        (("hil", "facility", "--set", "exchange=parallel"), "a device answers at its instant; 'sequential' is expected"),
+        (
+            ("hil", "facility", "--set", "exchange=parallel"),
+            "a device answers at its instant; 'sequential' is expected",
+        ),
     ],
 )
 def test_a_scenario_that_cannot_be_is_refused(
     arguments: tuple[str, ...], sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    code, error = said(capsys, *arguments, "--out", str(tmp_path))
+    code, error = run_command(capsys, *arguments, "--out", str(tmp_path))
     assert code == 2
     assert sentence in error
 
@@ -143,14 +167,17 @@ def test_a_scenario_that_cannot_be_is_refused(
         ({"state_size": 50}, "50 bytes long, which no CAN FD frame is"),
         ({"state_size": 24}, "cannot be used"),
         ({"activation": "explicit"}, "so that the arm cannot refuse a late activation itself"),
-        ({"torque_scale": 0.001}, r"signal C1 holds -32.768 to 32.767 N.m, but the robot needs -176 to 176 N.m"),
+        (
+            {"torque_scale": 0.001},
+            r"signal C1 holds -32.768 to 32.767 N.m, but the robot needs -176 to 176 N.m",
+        ),
     ],
 )
 def test_a_dbc_that_does_not_fit_the_robot_is_refused(
     changed: dict[str, object], sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = own_dbc(tmp_path, **changed)  # type: ignore[arg-type]
-    code, error = said(capsys, "hil", path, "--no-view", "--out", str(tmp_path / "out"))
+    code, error = run_command(capsys, "hil", path, "--no-view", "--out", str(tmp_path / "out"))
     assert code == 2
     assert sentence in error
 
@@ -159,7 +186,10 @@ def test_nobody_there_is_said_of_the_arm_and_of_the_base(tmp_path: Path) -> None
     with rig(tmp_path) as bench:
         loop = bench.hil("devices.arm_drive.parameters.configure_timeout=0.5")
         assert loop.finish() == 2
-        assert re.search(r"arm_drive on CAN local:test-\S+ sends no description frame within 0.5 s: is the arm", loop.text)
+        assert re.search(
+            r"arm_drive on CAN local:test-\S+ sends no description frame within 0.5 s: is the arm",
+            loop.text,
+        )
 
 
 # What the facility itself shows to be wrong
@@ -172,7 +202,12 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Rig, Proce
         facility = made.facility(*PATIENT_FACILITY, "facility.forget_after_s=0.2")
         yield made, facility
         report = made.facility_report(facility)
-        assert not [event for device in ("arm_drive", "base_robot") for event in events(report, device) if "-> active" in event]
+        assert not [
+            event
+            for device in ("arm_drive", "base_robot")
+            for event in events(report, device)
+            if "-> active" in event
+        ]
 
 
 @pytest.mark.parametrize(
@@ -203,10 +238,19 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Rig, Proce
                 "reference_trajectory.start_joint_position=[0.1, -0.5, 1.4, 0.9, 0.0, 0.0]",
                 r"joint \d is at -?[0-9.]+ rad, the scenario starts at -?[0-9.]+ rad, and 0.02 rad",
             ),
-            ("devices.base_robot.parameters.start_orientation=[0.0, 0.0, 0.0, 0.0]", "start_orientation is all zero"),
-            ("devices.base_robot.parameters.approach_speed=[0.0, 0.1]", "approach_speed is 0; more than 0 is expected"),
+            (
+                "devices.base_robot.parameters.start_orientation=[0.0, 0.0, 0.0, 0.0]",
+                "start_orientation is all zero",
+            ),
+            (
+                "devices.base_robot.parameters.approach_speed=[0.0, 0.1]",
+                "approach_speed is 0; more than 0 is expected",
+            ),
             ("devices.base_robot.parameters.age_limit=-1", "age_limit is -1 s"),
-            ("devices.base_robot.parameters.cycle=0.0045", r"its cycle of 0.0045 s is no multiple of its step of 0.001 s"),
+            (
+                "devices.base_robot.parameters.cycle=0.0045",
+                r"its cycle of 0.0045 s is no multiple of its step of 0.001 s",
+            ),
         ],
         1,
     ),
@@ -221,7 +265,9 @@ def test_an_arm_or_base_that_is_not_the_scenarios_is_refused_with_both_numbers(
 
 
 @pytest.mark.slow
-def test_an_arm_of_seven_joints_is_refused_where_the_robot_has_six(bench: tuple[Rig, Process], tmp_path: Path) -> None:
+def test_an_arm_of_seven_joints_is_refused_where_the_robot_has_six(
+    bench: tuple[Rig, Process], tmp_path: Path
+) -> None:
     """Another arm on the channel describes itself: six frames a second are enough to be believed first."""
     from freeflyer_adapters.arm.frames import ArmFrames, FrameMapping
     from freeflyer_adapters.can.link import Sender, open_bus

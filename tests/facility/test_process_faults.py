@@ -12,7 +12,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from flights import flight_of
-from processes import BASE_ALONE, PATIENT_ARM, PATIENT_BASE, PATIENT_LOOP, Rig, activations, events, rig
+from processes import (
+    BASE_ALONE,
+    PATIENT_ARM,
+    PATIENT_BASE,
+    PATIENT_LOOP,
+    Rig,
+    activations,
+    events,
+    rig,
+)
 
 from freeflyer_adapters.arm.frames import ArmFrames, FrameMapping
 from freeflyer_adapters.can.link import Receiver, open_bus
@@ -27,9 +36,13 @@ def bench(tmp_path: Path) -> Iterator[Rig]:
         yield made
 
 
-def test_controllers_that_are_held_up_never_give_a_braked_arm_its_power_back(tmp_path: Path) -> None:
+def test_controllers_that_are_held_up_never_give_a_braked_arm_its_power_back(
+    tmp_path: Path,
+) -> None:
     """Every rule of both ends at its default."""
-    for attempt in range(5):  # a shared machine may hold the loop up by itself, before it is stopped
+    for attempt in range(
+        5
+    ):  # a shared machine may hold the loop up by itself, before it is stopped
         with rig(tmp_path / str(attempt)) as bench:
             facility, heard = bench.facility(), bench.listener()
             loop = bench.hil()
@@ -43,20 +56,26 @@ def test_controllers_that_are_held_up_never_give_a_braked_arm_its_power_back(tmp
             assert loop.finish() == 3
             time.sleep(0.5)
             report = bench.facility_report(facility)
-            if next(state.at for state in heard.states if state.life is LifeCycle.safe_stop) < stopped:
+            if (
+                next(state.at for state in heard.states if state.life is LifeCycle.safe_stop)
+                < stopped
+            ):
                 continue
             assert not any(state.has_power for state in heard.after_the_first_brake())
             assert len(heard.after_the_first_brake()) > 2000
             for device in ("arm_drive", "base_robot"):
                 assert activations(report, device) == 1, events(report, device)
             assert any(WATCHDOG in event for event in events(report, "arm_drive"))
-            assert any("no set point for 0.02 s; it holds its place" in event for event in events(report, "base_robot"))
+            assert any(
+                "no set point for 0.02 s; it holds its place" in event
+                for event in events(report, "base_robot")
+            )
             assert loop.text.count("Stop:") == 1
             # Which of the two is written next when the loop goes on is where it was stopped.
-            reason = (
-                r"the loop was held up for 2\.\d+ s, longer than the watchdog of the (arm \(0\.004 s\)|base robot \(0\.02 s\))"
+            reason = r"the loop was held up for 2\.\d+ s, longer than the watchdog of the (arm \(0\.004 s\)|base robot \(0\.02 s\))"
+            assert re.search(f"^Stop: (arm_drive|base_robot): {reason}", loop.text, re.MULTILINE), (
+                loop.text
             )
-            assert re.search(f"^Stop: (arm_drive|base_robot): {reason}", loop.text, re.MULTILINE), loop.text
             flight_of(bench.folder / "hil", reason, gap=3.0)
             return
     raise AssertionError("the loop was held up by the machine each time")
@@ -89,14 +108,17 @@ def test_an_overrun_of_the_controllers_is_reported_as_one_by_the_loop(bench: Rig
     loop.send(signal.SIGCONT)
     facility.wait_for("active -> safe_stop: no command for")
     assert loop.finish() == 3
-    assert re.search(r"Stop: (arm_drive|base_robot): the loop was held up for 0\.\d+ s, longer than the watchdog", loop.text), (
-        loop.text
-    )
+    assert re.search(
+        r"Stop: (arm_drive|base_robot): the loop was held up for 0\.\d+ s, longer than the watchdog",
+        loop.text,
+    ), loop.text
     assert activations(bench.facility_report(facility), "arm_drive") == 1
 
 
 @pytest.mark.slow
-def test_a_facility_that_is_stopped_stops_the_controllers_and_brakes_when_it_goes_on(bench: Rig) -> None:
+def test_a_facility_that_is_stopped_stops_the_controllers_and_brakes_when_it_goes_on(
+    bench: Rig,
+) -> None:
     facility = bench.facility("facility.base_watchdog_s=1.0")
     loop = bench.hil(*PATIENT_BASE)
     facility.wait_for("inactive -> active: commanded")
@@ -128,7 +150,10 @@ def test_loss_and_corruption_over_real_sockets_are_never_used(tmp_path: Path) ->
     with rig(tmp_path, str(path)) as bench:
         facility = bench.facility()
         frames = ArmFrames(FrameMapping(), 6)
-        bus, whole = open_bus("local", bench.channel, True, [frames.state], {}), Receiver(frames.state)
+        bus, whole = (
+            open_bus("local", bench.channel, True, [frames.state], {}),
+            Receiver(frames.state),
+        )
         sent = set()
         try:
             loop = bench.hil(*PATIENT_LOOP)
@@ -161,9 +186,21 @@ def test_a_base_whose_clock_is_set_back_goes_on_and_that_is_counted(tmp_path: Pa
     path.write_text(f"{BASE_ALONE}[facility]\nbase_watchdog_s = 1.0\n{fault}begin_s = 1.0\n")
     with rig(tmp_path, str(path)) as bench:
         base = f'devices.base_robot.connect=["{bench.endpoint}"]'
-        facility = bench.start("facility", str(path), "--set", base, "--out", str(tmp_path / "facility"))
+        facility = bench.start(
+            "facility", str(path), "--set", base, "--out", str(tmp_path / "facility")
+        )
         facility.wait_for("is there")
-        loop = bench.start("hil", str(path), "--set", base, "--set", "stop_s=3.0", "--no-view", "--out", str(tmp_path / "hil"))
+        loop = bench.start(
+            "hil",
+            str(path),
+            "--set",
+            base,
+            "--set",
+            "stop_s=3.0",
+            "--no-view",
+            "--out",
+            str(tmp_path / "hil"),
+        )
         assert loop.finish() == 0, loop.text
         report = bench.facility_report(facility)
     assert bench.summary()["real_time"]["devices"]["base_robot"]["clock_steps"] == 1

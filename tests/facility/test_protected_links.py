@@ -10,8 +10,17 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
-from commands import said
-from processes import BASE_ALONE, PATIENT_FACILITY, PATIENT_LOOP, Process, Rig, events, free_port, rig
+from commands import run_command
+from processes import (
+    BASE_ALONE,
+    PATIENT_FACILITY,
+    PATIENT_LOOP,
+    Process,
+    Rig,
+    events,
+    free_port,
+    rig,
+)
 
 from freeflyer_adapters.base.certificate_authority import HOSTS, CertificateAuthority
 from freeflyer_adapters.base.certificates import Identity
@@ -24,16 +33,28 @@ def scenario(folder: Path, text: str) -> str:
 
 
 def certificates(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    code, error = said(
-        capsys, "certificates", str(folder), "--name", "controller", "--name", "base_robot", "--observer", "observer"
+    code, error = run_command(
+        capsys,
+        "certificates",
+        str(folder),
+        "--name",
+        "controller",
+        "--name",
+        "base_robot",
+        "--observer",
+        "observer",
     )
     assert code == 0, error
 
 
 @pytest.mark.slow
-def test_both_ends_run_the_experiment_over_tls(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_both_ends_run_the_experiment_over_tls(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     certificates(tmp_path / "certs", capsys)
-    path = scenario(tmp_path, 'extends = "facility"\n[devices.base_robot]\ncertificates = "certs"\n')
+    path = scenario(
+        tmp_path, 'extends = "facility"\n[devices.base_robot]\ncertificates = "certs"\n'
+    )
     with rig(tmp_path, path) as bench:
         bench.endpoint = f"tls/127.0.0.1:{free_port()}"
         facility = bench.facility(*PATIENT_FACILITY)
@@ -58,12 +79,23 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Rig, Proce
     shutil.copytree(folder / "certs", folder / "expired")
     known = CertificateAuthority.read(folder / "certs")
     long_ago = datetime.now(UTC) - timedelta(days=9)
-    known.issue(Identity(folder / "expired", "controller"), days=2, hosts=HOSTS, may_listen=True, begin=long_ago)
+    known.issue(
+        Identity(folder / "expired", "controller"),
+        days=2,
+        hosts=HOSTS,
+        may_listen=True,
+        begin=long_ago,
+    )
     path = scenario(folder, BASE_ALONE + '[devices.base_robot]\ncertificates = "certs"\n')
     with rig(folder, path) as made:
         made.endpoint = f"tls/127.0.0.1:{free_port()}"
         facility = made.start(
-            "facility", path, "--set", f'devices.base_robot.connect=["{made.endpoint}"]', "--out", str(folder / "facility")
+            "facility",
+            path,
+            "--set",
+            f'devices.base_robot.connect=["{made.endpoint}"]',
+            "--out",
+            str(folder / "facility"),
         )
         facility.wait_for("is there")
         yield made, facility
@@ -87,7 +119,9 @@ def refused(bench: tuple[Rig, Process], capsys: pytest.CaptureFixture[str]) -> R
         ]
         words = [word for setting in sets for word in ("--set", setting)]
         out = str(made.folder / "hil")
-        code, error = said(capsys, "hil", made.scenario, *words, "--no-view", "--no-real-time", "--out", out)
+        code, error = run_command(
+            capsys, "hil", made.scenario, *words, "--no-view", "--no-real-time", "--out", out
+        )
         assert code == 2, error
         return error
 
@@ -96,7 +130,10 @@ def refused(bench: tuple[Rig, Process], capsys: pytest.CaptureFixture[str]) -> R
 
 def test_no_certificate_is_said(refused: Refused, bench: tuple[Rig, Process]) -> None:
     found = refused('devices.base_robot.certificates=""')
-    assert "is encrypted, but no certificates are named; make certificates with `freeflyer certificates DIR`" in found
+    assert (
+        "is encrypted, but no certificates are named; make certificates with `freeflyer certificates DIR`"
+        in found
+    )
     plain = bench[0].endpoint.replace("tls/", "tcp/")
     found = refused('devices.base_robot.certificates=""', endpoint=plain)
     assert re.search(
@@ -112,10 +149,15 @@ def test_a_rogue_authority_is_said(refused: Refused, bench: tuple[Rig, Process])
 
 def test_an_expired_certificate_is_said(refused: Refused, bench: tuple[Rig, Process]) -> None:
     found = refused('devices.base_robot.certificates="expired"')
-    assert re.search(r"controller.pem expired on .* UTC; `freeflyer certificates .* --renew controller` makes a new one", found)
+    assert re.search(
+        r"controller.pem expired on .* UTC; `freeflyer certificates .* --renew controller` makes a new one",
+        found,
+    )
 
 
-def test_a_valid_certificate_without_the_right_to_command_is_said(refused: Refused, bench: tuple[Rig, Process]) -> None:
+def test_a_valid_certificate_without_the_right_to_command_is_said(
+    refused: Refused, bench: tuple[Rig, Process]
+) -> None:
     found = refused('devices.base_robot.controller="observer"')
     assert "base_robot does not let certificate 'observer' command, only controller" in found
 
@@ -124,9 +166,14 @@ def test_a_facility_whose_certificate_cannot_do_does_not_start(
     bench: tuple[Rig, Process], capsys: pytest.CaptureFixture[str]
 ) -> None:
     made, _ = bench
-    code, error = said(capsys, "facility", made.scenario, "--set", 'devices.base_robot.connect=["tls/127.0.0.3:0"]')
+    code, error = run_command(
+        capsys, "facility", made.scenario, "--set", 'devices.base_robot.connect=["tls/127.0.0.3:0"]'
+    )
     assert code == 2
-    assert "is for localhost, 127.0.0.1, ::1, not for 127.0.0.3, so nobody would accept it there" in error
+    assert (
+        "is for localhost, 127.0.0.1, ::1, not for 127.0.0.3, so nobody would accept it there"
+        in error
+    )
 
 
 @pytest.mark.slow
@@ -134,7 +181,11 @@ def test_an_open_link_is_warned_of(tmp_path: Path) -> None:
     """An address of TEST-NET-1, which no machine has: the warning comes, and then the link cannot be opened."""
     path = scenario(tmp_path, BASE_ALONE + "[devices.base_robot]\ninsecure = true\n")
     with rig(tmp_path, path) as made:
-        process = made.start("facility", path, "--set", 'devices.base_robot.connect=["tcp/192.0.2.10:7447"]')
-        process.wait_for("WARNING: tcp/192.0.2.10:7447 is not encrypted, and whoever reaches it can command the robot")
+        process = made.start(
+            "facility", path, "--set", 'devices.base_robot.connect=["tcp/192.0.2.10:7447"]'
+        )
+        process.wait_for(
+            "WARNING: tcp/192.0.2.10:7447 is not encrypted, and whoever reaches it can command the robot"
+        )
         process.send(signal.SIGINT)
         process.finish()

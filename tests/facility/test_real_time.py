@@ -50,7 +50,9 @@ def test_over_real_bytes_the_experiment_is_what_it_is_without_a_wall_clock(bench
         there, here = without_clock[name]["max"], summary[name]["max"]
         assert here == pytest.approx(there, rel=0.1, abs=1e-3), name
     for name in ("end_effector_orientation_error_deg", "base_orientation_error_deg"):
-        assert summary[name]["max"] == pytest.approx(without_clock[name]["max"], rel=0.1, abs=0.1), name
+        assert summary[name]["max"] == pytest.approx(
+            without_clock[name]["max"], rel=0.1, abs=0.1
+        ), name
 
     # No lost cycle that was not counted: what the arm sent came, or was counted as lost, and so with the commands.
     arm = summary["real_time"]["devices"]["arm_drive"]
@@ -61,8 +63,13 @@ def test_over_real_bytes_the_experiment_is_what_it_is_without_a_wall_clock(bench
     assert virtual["commands_late_or_lost"] <= arm["commands_late_or_lost"] + arm["cycles_lost"] + 5
     times = summary["real_time"]["times"]
     assert times["arm_drive: answer to it"]["count"] >= instants - arm["cycles_lost"]
-    assert times["arm_drive: wake-up after the state frame"]["count"] >= instants - arm["cycles_lost"]
-    assert report["times"]["arm_drive: round trip of state frame and command"]["count"] > 0.5 * instants
+    assert (
+        times["arm_drive: wake-up after the state frame"]["count"] >= instants - arm["cycles_lost"]
+    )
+    assert (
+        report["times"]["arm_drive: round trip of state frame and command"]["count"]
+        > 0.5 * instants
+    )
     assert [event for event in events(report, "arm_drive") if "->" in event] == [
         "inactive -> active: commanded",
         "active -> inactive: brakes commanded",
@@ -71,7 +78,9 @@ def test_over_real_bytes_the_experiment_is_what_it_is_without_a_wall_clock(bench
 
 @pytest.mark.slow
 def test_the_real_time_part_of_reproduce_reads_what_the_loop_wrote(tmp_path: Path) -> None:
-    result = real_time.run(scenario.load("facility"), tmp_path, [*PATIENT_FACILITY, *PATIENT_LOOP, "stop_s=1.0"])
+    result = real_time.run(
+        scenario.load("facility"), tmp_path, [*PATIENT_FACILITY, *PATIENT_LOOP, "stop_s=1.0"]
+    )
     assert result.as_expected
     assert result.outcome.simulated == 1.0
     assert result.outcome.record["base_robot.base_position"].shape == (101, 3)
@@ -93,7 +102,9 @@ def test_controllers_in_the_simulation_and_on_the_facility_are_the_same_files() 
         assert len({digest for key, digest in paths.items() if key[2] == controller}) == 1
 
 
-def test_the_arm_is_safe_within_five_cycles_of_its_controllers_death_and_the_base_holds(bench: Rig) -> None:
+def test_the_arm_is_safe_within_five_cycles_of_its_controllers_death_and_the_base_holds(
+    bench: Rig,
+) -> None:
     facility = bench.facility("facility.forget_after_s=3.0")
     frames = ArmFrames(FrameMapping(), 6)
     bus = open_bus("local", bench.channel, True, [frames.state], {})
@@ -127,11 +138,17 @@ def test_the_arm_is_safe_within_five_cycles_of_its_controllers_death_and_the_bas
         bus.shutdown()
     # From the last command that the arm accepted to its first state frame in safe stop.
     cycles = [int(s["cycle"][0]) for s in states]
-    first = next(i for i, s in enumerate(states) if frames.life_cycle(s["life_cycle"][0]) is LifeCycle.safe_stop)
+    first = next(
+        i
+        for i, s in enumerate(states)
+        if frames.life_cycle(s["life_cycle"][0]) is LifeCycle.safe_stop
+    )
     assert cycles[first] - int(states[first]["echoed_cycle"][0]) <= 5
     assert states[-1]["brakes"] == [1.0]
     assert np.abs(states[-1]["joint_velocity"]).max() < 1e-2
-    moved = np.abs(np.array(states[-1]["joint_position"]) - np.array(states[first]["joint_position"])).max()
+    moved = np.abs(
+        np.array(states[-1]["joint_position"]) - np.array(states[first]["joint_position"])
+    ).max()
     assert moved < 0.05
     facility.wait_for("it holds its place")
     report = bench.facility_report(facility)
@@ -150,12 +167,18 @@ def test_the_controller_stops_in_order_when_the_facility_dies(bench: Rig) -> Non
     facility.send(signal.SIGKILL)
     assert loop.finish() == 3
     assert re.search(
-        r"the run stopped at [0-9.]+ s: arm_drive: .*(20 cycles in a row were lost|state frame is 0.0\d+ s old)", loop.text
+        r"the run stopped at [0-9.]+ s: arm_drive: .*(20 cycles in a row were lost|state frame is 0.0\d+ s old)",
+        loop.text,
     )
-    assert "arm_drive had not confirmed to be at rest, and is left to its own watchdog" in " ".join(loop.said)
+    assert "arm_drive had not confirmed to be at rest, and is left to its own watchdog" in " ".join(
+        loop.said
+    )
     assert bench.summary()["failed"] is True
     assert bench.record().shape[0] >= 1
-    flight_of(bench.folder / "hil", r"arm_drive: .*(20 cycles in a row were lost|state frame is 0.0\d+ s old)")
+    flight_of(
+        bench.folder / "hil",
+        r"arm_drive: .*(20 cycles in a row were lost|state frame is 0.0\d+ s old)",
+    )
 
 
 @pytest.mark.parametrize("number", family([signal.SIGINT, signal.SIGTERM]))
@@ -174,7 +197,9 @@ def test_ctrl_c_on_the_controller_is_an_orderly_stop(bench: Rig, number: signal.
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_while_the_arm_is_waited_for_ends_at_once(bench: Rig, number: signal.Signals) -> None:
+def test_a_signal_while_the_arm_is_waited_for_ends_at_once(
+    bench: Rig, number: signal.Signals
+) -> None:
     loop = bench.hil("devices.arm_drive.parameters.configure_timeout=60")
     deadline = time.monotonic() + 30.0
     while not any(directory(bench.channel).glob("*-*")) and time.monotonic() < deadline:
@@ -208,7 +233,9 @@ def test_a_second_controller_is_refused_before_anything_moves_with_both_numbers(
     facility.wait_for("inactive -> active: commanded")
     second = bench.hil(*PATIENT_LOOP, out="second")
     assert second.finish() == 2
-    assert re.search(r"obeys controller \d+ already; this is controller \d+", second.text), second.text
+    assert re.search(r"obeys controller \d+ already; this is controller \d+", second.text), (
+        second.text
+    )
     assert first.popen.poll() is None
     first.send(signal.SIGINT)
     assert first.finish() == 3
@@ -222,13 +249,21 @@ def test_a_second_controller_of_a_base_alone_is_refused_with_both_names(tmp_path
     path.write_text(BASE_ALONE)
     with rig(tmp_path, str(path)) as bench:
         base = f'devices.base_robot.connect=["{bench.endpoint}"]'
-        facility = bench.start("facility", str(path), "--set", base, "--set", "facility.base_watchdog_s=1.0")
+        facility = bench.start(
+            "facility", str(path), "--set", base, "--set", "facility.base_watchdog_s=1.0"
+        )
         facility.wait_for("is there")
-        first = bench.start("hil", str(path), "--set", base, "--no-view", "--out", str(tmp_path / "first"))
+        first = bench.start(
+            "hil", str(path), "--set", base, "--no-view", "--out", str(tmp_path / "first")
+        )
         facility.wait_for("set points came")
-        second = bench.start("hil", str(path), "--set", base, "--no-view", "--out", str(tmp_path / "second"))
+        second = bench.start(
+            "hil", str(path), "--set", base, "--no-view", "--out", str(tmp_path / "second")
+        )
         assert second.finish() == 2
-        assert re.search(r"obeys publisher [0-9a-f]{32} already; this is session [0-9a-f]{32}", second.text), second.text
+        assert re.search(
+            r"obeys publisher [0-9a-f]{32} already; this is session [0-9a-f]{32}", second.text
+        ), second.text
         assert first.popen.poll() is None
         first.send(signal.SIGINT)
         assert first.finish() == 3
@@ -286,7 +321,10 @@ def test_a_busy_process_beside_the_loop_costs_counted_cycles_and_no_wrong_state(
     loop = bench.hil(*PATIENT_LOOP, "stop_s=3.0", options=("--no-real-time",))
     facility.wait_for("inactive -> active: commanded")
     hogs = [
-        subprocess.Popen([sys.executable, "-c", "import time\nt=time.time()+1\nwhile time.time()<t: pass"]) for _ in range(2)
+        subprocess.Popen(
+            [sys.executable, "-c", "import time\nt=time.time()+1\nwhile time.time()<t: pass"]
+        )
+        for _ in range(2)
     ]
     for hog in hogs:
         hog.wait()
@@ -294,7 +332,10 @@ def test_a_busy_process_beside_the_loop_costs_counted_cycles_and_no_wrong_state(
     report = bench.facility_report(facility)
     arm = bench.summary()["real_time"]["devices"]["arm_drive"]
     assert bench.summary()["steps"]["arm_drive"] == 3000
-    assert report["devices"]["arm_drive"]["commands_late_or_lost"] <= arm["commands_late_or_lost"] + arm["cycles_lost"] + 5
+    assert (
+        report["devices"]["arm_drive"]["commands_late_or_lost"]
+        <= arm["commands_late_or_lost"] + arm["cycles_lost"] + 5
+    )
     moves = [event for event in events(report, "arm_drive") if "->" in event]
     assert moves == ["inactive -> active: commanded", "active -> inactive: brakes commanded"]
 
@@ -320,7 +361,10 @@ def listening(process_id: int) -> list[tuple[str, str]]:
 
 
 def test_nothing_listens_beyond_loopback_and_nobody_joins_a_multicast_group(bench: Rig) -> None:
-    groups = Path("/proc/net/igmp").read_text(), Path("/proc/net/igmp6").read_text() if Path("/proc/net/igmp6").exists() else ""
+    groups = (
+        Path("/proc/net/igmp").read_text(),
+        Path("/proc/net/igmp6").read_text() if Path("/proc/net/igmp6").exists() else "",
+    )
     facility = bench.facility(*PATIENT_FACILITY)
     loop = bench.hil(*PATIENT_LOOP)
     facility.wait_for("inactive -> active: commanded")
@@ -330,7 +374,10 @@ def test_nothing_listens_beyond_loopback_and_nobody_joins_a_multicast_group(benc
         # 127.0.0.1, in the kernel's byte order.
         assert {address for _, address in sockets} == {"0100007F"}, sockets
         assert not [protocol for protocol, _ in sockets if protocol.startswith("udp")]
-    after = Path("/proc/net/igmp").read_text(), Path("/proc/net/igmp6").read_text() if Path("/proc/net/igmp6").exists() else ""
+    after = (
+        Path("/proc/net/igmp").read_text(),
+        Path("/proc/net/igmp6").read_text() if Path("/proc/net/igmp6").exists() else "",
+    )
     assert groups == after
     loop.send(signal.SIGINT)
     loop.finish()
@@ -343,9 +390,21 @@ def test_a_simulated_arm_on_a_base_over_zenoh_is_paced_by_the_clock(tmp_path: Pa
     path.write_text(BASE_ALONE)
     with rig(tmp_path, str(path)) as bench:
         base = f'devices.base_robot.connect=["{bench.endpoint}"]'
-        facility = bench.start("facility", str(path), "--set", base, "--set", "facility.base_watchdog_s=1.0")
+        facility = bench.start(
+            "facility", str(path), "--set", base, "--set", "facility.base_watchdog_s=1.0"
+        )
         facility.wait_for("is there")
-        loop = bench.start("hil", str(path), "--set", base, "--set", "stop_s=2.0", "--no-view", "--out", str(tmp_path / "hil"))
+        loop = bench.start(
+            "hil",
+            str(path),
+            "--set",
+            base,
+            "--set",
+            "stop_s=2.0",
+            "--no-view",
+            "--out",
+            str(tmp_path / "hil"),
+        )
         assert loop.finish() == 0, loop.text
     summary = bench.summary()
     assert summary["real_time"]["times"]["loop: wake-up"]["count"] >= 2000

@@ -27,7 +27,9 @@ def test_the_can_log_has_the_frames_that_the_recordings_numbers_came_from(tmp_pa
     out = tmp_path / "hil"
     frame = read_recording(out / "recording.mcap")
     assert frame["instant"].tolist() == list(range(2001))
-    database = cantools.database.load_file(Path(freeflyer_adapters.__file__).parent / "arm" / "arm.dbc")
+    database = cantools.database.load_file(
+        Path(freeflyer_adapters.__file__).parent / "arm" / "arm.dbc"
+    )
     state = database.get_message_by_frame_id(STATE)
     frames = list(can.BLFReader(out / "can.blf"))
     logged = set()

@@ -58,20 +58,29 @@ def soak(folder: Path, seconds: float) -> None:
     print(
         f"\n{seconds:g} s: loop {settled[0, 0]:.1f} MB and {growth[0]:+.2f}, facility {settled[0, 1]:.1f} MB and {growth[1]:+.2f}"
     )
-    print(f"arm, here {dict(arm)}\narm, there {dict(theirs)}\nbase, here {dict(base)}\nbase, there {dict(robot)}")
+    print(
+        f"arm, here {dict(arm)}\narm, there {dict(theirs)}\nbase, here {dict(base)}\nbase, there {dict(robot)}"
+    )
     assert (growth < ALLOWED).all(), growth
 
     assert summary["steps"]["arm_drive"] == round(seconds * 1000)
     # Every command came; every one that answered in time was taken as such on both sides.
     assert theirs["commands_accepted"] + theirs["commands_rejected"] == arm["commands_sent"]
     assert theirs["commands_rejected"] == arm["state_frames_rejected"] == 0
-    assert abs(theirs["commands_late_or_lost"] - arm["commands_late_or_lost"]) <= arm["cycles_lost"] + 5
+    assert (
+        abs(theirs["commands_late_or_lost"] - arm["commands_late_or_lost"])
+        <= arm["cycles_lost"] + 5
+    )
     assert theirs["state_frames_sent"] >= arm["state_frames_accepted"]
     # The freshest sample only: what was not read was overwritten, and both are counted.
     assert base["samples_refused"] == robot["setpoints_refused"] == 0
     cycles = seconds * 250
-    assert base["samples_accepted"] + base["samples_skipped"] == pytest.approx(cycles, abs=0.01 * cycles + 300)
-    came = sum(robot[f"setpoints_{how}"] for how in ("accepted", "skipped", "before_the_first_followed"))
+    assert base["samples_accepted"] + base["samples_skipped"] == pytest.approx(
+        cycles, abs=0.01 * cycles + 300
+    )
+    came = sum(
+        robot[f"setpoints_{how}"] for how in ("accepted", "skipped", "before_the_first_followed")
+    )
     assert came == pytest.approx(base["setpoints_published"], abs=3)
     assert robot["setpoints_before_the_first_followed"] <= 20
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from commands import said
+from commands import run_command
 
 from freeflyer.cli import main as command
 from freeflyer.foundation.interrupts import interrupts, no_interrupts
@@ -42,7 +42,11 @@ def test_simulated_devices_give_the_run_without_a_clock(tmp_path: Path) -> None:
     chosen = loaded(tmp_path, "[components.arm_drive.parameters]\ntorque_rate_limit = 1e6")
     there, stop = run(chosen)
     here = experiment.run(scenario.load("facility", ["stop_s=0.5"]))
-    for name in ("hand_kinematics.end_effector_position", "base_robot.base_position", "satellite.base_position"):
+    for name in (
+        "hand_kinematics.end_effector_position",
+        "base_robot.base_position",
+        "satellite.base_position",
+    ):
         # Not to the last bit: before its first command a device has no torque, where the run without devices has its first one.
         assert np.abs(there.outcome.record[name] - here.outcome.record[name]).max() < 1e-5, name
     assert stop.startswith("the scenario is over; all devices were brought to rest")
@@ -71,7 +75,9 @@ def test_simulated_devices_give_the_run_without_a_clock(tmp_path: Path) -> None:
     ],
     ids=["base wrench", "observed energy", "joint velocity", "joint position"],
 )
-def test_a_limit_stops_the_loop_in_order_and_says_its_number_and_unit(tmp_path: Path, text: str, sentence: str) -> None:
+def test_a_limit_stops_the_loop_in_order_and_says_its_number_and_unit(
+    tmp_path: Path, text: str, sentence: str
+) -> None:
     result, stop = run(loaded(tmp_path, text))
     assert sentence in stop
     assert "all devices were brought to rest" in stop
@@ -90,7 +96,9 @@ def test_energy_below_its_bound_for_less_than_its_time_does_not_stop(tmp_path: P
 
 def test_a_torque_beyond_the_arms_limit_is_clipped_counted_and_survived(tmp_path: Path) -> None:
     text = "[components.arm_drive.parameters]\ntorque_rate_limit = 0.5"
-    result, report = hil.run(loaded(tmp_path, text), real_time=False, simulated=True, say=lambda text: None)
+    result, report = hil.run(
+        loaded(tmp_path, text), real_time=False, simulated=True, say=lambda text: None
+    )
     assert result.as_expected
     assert report.devices["arm_drive"]["torque_rate_limit_acted"] > 0
     assert result.summary["real_time"]["devices"]["arm_drive"]["torque_rate_limit_acted"] > 0
@@ -106,13 +114,17 @@ def test_a_controller_that_fails_stops_the_arm_in_order(tmp_path: Path) -> None:
 
 def test_the_live_view_survives_a_limit_that_begins_to_act(tmp_path: Path) -> None:
     text = "[components.arm_drive.parameters]\ntorque_rate_limit = 0.5"
-    result, report = hil.run(loaded(tmp_path, text), real_time=False, simulated=True, view=True, say=lambda text: None)
+    result, report = hil.run(
+        loaded(tmp_path, text), real_time=False, simulated=True, view=True, say=lambda text: None
+    )
     assert result.as_expected
     assert report.devices["arm_drive"]["torque_rate_limit_acted"] > 0
 
 
 @pytest.mark.slow
-def test_the_viewer_is_an_ordinary_process_beside_a_loop_in_real_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_viewer_is_an_ordinary_process_beside_a_loop_in_real_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     policies = []
     show = LiveValues.show
 
@@ -122,7 +134,9 @@ def test_the_viewer_is_an_ordinary_process_beside_a_loop_in_real_time(tmp_path: 
         policies.append(os.sched_getscheduler(self.viewer.pid))
 
     monkeypatch.setattr(LiveValues, "show", watched)
-    result, _ = hil.run(loaded(tmp_path), real_time=True, simulated=True, view=True, say=lambda text: None)
+    result, _ = hil.run(
+        loaded(tmp_path), real_time=True, simulated=True, view=True, say=lambda text: None
+    )
     assert result.as_expected
     assert policies == [os.SCHED_OTHER]
     assert os.sched_getscheduler(0) == os.SCHED_OTHER
@@ -155,7 +169,9 @@ def test_a_driver_that_fails_in_its_own_way_loses_no_record_and_stops_the_others
         assert "base_robot had not confirmed to be at rest" in stop
 
 
-def test_the_reason_comes_before_any_file_and_goes_to_the_system_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_reason_comes_before_any_file_and_goes_to_the_system_log(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     done: list[str] = []
 
     def noted(name: str, original: Callable[..., Any]) -> Callable[..., Any]:
@@ -172,7 +188,17 @@ def test_the_reason_comes_before_any_file_and_goes_to_the_system_log(tmp_path: P
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as log:
         log.bind(str(tmp_path / "log"))
         out = tmp_path / "out"
-        arguments = ("hil", "facility", "--simulated", "--no-real-time", "--no-view", "--set", "stop_s=0.1", "--out", str(out))
+        arguments = (
+            "hil",
+            "facility",
+            "--simulated",
+            "--no-real-time",
+            "--no-view",
+            "--set",
+            "stop_s=0.1",
+            "--out",
+            str(out),
+        )
         assert command.call((*arguments, "--log-to", f"syslog:{tmp_path / 'log'}")) == 0
         assert b"Stop: the scenario is over; all devices were brought to rest" in log.recv(4096)
     assert done == ["devices stopped", "reason given", "recording closed", "results written"]
@@ -181,8 +207,12 @@ def test_the_reason_comes_before_any_file_and_goes_to_the_system_log(tmp_path: P
     assert written["reason"] == "the scenario is over"
 
 
-def test_a_log_that_cannot_be_is_refused_before_anything_is_opened(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    code, sentence = said(capsys, "hil", "facility", "--simulated", "--out", str(tmp_path), "--log-to", "sysloog")
+def test_a_log_that_cannot_be_is_refused_before_anything_is_opened(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, sentence = run_command(
+        capsys, "hil", "facility", "--simulated", "--out", str(tmp_path), "--log-to", "sysloog"
+    )
     assert code == 2
     assert "did you mean" in sentence
     assert not (tmp_path / "stop.json").exists()
@@ -225,7 +255,9 @@ class HalfActivated:
 
 
 @pytest.mark.parametrize("comes_to_rest", [True, False])
-def test_a_device_whose_activation_was_given_up_half_way_is_seen_to_come_to_rest(comes_to_rest: bool) -> None:
+def test_a_device_whose_activation_was_given_up_half_way_is_seen_to_come_to_rest(
+    comes_to_rest: bool,
+) -> None:
     device: Any = HalfActivated(comes_to_rest)
     left = graded_stop.stop([device], 1_000_000, "a drive failed", orderly=False)
     assert device.calls == ["revoke", "ramp_down", "deactivate"]

@@ -36,7 +36,10 @@ class Commander:
     def __init__(self, channel: str, number: int = 4711) -> None:
         self.frames, self.number = ArmFrames(FrameMapping(), 6), number
         self.bus = open_bus("local", channel, True, [self.frames.state], {})
-        self._sender, self._receiver = Sender(self.bus, self.frames.command), Receiver(self.frames.state)
+        self._sender, self._receiver = (
+            Sender(self.bus, self.frames.command),
+            Receiver(self.frames.state),
+        )
 
     def state(self) -> State:
         """The next state frame."""
@@ -79,7 +82,9 @@ def test_frames_that_come_after_the_brake_command_move_nothing(bench: Rig) -> No
         controller.answer(Mode.brake, lambda s: s["brakes"] == [1.0])
         place = controller.state()["joint_position"]
         for mode in (Mode.torque, Mode.activate, Mode.reset, Mode.activate, Mode.torque):
-            controller.send(mode, controller.state()["cycle"][0], torque=1.0 if mode is Mode.torque else 0.0)
+            controller.send(
+                mode, controller.state()["cycle"][0], torque=1.0 if mode is Mode.torque else 0.0
+            )
             for _ in range(150):
                 state = controller.state()
                 assert controller.life(state) is LifeCycle.inactive, mode
@@ -93,17 +98,23 @@ def test_frames_that_come_after_the_brake_command_move_nothing(bench: Rig) -> No
 
 
 @pytest.mark.slow
-def test_set_points_that_were_held_up_on_the_way_do_not_wake_a_base_that_has_stopped(tmp_path: Path) -> None:
+def test_set_points_that_were_held_up_on_the_way_do_not_wake_a_base_that_has_stopped(
+    tmp_path: Path,
+) -> None:
     path = tmp_path / "base.toml"
     path.write_text(BASE_ALONE)
     with rig(tmp_path, str(path)) as bench:
         door = bench.door()
         base = f'devices.base_robot.connect=["{bench.endpoint}"]'
         watchdog = ("--set", "facility.base_watchdog_s=0.1")
-        facility = bench.start("facility", str(path), "--set", base, *watchdog, "--out", str(tmp_path / "facility"))
+        facility = bench.start(
+            "facility", str(path), "--set", base, *watchdog, "--out", str(tmp_path / "facility")
+        )
         facility.wait_for("is there")
         far = f'devices.base_robot.connect=["{door.endpoint}"]'
-        loop = bench.start("hil", str(path), "--set", far, *watchdog, "--no-view", "--out", str(tmp_path / "hil"))
+        loop = bench.start(
+            "hil", str(path), "--set", far, *watchdog, "--no-view", "--out", str(tmp_path / "hil")
+        )
         facility.wait_for("inactive -> active: set points came")
         time.sleep(1.0)
         door.held.set()
@@ -118,17 +129,23 @@ def test_set_points_that_were_held_up_on_the_way_do_not_wake_a_base_that_has_sto
 
 
 @pytest.mark.slow
-def test_set_points_that_come_after_their_loop_has_given_up_activate_nothing(tmp_path: Path) -> None:
+def test_set_points_that_come_after_their_loop_has_given_up_activate_nothing(
+    tmp_path: Path,
+) -> None:
     """They are held up from the first one on, so that the loop ends for want of an answer."""
     path = tmp_path / "base.toml"
     path.write_text(BASE_ALONE)
     with rig(tmp_path, str(path)) as bench:
         door = bench.door()
         base = f'devices.base_robot.connect=["{bench.endpoint}"]'
-        facility = bench.start("facility", str(path), "--set", base, "--out", str(tmp_path / "facility"))
+        facility = bench.start(
+            "facility", str(path), "--set", base, "--out", str(tmp_path / "facility")
+        )
         facility.wait_for("is there")
         far = f'devices.base_robot.connect=["{door.endpoint}"]'
-        loop = bench.start("hil", str(path), "--set", far, "--no-view", "--out", str(tmp_path / "hil"))
+        loop = bench.start(
+            "hil", str(path), "--set", far, "--no-view", "--out", str(tmp_path / "hil")
+        )
         loop.wait_for("Real time:")
         door.held.set()
         code = loop.finish()
@@ -168,7 +185,9 @@ class Flood:
                 node.setblocking(False)
                 node.connect(str(path))
         assert self._nodes
-        self._thread = threading.Thread(target=self._send, args=(time.monotonic() + longest,), daemon=True)
+        self._thread = threading.Thread(
+            target=self._send, args=(time.monotonic() + longest,), daemon=True
+        )
         self._thread.start()
 
     def _send(self, end: float) -> None:
@@ -208,8 +227,12 @@ def seconds_to_stop(folder: Path, *, flooded: bool) -> tuple[float, float]:
             flood.end()
         assert loop.finish() == 3, loop.text
         report = bench.facility_report(facility)
-        assert not [event for event in events(report, "arm_drive") if "no command for" in event], loop.text
-        assert "interrupted by the user" in loop.text or (flooded and "a flood of frames" in loop.text), loop.text
+        assert not [event for event in events(report, "arm_drive") if "no command for" in event], (
+            loop.text
+        )
+        assert "interrupted by the user" in loop.text or (
+            flooded and "a flood of frames" in loop.text
+        ), loop.text
         assert activations(report, "arm_drive") == activations(report, "base_robot") == 1
         ramp = next(at for at, mode in heard.commands if mode is Mode.brake) - begin
         print(
@@ -238,7 +261,10 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     if os.getuid() != 0:
         pytest.skip("mounting a small file system needs root")
     mounted = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=3m", "freeflyer-test", str(place)], capture_output=True, text=True, check=False
+        ["mount", "-t", "tmpfs", "-o", "size=3m", "freeflyer-test", str(place)],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     if mounted.returncode:
         pytest.skip(f"a file system cannot be mounted here: {mounted.stderr.strip()}")
@@ -247,7 +273,9 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
 
 
 @pytest.mark.slow
-def test_with_a_full_disk_the_reason_is_said_once_and_stop_json_is_whole(bench: Rig, small_disk: Path) -> None:
+def test_with_a_full_disk_the_reason_is_said_once_and_stop_json_is_whole(
+    bench: Rig, small_disk: Path
+) -> None:
     facility = bench.facility(*PATIENT_FACILITY)
     loop = bench.hil(*PATIENT_LOOP, out="small/out")
     facility.wait_for("inactive -> active: commanded")
@@ -260,7 +288,9 @@ def test_with_a_full_disk_the_reason_is_said_once_and_stop_json_is_whole(bench: 
     assert loop.finish() != 0
     lines = [line for line in loop.said if line.startswith("Stop:")]
     assert len(lines) == 1, loop.text
-    assert re.match(r"Stop: interrupted by the user; all devices were brought to rest in \d", lines[0])
+    assert re.match(
+        r"Stop: interrupted by the user; all devices were brought to rest in \d", lines[0]
+    )
     # The recorder may report its own file before; the loop reports no file before the sentence.
     before, after = loop.text.split(lines[0])
     assert "record.parquet" not in before

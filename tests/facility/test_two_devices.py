@@ -10,8 +10,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import said
-from processes import BASE_ALONE, PATIENT_FACILITY, PATIENT_LOOP, Process, Rig, activations, free_port, rig
+from commands import run_command
+from processes import (
+    BASE_ALONE,
+    PATIENT_FACILITY,
+    PATIENT_LOOP,
+    Process,
+    Rig,
+    activations,
+    free_port,
+    rig,
+)
 
 from freeflyer_adapters.base.link import OdometryLink
 from freeflyer_adapters.base.options import LinkOptions
@@ -30,7 +39,11 @@ def bench(tmp_path: Path) -> Iterator[Rig]:
 def second_facility(bench: Rig, channel: str) -> Process:
     """Not waited for: with a channel of its own, or with the first one's, and a port of its own."""
     base = f'devices.base_robot.connect=["tcp/127.0.0.1:{free_port()}"]'
-    sets = [word for s in (*PATIENT_FACILITY, base, f'devices.arm_drive.channel="{channel}"') for word in ("--set", s)]
+    sets = [
+        word
+        for s in (*PATIENT_FACILITY, base, f'devices.arm_drive.channel="{channel}"')
+        for word in ("--set", s)
+    ]
     return bench.start("facility", bench.scenario, *sets)
 
 
@@ -65,16 +78,23 @@ def test_a_second_arm_that_appears_stops_the_loop_and_is_named(bench: Rig) -> No
 
 
 @pytest.mark.slow
-def test_of_two_base_robots_on_one_topic_neither_is_commanded_and_both_are_named(tmp_path: Path) -> None:
+def test_of_two_base_robots_on_one_topic_neither_is_commanded_and_both_are_named(
+    tmp_path: Path,
+) -> None:
     path = tmp_path / "base.toml"
     path.write_text(BASE_ALONE)
     with rig(tmp_path, str(path)) as bench:
         endpoints = [bench.endpoint, f"tcp/127.0.0.1:{free_port()}"]
-        both = [bench.start("facility", str(path), "--set", f'devices.base_robot.connect=["{e}"]') for e in endpoints]
+        both = [
+            bench.start("facility", str(path), "--set", f'devices.base_robot.connect=["{e}"]')
+            for e in endpoints
+        ]
         for process in both:
             process.wait_for("is there")
         connect = f'devices.base_robot.connect=["{endpoints[0]}", "{endpoints[1]}"]'
-        loop = bench.start("hil", str(path), "--set", connect, "--no-view", "--out", str(tmp_path / "hil"))
+        loop = bench.start(
+            "hil", str(path), "--set", connect, "--no-view", "--out", str(tmp_path / "hil")
+        )
         assert loop.finish() == 2, loop.text
         named = re.search(
             r"(two publishers send topic base_robot/measured: |sessions )(\w+) and (\w+).*two base robots; stop one of them",
@@ -94,11 +114,26 @@ def test_a_second_base_robot_that_appears_stops_the_loop_and_is_named(tmp_path: 
     path = tmp_path / "base.toml"
     path.write_text(BASE_ALONE)
     with rig(tmp_path, str(path)) as bench:
-        base, door = f'devices.base_robot.connect=["{bench.endpoint}"]', f"tcp/127.0.0.1:{free_port()}"
-        facility = bench.start("facility", str(path), "--set", base, "--set", "facility.base_watchdog_s=1.0")
+        base, door = (
+            f'devices.base_robot.connect=["{bench.endpoint}"]',
+            f"tcp/127.0.0.1:{free_port()}",
+        )
+        facility = bench.start(
+            "facility", str(path), "--set", base, "--set", "facility.base_watchdog_s=1.0"
+        )
         facility.wait_for("is there")
         listen = f'devices.base_robot.listen=["{door}"]'
-        loop = bench.start("hil", str(path), "--set", base, "--set", listen, "--no-view", "--out", str(tmp_path / "hil"))
+        loop = bench.start(
+            "hil",
+            str(path),
+            "--set",
+            base,
+            "--set",
+            listen,
+            "--no-view",
+            "--out",
+            str(tmp_path / "hil"),
+        )
         facility.wait_for("set points came")
         bench.wait_for_instants()
         options = LinkOptions(connect=(door,))
@@ -115,7 +150,10 @@ def test_a_second_base_robot_that_appears_stops_the_loop_and_is_named(tmp_path: 
             session.close()
         assert loop.finish() == 3, loop.text
         text = " ".join(loop.said)
-        assert re.search("Stop: base_robot: (session .* begins to publish|two publishers send) topic base_robot/measured", text)
+        assert re.search(
+            "Stop: base_robot: (session .* begins to publish|two publishers send) topic base_robot/measured",
+            text,
+        )
         assert any(name in text for name in names), text
 
 
@@ -128,12 +166,19 @@ def test_a_base_that_reports_other_frames_is_refused_by_a_check_with_both_names(
     with rig(tmp_path, str(path)) as bench:
         base = f'devices.base_robot.connect=["{bench.endpoint}"]'
         theirs = ('devices.base_robot.frame="odom"', 'devices.base_robot.child_frame="tool0"')
-        facility = bench.start("facility", str(path), *(word for s in (base, *theirs) for word in ("--set", s)))
+        facility = bench.start(
+            "facility", str(path), *(word for s in (base, *theirs) for word in ("--set", s))
+        )
         facility.wait_for("is there")
         patience = "devices.base_robot.parameters.configure_timeout=1.0"
-        code, error = said(capsys, "hil", str(path), "--check", "--set", base, "--set", patience)
+        code, error = run_command(
+            capsys, "hil", str(path), "--check", "--set", base, "--set", patience
+        )
         assert code == 2
-        assert "a pose of 'tool0' in 'odom' (child_frame_id, header.frame_id); 'base' in 'inertial' is expected" in error
+        assert (
+            "a pose of 'tool0' in 'odom' (child_frame_id, header.frame_id); 'base' in 'inertial' is expected"
+            in error
+        )
         facility.send(signal.SIGINT)
         assert facility.finish() == 0
         assert "->" not in facility.text

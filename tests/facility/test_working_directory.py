@@ -15,7 +15,15 @@ from freeflyer.paper import real_time
 from freeflyer.scenario import scenario
 
 ROOT = Path(__file__).parents[2]
-NAMES = ("freeflyer", "freeflyer_fmus", "freeflyer_adapters", "ziglang", "multiprocessing", "cosim", "adapters")
+NAMES = (
+    "freeflyer",
+    "freeflyer_fmus",
+    "freeflyer_adapters",
+    "ziglang",
+    "multiprocessing",
+    "cosim",
+    "adapters",
+)
 BLOCK = """\
 from freeflyer_fmus import Block
 
@@ -43,7 +51,9 @@ def hostile(tmp_path: Path) -> Iterator[Path]:
 
 def freeflyer(folder: Path, *arguments: str, codes: tuple[int, ...] = (0,)) -> None:
     command = [str(Path(sys.executable).with_name("freeflyer")), *arguments]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, timeout=400)
+    done = subprocess.run(
+        command, cwd=folder, capture_output=True, text=True, check=False, timeout=400
+    )
     assert done.returncode in codes, done.stdout + done.stderr
 
 
@@ -65,15 +75,24 @@ def test_no_folder_of_the_working_directory_is_executed_by_sweep(hostile: Path) 
     assert (hostile / "freeflyer_out/two/results.parquet").is_file()
 
 
-def test_a_sweep_that_a_script_calls_executes_none_either_and_leaves_the_environment_as_it_was(hostile: Path) -> None:
+def test_a_sweep_that_a_script_calls_executes_none_either_and_leaves_the_environment_as_it_was(
+    hostile: Path,
+) -> None:
     (hostile / "two.toml").write_text(SWEEP)
     code = "import os; from freeflyer.cli.main import call\nif __name__ == '__main__':\n    before = dict(os.environ)\n"
-    code += "    assert call(['sweep', './two.toml', '--set', 'stop_s=0.1', '--workers', '1']) == 0\n"
+    code += (
+        "    assert call(['sweep', './two.toml', '--set', 'stop_s=0.1', '--workers', '1']) == 0\n"
+    )
     code += "    assert os.environ.get('PYTHONSAFEPATH') is before.get('PYTHONSAFEPATH') is None\n"
     (hostile / "elsewhere").mkdir()
     (hostile / "elsewhere" / "script.py").write_text(code)
     done = subprocess.run(
-        [sys.executable, "elsewhere/script.py"], cwd=hostile, capture_output=True, text=True, check=False, timeout=120
+        [sys.executable, "elsewhere/script.py"],
+        cwd=hostile,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
     )
     assert done.returncode == 0, done.stderr
 
@@ -82,12 +101,16 @@ def test_no_folder_of_the_working_directory_is_executed_by_the_real_time_part_of
     hostile: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(hostile)
-    result = real_time.run(scenario.load("facility"), hostile / "out", [*PATIENT_FACILITY, *PATIENT_LOOP, "stop_s=0.2"])
+    result = real_time.run(
+        scenario.load("facility"), hostile / "out", [*PATIENT_FACILITY, *PATIENT_LOOP, "stop_s=0.2"]
+    )
     assert result.outcome.simulated == 0.2
 
 
 @pytest.mark.slow
-def test_no_folder_of_the_working_directory_is_executed_by_reproduce_with_its_real_time_part(hostile: Path) -> None:
+def test_no_folder_of_the_working_directory_is_executed_by_reproduce_with_its_real_time_part(
+    hostile: Path,
+) -> None:
     # 3: a shared machine may hold a loop up until a watchdog stops it, three times; that is not what this test is about.
     freeflyer(hostile, "reproduce", "--real-time", "--out", "out", codes=(0, 3))
     for case in real_time.CASES:
@@ -97,7 +120,9 @@ def test_no_folder_of_the_working_directory_is_executed_by_reproduce_with_its_re
 
 def test_every_python_child_is_started_without_the_working_directory() -> None:
     found = 0
-    for path in (path for root in ("cosim", "fmu_src", "adapters") for path in (ROOT / root).rglob("*.py")):
+    for path in (
+        path for root in ("cosim", "fmu_src", "adapters") for path in (ROOT / root).rglob("*.py")
+    ):
         for after in re.findall(r"sys\.executable,?\s*(.{0,4})", path.read_text(encoding="utf-8")):
             assert after == '"-P"', path
             found += 1

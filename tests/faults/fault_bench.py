@@ -41,7 +41,9 @@ AFTERWARDS = 0.9
 
 def shipped(stop: float, *overrides: str) -> Scenario:
     # Every instant is recorded, so that every value that was used can be compared.
-    return replaced(scenario.load("facility", [f"stop_s={stop}", *overrides]), record_every=1_000_000)
+    return replaced(
+        scenario.load("facility", [f"stop_s={stop}", *overrides]), record_every=1_000_000
+    )
 
 
 def with_faults(base: Scenario, faults: Sequence[dict[str, Any]] = (), **facility: Any) -> Scenario:
@@ -83,7 +85,9 @@ class Observed:
     """Of the arm in every cycle: state, brakes, torque."""
     delivered: list[tuple[int, list[bytes]]] = field(default_factory=list)
     """For every cycle: its number, and the frames that came out of the link for the arm before it."""
-    lives: dict[str, list[tuple[float, LifeCycle]]] = field(default_factory=lambda: {ARM: [], BASE: []})
+    lives: dict[str, list[tuple[float, LifeCycle]]] = field(
+        default_factory=lambda: {ARM: [], BASE: []}
+    )
     """Of each device in every cycle: when, and its state."""
     followed: list[tuple[Array, Array]] = field(default_factory=list)
     """Set points that the base robot was given in every cycle."""
@@ -154,7 +158,9 @@ def run(chosen: Scenario) -> Observed:
         _spy(arm, "receive", after=note_arm)
         _spy(base, "receive", after=note_base)
         _spy(arm._bus, "send", before=lambda message: seen.true_states.append(bytes(message.data)))
-        _spy(base._link, "put", before=lambda payload, attachment: seen.true_samples.append(payload))
+        _spy(
+            base._link, "put", before=lambda payload, attachment: seen.true_samples.append(payload)
+        )
 
         def noted_stop(*arguments: Any, **keywords: Any) -> str:
             seen.stopped_at = now()
@@ -171,7 +177,11 @@ def run(chosen: Scenario) -> Observed:
         seen.effort = np.array(arm._limits["joint_effort_limit"])
         for _ in range(round(AFTERWARDS / PIECE)):
             clock.sleep(PIECE)
-            if logics[0].braked and logics[1].life.now is not LifeCycle.active and _is_over(seen, clock.monotonic()):
+            if (
+                logics[0].braked
+                and logics[1].life.now is not LifeCycle.active
+                and _is_over(seen, clock.monotonic())
+            ):
                 break
         drained()
         listener.shutdown()
@@ -179,11 +189,17 @@ def run(chosen: Scenario) -> Observed:
         seen.setpoints = taken.payloads
         seen.devices = {name: dict(counts) for name, counts in facility.report()["devices"].items()}
         seen.events = {
-            device.name: [event for session in facility.history for _, event in session["events"][device.name]]
+            device.name: [
+                event for session in facility.history for _, event in session["events"][device.name]
+            ]
             + [event for _, event in device.events]
             for device in facility.devices
         }
-        seen.acted = {kind: count for device in facility.devices for kind, count in device.faults.acted.items()}
+        seen.acted = {
+            kind: count
+            for device in facility.devices
+            for kind, count in device.faults.acted.items()
+        }
         seen.at_the_end = {ARM: logics[0].life.now, BASE: logics[1].life.now}
         seen.braked_at_the_end = logics[0].braked
     return seen
@@ -192,7 +208,8 @@ def run(chosen: Scenario) -> Observed:
 def _is_over(seen: Observed, now: float) -> bool:
     """Whether no fault that ends will yet end: a device that hung may go on where it was."""
     return all(
-        now > seen.active_at.get(f.device, now) + (f.begin_s or 0.0) + f.duration_s or f.duration_s > AFTERWARDS
+        now > seen.active_at.get(f.device, now) + (f.begin_s or 0.0) + f.duration_s
+        or f.duration_s > AFTERWARDS
         for f in seen.faults
     )
 
@@ -206,7 +223,11 @@ def _note_state(seen: Observed, name: str, state: LifeCycle, now: float) -> None
 
 
 def _spy(
-    subject: Any, name: str, *, before: Callable[..., None] | None = None, after: Callable[..., None] | None = None
+    subject: Any,
+    name: str,
+    *,
+    before: Callable[..., None] | None = None,
+    after: Callable[..., None] | None = None,
 ) -> None:
     original = getattr(subject, name)
 
@@ -232,7 +253,9 @@ def assert_safe(seen: Observed) -> None:
     _assert_one_activation(seen, frames)
     for name, state in seen.at_the_end.items():
         # One that hangs for ever does nothing any more.
-        hangs = any(f.kind == "hung" and f.device == name and f.duration_s > AFTERWARDS for f in seen.faults)
+        hangs = any(
+            f.kind == "hung" and f.device == name and f.duration_s > AFTERWARDS for f in seen.faults
+        )
         assert state is not LifeCycle.active or hangs, name
         assert name != ARM or seen.braked_at_the_end or hangs
 
@@ -240,7 +263,9 @@ def assert_safe(seen: Observed) -> None:
 def _assert_nothing_corrupted_was_used(seen: Observed, frames: ArmFrames) -> None:
     """Every value that either side has used is one that the other side has sent."""
     states = [frames.state.unpack(data) for data in seen.true_states]
-    commands = {tuple(frames.command.unpack(m.data)["joint_torque_command"]) for m in seen.commands} | {(0.0,) * JOINTS}
+    commands = {
+        tuple(frames.command.unpack(m.data)["joint_torque_command"]) for m in seen.commands
+    } | {(0.0,) * JOINTS}
     for life, braked, torque in seen.applied:
         assert not (braked and torque.any())
         assert life is LifeCycle.active or life is LifeCycle.safe_stop or braked
@@ -251,7 +276,9 @@ def _assert_nothing_corrupted_was_used(seen: Observed, frames: ArmFrames) -> Non
     # A base without power stays where it was measured last.
     unpowered = any(fault.kind == "dead" and fault.device == BASE for fault in seen.faults)
     for position, _ in seen.followed:
-        assert tuple(position) in places or (unpowered and position == pytest.approx(seen.followed[0][0], abs=0.01))
+        assert tuple(position) in places or (
+            unpowered and position == pytest.approx(seen.followed[0][0], abs=0.01)
+        )
     if seen.result is None:
         return
     record = seen.result.outcome.record
@@ -284,14 +311,26 @@ def _assert_an_unheard_arm_stops(seen: Observed, frames: ArmFrames) -> None:
 def _assert_one_activation(seen: Observed, frames: ArmFrames) -> None:
     """What has left active stays so, and the loop's stop ends activations; the arm is activated by mode 4 and nothing else."""
     for name, lives in seen.lives.items():
-        begun = [now for (_, before), (now, state) in pairwise(lives) if state is not before and state is LifeCycle.active]
+        begun = [
+            now
+            for (_, before), (now, state) in pairwise(lives)
+            if state is not before and state is LifeCycle.active
+        ]
         said = [event for event in seen.events[name] if event.split(":")[0].endswith("-> active")]
         assert len(begun) == len(said) <= 1, (name, begun, said)
         assert not begun or not begun[0] > seen.stopped_at, (name, begun, seen.stopped_at)
-    for (_, came), (before, _, _), (life, _, _) in zip(seen.delivered[1:], seen.applied, seen.applied[1:], strict=False):
+    for (_, came), (before, _, _), (life, _, _) in zip(
+        seen.delivered[1:], seen.applied, seen.applied[1:], strict=False
+    ):
         if life is LifeCycle.active and before is not life:
-            whole = [data for data in came if len(data) == frames.command.size and e2e_p05_check(data, frames.command.data_id)]
-            assert Mode.activate in [frames.mode(frames.command.unpack(data)["mode"][0]) for data in whole]
+            whole = [
+                data
+                for data in came
+                if len(data) == frames.command.size and e2e_p05_check(data, frames.command.data_id)
+            ]
+            assert Mode.activate in [
+                frames.mode(frames.command.unpack(data)["mode"][0]) for data in whole
+            ]
 
 
 def _assert_commands_within_limits(seen: Observed, frames: ArmFrames) -> None:

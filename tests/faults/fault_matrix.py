@@ -50,7 +50,13 @@ class Row:
 
     @property
     def fault(self) -> dict[str, Any]:
-        return {"kind": self.kind, "device": self.device, "direction": self.direction, "begin_s": BEGIN, **self.how}
+        return {
+            "kind": self.kind,
+            "device": self.device,
+            "direction": self.direction,
+            "begin_s": BEGIN,
+            **self.how,
+        }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,10 +83,23 @@ def _arm_rows() -> Iterator[Row]:
                           "stop": ARM_WATCHDOG, "within": 5.0, "lasts": 6.0}),
     ):  # fmt: skip
         counted = ("cycles_lost",) if direction == TO_CONTROLLER else ("commands_late_or_lost",)
-        yield Row(device=ARM, direction=direction, kind="loss", how={"probability": share}, counted=counted, **row)  # type: ignore[arg-type]
+        yield Row(
+            device=ARM,
+            direction=direction,
+            kind="loss",
+            how={"probability": share},
+            counted=counted,
+            **row,
+        )  # type: ignore[arg-type]
     for kind, how in (("cut", {}), ("flipped_bits", {"bits": 1}), ("flipped_bits", {"bits": 8}), ("wrong_data_id", {}), ("frozen_counter", {}),
                       ("stale_stamp", {})):  # fmt: skip
-        prefix = "" if kind == "cut" else refused.replace("by E2E", "for its number") if kind == "stale_stamp" else refused
+        prefix = (
+            ""
+            if kind == "cut"
+            else refused.replace("by E2E", "for its number")
+            if kind == "stale_stamp"
+            else refused
+        )
         yield Row(device=ARM, direction=TO_CONTROLLER, kind=kind, how=how, stop=ARM_SILENT, within=0.0225, device_within=0.0065,
                   reaction=prefix + lost_answers, counted=("cycles_lost",))  # fmt: skip
         yield Row(device=ARM, direction=TO_DEVICE, kind=kind, how=how, stop=ARM_WATCHDOG, within=0.006, device_within=0.005,
@@ -115,7 +134,14 @@ def _arm_rows() -> Iterator[Row]:
                   reaction="cycle numbers ahead are lost cycles: stop at once" if jump > 0 else "cycle numbers of the past are refused: " + lost_answers)  # fmt: skip
     yield Row(device=ARM, direction=TO_DEVICE, kind="clock_jump", stop=ARM_WATCHDOG, within=0.006, device_within=0.005,
               reaction="answers to cycles that never were are none: the arm's watchdog")  # fmt: skip
-    yield Row(device=ARM, kind="bus_off", stop=ARM_SILENT, within=0.0225, device_within=0.0055, reaction=lost_answers)
+    yield Row(
+        device=ARM,
+        kind="bus_off",
+        stop=ARM_SILENT,
+        within=0.0225,
+        device_within=0.0055,
+        reaction=lost_answers,
+    )
     yield Row(device=ARM, kind="hung", stop=ARM_SILENT, within=0.0225,
               reaction="the controller after 20 cycles, and it says that the arm has not confirmed to be at rest: its last torque acts on; "
                        "a real arm needs a watchdog below its controller")  # fmt: skip
@@ -177,9 +203,18 @@ def _base_rows() -> Iterator[Row]:
     yield Row(device=BASE, direction=TO_DEVICE, kind="delay", how={"delay_s": 0.05}, stop=BASE_WATCHDOG, within=0.03, device_within=0.026,
               reaction="the base's watchdog after 20 ms")  # fmt: skip
     for direction in (TO_CONTROLLER, TO_DEVICE):
-        yield Row(device=BASE, direction=direction, kind="jitter", how={"delay_s": 0.003}, reaction="the freshest is used")
         yield Row(
-            device=BASE, direction=direction, kind="duplication", reaction="the second is refused or overwrites the first"
+            device=BASE,
+            direction=direction,
+            kind="jitter",
+            how={"delay_s": 0.003},
+            reaction="the freshest is used",
+        )
+        yield Row(
+            device=BASE,
+            direction=direction,
+            kind="duplication",
+            reaction="the second is refused or overwrites the first",
         )
     yield Row(device=BASE, direction=TO_CONTROLLER, kind="reordering", stop=BASE_SILENT, within=0.06,
               reaction="only the freshest is kept, and that is the older one: every other cycle is lost")  # fmt: skip
@@ -198,8 +233,16 @@ def _base_rows() -> Iterator[Row]:
                   counted=("clock_steps",))  # fmt: skip
         yield Row(device=BASE, direction=direction, kind="clock_jump", how={"jump_s": 3600.0, "duration_s": 0.1},
                   reaction=set_to.format("back"), counted=("clock_steps",))  # fmt: skip
-    yield Row(device=BASE, kind="hung", stop=BASE_SILENT, within=0.02, reaction="two cycles in a row")
-    yield Row(device=BASE, kind="dead", stop=BASE_SILENT, within=0.02, reaction="it stands; two cycles in a row")
+    yield Row(
+        device=BASE, kind="hung", stop=BASE_SILENT, within=0.02, reaction="two cycles in a row"
+    )
+    yield Row(
+        device=BASE,
+        kind="dead",
+        stop=BASE_SILENT,
+        within=0.02,
+        reaction="it stands; two cycles in a row",
+    )
 
 
 ROWS = (*_arm_rows(), *_base_rows())
@@ -286,7 +329,13 @@ def _document() -> Iterator[str]:
             decided, by_itself = reaction_times(row, observed(row))
             *cells, device_within = stated(row).split("|")
             found = _ms(decided) if row.stop else ""
-            yield "| " + " | ".join([*cells, found, device_within, _ms(by_itself) if row.device_within else ""]) + " |"
+            yield (
+                "| "
+                + " | ".join(
+                    [*cells, found, device_within, _ms(by_itself) if row.device_within else ""]
+                )
+                + " |"
+            )
     yield from ("", "## Processes and disks", "")
     yield "Real processes over real sockets."
     yield ""
@@ -312,7 +361,16 @@ hear them does so by itself. Faults begin 0.1 s after activation and last to the
 def stated(row: Row) -> str:
     """What the row states, its cells joined by |."""
     ends = "stops" if row.stop else "goes on"
-    return "|".join([_said(row), row.direction.replace("_", " "), row.reaction, ends, _ms(row.within), _ms(row.device_within)])
+    return "|".join(
+        [
+            _said(row),
+            row.direction.replace("_", " "),
+            row.reaction,
+            ends,
+            _ms(row.within),
+            _ms(row.device_within),
+        ]
+    )
 
 
 def _ms(time: float | None) -> str:
@@ -329,7 +387,9 @@ def _said(row: Row) -> str:
         "duration_s": "for {:g} s",
         "jump_s": "by {:+g} s",
     }
-    return " ".join([row.kind.replace("_", " "), *(how[key].format(value) for key, value in row.how.items())])
+    return " ".join(
+        [row.kind.replace("_", " "), *(how[key].format(value) for key, value in row.how.items())]
+    )
 
 
 if __name__ == "__main__":

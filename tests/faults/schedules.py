@@ -38,11 +38,20 @@ def schedule(seed: int) -> Observed:
     """One to six faults on both devices and all ways, with the laws of `fault_bench.assert_safe` held against it."""
     # Every other one only changes what frames say: that is what must be found out.
     kinds = [] if seed % 2 else list(TAMPERING)
-    lot = {"seed": seed, "count": 1 + seed % 6, "within_s": 0.8 * WITHIN, "longest_s": 0.3, "kinds": kinds}
+    lot = {
+        "seed": seed,
+        "count": 1 + seed % 6,
+        "within_s": 0.8 * WITHIN,
+        "longest_s": 0.3,
+        "kinds": kinds,
+    }
     quick = {"describe_every": 10, "ramp_down_time_s": RAMP}
     seen = run(
         with_faults(
-            shipped(WITHIN, f"devices.arm_drive.parameters.ramp_down_time={RAMP}"), seed=seed, random_faults=lot, **quick
+            shipped(WITHIN, f"devices.arm_drive.parameters.ramp_down_time={RAMP}"),
+            seed=seed,
+            random_faults=lot,
+            **quick,
         )
     )
     assert_safe(seen)

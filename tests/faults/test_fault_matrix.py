@@ -15,7 +15,9 @@ from freeflyer_adapters.arm.frames import Mode
 from freeflyer_adapters.device.device import LifeCycle
 from freeflyer_adapters.facility.arm_logic import ArmLogic, Command
 
-FIRST_OF_ITS_KIND = [row for row in ROWS if row == next(other for other in ROWS if other.kind == row.kind)]
+FIRST_OF_ITS_KIND = [
+    row for row in ROWS if row == next(other for other in ROWS if other.kind == row.kind)
+]
 
 
 def observed(row: Row) -> Observed:
@@ -44,7 +46,9 @@ def test_a_fault_has_its_stated_reaction_within_its_stated_time(row: Row) -> Non
         assert 0.0 <= decided <= row.within
         if row.device_within is not None:
             assert 0.0 <= by_itself <= row.device_within
-    counts = Counter(seen.devices[row.device]) + Counter(seen.report.devices[row.device] if seen.report else {})  # of both ends
+    counts = Counter(seen.devices[row.device]) + Counter(
+        seen.report.devices[row.device] if seen.report else {}
+    )  # of both ends
     if row.counted:
         assert any(counts[name] > 0 for name in row.counted), counts
 
@@ -77,14 +81,19 @@ def test_the_document_has_every_row_with_its_reaction_and_its_time() -> None:
     found = [
         "|".join([*cells[1:6], cells[7]])
         for line in said.splitlines()
-        if len(cells := [cell.strip() for cell in line.split("|")]) == 10 and cells[1] not in ("fault", "---")
+        if len(cells := [cell.strip() for cell in line.split("|")]) == 10
+        and cells[1] not in ("fault", "---")
     ]
     assert found == expected, "run python tests/faults/fault_matrix.py > docs/fault_matrix.md"
     for process in PROCESS_ROWS:
-        assert f"| {process.what} | {process.reaction} | {process.within} | `{process.test}` |" in said
+        assert (
+            f"| {process.what} | {process.reaction} | {process.within} | `{process.test}` |" in said
+        )
 
 
-def test_an_arm_that_takes_half_a_second_to_become_active_costs_the_base_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_arm_that_takes_half_a_second_to_become_active_costs_the_base_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Brakes are slow to open; meanwhile the base, which is active already, goes on hearing its set point."""
     obey = ArmLogic._obey
     asked: list[int] = []
@@ -100,6 +109,10 @@ def test_an_arm_that_takes_half_a_second_to_become_active_costs_the_base_nothing
     seen = run(shipped(0.2))
     assert len(asked) > 400
     assert seen.went_on, seen.stop
-    assert not [event for event in seen.events["base_robot"] if "safe_stop" in event and "no set point" in event][1:]
+    assert not [
+        event
+        for event in seen.events["base_robot"]
+        if "safe_stop" in event and "no set point" in event
+    ][1:]
     assert seen.active_at[ARM] - seen.active_at["base_robot"] > 0.45
     assert seen.safe_at["base_robot"] > seen.stopped_at

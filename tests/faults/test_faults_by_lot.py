@@ -21,14 +21,19 @@ MANY = 10_000
 
 def told(seen: Observed) -> tuple[object, ...]:
     """All that happened, but for the controller's number, which is drawn anew for every one."""
-    events = {name: [re.sub(r"controller \d+", "controller", event) for event in of] for name, of in seen.events.items()}
+    events = {
+        name: [re.sub(r"controller \d+", "controller", event) for event in of]
+        for name, of in seen.events.items()
+    }
     state = ArmFrames(FrameMapping(), JOINTS).state
     positions = [state.unpack(data)["joint_position"] for data in seen.true_states]
     return seen.stop, events, positions, seen.stopped_at, len(seen.setpoints), seen.acted
 
 
 @pytest.mark.parametrize("seed", family(range(1, SEEDS + 1), 12))
-def test_whatever_the_faults_the_arm_ends_braked_and_nothing_was_beyond_its_limits(seed: int) -> None:
+def test_whatever_the_faults_the_arm_ends_braked_and_nothing_was_beyond_its_limits(
+    seed: int,
+) -> None:
     assert "otherwise" not in ending(schedule(seed))
 
 
@@ -43,7 +48,10 @@ def test_ten_thousand_schedules() -> None:
     script = Path(__file__).with_name("schedules.py")
     half = MANY // 2
     running = [
-        subprocess.Popen([sys.executable, str(script), str(first), str(half)], env={**os.environ, "OMP_NUM_THREADS": "1"})
+        subprocess.Popen(
+            [sys.executable, str(script), str(first), str(half)],
+            env={**os.environ, "OMP_NUM_THREADS": "1"},
+        )
         for first in (1, 1 + half)
     ]
     assert [process.wait() for process in running] == [0, 0]

@@ -29,7 +29,9 @@ FAULTS: list[tuple[str, dict[str, object], str | None]] = [
 ]
 
 
-@pytest.mark.parametrize(("kind", "how", "reason"), family(FAULTS, [FAULTS[0], FAULTS[3], FAULTS[7]]))
+@pytest.mark.parametrize(
+    ("kind", "how", "reason"), family(FAULTS, [FAULTS[0], FAULTS[3], FAULTS[7]])
+)
 def test_a_fault_of_the_drives_stops_the_loop_and_ends_with_brakes(
     kind: str, how: dict[str, object], reason: str | None
 ) -> None:

@@ -21,11 +21,15 @@ from freeflyer_adapters.facility.zenoh_faults import FAULT_KINDS as ON_ZENOH
 
 
 class Negating:
-    def changed(self, fault: Fault, way: str, packet: int, memory: dict[str, Any], lot: random.Random) -> int | None:
+    def changed(
+        self, fault: Fault, way: str, packet: int, memory: dict[str, Any], lot: random.Random
+    ) -> int | None:
         return -packet
 
 
-def sent_through(*chosen: Fault, packets: int = 50, afterwards: int = 20, seed: int = 1) -> list[tuple[int, int]]:
+def sent_through(
+    *chosen: Fault, packets: int = 50, afterwards: int = 20, seed: int = 1
+) -> list[tuple[int, int]]:
     """(cycle of arrival, packet): one packet is sent in each cycle, 1 ... packets."""
     link: LinkFaults[int] = LinkFaults(chosen, 0.001, seed, Negating())
     arrived = []
@@ -62,7 +66,9 @@ def test_a_delay_is_whole_cycles_rounded_up_and_ends_in_order() -> None:
     arrived = sent_through(fault("delay", delay_s=0.0025, begin_s=0.01, duration_s=0.01))
     assert [packet for _, packet in arrived] == list(range(1, 51))
     assert all(cycle - (packet - 1) == 3 for cycle, packet in arrived if 10 <= packet - 1 < 20)
-    assert all(cycle == packet - 1 for cycle, packet in arrived if packet - 1 < 10 or packet - 1 >= 23)
+    assert all(
+        cycle == packet - 1 for cycle, packet in arrived if packet - 1 < 10 or packet - 1 >= 23
+    )
 
 
 @given(seed=st.integers(1, 1000))
@@ -73,7 +79,14 @@ def test_jitter_keeps_the_order_and_its_bound(seed: int) -> None:
 
 
 def test_a_duplicate_comes_right_after_its_original() -> None:
-    assert [packet for _, packet in sent_through(fault("duplication"), packets=3)] == [1, 1, 2, 2, 3, 3]
+    assert [packet for _, packet in sent_through(fault("duplication"), packets=3)] == [
+        1,
+        1,
+        2,
+        2,
+        3,
+        3,
+    ]
 
 
 def test_reordered_packets_change_places_with_their_successors() -> None:
@@ -86,7 +99,9 @@ def test_a_cut_link_is_back_after_its_duration() -> None:
 
 
 def test_a_fault_acts_in_its_direction_and_from_activation_on_only() -> None:
-    link: LinkFaults[int] = LinkFaults([fault("loss", direction="to_device", begin_s=0.0)], 0.001, 1, Negating())
+    link: LinkFaults[int] = LinkFaults(
+        [fault("loss", direction="to_device", begin_s=0.0)], 0.001, 1, Negating()
+    )
     link.begin_cycle(None)
     link.pass_on("to_device", 1)
     assert link.due("to_device") == 1
@@ -101,7 +116,9 @@ def test_a_fault_acts_in_its_direction_and_from_activation_on_only() -> None:
 def test_another_fault_does_not_change_what_the_first_one_does() -> None:
     first = fault("loss", probability=0.3)
     alone = {packet for _, packet in sent_through(first)}
-    both = {abs(packet) for _, packet in sent_through(first, fault("flipped_bits", probability=0.5))}
+    both = {
+        abs(packet) for _, packet in sent_through(first, fault("flipped_bits", probability=0.5))
+    }
     assert alone == both
 
 
@@ -109,12 +126,16 @@ def test_bits_are_flipped_after_everything_that_a_sender_gets_wrong() -> None:
     class Noting:
         order: list[str] = []
 
-        def changed(self, fault: Fault, way: str, packet: int, memory: dict[str, Any], lot: random.Random) -> int:
+        def changed(
+            self, fault: Fault, way: str, packet: int, memory: dict[str, Any], lot: random.Random
+        ) -> int:
             self.order.append(fault.kind)
             return packet
 
     noting = Noting()
-    link: LinkFaults[int] = LinkFaults([fault("flipped_bits"), fault("stale_stamp")], 0.001, 1, noting)
+    link: LinkFaults[int] = LinkFaults(
+        [fault("flipped_bits"), fault("stale_stamp")], 0.001, 1, noting
+    )
     link.begin_cycle(0)
     link.pass_on("to_device", 1)
     assert noting.order == ["stale_stamp", "flipped_bits"]
@@ -166,15 +187,21 @@ def test_a_mistake_is_one_sentence(raw: dict[str, Any], sentence: str) -> None:
 
 def test_a_fault_of_a_device_that_is_not_there_or_does_not_know_it_is_refused() -> None:
     devices = {"arm_drive": ON_CAN, "base_robot": ON_ZENOH}
-    with pytest.raises(DeviceError, match=r"device .arm_driv. is not played here; did you mean .arm_drive.\?"):
+    with pytest.raises(
+        DeviceError, match=r"device .arm_driv. is not played here; did you mean .arm_drive.\?"
+    ):
         faults.check([Fault(kind="loss", device="arm_driv")], devices)
-    with pytest.raises(DeviceError, match="base_robot has no fault 'bus_off'; it knows loss, delay"):
+    with pytest.raises(
+        DeviceError, match="base_robot has no fault 'bus_off'; it knows loss, delay"
+    ):
         faults.check([Fault(kind="bus_off", device="base_robot")], devices)
 
 
 def test_a_scenario_file_carries_faults(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
-    path.write_text('extends = "facility"\n[[facility.faults]]\ndevice = "arm_drive"\nkind = "loss"\nprobability = 0.05\n')
+    path.write_text(
+        'extends = "facility"\n[[facility.faults]]\ndevice = "arm_drive"\nkind = "loss"\nprobability = 0.05\n'
+    )
     read = settings.read(scenario.load(str(path)).facility)
     assert read.faults == (Fault(kind="loss", device="arm_drive", probability=0.05),)
 
@@ -187,7 +214,9 @@ def test_a_scenario_file_carries_faults(tmp_path: Path) -> None:
     st.binary(max_size=40),
     st.lists(st.integers(0, 7000), min_size=1, max_size=3, unique=True),
 )
-def test_up_to_three_changed_bits_are_always_found(message: bytes, attachment: bytes, places: list[int]) -> None:
+def test_up_to_three_changed_bits_are_always_found(
+    message: bytes, attachment: bytes, places: list[int]
+) -> None:
     whole = sealed(message, attachment)
     assert is_intact(whole, attachment)
     both = bytearray(whole + attachment)

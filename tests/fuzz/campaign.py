@@ -99,7 +99,9 @@ def one(target: Target, data: bytes) -> str:
 def run(target: Target, first: int, count: int) -> Findings:
     """Inputs of the seeds first ... first + count - 1."""
     found = Findings(target.name)
-    for seed in range(first, first + min(count, 200)):  # what a target keeps for ever (caches) is no growth
+    for seed in range(
+        first, first + min(count, 200)
+    ):  # what a target keeps for ever (caches) is no growth
         _try(target, seed, found)
     before = _size()
     begin = time.perf_counter()
@@ -112,7 +114,11 @@ def run(target: Target, first: int, count: int) -> Findings:
         found.slowest = max(found.slowest, (time.perf_counter() - start, seed))
         found.outcomes[outcome] += 1
         if _size() > before + target.growth:
-            found.faults.append(Fault(seed, target.input(seed), f"the process has grown by {_size() - before:.0f} MiB"))
+            found.faults.append(
+                Fault(
+                    seed, target.input(seed), f"the process has grown by {_size() - before:.0f} MiB"
+                )
+            )
             break
     found.seconds = time.perf_counter() - begin
     return found
@@ -155,7 +161,9 @@ def main() -> int:
 
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--target", choices=sorted(TARGETS), required=True)
-    parser.add_argument("--seed", type=int, default=0, help="the first; without --inputs, the only one")
+    parser.add_argument(
+        "--seed", type=int, default=0, help="the first; without --inputs, the only one"
+    )
     parser.add_argument("--inputs", type=int)
     parser.add_argument("--processes", type=int, default=1)
     arguments = parser.parse_args()

@@ -87,7 +87,9 @@ def _descriptions() -> list[bytes]:
 
 
 DESCRIPTIONS = _descriptions()
-FMU = packed({DESCRIPTION: SMALL_2, "binaries/linux64/some.so": b"no library", "resources/x.txt": b"x" * 500})
+FMU = packed(
+    {DESCRIPTION: SMALL_2, "binaries/linux64/some.so": b"no library", "resources/x.txt": b"x" * 500}
+)
 NUMBERS = (
     b"0",
     b"-1",
@@ -135,7 +137,11 @@ def _numbers(rng: Random, text: bytes) -> bytes:
         if not found:
             break
         k = rng.choice(found)
-        text = text[: k.start()] + rng.choice((*NUMBERS, *DBC_NUMBERS, b"%d" % rng.randrange(300))) + text[k.end() :]
+        text = (
+            text[: k.start()]
+            + rng.choice((*NUMBERS, *DBC_NUMBERS, b"%d" % rng.randrange(300)))
+            + text[k.end() :]
+        )
     return text
 
 
@@ -161,7 +167,9 @@ _place: list[Path] = []
 
 def _folder() -> Path:
     if not _place:
-        kept = tempfile.TemporaryDirectory(prefix="freeflyer-fuzz-", dir="/dev/shm" if os.access("/dev/shm", os.W_OK) else None)
+        kept = tempfile.TemporaryDirectory(
+            prefix="freeflyer-fuzz-", dir="/dev/shm" if os.access("/dev/shm", os.W_OK) else None
+        )
         atexit.register(kept.cleanup)
         _place.append(Path(kept.name))
     return _place[0]
@@ -181,7 +189,9 @@ def read_fmu(data: bytes) -> str:
             archive.extract_all(inside)
         return "description"
     finally:
-        assert sorted(entry.name for entry in folder.iterdir()) == ["fuzz.fmu", "inside"], "it left its folder"
+        assert sorted(entry.name for entry in folder.iterdir()) == ["fuzz.fmu", "inside"], (
+            "it left its folder"
+        )
         shutil.rmtree(inside)
 
 
@@ -194,17 +204,33 @@ def read_ssp(data: bytes) -> str:
         found = ssp_read.read(path, inside, step=0.01)
         assert found.components
         assert not found.devices
-        assert all(component.kind in ("fmu", "model_exchange") for component in found.components), "code other than an FMU's"
+        assert all(component.kind in ("fmu", "model_exchange") for component in found.components), (
+            "code other than an FMU's"
+        )
         return "scenario"
     finally:
-        assert sorted(entry.name for entry in folder.iterdir() if entry.name != "fuzz.fmu") == ["fuzz.ssp", "inside"], (
-            "it left its folder"
-        )
+        assert sorted(entry.name for entry in folder.iterdir() if entry.name != "fuzz.fmu") == [
+            "fuzz.ssp",
+            "inside",
+        ], "it left its folder"
         shutil.rmtree(inside)
         path.unlink()
 
 
-DBC_NUMBERS = (b"1", b"2", b"8", b"16", b"63", b"64", b"0.5", b"-0.0", b"1e308", b"1e-308", b"2147484161", b"512")
+DBC_NUMBERS = (
+    b"1",
+    b"2",
+    b"8",
+    b"16",
+    b"63",
+    b"64",
+    b"0.5",
+    b"-0.0",
+    b"1e308",
+    b"1e-308",
+    b"2147484161",
+    b"512",
+)
 DBCS = [link_targets.OWN_DBC.encode()]
 
 
@@ -218,10 +244,19 @@ def read_dbc(data: bytes) -> str:
     try:
         arm = ArmFrames(FrameMapping(dbc=path, **link_targets.OWN_MAPPING), 2)  # type: ignore[arg-type]
         for frame in (arm.command, arm.state):
-            values = frame.unpack(frame.pack({role: [f.most for f in fields] for role, fields in frame.fields.items()}))
+            values = frame.unpack(
+                frame.pack(
+                    {role: [f.most for f in fields] for role, fields in frame.fields.items()}
+                )
+            )
             link_targets.check_values(arm, frame, values)
-        assert (arm.command.identifier, arm.command.extended) != (arm.state.identifier, arm.state.extended)
-        arm.check_activation("arm", implicit=False)  # the mapping has what an activation needs, whatever the numbers are
+        assert (arm.command.identifier, arm.command.extended) != (
+            arm.state.identifier,
+            arm.state.extended,
+        )
+        arm.check_activation(
+            "arm", implicit=False
+        )  # the mapping has what an activation needs, whatever the numbers are
         assert not arm.cannot_refuse(implicit=False)
     finally:
         path.unlink()

@@ -17,7 +17,12 @@ from target import Target
 
 from freeflyer_adapters.arm.frames import ArmFrames, FrameMapping
 from freeflyer_adapters.base import ros_messages
-from freeflyer_adapters.base.rmw_zenoh import ATTACHMENT, Attachment, AttachmentError, read_attachment
+from freeflyer_adapters.base.rmw_zenoh import (
+    ATTACHMENT,
+    Attachment,
+    AttachmentError,
+    read_attachment,
+)
 from freeflyer_adapters.base.ros_messages import MessageError, OdometryWriter
 from freeflyer_adapters.can.e2e import Protector
 from freeflyer_adapters.can.frame import Frame
@@ -84,8 +89,17 @@ def _own(**more: object) -> ArmFrames:
 
 @cache
 def listeners() -> list[tuple[ArmFrames, Frame]]:
-    every = ArmFrames(FrameMapping(), 6), _own(), _own(data_ids={"state": 7, "command": 8}, e2e_offset=13)
-    return [(arm, frame) for arm in every for frame in (arm.command, arm.state, arm.description) if frame is not None]
+    every = (
+        ArmFrames(FrameMapping(), 6),
+        _own(),
+        _own(data_ids={"state": 7, "command": 8}, e2e_offset=13),
+    )
+    return [
+        (arm, frame)
+        for arm in every
+        for frame in (arm.command, arm.state, arm.description)
+        if frame is not None
+    ]
 
 
 HEAD = struct.Struct("<BBIB")
@@ -100,13 +114,18 @@ def frames(rng: Random) -> bytes:
     protector = None if frame.data_id is None else Protector(frame.data_id, frame.e2e_offset)
     parts = []
     for _ in range(rng.randrange(1, 9)):
-        numbers = {role: [rng.uniform(f.least, f.most) for f in fields] for role, fields in frame.fields.items()}
+        numbers = {
+            role: [rng.uniform(f.least, f.most) for f in fields]
+            for role, fields in frame.fields.items()
+        }
         data = frame.pack(numbers)
         if protector is not None:
             protector.protect(data)
         kind = rng.random()
         if kind < 0.5:  # all signals' bits at random, or damage; then a valid checksum
-            data = bytearray(rng.randbytes(len(data)) if kind < 0.25 else mutation.damaged(rng, [bytes(data)]))
+            data = bytearray(
+                rng.randbytes(len(data)) if kind < 0.25 else mutation.damaged(rng, [bytes(data)])
+            )
             if protector is not None and len(data) >= frame.e2e_offset + 3 and len(data) <= 64:
                 protector._counter = rng.choice((protector._counter, rng.randrange(256)))
                 protector.protect(data)
@@ -136,7 +155,11 @@ def take_frames(data: bytes) -> str:
         after = receiver.accepted, receiver.refused
         if values is None:
             assert after[0] == before[0], "counted as accepted, but not given"
-            outcome = max(receiver.rejected, key=lambda name: receiver.rejected[name], default="for somebody else")
+            outcome = max(
+                receiver.rejected,
+                key=lambda name: receiver.rejected[name],
+                default="for somebody else",
+            )
             continue
         assert after == (before[0] + 1, before[1]), "given, but not counted as accepted"
         outcome = "values"
@@ -160,7 +183,9 @@ def check_values(arm: ArmFrames, frame: Frame, values: dict[str, list[float]]) -
 def _odometry() -> list[bytes]:
     rng = np.random.default_rng(1)
     seeds = [
-        OdometryWriter(frame, child).write(stamp, rng.normal(size=3), rng.normal(size=4), rng.normal(size=6))
+        OdometryWriter(frame, child).write(
+            stamp, rng.normal(size=3), rng.normal(size=4), rng.normal(size=6)
+        )
         for frame, child, stamp in (
             ("inertial", "base", 1_700_000_000_123_456_789),
             ("", "b", 0),
@@ -190,13 +215,25 @@ def read_odometry(data: bytes) -> str:
     for name in (message.frame, message.child_frame):
         assert len(name.encode()) < ros_messages.LONGEST_NAME
         assert "\0" not in name
-    assert [v.shape for v in (message.position, message.orientation, message.velocity)] == [(3,), (4,), (6,)]
-    assert all(v.dtype == np.float64 and v.dtype.isnative for v in (message.position, message.orientation, message.velocity))
-    finite = all(np.isfinite(v).all() for v in (message.position, message.orientation, message.velocity))
+    assert [v.shape for v in (message.position, message.orientation, message.velocity)] == [
+        (3,),
+        (4,),
+        (6,),
+    ]
+    assert all(
+        v.dtype == np.float64 and v.dtype.isnative
+        for v in (message.position, message.orientation, message.velocity)
+    )
+    finite = all(
+        np.isfinite(v).all() for v in (message.position, message.orientation, message.velocity)
+    )
     return "finite message" if finite else "message with numbers that are not finite"
 
 
-ATTACHMENTS = [Attachment(1, 1_700_000_000_000_000_000, bytes(range(16))).pack(), Attachment(-1, -(2**63), b"\xff" * 16).pack()]
+ATTACHMENTS = [
+    Attachment(1, 1_700_000_000_000_000_000, bytes(range(16))).pack(),
+    Attachment(-1, -(2**63), b"\xff" * 16).pack(),
+]
 
 
 def read_one_attachment(data: bytes) -> str:
@@ -209,7 +246,12 @@ def read_one_attachment(data: bytes) -> str:
 
 
 CAN = Target(name="can", generate=frames, call=take_frames, allowed=())
-CDR = Target(name="cdr", generate=lambda rng: mutation.damaged(rng, ODOMETRY), call=read_odometry, allowed=(MessageError,))
+CDR = Target(
+    name="cdr",
+    generate=lambda rng: mutation.damaged(rng, ODOMETRY),
+    call=read_odometry,
+    allowed=(MessageError,),
+)
 ATTACHMENT_TARGET = Target(
     name="attachment",
     generate=lambda rng: mutation.damaged(rng, ATTACHMENTS, most=2),

@@ -27,7 +27,9 @@ from freeflyer.scenario import experiment, scenario
 
 @cache
 def _folder() -> Path:
-    kept = tempfile.TemporaryDirectory(prefix="freeflyer-fuzz-", dir="/dev/shm" if os.access("/dev/shm", os.W_OK) else None)
+    kept = tempfile.TemporaryDirectory(
+        prefix="freeflyer-fuzz-", dir="/dev/shm" if os.access("/dev/shm", os.W_OK) else None
+    )
     atexit.register(kept.cleanup)
     return Path(kept.name)
 
@@ -47,7 +49,12 @@ def _column(rng: Random, table: pa.Table, k: int) -> pa.Table:
     name, rows = table.column_names[k], table.num_rows
     made = rng.choice(
         (
-            lambda: pa.array([rng.choice((0.0, -1.0, float("nan"), float("inf"), 1e308, 5e-324)) for _ in range(rows)]),
+            lambda: pa.array(
+                [
+                    rng.choice((0.0, -1.0, float("nan"), float("inf"), 1e308, 5e-324))
+                    for _ in range(rows)
+                ]
+            ),
             lambda: pa.array(["x"] * rows),
             lambda: pa.array([None] * rows),
             lambda: pa.array([[1.0]] * rows),

@@ -32,7 +32,7 @@ from target import Target
 
 from freeflyer.foundation.errors import CosimError
 from freeflyer.master.record import Signal
-from freeflyer_adapters.recording.header import RunHead
+from freeflyer_adapters.recording.header import RecordingHeader
 from freeflyer_adapters.recording.recording_file import RecordingFile, write_rows
 from freeflyer_adapters.recording.recover import copy_whole
 from freeflyer_adapters.recording.ring import RingReader, RingWriter, Rows
@@ -45,7 +45,9 @@ TICK, START = 200_000_000, 1_800_000_000_000_000_000
 MOST_UNPACKED = 24 * 2**20
 """More than any chunk may unpack to here; the plain search stops there."""
 Key = tuple[int, int, bytes]
-logging.getLogger("can.io.blf").setLevel(logging.CRITICAL)  # python-can tells of every object that it does not know
+logging.getLogger("can.io.blf").setLevel(
+    logging.CRITICAL
+)  # python-can tells of every object that it does not know
 
 
 class _Kept(io.BytesIO):
@@ -55,12 +57,12 @@ class _Kept(io.BytesIO):
         pass
 
 
-def _run_head(directory: str = "/nowhere") -> RunHead:
+def _run_head(directory: str = "/nowhere") -> RecordingHeader:
     signals = [
         Signal(name="arm.joint_position", first=0, size=2, units=("rad",) * 2),
         Signal(name="base.force", first=2, size=1, units=(None,)),
     ]
-    return RunHead(
+    return RecordingHeader(
         scenario="made", title="Made", tick=TICK, started=START, directory=directory, signals=signals,
         chosen=frozenset(s.name for s in signals), loop=["arm: state"], origin={"parameters": {}}, versions={"python": "3"},
     )  # fmt: skip
@@ -68,7 +70,9 @@ def _run_head(directory: str = "/nowhere") -> RunHead:
 
 def _rows(count: int) -> Rows:
     k = np.arange(count)
-    return Rows(np.stack([START + k * TICK, k * TICK, k], axis=1), np.arange(4.0 * count).reshape(count, 4))
+    return Rows(
+        np.stack([START + k * TICK, k * TICK, k], axis=1), np.arange(4.0 * count).reshape(count, 4)
+    )
 
 
 @cache
@@ -103,7 +107,9 @@ def _written() -> frozenset[Key]:
 def _messages(data: bytes) -> list[Key]:
     """By mcap's own reader; of an unfinished file by the plain search."""
     if data.endswith(b"\x89MCAP0\r\n"):
-        found = make_reader(io.BytesIO(data), validate_crcs=True).iter_messages(log_time_order=False)
+        found = make_reader(io.BytesIO(data), validate_crcs=True).iter_messages(
+            log_time_order=False
+        )
         return [(m.log_time, m.sequence, m.data) for _, _, m in found]
     return [key for key, _ in _plain_search(data)]
 
@@ -116,13 +122,23 @@ def _plain_search(data: bytes) -> Iterator[tuple[Key, bool]]:
             body = data[place + HEAD.size : place + HEAD.size + length]
             *_, size, checksum, name = CHUNK.unpack_from(body)
             (packed,) = struct.unpack_from("<Q", body, CHUNK.size + name)
-            if len(body) != length or length != CHUNK.size + name + 8 + packed or size > MOST_UNPACKED:
+            if (
+                len(body) != length
+                or length != CHUNK.size + name + 8 + packed
+                or size > MOST_UNPACKED
+            ):
                 continue
             kind, inside = body[CHUNK.size : CHUNK.size + name], body[CHUNK.size + name + 8 :]
             if kind == b"zstd":
-                inside = zstandard.ZstdDecompressor().stream_reader(io.BytesIO(inside)).read(MOST_UNPACKED)
+                inside = (
+                    zstandard.ZstdDecompressor()
+                    .stream_reader(io.BytesIO(inside))
+                    .read(MOST_UNPACKED)
+                )
             elif kind == b"lz4":
-                inside = lz4.frame.LZ4FrameDecompressor().decompress(inside, max_length=MOST_UNPACKED)
+                inside = lz4.frame.LZ4FrameDecompressor().decompress(
+                    inside, max_length=MOST_UNPACKED
+                )
         except (struct.error, zstandard.ZstdError, RuntimeError, OverflowError, MemoryError):
             continue
         if checksum and zlib.crc32(inside) != checksum:
@@ -131,7 +147,11 @@ def _plain_search(data: bytes) -> Iterator[tuple[Key, bool]]:
         while at + HEAD.size <= len(inside):
             kind_of_record, length = HEAD.unpack_from(inside, at)
             at += HEAD.size
-            if kind_of_record == Opcode.MESSAGE and length >= MESSAGE.size and at + length <= len(inside):
+            if (
+                kind_of_record == Opcode.MESSAGE
+                and length >= MESSAGE.size
+                and at + length <= len(inside)
+            ):
                 _, sequence, log_time, _ = MESSAGE.unpack_from(inside, at)
                 yield (log_time, sequence, inside[at + MESSAGE.size : at + length]), bool(checksum)
             at += length
@@ -144,7 +164,14 @@ def _log() -> bytes:
     for i in range(FRAMES):
         data = i.to_bytes(8, "little") * 2
         writer.on_message_received(
-            can.Message(timestamp=1.8e9 + i * 1e-3, arbitration_id=0x181, is_extended_id=False, is_fd=True, data=data, dlc=16)
+            can.Message(
+                timestamp=1.8e9 + i * 1e-3,
+                arbitration_id=0x181,
+                is_extended_id=False,
+                is_fd=True,
+                data=data,
+                dlc=16,
+            )
         )
     writer.stop()
     return stream.getvalue()
@@ -152,7 +179,9 @@ def _log() -> bytes:
 
 @cache
 def _folder() -> Path:
-    kept = tempfile.TemporaryDirectory(prefix="freeflyer-fuzz-", dir="/dev/shm" if os.access("/dev/shm", os.W_OK) else None)
+    kept = tempfile.TemporaryDirectory(
+        prefix="freeflyer-fuzz-", dir="/dev/shm" if os.access("/dev/shm", os.W_OK) else None
+    )
     atexit.register(kept.cleanup)
     return Path(kept.name)
 
@@ -188,7 +217,10 @@ def _records(data: bytes) -> list[bytes]:
 
 def _inside(chunk: bytes) -> bytes:
     name = CHUNK.unpack_from(chunk, HEAD.size)[4]
-    kind, packed = chunk[HEAD.size + CHUNK.size :][:name], chunk[HEAD.size + CHUNK.size + name + 8 :]
+    kind, packed = (
+        chunk[HEAD.size + CHUNK.size :][:name],
+        chunk[HEAD.size + CHUNK.size + name + 8 :],
+    )
     unpack = {b"zstd": zstandard.decompress, b"lz4": lz4.frame.decompress, b"": bytes}[kind]
     return unpack(packed)
 
@@ -197,8 +229,13 @@ def _chunk(rng: Random, inside: bytes, size: int | None = None, *, bad: bool = F
     name = rng.choice(("zstd", "lz4", ""))
     pack = {"zstd": zstandard.compress, "lz4": lz4.frame.compress, "": bytes}[name]
     packed = pack(inside)
-    checksum = rng.randrange(2**32) if bad else rng.choice((zlib.crc32(inside), zlib.crc32(inside), 0))
-    body = CHUNK.pack(START, START, len(inside) if size is None else size, checksum, len(name)) + name.encode()
+    checksum = (
+        rng.randrange(2**32) if bad else rng.choice((zlib.crc32(inside), zlib.crc32(inside), 0))
+    )
+    body = (
+        CHUNK.pack(START, START, len(inside) if size is None else size, checksum, len(name))
+        + name.encode()
+    )
     body += struct.pack("<Q", len(packed)) + packed
     return HEAD.pack(Opcode.CHUNK, len(body)) + body
 
@@ -238,14 +275,25 @@ def _forged(rng: Random) -> bytes:
                 if at + HEAD.size <= len(inside):
                     was = HEAD.unpack_from(inside, at)
                     HEAD.pack_into(
-                        inside, at, rng.choice((was[0], 3, 4, 5, 6, 0, 255)), rng.choice((was[1], 0, was[1] + 1, 21, 22, 2**63))
+                        inside,
+                        at,
+                        rng.choice((was[0], 3, 4, 5, 6, 0, 255)),
+                        rng.choice((was[1], 0, was[1] + 1, 21, 22, 2**63)),
                     )
             else:
                 inside = bytearray(mutation.damaged(rng, [bytes(inside)], most=2))
-            records[k] = _chunk(rng, bytes(inside), rng.choice((None, None, None, 0, 2**24, 2**40)), bad=rng.random() < 0.1)
+            records[k] = _chunk(
+                rng,
+                bytes(inside),
+                rng.choice((None, None, None, 0, 2**24, 2**40)),
+                bad=rng.random() < 0.1,
+            )
         elif kind < 0.15:
             records[k] = (
-                HEAD.pack(rng.choice((opcode, *range(1, 16), 0, 128)), rng.choice((length, 0, length + 9, 2**62, 2**24)))
+                HEAD.pack(
+                    rng.choice((opcode, *range(1, 16), 0, 128)),
+                    rng.choice((length, 0, length + 9, 2**62, 2**24)),
+                )
                 + record[9:]
             )
         elif kind < 0.3:
@@ -308,7 +356,12 @@ def generate(rng: Random) -> bytes:
     data = bytearray(_ring())
     for _ in range(rng.randrange(1, 5)):
         place = rng.choice(
-            (rng.randrange(8 * 9), 64 + 8 * rng.randrange(2), 4096 + rng.randrange(1000), rng.randrange(len(data)))
+            (
+                rng.randrange(8 * 9),
+                64 + 8 * rng.randrange(2),
+                4096 + rng.randrange(1000),
+                rng.randrange(len(data)),
+            )
         )
         width = rng.choice((1, 8))
         data[place : place + width] = rng.choice(
@@ -331,7 +384,8 @@ def recover(data: bytes) -> str:
         if kind == LOG:
             numbers = [int.from_bytes(frame.data[:8], "little") for frame in frames]
             assert all(
-                frame.data == n.to_bytes(8, "little") * 2 and n < FRAMES for frame, n in zip(frames, numbers, strict=True)
+                frame.data == n.to_bytes(8, "little") * 2 and n < FRAMES
+                for frame, n in zip(frames, numbers, strict=True)
             ), "a frame is new"
         return "log" if done.kept else "log without frames"
     kept = _messages(made)
@@ -339,9 +393,15 @@ def recover(data: bytes) -> str:
     if kept:
         new = set(kept) - _written()
         if new:
-            found = {key for key, has_checksum in _plain_search(data) if kind == FORGED or not has_checksum}
+            found = {
+                key
+                for key, has_checksum in _plain_search(data)
+                if kind == FORGED or not has_checksum
+            }
             # Without a single chunk there is no checksum to go by.
-            assert new <= found or (kind == FORGED and not _has_chunk(data)), "a message that was not written"
+            assert new <= found or (kind == FORGED and not _has_chunk(data)), (
+                "a message that was not written"
+            )
     return "recording" if done.kept else "recording without messages"
 
 
@@ -361,7 +421,10 @@ def _recover_ring(data: bytes) -> str:
     finally:
         ring.close()
     # The arm's signals, the base's, joint states, and the loop's.
-    assert len(_messages(output.getvalue())) == 4 * len(rows) or ring.head.signals != _run_head().signals, "rows were lost"
+    assert (
+        len(_messages(output.getvalue())) == 4 * len(rows)
+        or ring.head.signals != _run_head().signals
+    ), "rows were lost"
     return "ring" if len(rows) else "ring without rows"
 
 

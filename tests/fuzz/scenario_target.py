@@ -39,7 +39,9 @@ DEVICES = {"can_arm": arm_options.options_from, "zenoh_base": link_options.optio
 def generate(rng: Random) -> bytes:
     kind = rng.random()
     if kind < 0.01:
-        deep = rng.choice((b"[", b"{a=", b"[{a=", b"a.")) * rng.choice((39, 41, 200, 400, 1000, 5000))
+        deep = rng.choice((b"[", b"{a=", b"[{a=", b"a.")) * rng.choice(
+            (39, 41, 200, 400, 1000, 5000)
+        )
         data = rng.choice(SEEDS) + b"\n[deep]\n" + (b"" if deep[:1] == b"a" else b"x = ") + deep
     elif kind < 0.3:
         data = mutation.damaged(rng, SEEDS)
@@ -52,7 +54,9 @@ def generate(rng: Random) -> bytes:
             data = mutation.damaged(rng, [data], most=2)
     if rng.random() < 0.25:
         texts = [
-            mutation.damaged(rng, OVERRIDES, most=2) if rng.random() < 0.5 else rng.choice(OVERRIDES)
+            mutation.damaged(rng, OVERRIDES, most=2)
+            if rng.random() < 0.5
+            else rng.choice(OVERRIDES)
             for _ in range(rng.randrange(1, 3))
         ]
         data = SEPARATOR.join([data, *texts])
@@ -61,7 +65,9 @@ def generate(rng: Random) -> bytes:
 
 def _folder() -> Path:
     """With what a hostile file can point at: a parent, a file that extends it back, a FIFO, a device."""
-    kept = tempfile.TemporaryDirectory(prefix="freeflyer-fuzz-", dir="/dev/shm" if os.access("/dev/shm", os.W_OK) else None)
+    kept = tempfile.TemporaryDirectory(
+        prefix="freeflyer-fuzz-", dir="/dev/shm" if os.access("/dev/shm", os.W_OK) else None
+    )
     atexit.register(kept.cleanup)
     folder = Path(kept.name)
     (folder / "beside.toml").write_text('extends = "multirate_passive"\n')
@@ -103,10 +109,14 @@ def _check(found: scenario.Scenario) -> None:
         assert 0 < time < 2**63
     for component in (*found.components, *found.devices):
         assert component.name.isidentifier()
-        assert (type(component.step) is int and 0 < component.step < 2**63) or str(component.step).startswith("=")
+        assert (type(component.step) is int and 0 < component.step < 2**63) or str(
+            component.step
+        ).startswith("=")
         assert isinstance(component.parameters, dict)
         assert component.samples in (True, False, None)
-    assert {device.name for device in found.devices} <= {component.name for component in found.components}
+    assert {device.name for device in found.devices} <= {
+        component.name for component in found.components
+    }
     assert all(isinstance(connection, Connection) for connection in found.connections)
     for limit in found.limits:
         assert not math.isnan(limit.bound)
@@ -118,7 +128,9 @@ def _check(found: scenario.Scenario) -> None:
 
 def _plain(one: scenario.Scenario) -> str:
     """As text, whatever the order of its keys; NaN is itself."""
-    return json.dumps(dataclasses.asdict(dataclasses.replace(one, source="")), sort_keys=True, default=repr)
+    return json.dumps(
+        dataclasses.asdict(dataclasses.replace(one, source="")), sort_keys=True, default=repr
+    )
 
 
 SCENARIO = Target(name="scenario", generate=generate, call=load, allowed=(CosimError,))

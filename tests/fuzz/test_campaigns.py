@@ -30,9 +30,10 @@ def test_nothing_but_values_and_documented_exceptions(name: str, share: int) -> 
     assert not found.faults, str(found)
     assert found.inputs == inputs
     refused = {error.__name__ for error in TARGETS[name].allowed}
-    assert sum(count for outcome, count in found.outcomes.items() if outcome not in refused) > 0.02 * found.inputs, (
-        f"the damage is such that hardly anything gets past the first check\n{found}"
-    )
+    assert (
+        sum(count for outcome, count in found.outcomes.items() if outcome not in refused)
+        > 0.02 * found.inputs
+    ), f"the damage is such that hardly anything gets past the first check\n{found}"
 
 
 @pytest.mark.benchmark
@@ -46,7 +47,9 @@ def test_a_million_inputs(name: str) -> None:
 
 def test_the_same_seed_is_the_same_input() -> None:
     for target in TARGETS.values():
-        assert [target.input(seed) for seed in range(20)] == [target.input(seed) for seed in range(20)]
+        assert [target.input(seed) for seed in range(20)] == [
+            target.input(seed) for seed in range(20)
+        ]
         assert len({target.input(seed) for seed in range(200)}) > 100
 
 
@@ -67,7 +70,12 @@ def _faulty(data: bytes) -> str:
 
 def test_the_harness_finds_wrong_exceptions_broken_promises_hangs_and_growth() -> None:
     faulty = Target(
-        name="faulty", generate=lambda rng: rng.randbytes(4), call=_faulty, allowed=(ValueError,), patience=0.05, growth=64
+        name="faulty",
+        generate=lambda rng: rng.randbytes(4),
+        call=_faulty,
+        allowed=(ValueError,),
+        patience=0.05,
+        growth=64,
     )
     found = run(faulty, 0, 200)
     what = " ".join(fault.what for fault in found.faults)
@@ -79,7 +87,9 @@ def test_the_harness_finds_wrong_exceptions_broken_promises_hangs_and_growth() -
     assert faulty.input(fault.seed) == fault.data
     with pytest.raises(KeyError):
         one(faulty, fault.data)
-    grown = Target(name="grown", generate=lambda _: b"\x03", call=lambda _: _grow(), allowed=(), growth=64)
+    grown = Target(
+        name="grown", generate=lambda _: b"\x03", call=lambda _: _grow(), allowed=(), growth=64
+    )
     try:
         assert "the process has grown" in run(grown, 0, 1000).faults[-1].what
     finally:

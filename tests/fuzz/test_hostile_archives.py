@@ -12,7 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from commands import said
+from commands import run_command
 from file_targets import SMALL_2, SSD
 
 from freeflyer.fmi import archive, unpacked
@@ -90,22 +90,32 @@ def swollen(file: zipfile.ZipFile) -> None:
 )
 @pytest.mark.parametrize("kind", ["fmu", "ssp"])
 def test_an_archive_is_refused_before_anything_of_it_is_used(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, temporary: Path, kind: str, make: Make, sentence: str
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    temporary: Path,
+    kind: str,
+    make: Make,
+    sentence: str,
 ) -> None:
     path = tmp_path / f"some.{kind}"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
-        file.writestr("SystemStructure.ssd" if kind == "ssp" else DESCRIPTION, SSD if kind == "ssp" else SMALL_2)
+        file.writestr(
+            "SystemStructure.ssd" if kind == "ssp" else DESCRIPTION,
+            SSD if kind == "ssp" else SMALL_2,
+        )
         make(file)
     refused(capsys, tmp_path, temporary, path, sentence)
 
 
-def refused(capsys: pytest.CaptureFixture[str], tmp_path: Path, temporary: Path, path: Path, sentence: str) -> None:
+def refused(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, temporary: Path, path: Path, sentence: str
+) -> None:
     run = path
     if path.suffix == ".fmu":
         run = tmp_path / "some.toml"
         run.write_text(f'stop_s = 0.1\n[components.x]\nfmu = "{path.name}"\nstep_s = 0.01\n')
     before = sorted(tmp_path.rglob("*"))
-    code, error = said(capsys, "run", str(run), "--out", str(tmp_path / "out"))
+    code, error = run_command(capsys, "run", str(run), "--out", str(tmp_path / "out"))
     assert sentence in error
     assert path.name in error
     assert code == 2
@@ -142,16 +152,26 @@ def test_an_entry_whose_header_lies_about_its_size_gives_no_more_than_it_said(
     data = path.read_bytes()
     assert data.count(struct.pack("<I", 70 << 20)) == 2
     path.write_bytes(data.replace(struct.pack("<I", 70 << 20), struct.pack("<I", 1000)))
-    refused(capsys, tmp_path, temporary, path, "it is no usable zip archive (Bad CRC-32 for file 'resources/zeros')")
+    refused(
+        capsys,
+        tmp_path,
+        temporary,
+        path,
+        "it is no usable zip archive (Bad CRC-32 for file 'resources/zeros')",
+    )
 
 
-def test_a_damaged_library_leaves_nothing_behind(capsys: pytest.CaptureFixture[str], tmp_path: Path, temporary: Path) -> None:
+def test_a_damaged_library_leaves_nothing_behind(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, temporary: Path
+) -> None:
     path = library(fmu(tmp_path / "bad.fmu"))
     path.write_bytes(path.read_bytes().replace(b"no library", b"on library"))
     refused(capsys, tmp_path, temporary, path, "Bad CRC-32 for file 'binaries/")
 
 
-def test_an_encrypted_entry(capsys: pytest.CaptureFixture[str], tmp_path: Path, temporary: Path) -> None:
+def test_an_encrypted_entry(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, temporary: Path
+) -> None:
     path = fmu(tmp_path / "some.fmu")
     data = bytearray(path.read_bytes())
     data[directory_of(data) + 8] |= 1
@@ -160,14 +180,19 @@ def test_an_encrypted_entry(capsys: pytest.CaptureFixture[str], tmp_path: Path, 
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.9, 0.99])
-def test_a_truncated_archive(capsys: pytest.CaptureFixture[str], tmp_path: Path, temporary: Path, share: float) -> None:
+def test_a_truncated_archive(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, temporary: Path, share: float
+) -> None:
     path = fmu(tmp_path / "some.fmu", x=b"y" * 5000)
     path.write_bytes(path.read_bytes()[: int(share * path.stat().st_size)])
     refused(capsys, tmp_path, temporary, path, "it is no zip archive")
 
 
 def test_too_many_entries_and_too_long_a_list_of_them(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, temporary: Path, monkeypatch: pytest.MonkeyPatch
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    temporary: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     path = fmu(tmp_path / "some.fmu", **{f"x{k}": b"" for k in range(100)})
     with monkeypatch.context() as patch:
@@ -177,7 +202,9 @@ def test_too_many_entries_and_too_long_a_list_of_them(
     refused(capsys, tmp_path, temporary, path, "its list of entries has more than 1000 bytes")
 
 
-def test_a_large_archive_of_somebody_who_is_trusted(tmp_path: Path, temporary: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_large_archive_of_somebody_who_is_trusted(
+    tmp_path: Path, temporary: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "some.fmu"
     with zipfile.ZipFile(fmu(path), "a", zipfile.ZIP_DEFLATED) as file:
         swollen(file)
@@ -194,7 +221,9 @@ def test_a_large_archive_of_somebody_who_is_trusted(tmp_path: Path, temporary: P
         unpacked.take(path)
 
 
-def test_an_archive_that_changes_after_it_was_described_is_checked_again(tmp_path: Path, temporary: Path) -> None:
+def test_an_archive_that_changes_after_it_was_described_is_checked_again(
+    tmp_path: Path, temporary: Path
+) -> None:
     path = fmu(tmp_path / "some.fmu")
     describe_fmu(path)
     with zipfile.ZipFile(path, "a") as file:
@@ -219,42 +248,78 @@ LAUGHS = b"".join(b'<!ENTITY x%d "%s">' % (k, b"&x%d;" % (k - 1) * 10) for k in 
 )
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
 def test_xml_with_a_document_type_is_refused_unread(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, temporary: Path, declared: bytes, encoding: str
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    temporary: Path,
+    declared: bytes,
+    encoding: str,
 ) -> None:
-    text = (b"<?xml version='1.0'?>" + declared + SUFFIX.replace(b'modelName="some"', b'modelName="&x11;"')).decode()
+    text = (
+        b"<?xml version='1.0'?>"
+        + declared
+        + SUFFIX.replace(b'modelName="some"', b'modelName="&x11;"')
+    ).decode()
     path = fmu(tmp_path / "some.fmu", text.encode(encoding))
-    refused(capsys, tmp_path, temporary, path, "its modelDescription.xml is refused: it declares a document type")
+    refused(
+        capsys,
+        tmp_path,
+        temporary,
+        path,
+        "its modelDescription.xml is refused: it declares a document type",
+    )
 
 
 def test_xml_that_swells_or_nests(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, temporary: Path, monkeypatch: pytest.MonkeyPatch
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    temporary: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     deep = SUFFIX.replace(b"<CoSimulation", b"<a>" * 5000 + b"</a>" * 5000 + b"<CoSimulation")
-    refused(capsys, tmp_path, temporary, fmu(tmp_path / "deep.fmu", deep), "or more than 200 within each other")
+    refused(
+        capsys,
+        tmp_path,
+        temporary,
+        fmu(tmp_path / "deep.fmu", deep),
+        "or more than 200 within each other",
+    )
     monkeypatch.setattr(archive, "MOST_ELEMENTS", 1000)
     wide = SUFFIX.replace(b"<CoSimulation", b"<a/>" * 1000 + b"<CoSimulation")
-    refused(capsys, tmp_path, temporary, fmu(tmp_path / "wide.fmu", wide), "more than 1000 elements")
+    refused(
+        capsys, tmp_path, temporary, fmu(tmp_path / "wide.fmu", wide), "more than 1000 elements"
+    )
     monkeypatch.setattr(archive, "LARGEST_XML", 1 << 10)
     refused(capsys, tmp_path, temporary, fmu(tmp_path / "long.fmu"), "1 KiB are allowed")
 
 
 def test_a_description_in_another_encoding_is_read(tmp_path: Path) -> None:
     text = (
-        SMALL_2.decode().replace('encoding="UTF-8"', 'encoding="ISO-8859-1"').replace('modelName="some"', 'modelName="größe"')
+        SMALL_2.decode()
+        .replace('encoding="UTF-8"', 'encoding="ISO-8859-1"')
+        .replace('modelName="some"', 'modelName="größe"')
     )
     assert describe_fmu(fmu(tmp_path / "latin.fmu", text.encode("latin-1"))).modelName == "größe"
-    assert describe_fmu(fmu(tmp_path / "wide.fmu", text.replace("ISO-8859-1", "UTF-16").encode("utf-16"))).modelName == "größe"
+    assert (
+        describe_fmu(
+            fmu(tmp_path / "wide.fmu", text.replace("ISO-8859-1", "UTF-16").encode("utf-16"))
+        ).modelName
+        == "größe"
+    )
 
 
 def test_variables_of_more_elements_than_memory_has(tmp_path: Path) -> None:
     from file_targets import SMALL_3
 
     huge = SMALL_3.replace(b'<Dimension start="3"/>', b'<Dimension start="1000000000000"/>')
-    with pytest.raises(ComponentError, match="its variables have 2000000000005 elements; 4194304 are allowed"):
+    with pytest.raises(
+        ComponentError, match="its variables have 2000000000005 elements; 4194304 are allowed"
+    ):
         ports_in(fmu(tmp_path / "huge.fmu", huge))
 
 
-def test_describing_an_fmu_runs_nothing_of_it(tmp_path: Path, temporary: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_describing_an_fmu_runs_nothing_of_it(
+    tmp_path: Path, temporary: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     import ctypes
 
     def loads(*_: object, **__: object) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as parquet
 import pytest
-from commands import said
+from commands import run_command
 from link_targets import OWN_DBC, OWN_MAPPING
 
 from freeflyer.cli import main as command
@@ -39,16 +39,20 @@ def test_toml_that_would_never_be_done_with(
     text, sentence = TOMLS[what]
     (tmp_path / "x.toml").write_text(text)
     begin = time.process_time()
-    code, error = said(capsys, command, str(tmp_path / "x.toml"), "--out", str(tmp_path / "out.ssp"))
+    code, error = run_command(
+        capsys, command, str(tmp_path / "x.toml"), "--out", str(tmp_path / "out.ssp")
+    )
     assert (sentence in error, code) == (True, 2), error
     assert time.process_time() - begin < 5.0
     assert not (tmp_path / "out.ssp").exists()
 
 
 @pytest.mark.parametrize("data", [b"x = '\xff'", b"\xff\xfex\x00", b"x = 1\x00", b"\x00" * 100])
-def test_bytes_that_are_no_toml(capsys: pytest.CaptureFixture[str], tmp_path: Path, data: bytes) -> None:
+def test_bytes_that_are_no_toml(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, data: bytes
+) -> None:
     (tmp_path / "x.toml").write_bytes(data)
-    code, error = said(capsys, "run", str(tmp_path / "x.toml"))
+    code, error = run_command(capsys, "run", str(tmp_path / "x.toml"))
     assert ("is not valid TOML" in error, code) == (True, 2), error
 
 
@@ -58,12 +62,12 @@ def test_what_is_no_file(capsys: pytest.CaptureFixture[str], tmp_path: Path, com
     (tmp_path / "zero.toml").symlink_to("/dev/zero")
     (tmp_path / "folder.toml").mkdir()
     for name in ("fifo", "zero", "folder"):
-        code, error = said(capsys, command, str(tmp_path / f"{name}.toml"))
+        code, error = run_command(capsys, command, str(tmp_path / f"{name}.toml"))
         assert (f"{name}.toml" in error, code) == (True, 2), error
     for name in ("/dev/zero", "x\0.toml", "x" * 5000 + ".toml"):
-        assert said(capsys, command, name)[0] == 2
+        assert run_command(capsys, command, name)[0] == 2
     (tmp_path / "child.toml").write_text('extends = "fifo.toml"')
-    assert said(capsys, "run", str(tmp_path / "child.toml"))[0] == 2
+    assert run_command(capsys, "run", str(tmp_path / "child.toml"))[0] == 2
 
 
 def test_a_file_that_became_a_fifo_or_a_device_after_it_was_found(tmp_path: Path) -> None:
@@ -99,19 +103,33 @@ def test_units_that_a_calculator_would_be_at_for_ever() -> None:
     ("old", "new", "sentence"),
     [
         ("TORQUES: 16", "TORQUES: 1000000000000", "a message or signal of 1000000000000"),
-        ("TORQUES: 16", "TORQUES //\n: // x\n 1000000000000", "a message or signal of 1000000000000"),
+        (
+            "TORQUES: 16",
+            "TORQUES //\n: // x\n 1000000000000",
+            "a message or signal of 1000000000000",
+        ),
         (
             '15|16@0- (0.01,0) [0|0] "Nm" Drive',
             '15|1000000000000@0- (0.01,0) [0|0] "Nm" Drive',
             "a message or signal of 1000000000000",
         ),
-        ("VAL_ ", "SG_MUL_VAL_ 2147484161 Heat Selector 0-4000000000;\nVAL_ ", "more than 100000 multiplexer values"),
-        ('(0.01,0) [0|0] "Nm" Drive', '(0,0) [0|0] "Nm" Drive', "has the factor 0 and the offset 0"),
+        (
+            "VAL_ ",
+            "SG_MUL_VAL_ 2147484161 Heat Selector 0-4000000000;\nVAL_ ",
+            "more than 100000 multiplexer values",
+        ),
+        (
+            '(0.01,0) [0|0] "Nm" Drive',
+            '(0,0) [0|0] "Nm" Drive',
+            "has the factor 0 and the offset 0",
+        ),
         ('(0.01,0) [0|0] "Nm" Drive', '(1e308,0) [0|0] "Nm" Drive', "finite numbers are expected"),
         ("Mode : 7|8@0+", "Mode : -1|8@0+", "begins at bit -1; 0 or more is expected"),
     ],
 )
-def test_dbcs_that_swell_or_make_no_numbers(tmp_path: Path, old: str, new: str, sentence: str) -> None:
+def test_dbcs_that_swell_or_make_no_numbers(
+    tmp_path: Path, old: str, new: str, sentence: str
+) -> None:
     path = tmp_path / "own.dbc"
     assert old in OWN_DBC
     path.write_text(OWN_DBC.replace(old, new, 1))
@@ -134,7 +152,9 @@ def test_only_a_dbc_is_a_dbc(tmp_path: Path, suffix: str) -> None:
         load(tmp_path / "own.dbc")
 
 
-def test_no_dbc_is_taken_from_a_cache_of_pickles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_dbc_is_taken_from_a_cache_of_pickles(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("CANTOOLS_CACHE_DIR", str(tmp_path / "cache"))
     (tmp_path / "own.dbc").write_text(OWN_DBC)
     load(tmp_path / "own.dbc")
@@ -162,9 +182,11 @@ def test_a_dbc_that_is_no_file(tmp_path: Path) -> None:
         pa.table([[0.0], [1.0], [1.0]], names=["time", "a", "a"]),
     ],
 )
-def test_a_table_that_is_no_record(capsys: pytest.CaptureFixture[str], tmp_path: Path, table: pa.Table) -> None:
+def test_a_table_that_is_no_record(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, table: pa.Table
+) -> None:
     parquet.write_table(table, tmp_path / "record.parquet")
-    code, error = said(capsys, "audit", str(tmp_path))
+    code, error = run_command(capsys, "audit", str(tmp_path))
     assert ("record" in error, code) == (True, 2), error
 
 
@@ -177,13 +199,20 @@ def test_rows_beyond_all_memory_are_refused_unread(
     assert path.stat().st_size < 5_000_000 * 8 / 1000
     monkeypatch.setattr(record, "MOST_NUMBERS", 4_999_999)
     monkeypatch.setattr(parquet.ParquetFile, "read", lambda _: pytest.fail("it was read"))
-    code, error = said(capsys, "audit", str(path))
-    assert ("it has 5000000 rows of 1 columns; 4999999 numbers at most are expected" in error, code) == (True, 2), error
+    code, error = run_command(capsys, "audit", str(path))
+    assert (
+        "it has 5000000 rows of 1 columns; 4999999 numbers at most are expected" in error,
+        code,
+    ) == (True, 2), error
 
 
-def test_only_the_documented_kind_runs_code_of_a_scenario(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_only_the_documented_kind_runs_code_of_a_scenario(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """`extends` and `fmu` read files and run none; kind = "python" is what runs one."""
-    (tmp_path / "evil.py").write_text("from pathlib import Path\nPath(__file__).with_name('ran').touch()\n")
+    (tmp_path / "evil.py").write_text(
+        "from pathlib import Path\nPath(__file__).with_name('ran').touch()\n"
+    )
     for line in ('extends = "evil.py"', 'extends = "evil"'):
         (tmp_path / "x.toml").write_text(line)
         assert command.call(["run", str(tmp_path / "x.toml"), "--out", str(tmp_path / "out")]) == 2
@@ -191,7 +220,9 @@ def test_only_the_documented_kind_runs_code_of_a_scenario(tmp_path: Path, capsys
         (tmp_path / "x.toml").write_text(f"stop_s = 0.1\n[components.x]\nstep_s = 0.01\n{keys}\n")
         assert command.call(["run", str(tmp_path / "x.toml"), "--out", str(tmp_path / "out")]) == 2
     assert not (tmp_path / "ran").exists()
-    (tmp_path / "x.toml").write_text('stop_s = 0.1\n[components.x]\nstep_s = 0.01\nkind = "python"\nobject = "evil.py:f"\n')
+    (tmp_path / "x.toml").write_text(
+        'stop_s = 0.1\n[components.x]\nstep_s = 0.01\nkind = "python"\nobject = "evil.py:f"\n'
+    )
     assert command.call(["run", str(tmp_path / "x.toml"), "--out", str(tmp_path / "out")]) == 2
     assert (tmp_path / "ran").exists()
     capsys.readouterr()

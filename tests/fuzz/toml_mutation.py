@@ -40,7 +40,13 @@ def places(value: Any) -> list[tuple[Any, Any]]:
     stack = [value]
     while stack:
         inner = stack.pop()
-        items = inner.items() if isinstance(inner, dict) else enumerate(inner) if isinstance(inner, list) else ()
+        items = (
+            inner.items()
+            if isinstance(inner, dict)
+            else enumerate(inner)
+            if isinstance(inner, list)
+            else ()
+        )
         for key, item in items:
             found.append((inner, key))
             stack.append(item)
@@ -77,7 +83,9 @@ def mutate(rng: Random, table: Table, seeds: Sequence[Table]) -> None:
     elif kind == 5 and isinstance(container, dict):
         container[rng.choice(KEYS)] = strange(rng)
     elif kind == 6:
-        container[key] = rng.choice(([container[key]], {rng.choice(KEYS): container[key]}, [container[key], container[key]]))
+        container[key] = rng.choice(
+            ([container[key]], {rng.choice(KEYS): container[key]}, [container[key], container[key]])
+        )
     elif kind == 7:  # two parts change places
         other, there = rng.choice(every)
         container[key], other[there] = copy.deepcopy(other[there]), copy.deepcopy(container[key])
@@ -88,7 +96,9 @@ def mutate(rng: Random, table: Table, seeds: Sequence[Table]) -> None:
 
 def emit(table: Table) -> str:
     """TOML, in the form that needs least: one line a key, everything within it inline."""
-    return "\n".join(f"{json.dumps(key, ensure_ascii=False)} = {inline(value)}" for key, value in table.items())
+    return "\n".join(
+        f"{json.dumps(key, ensure_ascii=False)} = {inline(value)}" for key, value in table.items()
+    )
 
 
 def inline(value: Any) -> str:
@@ -97,7 +107,14 @@ def inline(value: Any) -> str:
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{json.dumps(key, ensure_ascii=False)} = {inline(item)}" for key, item in value.items()) + "}"
+        return (
+            "{"
+            + ", ".join(
+                f"{json.dumps(key, ensure_ascii=False)} = {inline(item)}"
+                for key, item in value.items()
+            )
+            + "}"
+        )
     if isinstance(value, list):
         return "[" + ", ".join(map(inline, value)) + "]"
     if isinstance(value, datetime.date | datetime.time):

@@ -65,7 +65,10 @@ def test_energy_and_momenta_are_conserved_for_100_s_without_inputs(fmus: Path) -
 def test_drift_over_1000_s_without_inputs(fmus: Path) -> None:
     """By then the base has moved 11 m: the momentum's lever arm turns 7e-15 of linear momentum into 1e-13 of the angular one."""
     found = drift(fmus / "fmi2" / "free_flyer.fmu", 1_000_000, 1000)
-    print("drift over 1000 s:", ", ".join(f"{quantity} {change:.1e}" for quantity, change in found.items()))
+    print(
+        "drift over 1000 s:",
+        ", ".join(f"{quantity} {change:.1e}" for quantity, change in found.items()),
+    )
     assert found["energy"] <= 1e-13
     assert found["linear momentum"] <= 1e-13
     assert found["angular momentum"] <= 2e-13
@@ -79,7 +82,16 @@ def test_work_of_held_wrench_and_torques_is_the_change_of_kinetic_energy(fmus: P
         plant.exit_initialization()
         u, y = np.zeros(12), np.zeros(20)
         write = plant.bind_inputs(["base_wrench", "joint_torque"], u)
-        read = plant.bind_outputs(["base_position", "base_orientation", "joint_position", "base_velocity", "kinetic_energy"], y)
+        read = plant.bind_outputs(
+            [
+                "base_position",
+                "base_orientation",
+                "joint_position",
+                "base_velocity",
+                "kinetic_energy",
+            ],
+            y,
+        )
         read()
         before = y.copy()
         initial = y[-1]

@@ -42,7 +42,12 @@ def test_feed_forward_is_the_reference_columns_of_M_and_Gamma(name: str) -> None
     for _ in range(20):
         o = random.normal(size=4)
         posture = robot.posture + random.uniform(-0.1, 0.1, robot.joint_count)
-        values = [o / np.linalg.norm(o), random.normal(size=6), posture, *random.normal(size=(3, 6))]
+        values = [
+            o / np.linalg.norm(o),
+            random.normal(size=6),
+            posture,
+            *random.normal(size=(3, 6)),
+        ]
         ours, matrices = (np.array(part).ravel() for part in both(*values))
         assert np.abs(ours - matrices).max() <= 1e-11 * np.abs(matrices).max()
 
@@ -53,7 +58,12 @@ def test_M_and_Gamma_are_symmetric_and_skew_in_task_space(robot: Robot) -> None:
     M, Gamma = task_space.inertia_and_coriolis_in_task_space(m, s)
     f = ca.Function("f", arguments, [M, Gamma, task_space.rate(m, M, s)])
     random = np.random.default_rng(4)
-    values = [np.array([0.1, -0.2, 0.3, 0.9]) / np.sqrt(0.95), random.normal(size=6), robot.posture, random.normal(size=6)]
+    values = [
+        np.array([0.1, -0.2, 0.3, 0.9]) / np.sqrt(0.95),
+        random.normal(size=6),
+        robot.posture,
+        random.normal(size=6),
+    ]
     M, Gamma, rate = (np.array(part) for part in f(*values))
     assert np.abs(M - M.T).max() < 1e-11 * np.abs(M).max()
     N = rate - 2 * Gamma
@@ -114,7 +124,12 @@ def test_V_never_rises_and_falls_as_equation_15_says(name: str, seed: int) -> No
     """With seven joints: as (15) and the damper in the null space say."""
     loop = loop_of(name)
     times, states = loop.solve(seed, 6.0)
-    values = np.array([[float(part) for part in loop.V(t, loop.p, x)] for t, x in zip(times, states.T, strict=True)])
+    values = np.array(
+        [
+            [float(part) for part in loop.V(t, loop.p, x)]
+            for t, x in zip(times, states.T, strict=True)
+        ]
+    )
     V, dV, dissipated = values.T
     assert V[0] > 1e-3, "the start must not be at rest"
     assert (np.diff(V) < 0.0).all()
@@ -158,7 +173,12 @@ def test_rate_of_W_is_the_papers_expression_and_negative_where_V_does_not_fall()
     dW = ca.jtimes(W, x, rates) + ca.jtimes(W, t, SX(1))
     gain = {
         name: p[block.offset(name) : block.offset(name) + 6]
-        for name in ("base_stiffness", "manipulator_stiffness", "base_damping", "manipulator_damping")
+        for name in (
+            "base_stiffness",
+            "manipulator_stiffness",
+            "base_damping",
+            "manipulator_damping",
+        )
     }
     K = ca.vertcat(gain["base_stiffness"], gain["manipulator_stiffness"])
     D = ca.vertcat(gain["base_damping"], gain["manipulator_damping"])
@@ -194,15 +214,30 @@ def test_rate_of_W_is_the_papers_expression_and_negative_where_V_does_not_fall()
 def test_the_reference_is_consistent_in_position_velocity_and_acceleration(time: float) -> None:
     t = SX.sym("t")
     motion = trajectory.ramped_sine(
-        t, SX([0.1, 0.2, 0.3]), SX([0, 0, 0, 1]), SX([0.15, 0.02, 0]), SX([0.05, 0.2, 0.1]), SX(0.1), SX(5.0)
+        t,
+        SX([0.1, 0.2, 0.3]),
+        SX([0, 0, 0, 1]),
+        SX([0.15, 0.02, 0]),
+        SX([0.05, 0.2, 0.1]),
+        SX(0.1),
+        SX(5.0),
     )
-    derivative = [ca.jtimes(part, t, SX(1)) for part in (motion.position, motion.velocity, motion.orientation)]
+    derivative = [
+        ca.jtimes(part, t, SX(1)) for part in (motion.position, motion.velocity, motion.orientation)
+    ]
     q = motion.orientation
-    w = 2 * (q[3] * derivative[2][:3] - derivative[2][3] * q[:3] + ca.cross(q[:3], derivative[2][:3]))
+    w = 2 * (
+        q[3] * derivative[2][:3] - derivative[2][3] * q[:3] + ca.cross(q[:3], derivative[2][:3])
+    )
     f = ca.Function(
         "f",
         [t],
-        [derivative[0] - motion.velocity[:3], derivative[1] - motion.acceleration, w - motion.velocity[3:], ca.sumsqr(q) - 1],
+        [
+            derivative[0] - motion.velocity[:3],
+            derivative[1] - motion.acceleration,
+            w - motion.velocity[3:],
+            ca.sumsqr(q) - 1,
+        ],
     )
     for part in f(time):
         assert np.abs(np.array(part)).max() < 1e-12
@@ -211,7 +246,9 @@ def test_the_reference_is_consistent_in_position_velocity_and_acceleration(time:
 def test_smallest_singular_value_is_a_lower_bound_and_sharp_near_a_singularity() -> None:
     random = np.random.default_rng(5)
     J = SX.sym("J", 6, 6)
-    f = ca.Function("s", [J], [tracking_control.smallest_singular_value(tracking_control.left_inverse(J))])
+    f = ca.Function(
+        "s", [J], [tracking_control.smallest_singular_value(tracking_control.left_inverse(J))]
+    )
     for smallest in (0.5, 0.1, 0.02, 0.005):
         U, _, V = np.linalg.svd(random.normal(size=(6, 6)))
         matrix = U @ np.diag([2.0, 1.5, 1.0, 0.8, 0.5, smallest]) @ V

@@ -37,9 +37,18 @@ class Oracle:
         self.model.gravity.setZero()
         self.data = self.model.createData()
         self.frame = self.model.getFrameId(end_effector)
-        link = next(link for link in ElementTree.parse(path).getroot().findall("link") if link.get("name") == root)
+        link = next(
+            link
+            for link in ElementTree.parse(path).getroot().findall("link")
+            if link.get("name") == root
+        )
         origin = link.find("inertial/origin")
-        self.c = np.array([float(x) for x in (origin.get("xyz", "0 0 0") if origin is not None else "0 0 0").split()])
+        self.c = np.array(
+            [
+                float(x)
+                for x in (origin.get("xyz", "0 0 0") if origin is not None else "0 0 0").split()
+            ]
+        )
 
     def configuration(self, s: Sample) -> tuple[np.ndarray, np.ndarray]:
         R = pin.Quaternion(s.orientation).matrix()
@@ -96,17 +105,21 @@ def functions(robot: Robot) -> Ours:
     Jb, Jm = task_space.jacobians(m, s)
     R = rotation.matrix(o)
     turn = ca.diagcat(R, R)
-    dJm_y = turn @ kinematics.manipulator_jacobian_rate_times(m, kinematics.axes(m, q), R.T @ s.v, R.T @ s.w, qd, y)
+    dJm_y = turn @ kinematics.manipulator_jacobian_rate_times(
+        m, kinematics.axes(m, q), R.T @ s.v, R.T @ s.w, qd, y
+    )
     p, Q = kinematics.end_effector_pose(m, SX(3, 1), o, q)
     return Ours(
-        ca.Function("f", [o, v, q, qd, F, tau], [ca.vertcat(*dynamics.forward_dynamics(m, s, F, tau))]),
+        ca.Function(
+            "f", [o, v, q, qd, F, tau], [ca.vertcat(*dynamics.forward_dynamics(m, s, F, tau))]
+        ),
         ca.Function(
             "h",
             [o, v, q, qd],
             [
                 *dynamics.inertia_and_coriolis(m, s),
                 dynamics.articulated_base_inertia(m, q).matrix(),
-                dynamics.articulated_hand_inertia(m, s),
+                dynamics.articulated_end_effector_inertia(m, s),
                 ca.horzcat(Jb, Jm),
             ],
         ),
@@ -119,7 +132,12 @@ def functions(robot: Robot) -> Ours:
 def case(name: str) -> tuple[Robot, Oracle, Ours]:
     robot = ROBOTS[name]()
     path, locked, tip, root = {
-        "lwr4": (SHIPPED_ROBOTS / "lwr4_free_flyer.urdf", {"joint_e1": 0.0}, "end_effector", "base"),
+        "lwr4": (
+            SHIPPED_ROBOTS / "lwr4_free_flyer.urdf",
+            {"joint_e1": 0.0},
+            "end_effector",
+            "base",
+        ),
         "ur5": (ur5_path(), {}, "tool0", "base_link"),
         "lwr4_redundant": (SHIPPED_ROBOTS / "lwr4_free_flyer.urdf", {}, "end_effector", "base"),
         "gantry": (DATA / "gantry.urdf", {"swivel": 0.4}, "hand", "bus"),
@@ -143,12 +161,16 @@ def test_forward_dynamics_agree_with_pinocchio(name: str, seed: int) -> None:
     q, v = oracle.configuration(s)
     T = oracle.to_inertial(s)
     # A wrench about the centre of mass does the same work in both coordinates.
-    acceleration = pin.aba(oracle.model, oracle.data, q, v, np.linalg.solve(T.T, np.concatenate([s.wrench, s.torque])))
+    acceleration = pin.aba(
+        oracle.model, oracle.data, q, v, np.linalg.solve(T.T, np.concatenate([s.wrench, s.torque]))
+    )
     R = pin.Quaternion(s.orientation).matrix()
     alpha = R @ acceleration[3:6]
     w, c = s.velocity[3:], R @ oracle.c
     origin = R @ (acceleration[:3] + np.cross(v[3:6], v[:3]))
-    theirs = np.concatenate([origin + np.cross(alpha, c) + np.cross(w, np.cross(w, c)), alpha, acceleration[6:]])
+    theirs = np.concatenate(
+        [origin + np.cross(alpha, c) + np.cross(w, np.cross(w, c)), alpha, acceleration[6:]]
+    )
     close(ours.forward(s.orientation, s.velocity, s.q, s.qd, s.wrench, s.torque), theirs)
 
 
@@ -161,14 +183,18 @@ def test_inertia_matrix_and_coriolis_forces_agree_with_pinocchio(name: str, seed
     T = oracle.to_inertial(s)
     H_pin = pin.crba(oracle.model, oracle.data, q)
     H_pin = np.triu(H_pin) + np.triu(H_pin, 1).T
-    H, C, M_base, M_hand, J = (np.array(part) for part in ours.matrices(s.orientation, s.velocity, s.q, s.qd))
+    H, C, M_base, M_hand, J = (
+        np.array(part) for part in ours.matrices(s.orientation, s.velocity, s.q, s.qd)
+    )
     close(H, T.T @ H_pin @ T)
     # Forces at zero acceleration of B's origin in I: the spatial acceleration of Pinocchio's origin is then not zero.
     R = pin.Quaternion(s.orientation).matrix()
     w, c = R.T @ s.velocity[3:], oracle.c
     a = np.zeros(len(v))
     a[:3] = -np.cross(w, np.cross(w, c)) - np.cross(w, v[:3])
-    close(C @ np.concatenate([s.velocity, s.qd]), T.T @ pin.rnea(oracle.model, oracle.data, q, v, a))
+    close(
+        C @ np.concatenate([s.velocity, s.qd]), T.T @ pin.rnea(oracle.model, oracle.data, q, v, a)
+    )
     # M~: the base's inertia with no torque in the joints is the inverse of H^-1's base block.
     turn = np.kron(np.eye(2), R)
     close(turn @ M_base @ turn.T, np.linalg.inv(np.linalg.inv(H)[:6, :6]))
@@ -188,7 +214,9 @@ def test_jacobians_and_their_rates_agree_with_pinocchio(name: str, seed: int) ->
     pin.updateFramePlacements(oracle.model, oracle.data)
     J = pin.getFrameJacobian(oracle.model, oracle.data, oracle.frame, frame)
     dJ = pin.getFrameJacobianTimeVariation(oracle.model, oracle.data, oracle.frame, frame)
-    Jb, Jm, velocity, p, Q = (np.array(part) for part in ours.jacobians(s.orientation, s.velocity, s.q, s.qd))
+    Jb, Jm, velocity, p, Q = (
+        np.array(part) for part in ours.jacobians(s.orientation, s.velocity, s.q, s.qd)
+    )
     close(np.hstack([Jb, Jm]), J @ T)
     close(velocity.ravel(), J @ v)
     close(p.ravel(), oracle.data.oMf[oracle.frame].translation)

@@ -15,7 +15,7 @@ from freeflyer_fmus.equations import noise
 from freeflyer_fmus.equations.dynamics import arm_on_moving_base, forward_dynamics
 from freeflyer_fmus.equations.mechanism import State, constant_mechanism
 from freeflyer_fmus.equations.pinocchio_reference import pinocchio_model
-from freeflyer_fmus.in_process_block import Twin
+from freeflyer_fmus.in_process_block import InProcessBlock
 from freeflyer_fmus.robot.robot import Robot
 
 SX = ca.SX
@@ -48,8 +48,10 @@ def test_the_arm_on_a_moving_base_in_gravity_agrees_with_pinocchio(robot: Robot)
         assert np.abs(holding - gravity).max() < 1e-11 * np.abs(gravity).max()
 
 
-def test_the_satellite_moves_as_the_free_flyers_base_where_the_arm_is_measured_exactly(robot: Robot) -> None:
-    satellite = Twin(BLOCKS["satellite"](robot))
+def test_the_satellite_moves_as_the_free_flyers_base_where_the_arm_is_measured_exactly(
+    robot: Robot,
+) -> None:
+    satellite = InProcessBlock(BLOCKS["satellite"](robot))
     satellite.enter_initialization(0.0, {"gravity_model_factor": np.array([1.0])})
     satellite.exit_initialization()
     random = np.random.default_rng(3)
@@ -73,9 +75,11 @@ def test_the_satellite_moves_as_the_free_flyers_base_where_the_arm_is_measured_e
     assert satellite.rates()[7:13] == pytest.approx(np.array(ca.evalf(expected)).ravel(), rel=1e-9)
 
 
-def driven(robot: Robot, setpoint: np.ndarray, steps: int, **parameters: float) -> tuple[np.ndarray, np.ndarray]:
+def driven(
+    robot: Robot, setpoint: np.ndarray, steps: int, **parameters: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Position x and speed of the base robot after each sample, asked for a jump."""
-    twin = Twin(BLOCKS["base_robot"](robot))
+    twin = InProcessBlock(BLOCKS["base_robot"](robot))
     quiet = {"position_noise": 0.0, "orientation_noise": 0.0} | parameters
     twin.enter_initialization(0.0, {name: np.array([value]) for name, value in quiet.items()})
     twin.exit_initialization()
@@ -130,7 +134,9 @@ def test_the_facility_experiment_in_one_fmi_system() -> None:
     hand = result.outcome.record["hand_kinematics.end_effector_position"]
     assert hand[-1, 2] - hand[0, 2] == pytest.approx(-0.2, abs=0.008)
     assert result.outcome.record["manipulator_controller.joint_limit_margin"].min() > 0.1
-    start = Rotation.from_quat(result.outcome.record["base_robot.base_orientation"][0]).as_euler("xyz", degrees=True)
+    start = Rotation.from_quat(result.outcome.record["base_robot.base_orientation"][0]).as_euler(
+        "xyz", degrees=True
+    )
     assert start == pytest.approx([10.0, 0.0, 0.0], abs=0.01)
 
 

@@ -26,8 +26,12 @@ def test_a_spring_damper_absorbs_energy_in_both_bookkeepings() -> None:
     x, v, E_printed, E_applied, F_before, v_before = 0.1, 0.0, 0.0, 0.0, 0.0, 0.0
     for _ in range(5000):
         F = -100.0 * x - 20.0 * v
-        E_printed = value(passivity.observed_as_printed(SX(E_printed), SX(F), SX(v), SX(0), SX(0), SX(T)))
-        E_applied = value(passivity.observed_as_applied(SX(E_applied), SX(F_before), SX(v_before), SX(v), SX(T)))
+        E_printed = value(
+            passivity.observed_as_printed(SX(E_printed), SX(F), SX(v), SX(0), SX(0), SX(T))
+        )
+        E_applied = value(
+            passivity.observed_as_applied(SX(E_applied), SX(F_before), SX(v_before), SX(v), SX(T))
+        )
         F_before, v_before = F, v
         x, v = x + T * v + 0.5 * T * T * F, v + T * F
     # The spring's 0.5 J went into the mass and came back: what the damper has taken, less what the spring gave.
@@ -37,9 +41,9 @@ def test_a_spring_damper_absorbs_energy_in_both_bookkeepings() -> None:
 
 def test_the_applied_energy_of_a_held_force_is_force_times_displacement() -> None:
     F, v0, v1 = 3.0, 0.2, 0.5
-    assert value(passivity.observed_as_applied(SX(1.0), SX(F), SX(v0), SX(v1), SX(0.1))) == pytest.approx(
-        1.0 - F * 0.1 * (v0 + v1) / 2
-    )
+    assert value(
+        passivity.observed_as_applied(SX(1.0), SX(F), SX(v0), SX(v1), SX(0.1))
+    ) == pytest.approx(1.0 - F * 0.1 * (v0 + v1) / 2)
 
 
 @given(st.floats(-1.0, -1e-9), st.floats(1e-2, 2.0))
@@ -70,8 +74,13 @@ def test_the_energy_at_the_derived_ports_closes_to_the_stated_residual(tmp_path:
     path = tmp_path / "audit.toml"
     path.write_text('extends = "multirate_passive"\nstop_s = 20.0\n[record]\nevery_s = 0.001\n')
     record = experiment.run(scenario.load(str(path))).outcome.record
-    hand = np.asarray(record["free_flyer.end_effector_position"] - record["free_flyer.base_position"])
-    F_m, F_b = record["manipulator_controller.end_effector_wrench"], record["base_controller.base_wrench"]
+    hand = np.asarray(
+        record["free_flyer.end_effector_position"] - record["free_flyer.base_position"]
+    )
+    F_m, F_b = (
+        record["manipulator_controller.end_effector_wrench"],
+        record["base_controller.base_wrench"],
+    )
     at_base = F_m.copy()
     at_base[:, 3:] += np.cross(hand, F_m[:, :3])
     moved = {
@@ -82,6 +91,8 @@ def test_the_energy_at_the_derived_ports_closes_to_the_stated_residual(tmp_path:
     port_m = np.sum(F_m[:-1] * moved["end_effector_velocity"], axis=1)
     kinetic = record["free_flyer.kinetic_energy"]
     residual = np.abs(np.cumsum(port_b + port_m) - (kinetic[1:] - kinetic[0])).max()
-    print(f"\nresidual at ports B and M over 20 s: {residual:.1e} J of {np.abs(port_m).sum():.2g} J moved")
+    print(
+        f"\nresidual at ports B and M over 20 s: {residual:.1e} J of {np.abs(port_m).sum():.2g} J moved"
+    )
     assert np.abs(port_m).sum() > 0.1
     assert residual < 1e-5

@@ -13,11 +13,15 @@ from robots import SHIPPED, lwr4_redundant
 from freeflyer.scenario import experiment, scenario
 from freeflyer_fmus.blocks.manipulator_controller import manipulator_controller
 from freeflyer_fmus.equations.dynamics import arm_on_moving_base
-from freeflyer_fmus.equations.kinematics import axes, manipulator_jacobian, manipulator_jacobian_rate_times
+from freeflyer_fmus.equations.kinematics import (
+    axes,
+    manipulator_jacobian,
+    manipulator_jacobian_rate_times,
+)
 from freeflyer_fmus.equations.mechanism import State, constant_mechanism
 from freeflyer_fmus.equations.redundancy import consistent_inverse, reference_acceleration
 from freeflyer_fmus.errors import RobotError
-from freeflyer_fmus.in_process_block import Twin
+from freeflyer_fmus.in_process_block import InProcessBlock
 from freeflyer_fmus.robot.robot import Array
 from freeflyer_fmus.robot.urdf import load_urdf
 
@@ -34,7 +38,9 @@ def oracle_matrices(q: Array) -> tuple[Array, Array]:
     tip = model.getFrameId("end_effector")
     H = np.array(pin.crba(model, data, q))
     H = np.triu(H) + np.triu(H, 1).T
-    J = np.array(pin.computeFrameJacobian(model, data, q, tip, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED))
+    J = np.array(
+        pin.computeFrameJacobian(model, data, q, tip, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+    )
     return H, J
 
 
@@ -52,7 +58,9 @@ def test_the_inverse_is_the_one_of_the_arms_inertia(seed: int) -> None:
     ours = [np.array(part) for part in functions()(q, torque)]
     weighted = np.linalg.solve(H, J.T)
     inverse = weighted @ np.linalg.inv(J @ weighted)
-    for found, expected in zip(ours, (H, J, inverse, (torque - J.T @ (inverse.T @ torque))[:, None]), strict=True):
+    for found, expected in zip(
+        ours, (H, J, inverse, (torque - J.T @ (inverse.T @ torque))[:, None]), strict=True
+    ):
         assert np.abs(found - expected).max() <= 1e-10 * np.abs(expected).max()
 
 
@@ -65,9 +73,14 @@ def test_a_torque_in_the_null_space_does_not_move_the_hand_of_a_base_at_rest(see
     at = consistent_inverse(MECHANISM, SX(q))
     still = SX(6, 1)
     accelerations = [
-        arm_on_moving_base(MECHANISM, s, still, applied, SX(3, 1)) for applied in (SX(N, 1), at.torque_in_null_space(torque))
+        arm_on_moving_base(MECHANISM, s, still, applied, SX(3, 1))
+        for applied in (SX(N, 1), at.torque_in_null_space(torque))
     ]
-    moved = ca.Function("f", [torque], [at.Jm @ (accelerations[1] - accelerations[0]), accelerations[1] - accelerations[0]])
+    moved = ca.Function(
+        "f",
+        [torque],
+        [at.Jm @ (accelerations[1] - accelerations[0]), accelerations[1] - accelerations[0]],
+    )
     hand, joints = (np.array(part) for part in moved(random.normal(size=N)))
     assert np.abs(joints).max() > 0.1
     assert np.abs(hand).max() < 1e-11 * np.abs(joints).max()
@@ -84,16 +97,27 @@ def test_the_reference_acceleration_is_the_derivative_of_the_reference_velocity(
     ours, derivative = (np.array(part) for part in f(ROBOT.posture + 0.1, random.normal(size=N)))
     np.testing.assert_allclose(ours, derivative, rtol=1e-10, atol=1e-10)
     # And its part along the task is the derivative of J_m q_r'.
-    rate = manipulator_jacobian_rate_times(MECHANISM, axes(MECHANISM, q), SX(3, 1), SX(3, 1), qd, at.inverse @ SX(u))
-    task = ca.Function("t", [q, qd], [manipulator_jacobian(MECHANISM, axes(MECHANISM, q)) @ exact + rate])
-    np.testing.assert_allclose(np.array(task(ROBOT.posture + 0.1, random.normal(size=N))).ravel(), du, rtol=1e-9, atol=1e-9)
+    rate = manipulator_jacobian_rate_times(
+        MECHANISM, axes(MECHANISM, q), SX(3, 1), SX(3, 1), qd, at.inverse @ SX(u)
+    )
+    task = ca.Function(
+        "t", [q, qd], [manipulator_jacobian(MECHANISM, axes(MECHANISM, q)) @ exact + rate]
+    )
+    np.testing.assert_allclose(
+        np.array(task(ROBOT.posture + 0.1, random.normal(size=N))).ravel(), du, rtol=1e-9, atol=1e-9
+    )
 
 
 def test_seven_joints_track_as_six_do_and_the_null_space_comes_to_rest(tmp_path: Path) -> None:
     """The paper's multi-rate loop with the redundant arm, by the blocks' twins."""
     twins = "\n".join(
         f'[components.{name}]\nkind = "twin"\nrobot = "lwr4_redundant"'
-        for name in ("free_flyer", "reference_trajectory", "manipulator_controller", "base_controller")
+        for name in (
+            "free_flyer",
+            "reference_trajectory",
+            "manipulator_controller",
+            "base_controller",
+        )
     )
     (tmp_path / "seven.toml").write_text(f'extends = "multirate_passive"\nstop_s = 6.0\n{twins}\n')
     velocity = "[0, 0, 0.3, 0, 0, 0, 0]"  # of the elbow: most of it in the null space
@@ -101,14 +125,17 @@ def test_seven_joints_track_as_six_do_and_the_null_space_comes_to_rest(tmp_path:
     result = experiment.run(chosen)
     assert result.outcome.cause is None
     position = (
-        result.outcome.record["free_flyer.end_effector_position"] - result.outcome.record["reference_trajectory.position"]
+        result.outcome.record["free_flyer.end_effector_position"]
+        - result.outcome.record["reference_trajectory.position"]
     )
     late = result.outcome.record.time > 4.0
     assert np.abs(position[late]).max() < 2e-3
     q, qd = SX.sym("q", N), SX.sym("qd", N)
     f = ca.Function("f", [q, qd], [consistent_inverse(MECHANISM, q).velocity_in_null_space(qd)])
     record = result.outcome.record
-    idle = np.array(f(record["free_flyer.joint_position"].T, record["free_flyer.joint_velocity"].T)).T
+    idle = np.array(
+        f(record["free_flyer.joint_position"].T, record["free_flyer.joint_velocity"].T)
+    ).T
     assert np.abs(idle[0]).max() > 0.1
     assert np.abs(idle[late]).max() < 0.01
     assert np.abs(result.outcome.record["free_flyer.base_position"]).max() < 0.02
@@ -118,9 +145,13 @@ def test_a_spring_in_the_null_space_pushes_towards_its_posture_only() -> None:
     """Two controllers that differ by the spring: the difference of their torques is P K (q_0 - q)."""
     torques = []
     for stiffness in (0.0, 5.0):
-        twin = Twin(manipulator_controller(ROBOT))
+        twin = InProcessBlock(manipulator_controller(ROBOT))
         twin.enter_initialization(
-            0.0, {"null_space_stiffness": np.full(N, stiffness), "null_space_posture": ROBOT.posture + 0.2}
+            0.0,
+            {
+                "null_space_stiffness": np.full(N, stiffness),
+                "null_space_posture": ROBOT.posture + 0.2,
+            },
         )
         twin.exit_initialization()
         twin.step(0.0, 1e-3)
@@ -129,7 +160,9 @@ def test_a_spring_in_the_null_space_pushes_towards_its_posture_only() -> None:
     weighted = np.linalg.solve(H, J.T)
     inverse = weighted @ np.linalg.inv(J @ weighted)
     spring = np.full(N, 5.0 * 0.2)
-    np.testing.assert_allclose(torques[1] - torques[0], spring - J.T @ (inverse.T @ spring), atol=1e-9)
+    np.testing.assert_allclose(
+        torques[1] - torques[0], spring - J.T @ (inverse.T @ spring), atol=1e-9
+    )
 
 
 def test_fewer_than_six_joints_are_refused() -> None:
@@ -140,5 +173,8 @@ def test_fewer_than_six_joints_are_refused() -> None:
         lock={"joint_e1": 0.0, "joint_a4": 0.0},
         posture=[0.0, 0.1, -1.6, -1.4, 0.0],
     )
-    with pytest.raises(RobotError, match="needs at least six free joints so that the hand can move every way, got 5"):
+    with pytest.raises(
+        RobotError,
+        match="needs at least six free joints so that the hand can move every way, got 5",
+    ):
         manipulator_controller(robot)

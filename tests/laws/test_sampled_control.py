@@ -11,9 +11,16 @@ from hypothesis import strategies as st
 from freeflyer_fmus.equations.sampled_control import mean_wrench, sampled_damping
 
 SX = ca.SX
-_M, _K, _D, _T, _x, _v = (SX.sym(name, *shape) for name, shape in zip("MKDTxv", [(6, 6)] * 3 + [()] + [(6,)] * 2, strict=True))
-WRENCH = ca.Function("wrench", [_M, _K, _D, _T, _x, _v], [mean_wrench(_M, _K, _D, _T, -_K @ _x, _v)])
-GAINS = ca.Function("gains", [_M, _K, _D, _T], [ca.jacobian(WRENCH(_M, _K, _D, _T, _x, _v), w) for w in (_x, _v)])
+_M, _K, _D, _T, _x, _v = (
+    SX.sym(name, *shape)
+    for name, shape in zip("MKDTxv", [(6, 6)] * 3 + [()] + [(6,)] * 2, strict=True)
+)
+WRENCH = ca.Function(
+    "wrench", [_M, _K, _D, _T, _x, _v], [mean_wrench(_M, _K, _D, _T, -_K @ _x, _v)]
+)
+GAINS = ca.Function(
+    "gains", [_M, _K, _D, _T], [ca.jacobian(WRENCH(_M, _K, _D, _T, _x, _v), w) for w in (_x, _v)]
+)
 seeds, periods = st.integers(0, 2**32 - 1), st.floats(1e-3, 1.0)
 
 
@@ -28,14 +35,18 @@ def case(seed: int) -> tuple[np.random.Generator, np.ndarray, np.ndarray, np.nda
     return random, positive(random, 30.0), positive(random, 300.0), positive(random, 100.0)
 
 
-def held_motion(M: np.ndarray, F: np.ndarray, T: float, x: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def held_motion(
+    M: np.ndarray, F: np.ndarray, T: float, x: np.ndarray, v: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """A mass under a constant wrench, exactly."""
     a = np.linalg.solve(M, F)
     return x + T * v + 0.5 * T * T * a, v + T * a
 
 
 @given(seeds, periods)
-def test_the_held_wrench_works_as_a_spring_and_a_damper_to_the_last_digit(seed: int, T: float) -> None:
+def test_the_held_wrench_works_as_a_spring_and_a_damper_to_the_last_digit(
+    seed: int, T: float
+) -> None:
     random, M, K, D = case(seed)
     x, v = random.normal(size=6), random.normal(size=6)
     F = np.array(WRENCH(M, K, D, T, x, v)).ravel()
@@ -47,11 +58,17 @@ def test_the_held_wrench_works_as_a_spring_and_a_damper_to_the_last_digit(seed: 
     assert F @ (after - x) == pytest.approx(-stored - dissipated, abs=1e-10 * scale)
 
 
-def spectral_radius(M_true: np.ndarray, M: np.ndarray, K: np.ndarray, D: np.ndarray, T: float) -> float:
+def spectral_radius(
+    M_true: np.ndarray, M: np.ndarray, K: np.ndarray, D: np.ndarray, T: float
+) -> float:
     K_d, D_d = (-np.array(part) for part in GAINS(M, K, D, T))
     columns = []
     for state in np.eye(12):
-        columns.append(np.concatenate(held_motion(M_true, -K_d @ state[:6] - D_d @ state[6:], T, state[:6], state[6:])))
+        columns.append(
+            np.concatenate(
+                held_motion(M_true, -K_d @ state[:6] - D_d @ state[6:], T, state[:6], state[6:])
+            )
+        )
     return float(abs(np.linalg.eigvals(np.array(columns).T)).max())
 
 
@@ -61,9 +78,16 @@ def test_it_is_stable_for_every_gain_and_period(seed: int, T: float) -> None:
     assert spectral_radius(M, M, K, D, T) < 1.0
 
 
-@given(st.floats(1.0, 200.0), st.floats(0.1, 1e4), st.floats(0.1, 1e4), periods, st.floats(1.0, 100.0))
-def test_along_one_axis_also_on_every_mass_above_its_model(m: float, k: float, d: float, T: float, factor: float) -> None:
-    assert spectral_radius(factor * m * np.eye(6), *(value * np.eye(6) for value in (m, k, d)), T) < 1.0
+@given(
+    st.floats(1.0, 200.0), st.floats(0.1, 1e4), st.floats(0.1, 1e4), periods, st.floats(1.0, 100.0)
+)
+def test_along_one_axis_also_on_every_mass_above_its_model(
+    m: float, k: float, d: float, T: float, factor: float
+) -> None:
+    assert (
+        spectral_radius(factor * m * np.eye(6), *(value * np.eye(6) for value in (m, k, d)), T)
+        < 1.0
+    )
 
 
 def test_on_a_mass_far_below_its_model_it_can_be_unstable() -> None:
@@ -77,12 +101,16 @@ def test_it_tends_to_the_continuous_law(seed: int) -> None:
     errors = []
     for T in (1e-4, 1e-5):
         K_d, D_d = (-np.array(part) for part in GAINS(M, K, D, T))
-        errors.append(max(np.abs(K_d - K).max() / np.abs(K).max(), np.abs(D_d - D).max() / np.abs(D).max()))
+        errors.append(
+            max(np.abs(K_d - K).max() / np.abs(K).max(), np.abs(D_d - D).max() / np.abs(D).max())
+        )
     assert errors[1] < 0.11 * errors[0]
 
 
 @given(st.floats(1.0, 200.0), st.floats(0.0, 1e4), st.floats(0.0, 1e4), periods)
-def test_its_damping_leaves_room_below_what_a_held_damper_may_be(m: float, k: float, d: float, T: float) -> None:
+def test_its_damping_leaves_room_below_what_a_held_damper_may_be(
+    m: float, k: float, d: float, T: float
+) -> None:
     damping = float(ca.evalf(sampled_damping(SX(m), SX(k), SX(d), SX(T))))
     _, D_d = (-np.array(part) for part in GAINS(m * np.eye(6), k * np.eye(6), d * np.eye(6), T))
     assert damping == pytest.approx(D_d[0, 0], rel=1e-12, abs=1e-12)

@@ -16,7 +16,14 @@ from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
 from cryptography.hazmat.primitives.serialization import load_pem_private_key
 from lab import Lab, Wiretap, free_port, session_without_checks, waited
 
-from freeflyer_adapters.base import access_control, certificates, commanders, rmw_zenoh, ros_messages, tls_handshake
+from freeflyer_adapters.base import (
+    access_control,
+    certificates,
+    commanders,
+    rmw_zenoh,
+    ros_messages,
+    tls_handshake,
+)
 from freeflyer_adapters.base.access_control import Protection
 from freeflyer_adapters.base.certificate_authority import HOSTS, CertificateAuthority
 from freeflyer_adapters.base.certificates import Identity
@@ -54,7 +61,9 @@ def linked(stack: ExitStack, session: Any, options: LinkOptions, *, as_robot: bo
 
 
 class Robot:
-    def __init__(self, stack: ExitStack, options: LinkOptions, protection: Protection | None = None) -> None:
+    def __init__(
+        self, stack: ExitStack, options: LinkOptions, protection: Protection | None = None
+    ) -> None:
         protection = protection or access_control.robots_end(options)
         self.session = opened(stack, open_session([], options.connect, "robot", protection))
         self.link = linked(stack, self.session, options, as_robot=True)
@@ -62,15 +71,24 @@ class Robot:
 
 
 def controller(stack: ExitStack, options: LinkOptions) -> OdometryLink:
-    session = opened(stack, open_session(options.connect, options.listen, "arm", access_control.controllers_end(options)))
+    session = opened(
+        stack,
+        open_session(
+            options.connect, options.listen, "arm", access_control.controllers_end(options)
+        ),
+    )
     return linked(stack, session, options, as_robot=False)
 
 
 def stranger(stack: ExitStack, lab: Lab, options: LinkOptions, name: str) -> OdometryLink:
     """Somebody with a valid certificate, and Zenoh as it comes: nothing of ours holds them back."""
     own = Identity(lab.good, name)
-    session = opened(stack, session_without_checks(connect=options.connect[0], authority=own.authority, own=own))
-    assert waited(lambda: bool(session.info.peers_zid())), f"{name} has a valid certificate, and no link"
+    session = opened(
+        stack, session_without_checks(connect=options.connect[0], authority=own.authority, own=own)
+    )
+    assert waited(lambda: bool(session.info.peers_zid())), (
+        f"{name} has a valid certificate, and no link"
+    )
     return linked(stack, session, options, as_robot=False)
 
 
@@ -94,14 +112,18 @@ def arrives(sender: OdometryLink, receiver: OdometryLink, timeout: float = 5.0) 
 
 
 def key(options: LinkOptions, topic: str) -> str:
-    return rmw_zenoh.topic_key(options.domain, topic, ros_messages.TYPE_NAME, ros_messages.TYPE_HASH)
+    return rmw_zenoh.topic_key(
+        options.domain, topic, ros_messages.TYPE_NAME, ros_messages.TYPE_HASH
+    )
 
 
 # Who may do what
 
 
 @pytest.mark.parametrize("protocol", ["tls", "quic"])
-def test_controller_and_base_robot_talk_to_each_other(lab: Lab, stack: ExitStack, protocol: str) -> None:
+def test_controller_and_base_robot_talk_to_each_other(
+    lab: Lab, stack: ExitStack, protocol: str
+) -> None:
     options = lab.options(lab.good, free_port(), protocol)
     robot, host = Robot(stack, options), controller(stack, options)
     assert arrives(robot.link, host)
@@ -113,7 +135,9 @@ def test_controller_and_base_robot_talk_to_each_other(lab: Lab, stack: ExitStack
 
 
 @pytest.mark.parametrize("protocol", ["tls", "quic"])
-def test_an_observer_reads_and_its_set_points_come_to_nobody(lab: Lab, stack: ExitStack, protocol: str) -> None:
+def test_an_observer_reads_and_its_set_points_come_to_nobody(
+    lab: Lab, stack: ExitStack, protocol: str
+) -> None:
     options = lab.options(lab.good, free_port(), protocol)
     robot, host = Robot(stack, options), controller(stack, options)
     observer = stranger(stack, lab, options, "observer")
@@ -127,7 +151,9 @@ def test_an_observer_reads_and_its_set_points_come_to_nobody(lab: Lab, stack: Ex
     assert arrives(host, robot.link), "the link itself was there all the time"
 
 
-def test_without_access_control_the_same_observer_would_command_announce_and_delete(lab: Lab, stack: ExitStack) -> None:
+def test_without_access_control_the_same_observer_would_command_announce_and_delete(
+    lab: Lab, stack: ExitStack
+) -> None:
     """What the other tests find denied does arrive where only TLS stands before it: so they can fail."""
     options = lab.options(lab.good, free_port())
     protection = access_control.robots_end(options)
@@ -143,7 +169,9 @@ def test_without_access_control_the_same_observer_would_command_announce_and_del
     assert token
 
 
-def test_every_valid_certificate_that_is_no_commanders_is_an_observers(lab: Lab, stack: ExitStack) -> None:
+def test_every_valid_certificate_that_is_no_commanders_is_an_observers(
+    lab: Lab, stack: ExitStack
+) -> None:
     options = lab.options(lab.good, free_port())
     robot = Robot(stack, options)
     other = stranger(stack, lab, options, "other_robot")
@@ -175,14 +203,18 @@ def test_an_observer_cannot_announce_what_it_has_no_right_to(lab: Lab, stack: Ex
     assert tokens
 
 
-def test_an_observer_neither_hears_set_points_nor_queries_nor_deletes(lab: Lab, stack: ExitStack) -> None:
+def test_an_observer_neither_hears_set_points_nor_queries_nor_deletes(
+    lab: Lab, stack: ExitStack
+) -> None:
     options = lab.options(lab.good, free_port())
     robot, host = Robot(stack, options), controller(stack, options)
     link = stranger(stack, lab, options, "observer")
     heard: list[str] = []
     spy = link.session.declare_subscriber("**", lambda sample: heard.append(str(sample.key_expr)))
     asked: list[str] = []
-    answering = robot.session.declare_queryable(key(options, options.measured_topic), lambda query: asked.append("query"))
+    answering = robot.session.declare_queryable(
+        key(options, options.measured_topic), lambda query: asked.append("query")
+    )
     assert arrives(robot.link, link)
     assert arrives(host, robot.link)
     assert list(link.session.get(key(options, options.measured_topic), timeout=0.5)) == []
@@ -196,13 +228,17 @@ def test_an_observer_neither_hears_set_points_nor_queries_nor_deletes(lab: Lab, 
     answering.undeclare()
 
 
-def test_an_observer_under_the_controllers_own_session_id_gets_no_link(lab: Lab, stack: ExitStack) -> None:
+def test_an_observer_under_the_controllers_own_session_id_gets_no_link(
+    lab: Lab, stack: ExitStack
+) -> None:
     """A session's id is no secret and no proof."""
     options = lab.options(lab.good, free_port())
     robot, host = Robot(stack, options), controller(stack, options)
     assert arrives(host, robot.link)
     own = Identity(lab.good, "observer")
-    thief = session_without_checks(connect=options.connect[0], authority=own.authority, own=own, zid=str(host.session.zid()))
+    thief = session_without_checks(
+        connect=options.connect[0], authority=own.authority, own=own, zid=str(host.session.zid())
+    )
     link = linked(stack, opened(stack, thief), options, as_robot=False)
     robot.link.forget_source()
     assert not arrives(link, robot.link, 0.5)
@@ -210,7 +246,9 @@ def test_an_observer_under_the_controllers_own_session_id_gets_no_link(lab: Lab,
 
 
 @pytest.mark.parametrize("protected", [False, True])
-def test_what_goes_over_the_wire_can_be_read_without_certificates_only(lab: Lab, stack: ExitStack, protected: bool) -> None:
+def test_what_goes_over_the_wire_can_be_read_without_certificates_only(
+    lab: Lab, stack: ExitStack, protected: bool
+) -> None:
     options = lab.options(lab.good if protected else None, free_port())
     robot = Robot(stack, options)
     tap = Wiretap(Endpoint(options.connect[0]).port)
@@ -219,29 +257,44 @@ def test_what_goes_over_the_wire_can_be_read_without_certificates_only(lab: Lab,
     assert arrives(robot.link, host)
     assert arrives(host, robot.link)
     assert len(tap.bytes) > 1000
-    assert (b"inertial" in tap.bytes) is not protected, "the frame's name, which is in every message"
+    assert (b"inertial" in tap.bytes) is not protected, (
+        "the frame's name, which is in every message"
+    )
 
 
-def test_a_robot_of_another_name_is_not_believed_by_the_controller(lab: Lab, stack: ExitStack) -> None:
+def test_a_robot_of_another_name_is_not_believed_by_the_controller(
+    lab: Lab, stack: ExitStack
+) -> None:
     """Its certificate is valid and its address is right: only the name tells."""
     options = lab.options(lab.good, free_port())
     own = Identity(lab.good, "other_robot")
-    session = opened(stack, session_without_checks(listen=options.connect[0], authority=own.authority, own=own))
+    session = opened(
+        stack, session_without_checks(listen=options.connect[0], authority=own.authority, own=own)
+    )
     robot, host = linked(stack, session, options, as_robot=True), controller(stack, options)
     assert waited(lambda: bool(host.session.info.peers_zid()))
     assert not arrives(robot, host, 0.5)
     assert not arrives(host, robot, 0.5), "set points go to the base robot only"
-    found = tls_handshake.trouble(Endpoint(options.connect[0]), Identity(lab.good, "controller"), "base_robot")
+    found = tls_handshake.trouble(
+        Endpoint(options.connect[0]), Identity(lab.good, "controller"), "base_robot"
+    )
     assert found is not None
     assert "is that of 'other_robot', but 'base_robot' is expected there" in found
 
 
 def test_the_controllers_own_port_lets_nobody_put_a_measurement(lab: Lab, stack: ExitStack) -> None:
     port = free_port()
-    options = LinkOptions(connect=(f"tls/127.0.0.1:{free_port()}",), listen=(f"tls/127.0.0.1:{port}",), certificates=lab.good)
+    options = LinkOptions(
+        connect=(f"tls/127.0.0.1:{free_port()}",),
+        listen=(f"tls/127.0.0.1:{port}",),
+        certificates=lab.good,
+    )
     robot, host = Robot(stack, options), controller(stack, options)
     own = Identity(lab.good, "observer")
-    session = opened(stack, session_without_checks(connect=f"tls/127.0.0.1:{port}", authority=own.authority, own=own))
+    session = opened(
+        stack,
+        session_without_checks(connect=f"tls/127.0.0.1:{port}", authority=own.authority, own=own),
+    )
     assert waited(lambda: bool(session.info.peers_zid()))
     forger = linked(stack, session, options, as_robot=True)
     assert not arrives(forger, host, 0.5)
@@ -266,33 +319,52 @@ def why(options: LinkOptions, who: Identity | None) -> str:
     return found
 
 
-def test_nobody_whose_certificate_cannot_be_checked_comes_in_over_quic_either(lab: Lab, stack: ExitStack) -> None:
+def test_nobody_whose_certificate_cannot_be_checked_comes_in_over_quic_either(
+    lab: Lab, stack: ExitStack
+) -> None:
     options = lab.options(lab.good, free_port(), "quic")
     robot = Robot(stack, options)
-    for folder, name in ((lab.good, None), (lab.stranger, "controller"), (lab.expired, "controller")):
+    for folder, name in (
+        (lab.good, None),
+        (lab.stranger, "controller"),
+        (lab.expired, "controller"),
+    ):
         own = Identity(folder, name) if name else None
-        session = opened(stack, session_without_checks(connect=options.connect[0], authority=folder / "ca.pem", own=own))
+        session = opened(
+            stack,
+            session_without_checks(
+                connect=options.connect[0], authority=folder / "ca.pem", own=own
+            ),
+        )
         time.sleep(0.3)
         assert not session.info.peers_zid()
     assert not robot.session.info.peers_zid()
 
 
-def test_without_a_certificate_the_base_is_not_reached_and_says_so(lab: Lab, stack: ExitStack) -> None:
+def test_without_a_certificate_the_base_is_not_reached_and_says_so(
+    lab: Lab, stack: ExitStack
+) -> None:
     options = lab.options(lab.good, free_port())
     refused(stack, options, authority=lab.good / "ca.pem")
-    assert "refuses our certificate: it demands a certificate, and was given none" in why(options, None)
+    assert "refuses our certificate: it demands a certificate, and was given none" in why(
+        options, None
+    )
 
 
 def test_plain_tcp_does_not_reach_the_base(lab: Lab, stack: ExitStack) -> None:
     options = lab.options(lab.good, free_port())
     robot = Robot(stack, options)
-    session = opened(stack, session_without_checks(connect=options.connect[0].replace("tls/", "tcp/")))
+    session = opened(
+        stack, session_without_checks(connect=options.connect[0].replace("tls/", "tcp/"))
+    )
     time.sleep(0.5)
     assert not session.info.peers_zid()
     assert not robot.session.info.peers_zid()
 
 
-def test_another_authoritys_controller_is_refused_by_the_base_and_told_why(lab: Lab, stack: ExitStack) -> None:
+def test_another_authoritys_controller_is_refused_by_the_base_and_told_why(
+    lab: Lab, stack: ExitStack
+) -> None:
     options = lab.options(lab.good, free_port())
     own = Identity(lab.stranger, "controller")
     refused(stack, options, authority=own.authority, own=own)
@@ -302,14 +374,20 @@ def test_another_authoritys_controller_is_refused_by_the_base_and_told_why(lab: 
     assert "TLS alert" in found
 
 
-def test_a_certificate_that_an_observer_has_signed_is_refused_by_the_base(lab: Lab, stack: ExitStack, tmp_path: Path) -> None:
+def test_a_certificate_that_an_observer_has_signed_is_refused_by_the_base(
+    lab: Lab, stack: ExitStack, tmp_path: Path
+) -> None:
     """Its chain leads to the right authority, but by way of a certificate that may not sign."""
     key = load_pem_private_key((lab.good / "observer.key").read_bytes(), None)
     assert isinstance(key, EllipticCurvePrivateKey)
-    observer = CertificateAuthority(key, x509.load_pem_x509_certificate((lab.good / "observer.pem").read_bytes()))
+    observer = CertificateAuthority(
+        key, x509.load_pem_x509_certificate((lab.good / "observer.pem").read_bytes())
+    )
     own = Identity(tmp_path, "controller")
     observer.issue(own, days=1, hosts=HOSTS, may_listen=True)
-    own.certificate.write_bytes(own.certificate.read_bytes() + (lab.good / "observer.pem").read_bytes())
+    own.certificate.write_bytes(
+        own.certificate.read_bytes() + (lab.good / "observer.pem").read_bytes()
+    )
     own.authority.write_bytes((lab.good / "ca.pem").read_bytes())
     options = lab.options(lab.good, free_port())
     refused(stack, options, authority=own.authority, own=own)
@@ -317,18 +395,26 @@ def test_a_certificate_that_an_observer_has_signed_is_refused_by_the_base(lab: L
         certificates.check(own, "base")
 
 
-def test_an_expired_controller_is_refused_by_the_base_and_told_why(lab: Lab, stack: ExitStack) -> None:
+def test_an_expired_controller_is_refused_by_the_base_and_told_why(
+    lab: Lab, stack: ExitStack
+) -> None:
     options = lab.options(lab.good, free_port())
     own = Identity(lab.expired, "controller")
     refused(stack, options, authority=own.authority, own=own)
-    assert "refuses our certificate: ours has expired, by its clock (TLS alert: " in why(options, own)
+    assert "refuses our certificate: ours has expired, by its clock (TLS alert: " in why(
+        options, own
+    )
 
 
 def robot_without_checks(stack: ExitStack, options: LinkOptions, own: Identity) -> None:
-    opened(stack, session_without_checks(listen=options.connect[0], authority=own.authority, own=own))
+    opened(
+        stack, session_without_checks(listen=options.connect[0], authority=own.authority, own=own)
+    )
 
 
-def test_a_base_of_another_authority_is_refused_by_the_controller(lab: Lab, stack: ExitStack) -> None:
+def test_a_base_of_another_authority_is_refused_by_the_controller(
+    lab: Lab, stack: ExitStack
+) -> None:
     options = lab.options(lab.good, free_port())
     robot_without_checks(stack, options, Identity(lab.rogue, "base_robot"))
     host = controller(stack, options)
@@ -345,7 +431,9 @@ def test_an_expired_base_is_refused_by_the_controller(lab: Lab, stack: ExitStack
     assert "'base_robot', has expired on 20" in why(options, Identity(lab.good, "controller"))
 
 
-def test_a_base_under_another_address_than_its_certificates_is_refused(lab: Lab, stack: ExitStack, tmp_path: Path) -> None:
+def test_a_base_under_another_address_than_its_certificates_is_refused(
+    lab: Lab, stack: ExitStack, tmp_path: Path
+) -> None:
     elsewhere = Identity(tmp_path, "base_robot")
     lab.authority.issue(elsewhere, days=1, hosts=["192.0.2.10"], may_listen=True)
     (tmp_path / "ca.pem").write_bytes((lab.good / "ca.pem").read_bytes())
@@ -353,22 +441,30 @@ def test_a_base_under_another_address_than_its_certificates_is_refused(lab: Lab,
     robot_without_checks(stack, options, elsewhere)
     host = controller(stack, options)
     assert not waited(lambda: bool(host.session.info.peers_zid()), 0.5)
-    assert "'base_robot', is for 192.0.2.10, not for 127.0.0.1" in why(options, Identity(lab.good, "controller"))
+    assert "'base_robot', is for 192.0.2.10, not for 127.0.0.1" in why(
+        options, Identity(lab.good, "controller")
+    )
 
 
 def test_a_base_without_tls_is_said_to_be_one(lab: Lab, stack: ExitStack) -> None:
     port = free_port()
     opened(stack, session_without_checks(listen=f"tcp/127.0.0.1:{port}"))
-    assert "does not speak TLS" in why(lab.options(lab.good, port), Identity(lab.good, "controller"))
+    assert "does not speak TLS" in why(
+        lab.options(lab.good, port), Identity(lab.good, "controller")
+    )
 
 
 def test_nobody_there_is_said(lab: Lab) -> None:
-    assert "nothing listens on tls/127.0.0.1:" in why(lab.options(lab.good, free_port()), Identity(lab.good, "controller"))
+    assert "nothing listens on tls/127.0.0.1:" in why(
+        lab.options(lab.good, free_port()), Identity(lab.good, "controller")
+    )
 
 
 def test_a_link_ends_when_a_certificate_expires(lab: Lab, stack: ExitStack, tmp_path: Path) -> None:
     for name in ENDS.values():
-        lab.authority.issue(Identity(tmp_path, name), days=4.0 / 86400, hosts=HOSTS, may_listen=True)
+        lab.authority.issue(
+            Identity(tmp_path, name), days=4.0 / 86400, hosts=HOSTS, may_listen=True
+        )
     (tmp_path / "ca.pem").write_bytes((lab.good / "ca.pem").read_bytes())
     options = lab.options(tmp_path, free_port())
     robot, host = Robot(stack, options), controller(stack, options)

@@ -20,7 +20,9 @@ FIRST = 101
 OTHER = 7
 
 
-def session(*, implicit: bool = False, echoes: bool = True, reports_state: bool = True) -> ArmSession:
+def session(
+    *, implicit: bool = False, echoes: bool = True, reports_state: bool = True
+) -> ArmSession:
     numbers = itertools.count(FIRST)
     permit = Permit("arm", watchdog=WATCHDOG, reports_state=reports_state)
     return ArmSession(permit, lambda: next(numbers), implicit=implicit, echoes=echoes)
@@ -165,7 +167,9 @@ def test_an_arm_that_stops_while_it_is_activated_ends_the_activation(state: Life
 
 
 @pytest.mark.parametrize("state", [LifeCycle.safe_stop, LifeCycle.fault])
-def test_a_stop_that_comes_after_the_claim_ends_the_activation_and_is_not_reset(state: LifeCycle) -> None:
+def test_a_stop_that_comes_after_the_claim_ends_the_activation_and_is_not_reset(
+    state: LifeCycle,
+) -> None:
     """What was there before is reset by the claim; this is new."""
     made = activating()
     made.report(state, made.number, BEGIN)
@@ -179,7 +183,9 @@ def test_a_reason_to_stop_during_the_activation_brakes() -> None:
     made.answer(BEGIN)
     made.permit.lose("the user stopped")
     assert made.answer(BEGIN) is Mode.brake
-    made.report(LifeCycle.active, made.number, BEGIN)  # the last frame may have activated it all the same
+    made.report(
+        LifeCycle.active, made.number, BEGIN
+    )  # the last frame may have activated it all the same
     assert made.answer(BEGIN, brake=True) is Mode.brake
 
 
@@ -286,7 +292,9 @@ def test_an_implicit_arm_is_not_claimed_and_is_activated_by_torque() -> None:
 
 
 @pytest.mark.parametrize("state", [LifeCycle.safe_stop, LifeCycle.fault])
-def test_an_implicit_arm_that_has_stopped_is_reset_first_and_never_once_it_had_torque(state: LifeCycle) -> None:
+def test_an_implicit_arm_that_has_stopped_is_reset_first_and_never_once_it_had_torque(
+    state: LifeCycle,
+) -> None:
     made = session(implicit=True)
     made.claim()
     made.report(state, made.number, BEGIN)
@@ -308,7 +316,9 @@ def test_an_arm_that_names_no_controller_is_claimed_by_its_state() -> None:
     assert made.is_claimed
 
 
-def test_an_arm_that_reports_neither_state_nor_echo_is_commanded_at_once_and_active_while_its_frames_come() -> None:
+def test_an_arm_that_reports_neither_state_nor_echo_is_commanded_at_once_and_active_while_its_frames_come() -> (
+    None
+):
     made = session(implicit=True, reports_state=False)
     made.claim()
     made.report(None, made.number, BEGIN)
@@ -365,7 +375,11 @@ def test_after_the_first_reason_to_stop_no_frame_activates_claims_or_gives_torqu
             made.permit.lose("a reason")
         if report is not None:
             made.report(*report, now)
-            active_at = now if report in ((LifeCycle.active, 0), (LifeCycle.active, made.number)) else -WATCHDOG
+            active_at = (
+                now
+                if report in ((LifeCycle.active, 0), (LifeCycle.active, made.number))
+                else -WATCHDOG
+            )
         mode = made.answer(now, brake=brake)
         if brake:
             assert mode is Mode.brake

@@ -102,7 +102,9 @@ class ScriptedArm:
             return
         if mode == Mode.reset:
             self.life = LifeCycle.inactive
-        wanted = mode == Mode.torque if self.implicit else mode == Mode.activate and number == echoed
+        wanted = (
+            mode == Mode.torque if self.implicit else mode == Mode.activate and number == echoed
+        )
         if wanted and self.life is LifeCycle.inactive and not self.is_stubborn:
             self.life = LifeCycle.active
 
@@ -164,7 +166,9 @@ def test_every_state_frame_is_answered_with_its_number(active: tuple[CanArm, Scr
     assert arm.monitor.lost == 0
 
 
-def test_a_lost_frame_is_counted_once_and_no_number_is_made_up(active: tuple[CanArm, ScriptedArm]) -> None:
+def test_a_lost_frame_is_counted_once_and_no_number_is_made_up(
+    active: tuple[CanArm, ScriptedArm],
+) -> None:
     arm, there = active
     seen = there.cycle - 1
     there.cycle += 1  # one frame never comes
@@ -182,7 +186,9 @@ def test_a_lost_frame_is_counted_once_and_no_number_is_made_up(active: tuple[Can
     assert arm.monitor.lost == 4
 
 
-def test_the_freshest_of_several_frames_is_used_and_the_others_are_counted(active: tuple[CanArm, ScriptedArm]) -> None:
+def test_the_freshest_of_several_frames_is_used_and_the_others_are_counted(
+    active: tuple[CanArm, ScriptedArm],
+) -> None:
     arm, there = active
     for k in range(3):
         there.send(joint_position=[0.1 * k] * N)
@@ -200,7 +206,9 @@ def test_twenty_cycles_of_silence_stop(active: tuple[CanArm, ScriptedArm]) -> No
     assert arm.monitor.lost == 20
 
 
-def test_frames_that_fail_their_protection_are_lost_ones(active: tuple[CanArm, ScriptedArm]) -> None:
+def test_frames_that_fail_their_protection_are_lost_ones(
+    active: tuple[CanArm, ScriptedArm],
+) -> None:
     arm, there = active
     assert there.state._protector is not None
     there.state._protector.data_id += 1
@@ -211,7 +219,9 @@ def test_frames_that_fail_their_protection_are_lost_ones(active: tuple[CanArm, S
     assert arm.report()["state_frames_rejected"] == 1.0
 
 
-def test_an_arm_whose_time_stood_still_is_followed_again(active: tuple[CanArm, ScriptedArm]) -> None:
+def test_an_arm_whose_time_stood_still_is_followed_again(
+    active: tuple[CanArm, ScriptedArm],
+) -> None:
     """It comes with the number that was due before the silence: nothing was lost on the way, but the loop has waited."""
     arm, there = active
     for _ in range(5):
@@ -243,19 +253,27 @@ def test_the_cycle_number_runs_over(active: tuple[CanArm, ScriptedArm]) -> None:
     assert arm.late_commands == 0
 
 
-def test_the_arms_own_safe_stop_ends_the_loop_with_its_word(active: tuple[CanArm, ScriptedArm]) -> None:
+def test_the_arms_own_safe_stop_ends_the_loop_with_its_word(
+    active: tuple[CanArm, ScriptedArm],
+) -> None:
     arm, there = active
     there.life = LifeCycle.safe_stop
     there.send(command_age=(4.0,))
-    with pytest.raises(SafeStop, match="went to safe_stop by itself; the last command that it had was 4 cycles old"):
+    with pytest.raises(
+        SafeStop, match="went to safe_stop by itself; the last command that it had was 4 cycles old"
+    ):
         arm.read()
 
 
-def test_an_arm_that_obeys_somebody_else_ends_the_loop_with_both_numbers(active: tuple[CanArm, ScriptedArm]) -> None:
+def test_an_arm_that_obeys_somebody_else_ends_the_loop_with_both_numbers(
+    active: tuple[CanArm, ScriptedArm],
+) -> None:
     arm, there = active
     there.obeyed = arm.session.number % 0xFFFF + 1
     there.send()
-    with pytest.raises(SafeStop, match=f"obeys controller {there.obeyed}; this is controller {arm.session.number}"):
+    with pytest.raises(
+        SafeStop, match=f"obeys controller {there.obeyed}; this is controller {arm.session.number}"
+    ):
         arm.read()
 
 
@@ -281,7 +299,9 @@ def test_the_first_torque_is_none_and_grows_by_its_rate(active: tuple[CanArm, Sc
         assert command["joint_torque_command"] == pytest.approx([0.1 * k] * N)
 
 
-def test_an_arm_in_safe_stop_is_reset_before_it_is_activated(link: tuple[CanArm, ScriptedArm]) -> None:
+def test_an_arm_in_safe_stop_is_reset_before_it_is_activated(
+    link: tuple[CanArm, ScriptedArm],
+) -> None:
     arm, there = link
     there.life = LifeCycle.safe_stop
     there.serve()
@@ -321,19 +341,27 @@ def test_giving_up_an_activation_brakes(link: tuple[CanArm, ScriptedArm]) -> Non
     assert there.received[-1]["mode"][0] == Mode.brake
 
 
-def test_an_arm_far_from_the_start_is_refused_with_both_numbers(link: tuple[CanArm, ScriptedArm]) -> None:
+def test_an_arm_far_from_the_start_is_refused_with_both_numbers(
+    link: tuple[CanArm, ScriptedArm],
+) -> None:
     arm, there = link
     there.position[3] = 0.3
     there.serve()
     arm.configure()
-    with pytest.raises(DeviceError, match=r"joint 4 is at 0.3000 rad, the scenario starts at 0.0000 rad, and 0.02 rad"):
+    with pytest.raises(
+        DeviceError,
+        match=r"joint 4 is at 0.3000 rad, the scenario starts at 0.0000 rad, and 0.02 rad",
+    ):
         arm.check_start()
 
 
-def test_a_state_frame_too_old_stops_with_its_age_and_limit(active: tuple[CanArm, ScriptedArm]) -> None:
+def test_a_state_frame_too_old_stops_with_its_age_and_limit(
+    active: tuple[CanArm, ScriptedArm],
+) -> None:
     arm, _ = active
     arm.monitor = QualityMonitor("state frames of arm", consecutive=1000, cycle=1e-3)
-    with pytest.raises(SafeStop, match=r"the last state frame is 0\.021 s old, its limit is 0\.02 s"):  # noqa: PT012
+    reason = r"the last state frame is 0\.021 s old, its limit is 0\.02 s"
+    with pytest.raises(SafeStop, match=reason):  # noqa: PT012
         for _ in range(30):
             arm.read()
 
@@ -344,11 +372,15 @@ def test_a_joint_too_fast_or_beyond_its_range_stops(active: tuple[CanArm, Script
     with pytest.raises(SafeStop, match=r"joint 2 moves at 1\.2 rad/s, its limit is 1 rad/s"):
         arm.read()
     there.send(joint_position=[0.0, 0.0, 0.0, 0.0, 0.99, 0.0])
-    with pytest.raises(SafeStop, match=r"joint 5 is at 0\.99 rad, its range is -0\.98 to 0\.98 rad"):
+    with pytest.raises(
+        SafeStop, match=r"joint 5 is at 0\.99 rad, its range is -0\.98 to 0\.98 rad"
+    ):
         arm.read()
 
 
-def brought_to_rest(arm: CanArm, there: ScriptedArm, seconds: float = 2.0) -> list[dict[str, list[float]]]:
+def brought_to_rest(
+    arm: CanArm, there: ScriptedArm, seconds: float = 2.0
+) -> list[dict[str, list[float]]]:
     """The commands of a ramp-down, each answered by a state frame a cycle."""
     arm.revoke("a test")
     there.take()
@@ -362,7 +394,9 @@ def brought_to_rest(arm: CanArm, there: ScriptedArm, seconds: float = 2.0) -> li
     return list(there.received)
 
 
-def test_an_arm_that_tells_nothing_is_ramped_down_all_the_same(link: tuple[CanArm, ScriptedArm]) -> None:
+def test_an_arm_that_tells_nothing_is_ramped_down_all_the_same(
+    link: tuple[CanArm, ScriptedArm],
+) -> None:
     """Without life cycle and brakes in its DBC, an arm is not taken to stand before the ramp is over."""
     _, there = link
     channel = link[0].options.channel
@@ -392,7 +426,9 @@ def test_an_arm_that_tells_nothing_is_ramped_down_all_the_same(link: tuple[CanAr
         arm.deactivate()
 
 
-def test_an_arm_that_tells_nothing_is_activated_although_the_base_took_its_time(link: tuple[CanArm, ScriptedArm]) -> None:
+def test_an_arm_that_tells_nothing_is_activated_although_the_base_took_its_time(
+    link: tuple[CanArm, ScriptedArm],
+) -> None:
     """Between the two halves of an activation its frames are not read: old ones do not count."""
     _, there = link
     there.implicit = True
@@ -456,7 +492,9 @@ def test_a_state_that_nobody_knows_is_a_fault(active: tuple[CanArm, ScriptedArm]
         arm.read()
 
 
-def test_frames_that_hold_unequal_cycle_numbers_are_answered_by_the_narrower(active: tuple[CanArm, ScriptedArm]) -> None:
+def test_frames_that_hold_unequal_cycle_numbers_are_answered_by_the_narrower(
+    active: tuple[CanArm, ScriptedArm],
+) -> None:
     arm, there = active
     arm.frames.cycles = 256
     arm._cycle_number = 1617 % 256
@@ -492,7 +530,10 @@ def test_speeds_and_torques_may_be_narrower_than_the_arms_own_but_not_wider(
     for name in ("joint_effort_limit", "joint_velocity_limit"):
         arm.values[name][:] = ours
     if refused:
-        with pytest.raises(DeviceError, match=r"its joint velocity limit of joint 1 is 1 rad/s, .* robot has 1\.1 rad/s"):
+        with pytest.raises(
+            DeviceError,
+            match=r"its joint velocity limit of joint 1 is 1 rad/s, .* robot has 1\.1 rad/s",
+        ):
             arm.configure()
     else:
         arm.configure()
@@ -501,7 +542,9 @@ def test_speeds_and_torques_may_be_narrower_than_the_arms_own_but_not_wider(
 # Before the activation
 
 
-def test_configuration_and_the_check_of_the_start_only_listen(link: tuple[CanArm, ScriptedArm]) -> None:
+def test_configuration_and_the_check_of_the_start_only_listen(
+    link: tuple[CanArm, ScriptedArm],
+) -> None:
     arm, there = link
     there.serve()
     arm.configure()
@@ -513,7 +556,9 @@ def test_configuration_and_the_check_of_the_start_only_listen(link: tuple[CanArm
     assert arm.state.now is LifeCycle.inactive
 
 
-def test_the_first_half_of_an_activation_claims_a_number_and_leaves_the_brakes(link: tuple[CanArm, ScriptedArm]) -> None:
+def test_the_first_half_of_an_activation_claims_a_number_and_leaves_the_brakes(
+    link: tuple[CanArm, ScriptedArm],
+) -> None:
     arm, there = link
     there.life = LifeCycle.fault
     there.serve()
@@ -542,13 +587,18 @@ def test_every_activation_has_a_session_of_its_own(link: tuple[CanArm, ScriptedA
     assert arm.session.permit is not first.permit
 
 
-def test_an_arm_that_takes_no_claim_is_refused_with_whom_it_obeys(link: tuple[CanArm, ScriptedArm]) -> None:
+def test_an_arm_that_takes_no_claim_is_refused_with_whom_it_obeys(
+    link: tuple[CanArm, ScriptedArm],
+) -> None:
     arm, there = link
     arm.values["configure_timeout"][:] = 0.3
     there.is_deaf = True
     there.serve()
     arm.configure()
-    with pytest.raises(DeviceError, match=r"sends its state \(inactive\), but does not take .* commands: it obeys none"):
+    with pytest.raises(
+        DeviceError,
+        match=r"sends its state \(inactive\), but does not take .* commands: it obeys none",
+    ):
         arm.prepare()
 
 
@@ -559,13 +609,18 @@ def test_an_arm_that_obeys_another_controller_is_refused_with_both_numbers(
     arm, there = link
     there.obeyed, there.life = 4711, life
     there.serve()
-    with pytest.raises(DeviceError, match=r"obeys controller 4711 already; this is controller \d+: stop that one first"):
+    with pytest.raises(
+        DeviceError,
+        match=r"obeys controller 4711 already; this is controller \d+: stop that one first",
+    ):
         arm.configure()
     there.pause()
     assert there.take() is None
 
 
-def test_an_arm_that_is_claimed_by_another_at_the_last_moment_is_refused(link: tuple[CanArm, ScriptedArm]) -> None:
+def test_an_arm_that_is_claimed_by_another_at_the_last_moment_is_refused(
+    link: tuple[CanArm, ScriptedArm],
+) -> None:
     arm, there = link
     there.serve()
     arm.configure()
@@ -626,7 +681,10 @@ class Foreign:
 @pytest.mark.parametrize(
     ("frame", "sentence"),
     [
-        ("command", "another controller sends the command frame ArmCommand .*, of session 4711; stop that one first"),
+        (
+            "command",
+            "another controller sends the command frame ArmCommand .*, of session 4711; stop that one first",
+        ),
         ("state", "two senders send the state frame ArmState"),
     ],
 )
@@ -651,7 +709,9 @@ def test_a_second_controller_stops_a_loop(active: tuple[CanArm, ScriptedArm]) ->
         for _ in range(3):
             foreign.send({"controller": (4711.0,), "mode": (float(Mode.torque),)})
         there.send()
-        with pytest.raises(SafeStop, match=r"another controller sends the command frame .* of session 4711"):
+        with pytest.raises(
+            SafeStop, match=r"another controller sends the command frame .* of session 4711"
+        ):
             arm.read()
     finally:
         bus.shutdown()
@@ -670,12 +730,17 @@ def test_after_a_hold_up_no_torque_goes_out(active: tuple[CanArm, ScriptedArm]) 
     arm, there = active
     arm.values["joint_torque_command"][:] = 0.5
     held_up(arm)
-    with pytest.raises(SafeStop, match=r"the loop was held up for 0\.\d+ s, longer than the watchdog of the arm \(0\.01 s\)"):
+    with pytest.raises(
+        SafeStop,
+        match=r"the loop was held up for 0\.\d+ s, longer than the watchdog of the arm \(0\.01 s\)",
+    ):
         arm.write()
     assert there.take() is None
 
 
-def test_a_hold_up_is_noticed_when_the_next_state_frame_is_read(active: tuple[CanArm, ScriptedArm]) -> None:
+def test_a_hold_up_is_noticed_when_the_next_state_frame_is_read(
+    active: tuple[CanArm, ScriptedArm],
+) -> None:
     arm, there = active
     held_up(arm)
     there.send()
@@ -683,7 +748,9 @@ def test_a_hold_up_is_noticed_when_the_next_state_frame_is_read(active: tuple[Ca
         arm.read()
 
 
-def test_the_ramp_down_after_a_hold_up_has_no_torque_and_ends_with_the_brakes(active: tuple[CanArm, ScriptedArm]) -> None:
+def test_the_ramp_down_after_a_hold_up_has_no_torque_and_ends_with_the_brakes(
+    active: tuple[CanArm, ScriptedArm],
+) -> None:
     """No state frame that is young enough says that the arm is active still."""
     arm, there = active
     arm._last_torque = np.full(N, 0.5)
@@ -699,7 +766,9 @@ def test_the_ramp_down_after_a_hold_up_has_no_torque_and_ends_with_the_brakes(ac
     assert all(not any(c["joint_torque_command"]) for c in there.received)
 
 
-def test_a_hold_up_during_the_activation_ends_it_with_the_brakes(link: tuple[CanArm, ScriptedArm]) -> None:
+def test_a_hold_up_during_the_activation_ends_it_with_the_brakes(
+    link: tuple[CanArm, ScriptedArm],
+) -> None:
     arm, there = link
     there.is_stubborn = True
     there.serve()
@@ -718,7 +787,9 @@ def test_a_hold_up_during_the_activation_ends_it_with_the_brakes(link: tuple[Can
     assert arm.state.now is LifeCycle.inactive
 
 
-def test_a_frame_that_is_not_permitted_any_more_once_it_is_ready_is_not_sent(active: tuple[CanArm, ScriptedArm]) -> None:
+def test_a_frame_that_is_not_permitted_any_more_once_it_is_ready_is_not_sent(
+    active: tuple[CanArm, ScriptedArm],
+) -> None:
     arm, there = active
     sent = arm._sender.sent
     assert not arm._sender.send({"mode": (float(Mode.torque),)}, lambda: False)
@@ -729,7 +800,9 @@ def test_a_frame_that_is_not_permitted_any_more_once_it_is_ready_is_not_sent(act
 # The end
 
 
-def test_after_a_reason_to_stop_only_the_ramp_down_sends(active: tuple[CanArm, ScriptedArm]) -> None:
+def test_after_a_reason_to_stop_only_the_ramp_down_sends(
+    active: tuple[CanArm, ScriptedArm],
+) -> None:
     arm, there = active
     arm.values["joint_torque_command"][:] = 0.5
     arm.revoke("the user stopped")
@@ -739,7 +812,9 @@ def test_after_a_reason_to_stop_only_the_ramp_down_sends(active: tuple[CanArm, S
     assert {c["mode"][0] for c in brought_to_rest(arm, there)} == {Mode.torque, Mode.brake}
 
 
-def test_an_arm_that_stops_during_the_ramp_down_gets_no_torque_any_more(active: tuple[CanArm, ScriptedArm]) -> None:
+def test_an_arm_that_stops_during_the_ramp_down_gets_no_torque_any_more(
+    active: tuple[CanArm, ScriptedArm],
+) -> None:
     """It has stopped by itself, and torque is for an active one."""
     arm, there = active
     arm._last_torque = np.full(N, 0.5)
@@ -778,6 +853,7 @@ def test_frames_that_wait_in_the_interface_are_thrown_away_by_a_reason_to_stop(
 def test_lost_cycles_under_a_flood_say_so(active: tuple[CanArm, ScriptedArm]) -> None:
     arm, _ = active
     arm._states.others = 10 * arm._states.receiver.accepted
-    with pytest.raises(SafeStop, match=r"cycles in a row were lost.*; a flood of frames: \d+ of other identifiers came beside"):  # noqa: PT012
+    reason = r"cycles in a row were lost.*; a flood of frames: \d+ of other identifiers came beside"
+    with pytest.raises(SafeStop, match=reason):  # noqa: PT012
         for _ in range(20):
             arm.read()

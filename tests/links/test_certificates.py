@@ -12,7 +12,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
-from commands import said
+from commands import run_command
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from lab import Lab
@@ -43,7 +43,7 @@ def folder(lab: Lab, tmp_path: Path) -> Path:
 
 
 def made(capsys: pytest.CaptureFixture[str], directory: Path, *arguments: str) -> str:
-    code, error = said(capsys, "certificates", str(directory), *arguments)
+    code, error = run_command(capsys, "certificates", str(directory), *arguments)
     assert (code, error) == (0, "")
     return error
 
@@ -97,11 +97,15 @@ def test_openssl_takes_what_is_made_on_both_sides_and_an_observer_only_as_a_clie
         handshake(ends["arm"], ends["watcher"], host)
     with pytest.raises(ssl.SSLCertVerificationError, match="IP address mismatch"):
         handshake(ends["arm"], ends["controller"], "192.0.2.11")
-    with pytest.raises(ssl.SSLCertVerificationError, match=r"(unsuitable|unsupported) certificate purpose"):
+    with pytest.raises(
+        ssl.SSLCertVerificationError, match=r"(unsuitable|unsupported) certificate purpose"
+    ):
         handshake(ends["watcher"], ends["controller"], "127.0.0.1")
 
 
-def test_keys_are_the_users_own_and_the_folder_is_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_keys_are_the_users_own_and_the_folder_is_too(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     before = os.umask(0)
     try:
         made(capsys, tmp_path / "c")
@@ -114,20 +118,29 @@ def test_keys_are_the_users_own_and_the_folder_is_too(tmp_path: Path, capsys: py
     assert sorted(path.suffix for path in (tmp_path / "c").iterdir()) == [".key"] * 3 + [".pem"] * 3
 
 
-def test_it_adds_to_an_authority_and_overwrites_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_it_adds_to_an_authority_and_overwrites_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     directory = tmp_path / "c"
     made(capsys, directory)
     before = {path: path.read_bytes() for path in directory.iterdir()}
     made(capsys, directory, "--observer", "watcher")
     assert {path: path.read_bytes() for path in before} == before
     handshake(Identity(directory, "base_robot"), Identity(directory, "watcher"), "localhost")
-    code, error = said(capsys, "certificates", str(directory), "--name", "new", "--name", "controller")
+    code, error = run_command(
+        capsys, "certificates", str(directory), "--name", "new", "--name", "controller"
+    )
     assert code == 2
-    assert "controller.pem is there already, and is not overwritten; --renew controller makes a new one" in error
+    assert (
+        "controller.pem is there already, and is not overwritten; --renew controller makes a new one"
+        in error
+    )
     assert not (directory / "new.pem").exists()
 
 
-def test_renewing_keeps_hosts_and_uses_and_makes_a_new_key(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_renewing_keeps_hosts_and_uses_and_makes_a_new_key(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     directory = tmp_path / "c"
     made(
         capsys,
@@ -144,7 +157,18 @@ def test_renewing_keeps_hosts_and_uses_and_makes_a_new_key(tmp_path: Path, capsy
         "1",
     )
     before = (directory / "base_robot.key").read_bytes()
-    made(capsys, directory, "--renew", "base_robot", "--renew", "watcher", "--host", "192.0.2.11", "--days", "100")
+    made(
+        capsys,
+        directory,
+        "--renew",
+        "base_robot",
+        "--renew",
+        "watcher",
+        "--host",
+        "192.0.2.11",
+        "--days",
+        "100",
+    )
     assert (directory / "base_robot.key").read_bytes() != before
     for host in ("192.0.2.10", "192.0.2.11", "localhost"):
         handshake(Identity(directory, "base_robot"), Identity(directory, "watcher"), host)
@@ -176,7 +200,7 @@ def test_a_mistake_is_one_sentence_and_makes_no_file(
     arguments: list[str], sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     try:
-        code, error = said(capsys, "certificates", str(tmp_path / "c"), *arguments)
+        code, error = run_command(capsys, "certificates", str(tmp_path / "c"), *arguments)
     except SystemExit as end:  # the parser's own
         code, error = int(str(end.code)), capsys.readouterr().err
     assert code == 2
@@ -184,9 +208,11 @@ def test_a_mistake_is_one_sentence_and_makes_no_file(
     assert not (tmp_path / "c").exists()
 
 
-def test_a_spoiled_authority_signs_nothing(folder: Path, lab: Lab, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_spoiled_authority_signs_nothing(
+    folder: Path, lab: Lab, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     def refused(directory: Path, sentence: str) -> None:
-        code, error = said(capsys, "certificates", str(directory), "--name", "new")
+        code, error = run_command(capsys, "certificates", str(directory), "--name", "new")
         assert code == 2
         assert sentence in error
         assert not (directory / "new.pem").exists()
@@ -227,7 +253,9 @@ def spoil_age(folder: Path, lab: Lab) -> None:
 
 def spoil_youth(folder: Path, lab: Lab) -> None:
     later = datetime.now(UTC) + timedelta(days=2)
-    lab.authority.issue(Identity(folder, "base_robot"), days=1, hosts=HOSTS, may_listen=True, begin=later)
+    lab.authority.issue(
+        Identity(folder, "base_robot"), days=1, hosts=HOSTS, may_listen=True, begin=later
+    )
 
 
 def spoil_use(folder: Path, lab: Lab) -> None:
@@ -235,7 +263,9 @@ def spoil_use(folder: Path, lab: Lab) -> None:
 
 
 def spoil_host(folder: Path, lab: Lab) -> None:
-    lab.authority.issue(Identity(folder, "base_robot"), days=1, hosts=["192.0.2.10"], may_listen=True)
+    lab.authority.issue(
+        Identity(folder, "base_robot"), days=1, hosts=["192.0.2.10"], may_listen=True
+    )
 
 
 def spoil_name(folder: Path, lab: Lab) -> None:
@@ -272,14 +302,26 @@ def with_text(name: str, text: str) -> Callable[[Path, Lab], None]:
         (with_text("ca.pem", ""), "ca.pem is no certificate in PEM"),
         (with_text("base_robot.key", "x"), "base_robot.key is no private key in PEM"),
         (spoil_key_of_another, "base_robot.key does not belong to certificate .*base_robot.pem"),
-        (spoil_mode, r"base_robot.key can be used by others \(mode 0640\); `chmod 600 .*base_robot.key` keeps it to you"),
+        (
+            spoil_mode,
+            r"base_robot.key can be used by others \(mode 0640\); `chmod 600 .*base_robot.key` keeps it to you",
+        ),
         (spoil_authority, "was not signed by the authority of .*ca.pem"),
         (spoil_forged_issuer, "was not signed by the authority of .*ca.pem"),
-        (spoil_age, "base_robot.pem expired on .* UTC; `freeflyer certificates .* --renew base_robot` makes a new one"),
+        (
+            spoil_age,
+            "base_robot.pem expired on .* UTC; `freeflyer certificates .* --renew base_robot` makes a new one",
+        ),
         (spoil_youth, "is not valid before .* UTC, and this machine's clock says"),
         (spoil_use, r"is not for listening \(its extended key usage lacks serverAuth\)"),
-        (spoil_host, "is for 192.0.2.10, not for 127.0.0.1, so nobody would accept it there; .* --host 127.0.0.1`"),
-        (spoil_name, "is that of 'controller', but access goes by names, and 'base_robot' is expected"),
+        (
+            spoil_host,
+            "is for 192.0.2.10, not for 127.0.0.1, so nobody would accept it there; .* --host 127.0.0.1`",
+        ),
+        (
+            spoil_name,
+            "is that of 'controller', but access goes by names, and 'base_robot' is expected",
+        ),
     ],
 )
 def test_files_that_cannot_do_are_refused_in_one_sentence_and_nothing_opens(
@@ -302,7 +344,9 @@ def test_a_key_under_a_passphrase_is_refused(folder: Path) -> None:
 
     path = folder / "controller.key"
     key = load_pem_private_key(path.read_bytes(), None)
-    path.write_bytes(key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, BestAvailableEncryption(b"word")))
+    path.write_bytes(
+        key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, BestAvailableEncryption(b"word"))
+    )
     with pytest.raises(DeviceError, match="is under a passphrase"):
         certificates.check(Identity(folder, "controller"), "base")
 
@@ -343,7 +387,9 @@ FAR = "tcp/192.0.2.10:7447"
         ({"certificate": "c"}, "did you mean 'certificates'"),
     ],
 )  # fmt: skip
-def test_a_link_that_would_not_be_protected_is_refused(table: dict[str, object], sentence: str) -> None:
+def test_a_link_that_would_not_be_protected_is_refused(
+    table: dict[str, object], sentence: str
+) -> None:
     with pytest.raises(DeviceError) as caught:
         link_options.options_from("base", table, Path("/scenario"))
     assert sentence in str(caught.value)
@@ -353,20 +399,33 @@ def test_a_link_that_would_not_be_protected_is_refused(table: dict[str, object],
     "table",
     [
         {},
-        {"connect": ["tcp/127.1.2.3:7447", "tcp/[::1]:7447", "tcp/localhost:7447", "unixsock-stream//tmp/x"]},
+        {
+            "connect": [
+                "tcp/127.1.2.3:7447",
+                "tcp/[::1]:7447",
+                "tcp/localhost:7447",
+                "unixsock-stream//tmp/x",
+            ]
+        },
         {"connect": [FAR], "insecure": True},
         {"connect": ["tls/192.0.2.10:7447"], "certificates": "c"},
         {"connect": ["tls/0.0.0.0:7447"], "certificates": "c"},
     ],
 )
-def test_a_link_within_the_machine_or_protected_or_knowingly_open_is_taken(table: dict[str, object]) -> None:
+def test_a_link_within_the_machine_or_protected_or_knowingly_open_is_taken(
+    table: dict[str, object],
+) -> None:
     options = link_options.options_from("base", table, Path("/scenario"))
     assert options.certificates == (Path("/scenario/c") if "certificates" in table else None)
     assert (options.robot, list(options.commanders)) == ("base", ["controller"])
     assert options.listen[0].startswith("tls/" if "certificates" in table else "tcp/")
 
 
-@given(address=st.ip_addresses(), protocol=st.sampled_from(["tcp", "udp", "ws", "anything"]), port=st.integers(0, 65535))
+@given(
+    address=st.ip_addresses(),
+    protocol=st.sampled_from(["tcp", "udp", "ws", "anything"]),
+    port=st.integers(0, 65535),
+)
 def test_no_address_beyond_loopback_is_taken_without_certificates(
     address: ipaddress.IPv4Address | ipaddress.IPv6Address, protocol: str, port: int
 ) -> None:
@@ -378,7 +437,9 @@ def test_no_address_beyond_loopback_is_taken_without_certificates(
             link_options.options_from("base", {key: [f"{protocol}/{host}:{port}"]}, Path())
 
 
-def test_a_scenario_tells_how_its_link_is_protected_and_warns_before_a_certificate_ends(lab: Lab, tmp_path: Path) -> None:
+def test_a_scenario_tells_how_its_link_is_protected_and_warns_before_a_certificate_ends(
+    lab: Lab, tmp_path: Path
+) -> None:
     lab.authority.issue(Identity(tmp_path, "controller"), days=5.5, hosts=HOSTS, may_listen=True)
 
     def told(text: str, *, as_robot: bool) -> list[str]:
@@ -389,7 +450,10 @@ def test_a_scenario_tells_how_its_link_is_protected_and_warns_before_a_certifica
     assert told("", as_robot=False) == []
     first, second = told('connect = ["tls/192.0.2.10:1"]\ncertificates = "."', as_robot=False)
     assert first.startswith("base_robot: TLS with certificate 'controller', valid until 20")
-    assert "WARNING: certificate 'controller' expires in 5 days, and ends its links then; `freeflyer certificates" in second
+    assert (
+        "WARNING: certificate 'controller' expires in 5 days, and ends its links then; `freeflyer certificates"
+        in second
+    )
     everywhere = told(f'connect = ["tls/0.0.0.0:1"]\ncertificates = "{lab.good}"', as_robot=True)
     assert everywhere[0] == "base_robot: tls/0.0.0.0:1 listens on every interface of this machine"
     far = told('connect = ["tcp/192.0.2.10:1"]\ninsecure = true', as_robot=False)

@@ -12,7 +12,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from freeflyer_adapters.arm.can_arm import CanArm
-from freeflyer_adapters.arm.frames import NEEDED, PROMISES, SHIPPED_DBC, ArmFrames, FrameMapping, Mode
+from freeflyer_adapters.arm.frames import (
+    NEEDED,
+    PROMISES,
+    SHIPPED_DBC,
+    ArmFrames,
+    FrameMapping,
+    Mode,
+)
 from freeflyer_adapters.arm.options import ArmOptions, options_from
 from freeflyer_adapters.can.bus_load import bus_load, frame_time
 from freeflyer_adapters.device.device import DeviceError
@@ -60,7 +67,8 @@ def own(folder: Path, text: str = OWN) -> Path:
 @given(st.data())
 def test_what_goes_in_comes_out_to_half_a_step(draw: st.DataObject) -> None:
     numbers = {
-        name: draw.draw(st.lists(st.floats(-room, room), min_size=6, max_size=6), label=name) for name, room in ROOM.items()
+        name: draw.draw(st.lists(st.floats(-room, room), min_size=6, max_size=6), label=name)
+        for name, room in ROOM.items()
     }
     numbers |= {"cycle": [float(draw.draw(st.integers(0, 2**24 - 1)))], "life_cycle": [2.0]}
     found = shipped().state.unpack(shipped().state.pack(numbers))
@@ -70,7 +78,9 @@ def test_what_goes_in_comes_out_to_half_a_step(draw: st.DataObject) -> None:
 
 
 def test_values_beyond_what_a_signal_holds_are_held_at_its_end() -> None:
-    found = shipped().state.unpack(shipped().state.pack({"joint_torque": [1e9, -1e9, 0.0, 0.0, 0.0, 0.0]}))
+    found = shipped().state.unpack(
+        shipped().state.pack({"joint_torque": [1e9, -1e9, 0.0, 0.0, 0.0, 0.0]})
+    )
     assert found["joint_torque"][:2] == pytest.approx([327.67, -327.68])
 
 
@@ -99,7 +109,9 @@ def test_a_users_own_dbc_in_other_units_and_byte_order(tmp_path: Path) -> None:
     frames = ArmFrames(FrameMapping(dbc=own(tmp_path), messages=MESSAGES, signals=SIGNALS), 2)
     assert "mode" not in frames.command
     assert frames.state.data_id is None
-    found = frames.state.unpack(frames.state.pack({"joint_position": [0.5, -1.0], "joint_velocity": [1.0, 0.0]}))
+    found = frames.state.unpack(
+        frames.state.pack({"joint_position": [0.5, -1.0], "joint_velocity": [1.0, 0.0]})
+    )
     assert found["joint_position"] == pytest.approx([0.5, -1.0], abs=np.radians(0.005))
     assert found["joint_velocity"] == pytest.approx([1.0, 0.0], abs=np.radians(0.05))
     data = frames.command.pack({"joint_torque_command": [1.0, -1.0]})
@@ -117,7 +129,9 @@ def test_a_users_own_dbc_in_other_units_and_byte_order(tmp_path: Path) -> None:
         ({"dbc": Path("none.dbc")}, "cannot be read"),
     ],
 )
-def test_a_mapping_that_does_not_fit_is_refused(tmp_path: Path, change: dict[str, object], sentence: str) -> None:
+def test_a_mapping_that_does_not_fit_is_refused(
+    tmp_path: Path, change: dict[str, object], sentence: str
+) -> None:
     arguments = {"dbc": own(tmp_path), "messages": MESSAGES, "signals": SIGNALS, **change}
     with pytest.raises(DeviceError, match=sentence) as caught:
         ArmFrames(FrameMapping(**arguments), 2)  # type: ignore[arg-type]
@@ -140,10 +154,14 @@ def test_a_dbc_that_cannot_be_used_is_refused(tmp_path: Path, text: str, sentenc
     assert "\n" not in str(caught.value)
 
 
-def test_a_scale_that_cannot_hold_the_torque_range_is_refused_with_the_numbers(tmp_path: Path) -> None:
+def test_a_scale_that_cannot_hold_the_torque_range_is_refused_with_the_numbers(
+    tmp_path: Path,
+) -> None:
     frames = ArmFrames(FrameMapping(dbc=own(tmp_path), messages=MESSAGES, signals=SIGNALS), 2)
     frames.check_ranges({"joint_torque_command": [(-176.0, 176.0)] * 2})
-    with pytest.raises(DeviceError, match=r"Tau_A holds -327.68 to 327.67 N.m, but the robot needs -400 to 400 N.m"):
+    with pytest.raises(
+        DeviceError, match=r"Tau_A holds -327.68 to 327.67 N.m, but the robot needs -400 to 400 N.m"
+    ):
         frames.check_ranges({"joint_torque_command": [(-400.0, 400.0)] * 2})
 
 
@@ -181,7 +199,9 @@ OPTIONAL = [name for name in PROMISES if name not in NEEDED]
 def mapped(folder: Path, *without: str) -> FrameMapping:
     signals = {role: name for role, name in EVERYTHING.items() if role not in without}
     values = {} if "mode_values.activate" in without else {"activate": 4}
-    return FrameMapping(dbc=own(folder, WHOLE), messages=MESSAGES, signals=signals, mode_values=values)
+    return FrameMapping(
+        dbc=own(folder, WHOLE), messages=MESSAGES, signals=signals, mode_values=values
+    )
 
 
 def test_a_dbc_with_everything_is_accepted_and_lacks_nothing(tmp_path: Path) -> None:
@@ -193,7 +213,9 @@ def test_a_dbc_with_everything_is_accepted_and_lacks_nothing(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("name", NEEDED)
-def test_a_dbc_without_what_an_activation_needs_is_refused_unless_the_scenario_says_implicit(tmp_path: Path, name: str) -> None:
+def test_a_dbc_without_what_an_activation_needs_is_refused_unless_the_scenario_says_implicit(
+    tmp_path: Path, name: str
+) -> None:
     mapping = mapped(tmp_path, name)
     frames = ArmFrames(mapping, 2)
     sentence = rf'arm: DBC .* has no {name}, so that the arm cannot refuse .* write activation = "implicit"'
@@ -233,14 +255,19 @@ def test_an_arm_that_could_refuse_but_is_used_as_implicit_says_what_is_lost() ->
 
 
 @pytest.mark.parametrize(
-    ("said", "implicit"), [({}, False), ({"activation": "explicit"}, False), ({"activation": "implicit"}, True)]
+    ("said", "implicit"),
+    [({}, False), ({"activation": "explicit"}, False), ({"activation": "implicit"}, True)],
 )
-def test_a_scenario_says_how_the_arm_is_activated(tmp_path: Path, said: dict[str, Any], implicit: bool) -> None:
+def test_a_scenario_says_how_the_arm_is_activated(
+    tmp_path: Path, said: dict[str, Any], implicit: bool
+) -> None:
     assert options_from("arm", said, tmp_path).implicit is implicit
 
 
 def test_another_word_for_the_activation_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(DeviceError, match="activation is 'automatic'; 'explicit' or 'implicit' is expected"):
+    with pytest.raises(
+        DeviceError, match="activation is 'automatic'; 'explicit' or 'implicit' is expected"
+    ):
         options_from("arm", {"activation": "automatic"}, tmp_path)
 
 
@@ -252,7 +279,14 @@ def test_a_copy_of_the_shipped_dbc_counts_as_the_shipped_profile(tmp_path: Path)
     assert frames.mode_number(Mode.activate) == Mode.activate
 
 
-OPTIONAL_SIGNALS = ["AnsweredCycle", "Mode", "EchoedCycle", "LifeCycle", "BrakesEngaged", "CommandAge"]
+OPTIONAL_SIGNALS = [
+    "AnsweredCycle",
+    "Mode",
+    "EchoedCycle",
+    "LifeCycle",
+    "BrakesEngaged",
+    "CommandAge",
+]
 
 
 @pytest.mark.parametrize("name", OPTIONAL_SIGNALS)
@@ -272,11 +306,20 @@ def test_a_copy_of_the_shipped_dbc_with_a_mapping_has_what_the_mapping_says(tmp_
 
 @pytest.mark.parametrize(
     ("text", "messages"),
-    [(OWN, {"command": "STATUS", "state": "STATUS"}), (OWN.replace("BO_ 513", "BO_ 512"), MESSAGES)],
+    [
+        (OWN, {"command": "STATUS", "state": "STATUS"}),
+        (OWN.replace("BO_ 513", "BO_ 512"), MESSAGES),
+    ],
 )
-def test_command_and_state_frame_with_one_identifier_are_refused(tmp_path: Path, text: str, messages: dict[str, str]) -> None:
-    signals = SIGNALS if messages == MESSAGES else {**SIGNALS, "joint_torque_command": ["T_A", "T_B"]}
-    with pytest.raises(DeviceError, match=r"have one identifier, 0x20[01], which two nodes cannot send") as caught:
+def test_command_and_state_frame_with_one_identifier_are_refused(
+    tmp_path: Path, text: str, messages: dict[str, str]
+) -> None:
+    signals = (
+        SIGNALS if messages == MESSAGES else {**SIGNALS, "joint_torque_command": ["T_A", "T_B"]}
+    )
+    with pytest.raises(
+        DeviceError, match=r"have one identifier, 0x20[01], which two nodes cannot send"
+    ) as caught:
         ArmFrames(FrameMapping(dbc=own(tmp_path, text), messages=messages, signals=signals), 2)
     assert "\n" not in str(caught.value)
 
@@ -295,7 +338,11 @@ def test_one_number_as_a_short_and_as_a_long_identifier_is_two(tmp_path: Path) -
         ({"activated": 4}, "did you mean 'activate'"),
     ],
 )
-def test_a_number_for_activate_that_cannot_be_is_refused(tmp_path: Path, values: dict[str, int], sentence: str) -> None:
-    mapping = FrameMapping(dbc=own(tmp_path, WHOLE), messages=MESSAGES, signals=EVERYTHING, mode_values=values)
+def test_a_number_for_activate_that_cannot_be_is_refused(
+    tmp_path: Path, values: dict[str, int], sentence: str
+) -> None:
+    mapping = FrameMapping(
+        dbc=own(tmp_path, WHOLE), messages=MESSAGES, signals=EVERYTHING, mode_values=values
+    )
     with pytest.raises(DeviceError, match=sentence):
         ArmFrames(mapping, 2)

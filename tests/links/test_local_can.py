@@ -57,8 +57,16 @@ FRAMES = [
     can.Message(arbitration_id=0x1ABCDEFF, is_extended_id=True, data=range(8)),
     can.Message(arbitration_id=0x100, is_extended_id=False, is_remote_frame=True, dlc=4),
     can.Message(arbitration_id=0x101, is_extended_id=False, is_fd=True, data=range(64)),
-    can.Message(arbitration_id=0x102, is_extended_id=False, is_fd=True, bitrate_switch=True, data=range(12)),
-    can.Message(arbitration_id=0x103, is_extended_id=False, is_fd=True, error_state_indicator=True, data=range(48)),
+    can.Message(
+        arbitration_id=0x102, is_extended_id=False, is_fd=True, bitrate_switch=True, data=range(12)
+    ),
+    can.Message(
+        arbitration_id=0x103,
+        is_extended_id=False,
+        is_fd=True,
+        error_state_indicator=True,
+        data=range(48),
+    ),
     can.Message(arbitration_id=0, is_extended_id=False, is_error_frame=True, data=range(8)),
 ]
 
@@ -91,7 +99,9 @@ def test_every_peer_hears_every_other_in_the_senders_order(opened: Opener) -> No
     for k in range(20):
         buses[0].send(can.Message(arbitration_id=k, is_extended_id=False))
     for bus in buses[1:]:
-        assert [m.arbitration_id for m in iter(lambda bus=bus: bus.recv(0.2), None)] == list(range(20))
+        assert [m.arbitration_id for m in iter(lambda bus=bus: bus.recv(0.2), None)] == list(
+            range(20)
+        )
     buses[3].send(FRAMES[0])
     assert all(bus.recv(1.0) is not None for bus in buses[:3])
 
@@ -177,7 +187,9 @@ def test_a_peer_that_dies_is_forgotten_and_leaves_no_trace(local: Opener) -> Non
         f"bus = can.Bus(interface='local', channel={here.channel_info.split(chr(39))[1]!r}, fd=True)\n"
         "bus.recv(10); print('got it', flush=True); time.sleep(60)\n"
     )
-    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, text=True
+    ) as process:
         deadline = time.monotonic() + 30.0
         while here.peers == 0 and time.monotonic() < deadline:  # type: ignore[attr-defined]
             time.sleep(0.01)
@@ -222,7 +234,9 @@ def test_a_frame_for_others_does_not_end_a_recv_that_does_not_wait(local: Opener
     assert found.arbitration_id == 0x181
 
 
-def test_what_a_node_sent_before_it_left_arrives_although_frames_waited_for_it(opened: Opener) -> None:
+def test_what_a_node_sent_before_it_left_arrives_although_frames_waited_for_it(
+    opened: Opener,
+) -> None:
     """The brakes that a controller commands last, of an arm whose state frames it has not read to the end."""
     leaving, staying = opened(), opened()
     staying.send(FRAMES[4])
@@ -233,7 +247,9 @@ def test_what_a_node_sent_before_it_left_arrives_although_frames_waited_for_it(o
     assert found.arbitration_id == FRAMES[0].arbitration_id
 
 
-def test_what_a_node_sent_before_it_left_arrives_although_something_is_sent_first(opened: Opener) -> None:
+def test_what_a_node_sent_before_it_left_arrives_although_something_is_sent_first(
+    opened: Opener,
+) -> None:
     leaving, staying = opened(), opened()
     leaving.send(FRAMES[0])
     leaving.shutdown()

@@ -32,7 +32,9 @@ class Peer:
 
 
 @given(offsets, st.lists(st.integers(0, 20 * MS), min_size=1, max_size=50))
-def test_a_delay_is_that_beside_the_quickest_whatever_the_clocks_say(offset: int, late: list[int]) -> None:
+def test_a_delay_is_that_beside_the_quickest_whatever_the_clocks_say(
+    offset: int, late: list[int]
+) -> None:
     peer = Peer(offset)
     quickest = late[0]
     for k, way in enumerate(late):
@@ -44,7 +46,9 @@ def test_a_delay_is_that_beside_the_quickest_whatever_the_clocks_say(offset: int
 
 
 @given(offsets, st.integers(CYCLE + 1, 3600 * SECOND), st.integers(0, 20 * MS))
-def test_a_clock_that_is_set_back_is_counted_and_makes_nothing_late(offset: int, by: int, late: int) -> None:
+def test_a_clock_that_is_set_back_is_counted_and_makes_nothing_late(
+    offset: int, by: int, late: int
+) -> None:
     peer = Peer(offset)
     peer.run()
     peer.send(late)
@@ -58,7 +62,9 @@ def test_a_clock_that_is_set_back_is_counted_and_makes_nothing_late(offset: int,
 
 
 @given(offsets, st.integers(1, CYCLE))
-def test_a_clock_that_is_set_back_by_less_than_a_cycle_shows_as_a_delay_of_as_much(offset: int, by: int) -> None:
+def test_a_clock_that_is_set_back_by_less_than_a_cycle_shows_as_a_delay_of_as_much(
+    offset: int, by: int
+) -> None:
     peer = Peer(offset)
     peer.run()
     peer.offset -= by
@@ -67,7 +73,9 @@ def test_a_clock_that_is_set_back_by_less_than_a_cycle_shows_as_a_delay_of_as_mu
 
 
 @given(offsets, st.integers(SMALLEST_STEP + 1, 3600 * SECOND))
-def test_a_clock_that_is_set_forward_is_counted_and_what_follows_is_measured_anew(offset: int, by: int) -> None:
+def test_a_clock_that_is_set_forward_is_counted_and_what_follows_is_measured_anew(
+    offset: int, by: int
+) -> None:
     peer = Peer(offset)
     peer.run()
     peer.offset += by
@@ -128,7 +136,9 @@ def test_of_a_batch_that_was_held_up_for_800_ms_the_first_is_800_ms_late() -> No
     peer = Peer(5 * SECOND)
     peer.run()
     first = peer.now + CYCLE
-    assert peer.clock.delay(first + peer.offset, first + 800 * MS) == pytest.approx(800 * MS, abs=MS)
+    assert peer.clock.delay(first + peer.offset, first + 800 * MS) == pytest.approx(
+        800 * MS, abs=MS
+    )
     assert peer.clock.steps == 0
 
 

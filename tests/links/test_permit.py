@@ -119,7 +119,9 @@ def test_a_device_that_reports_another_state_after_active_loses_it() -> None:
 
 
 @pytest.mark.parametrize("reports_state", [False, True])
-def test_before_anything_has_shown_that_a_device_is_active_nothing_is_missed(reports_state: bool) -> None:
+def test_before_anything_has_shown_that_a_device_is_active_nothing_is_missed(
+    reports_state: bool,
+) -> None:
     made = taken(reports_state=reports_state)
     for k in range(1, 10):
         made.wrote(BEGIN + k * WATCHDOG)
@@ -138,7 +140,9 @@ def test_a_device_that_reports_its_state_is_active_until_it_reports_another() ->
 # The graded stop
 
 
-def test_a_graded_stop_may_use_torque_while_a_report_of_active_is_younger_than_the_watchdog() -> None:
+def test_a_graded_stop_may_use_torque_while_a_report_of_active_is_younger_than_the_watchdog() -> (
+    None
+):
     made = taken()
     made.report(True, BEGIN)
     made.lose("a limit was met")
@@ -160,7 +164,9 @@ def test_a_graded_stop_of_a_device_that_never_was_active_has_no_torque() -> None
     assert not made.may_ramp_down(BEGIN)
 
 
-def test_after_a_hold_up_a_device_that_reports_its_state_is_brought_down_with_a_fresh_report() -> None:
+def test_after_a_hold_up_a_device_that_reports_its_state_is_brought_down_with_a_fresh_report() -> (
+    None
+):
     made = taken()
     later = BEGIN + 10 * WATCHDOG
     assert not made.allows(later)
@@ -190,7 +196,9 @@ steps = st.tuples(
 
 
 @given(st.lists(steps, max_size=60))
-def test_whatever_happens_power_is_allowed_only_without_a_gap_and_never_again(happened: list[tuple[str, int]]) -> None:
+def test_whatever_happens_power_is_allowed_only_without_a_gap_and_never_again(
+    happened: list[tuple[str, int]],
+) -> None:
     made, now = taken(), BEGIN
     wrote, was_active, has_ended = now, False, False
     for what, later in happened:

@@ -28,7 +28,12 @@ frames = st.text(st.characters(min_codepoint=32, max_codepoint=0x2FF), max_size=
 
 @given(frames, frames, st.integers(0, 2**62), vectors[3], vectors[4], vectors[6])
 def test_encoded_here_decoded_there(
-    frame: str, child: str, stamp: int, position: np.ndarray, orientation: np.ndarray, velocity: np.ndarray
+    frame: str,
+    child: str,
+    stamp: int,
+    position: np.ndarray,
+    orientation: np.ndarray,
+    velocity: np.ndarray,
 ) -> None:
     stamp %= 2**31 * 1_000_000_000
     data = OdometryWriter(frame, child).write(stamp, position, orientation, velocity)
@@ -41,7 +46,15 @@ def test_encoded_here_decoded_there(
     assert [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z] == list(velocity)
 
 
-@given(frames, frames, st.booleans(), vectors[3], vectors[4], vectors[6], arrays.arrays(float, 36, elements=numbers))
+@given(
+    frames,
+    frames,
+    st.booleans(),
+    vectors[3],
+    vectors[4],
+    vectors[6],
+    arrays.arrays(float, 36, elements=numbers),
+)
 def test_encoded_there_decoded_here(
     frame: str,
     child: str,
@@ -53,17 +66,21 @@ def test_encoded_there_decoded_here(
 ) -> None:
     t = STORE.types
     message = t[NAME](
-        header=t["std_msgs/msg/Header"](stamp=t["builtin_interfaces/msg/Time"](sec=7, nanosec=9), frame_id=frame),
+        header=t["std_msgs/msg/Header"](
+            stamp=t["builtin_interfaces/msg/Time"](sec=7, nanosec=9), frame_id=frame
+        ),
         child_frame_id=child,
         pose=t["geometry_msgs/msg/PoseWithCovariance"](
             pose=t["geometry_msgs/msg/Pose"](
-                position=t["geometry_msgs/msg/Point"](*position), orientation=t["geometry_msgs/msg/Quaternion"](*orientation)
+                position=t["geometry_msgs/msg/Point"](*position),
+                orientation=t["geometry_msgs/msg/Quaternion"](*orientation),
             ),
             covariance=covariance,
         ),
         twist=t["geometry_msgs/msg/TwistWithCovariance"](
             twist=t["geometry_msgs/msg/Twist"](
-                linear=t["geometry_msgs/msg/Vector3"](*velocity[:3]), angular=t["geometry_msgs/msg/Vector3"](*velocity[3:])
+                linear=t["geometry_msgs/msg/Vector3"](*velocity[:3]),
+                angular=t["geometry_msgs/msg/Vector3"](*velocity[3:]),
             ),
             covariance=covariance,
         ),
@@ -81,7 +98,9 @@ def test_type_name_and_hash_are_those_of_the_definition() -> None:
     assert f"{package}::{kind}::dds_::{name}_" == ros_messages.TYPE_NAME
 
 
-GOOD = OdometryWriter("inertial", "base").write(1, np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(6))
+GOOD = OdometryWriter("inertial", "base").write(
+    1, np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(6)
+)
 
 
 @given(st.binary(max_size=900) | st.builds(lambda cut: GOOD[:cut], st.integers(0, len(GOOD) - 1)))
@@ -99,7 +118,9 @@ def test_one_changed_byte_is_either_read_or_refused(place: int, value: int) -> N
         assert found.position.shape == (3,)
 
 
-@given(st.integers(-(2**63), 2**63 - 1), st.integers(0, 2**63 - 1), st.binary(min_size=16, max_size=16))
+@given(
+    st.integers(-(2**63), 2**63 - 1), st.integers(0, 2**63 - 1), st.binary(min_size=16, max_size=16)
+)
 def test_the_attachment_is_zenohs_byte_for_byte(sequence: int, stamp: int, gid: bytes) -> None:
     ours = Attachment(sequence, stamp, gid).pack()
     theirs = zenoh.ext.z_serialize((zenoh.ext.Int64(sequence), zenoh.ext.Int64(stamp), gid))
@@ -117,7 +138,9 @@ def test_bytes_that_are_no_attachment_are_refused(data: bytes) -> None:
 
 def test_keys_are_those_of_rmw_zenoh() -> None:
     """The examples of ros2/rmw_zenoh's design document, with our topic and type."""
-    key = rmw_zenoh.topic_key(0, "/base_robot/measured", ros_messages.TYPE_NAME, ros_messages.TYPE_HASH)
+    key = rmw_zenoh.topic_key(
+        0, "/base_robot/measured", ros_messages.TYPE_NAME, ros_messages.TYPE_HASH
+    )
     assert key == f"0/base_robot/measured/nav_msgs::msg::dds_::Odometry_/{ros_messages.TYPE_HASH}"
     token = rmw_zenoh.liveliness_token(
         domain=2,
@@ -146,11 +169,17 @@ def test_a_twist_turned_and_turned_back(q: np.ndarray, twist: np.ndarray) -> Non
     q = q / np.linalg.norm(q)
     turned = pose.twist_rotated(q, twist)
     size = 1.0 + np.abs(twist).max()
-    assert turned == pytest.approx(Rotation.from_quat(q).apply(twist.reshape(2, 3)).ravel(), abs=1e-12 * size)
+    assert turned == pytest.approx(
+        Rotation.from_quat(q).apply(twist.reshape(2, 3)).ravel(), abs=1e-12 * size
+    )
     assert pose.twist_rotated(q, turned, back=True) == pytest.approx(twist, abs=1e-12 * size)
 
 
-@given(vectors[4].filter(lambda q: float(q @ q) > 1.0), vectors[4].filter(lambda q: float(q @ q) > 1.0))
+@given(
+    vectors[4].filter(lambda q: float(q @ q) > 1.0), vectors[4].filter(lambda q: float(q @ q) > 1.0)
+)
 def test_the_distance_of_two_orientations_is_that_of_scipy(q: np.ndarray, r: np.ndarray) -> None:
     _, angle = pose.distance(np.zeros(3), q, np.zeros(3), r)
-    assert angle == pytest.approx((Rotation.from_quat(q) * Rotation.from_quat(r).inv()).magnitude(), abs=1e-7)
+    assert angle == pytest.approx(
+        (Rotation.from_quat(q) * Rotation.from_quat(r).inv()).magnitude(), abs=1e-7
+    )

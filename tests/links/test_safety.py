@@ -24,7 +24,9 @@ torques = st.lists(st.floats(-1e9, 1e9), min_size=N, max_size=N).map(np.array)
 
 
 def arm(**changed: float) -> ArmLimits:
-    return ArmLimits({**ARM, **{name: np.full(ARM[name].size, value) for name, value in changed.items()}}, 1e-3)
+    return ArmLimits(
+        {**ARM, **{name: np.full(ARM[name].size, value) for name, value in changed.items()}}, 1e-3
+    )
 
 
 def base(**changed: list[float]) -> BaseLimits:
@@ -35,7 +37,9 @@ def base(**changed: list[float]) -> BaseLimits:
 
 
 @given(torques, torques)
-def test_no_torque_leaves_beyond_its_limit_or_faster_than_its_rate(wanted: np.ndarray, before: np.ndarray) -> None:
+def test_no_torque_leaves_beyond_its_limit_or_faster_than_its_rate(
+    wanted: np.ndarray, before: np.ndarray
+) -> None:
     limits = arm(joint_effort_limit=50.0, torque_rate_limit=2000.0)
     before = np.clip(before, -50.0, 50.0)
     sent, reason = limits.command(wanted, before)
@@ -66,7 +70,10 @@ def test_a_torque_that_is_no_number_stops_and_is_not_sent(bad: float) -> None:
 def test_a_joint_too_fast_stops() -> None:
     limits = arm(joint_velocity_limit=1.5)
     velocity = np.array([0.0, 0.0, -1.6, 0.0, 0.0, 0.0])
-    assert limits.measured(np.zeros(N), velocity) == "joint 3 moves at -1.6 rad/s, its limit is 1.5 rad/s"
+    assert (
+        limits.measured(np.zeros(N), velocity)
+        == "joint 3 moves at -1.6 rad/s, its limit is 1.5 rad/s"
+    )
     assert limits.measured(np.zeros(N), np.full(N, 1.5)) is None
 
 
@@ -74,7 +81,10 @@ def test_a_joint_near_the_end_of_its_range_stops() -> None:
     limits = arm(joint_upper_limit=1.0, joint_lower_limit=-1.0, joint_limit_margin=0.1)
     assert limits.measured(np.full(N, 0.9), np.zeros(N)) is None
     position = np.array([0.0, 0.0, 0.0, 0.0, -0.95, 0.0])
-    assert limits.measured(position, np.zeros(N)) == "joint 5 is at -0.95 rad, its range is -0.9 to 0.9 rad"
+    assert (
+        limits.measured(position, np.zeros(N))
+        == "joint 5 is at -0.95 rad, its range is -0.9 to 0.9 rad"
+    )
 
 
 @pytest.mark.parametrize("where", ["position", "velocity"])
@@ -90,22 +100,36 @@ def test_a_measurement_that_is_no_number_stops(where: str) -> None:
 
 
 def test_a_set_point_within_everything_passes() -> None:
-    assert base().setpoint(np.full(3, 0.1), IDENTITY, np.zeros(6), (np.full(3, 0.1), IDENTITY)) is None
+    assert (
+        base().setpoint(np.full(3, 0.1), IDENTITY, np.zeros(6), (np.full(3, 0.1), IDENTITY)) is None
+    )
 
 
 @pytest.mark.parametrize(
     ("position", "velocity", "sentence"),
     [
         ([0.6, 0.0, 0.0], [0.0] * 6, r"outside the workspace .* to \[0.5, 0.5, 0.5\] m"),
-        ([0.0, 0.0, 0.0], [0.3, 0.0, 0.0, 0.0, 0.0, 0.0], r"moves at 0.3 m/s, its limit is 0.2 m/s"),
-        ([0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0, 0.6, 0.0], r"moves at 0.6 rad/s, its limit is 0.5 rad/s"),
+        (
+            [0.0, 0.0, 0.0],
+            [0.3, 0.0, 0.0, 0.0, 0.0, 0.0],
+            r"moves at 0.3 m/s, its limit is 0.2 m/s",
+        ),
+        (
+            [0.0, 0.0, 0.0],
+            [0.0, 0.0, 0.0, 0.0, 0.6, 0.0],
+            r"moves at 0.6 rad/s, its limit is 0.5 rad/s",
+        ),
         ([0.003, 0.0, 0.0], [0.0] * 6, r"jumps by 0.003 m in one cycle, its limit is 0.002 m"),
         ([np.nan, 0.0, 0.0], [0.0] * 6, r"finite numbers are expected"),
         ([0.0, 0.0, 0.0], [0.0, 0.0, 0.0, np.inf, 0.0, 0.0], r"finite numbers are expected"),
     ],
 )
-def test_a_set_point_beyond_a_limit_stops(position: list[float], velocity: list[float], sentence: str) -> None:
-    reason = base().setpoint(np.array(position), IDENTITY, np.array(velocity), (np.zeros(3), IDENTITY))
+def test_a_set_point_beyond_a_limit_stops(
+    position: list[float], velocity: list[float], sentence: str
+) -> None:
+    reason = base().setpoint(
+        np.array(position), IDENTITY, np.array(velocity), (np.zeros(3), IDENTITY)
+    )
     assert reason is not None
     assert re.search(sentence, reason), reason
 
@@ -123,7 +147,8 @@ def test_an_orientation_that_is_none_stops() -> None:
 def test_a_base_that_does_not_follow_stops() -> None:
     far = np.array([0.06, 0.0, 0.0])
     assert (
-        base().measured(far, IDENTITY, (np.zeros(3), IDENTITY)) == "the base is 0.06 m from its set point, its limit is 0.01 m"
+        base().measured(far, IDENTITY, (np.zeros(3), IDENTITY))
+        == "the base is 0.06 m from its set point, its limit is 0.01 m"
     )
     assert base().measured(far, IDENTITY, (far, IDENTITY)) is None
     assert base().measured(far * np.nan, IDENTITY, (far, IDENTITY)) is not None
@@ -133,11 +158,17 @@ def test_a_base_that_does_not_follow_stops() -> None:
 
 
 def monitor(consecutive: int = 2, within: int = 3, window: int = 50) -> QualityMonitor:
-    return QualityMonitor("samples", consecutive=consecutive, within=within, window=window, cycle=0.004)
+    return QualityMonitor(
+        "samples", consecutive=consecutive, within=within, window=window, cycle=0.004
+    )
 
 
-@given(st.lists(st.booleans(), max_size=300), st.integers(1, 6), st.integers(0, 6), st.integers(1, 60))
-def test_the_monitor_stops_exactly_when_its_rule_says(lost: list[bool], consecutive: int, within: int, window: int) -> None:
+@given(
+    st.lists(st.booleans(), max_size=300), st.integers(1, 6), st.integers(0, 6), st.integers(1, 60)
+)
+def test_the_monitor_stops_exactly_when_its_rule_says(
+    lost: list[bool], consecutive: int, within: int, window: int
+) -> None:
     watched = monitor(consecutive, within, window)
     for k, is_lost in enumerate(lost):
         reason = watched.observe(is_lost)
@@ -154,7 +185,11 @@ def test_the_monitor_stops_exactly_when_its_rule_says(lost: list[bool], consecut
 
 def test_the_bases_defaults_are_two_in_a_row_and_three_in_200_ms() -> None:
     v = BASE
-    watched = monitor(int(v["lost_consecutive"][0]), int(v["lost_in_window"][0]), round(v["window"][0] / v["cycle"][0]))
+    watched = monitor(
+        int(v["lost_consecutive"][0]),
+        int(v["lost_in_window"][0]),
+        round(v["window"][0] / v["cycle"][0]),
+    )
     assert watched.observe(True) is None
     reason = watched.observe(True)
     assert reason is not None
@@ -193,7 +228,9 @@ def test_random_loss_of_five_per_cent_stops_the_base_soon() -> None:
 
 
 @given(torques, st.floats(0.0, 2.0))
-def test_the_ramp_ends_without_torque_and_never_adds_to_it_at_rest(last: np.ndarray, elapsed: float) -> None:
+def test_the_ramp_ends_without_torque_and_never_adds_to_it_at_rest(
+    last: np.ndarray, elapsed: float
+) -> None:
     ramp = RampDown(time=0.25, damping=5.0)
     torque = ramp.torque(last, np.zeros(N), elapsed)
     assert (np.abs(torque) <= np.abs(last) + 1e-12).all()

@@ -30,7 +30,9 @@ def delivered(frames: list[Frame], places: list[int]) -> list[Frame]:
 def duplicated(frames: list[Frame], copied: list[int | None]) -> list[Frame]:
     """Some frames once more, so many places later."""
     copies = [(i, copied[i % len(copied)]) for i in range(len(frames))]
-    order = [(i + 0.0, i) for i, _ in copies] + [(i + late + 0.5, i) for i, late in copies if late is not None]
+    order = [(i + 0.0, i) for i, _ in copies] + [
+        (i + late + 0.5, i) for i, late in copies if late is not None
+    ]
     return [frames[i] for _, i in sorted(order)]
 
 
@@ -68,11 +70,17 @@ faults = st.fixed_dictionaries(
 @settings(max_examples=400)
 @given(faults)
 def test_loss_duplication_reordering_and_one_restart_are_one_sender(faults: dict[str, Any]) -> None:
-    frames = sent("before", faults["start"], faults["before"] if faults["restart"] is not None else 300)
+    frames = sent(
+        "before", faults["start"], faults["before"] if faults["restart"] is not None else 300
+    )
     if faults["restart"] is not None:
         frames += sent("after", faults["restart"], 200)
     at, length = faults["gap"]
-    frames = [f for i, f in enumerate(frames) if not at <= i < at + length and not faults["lost"][i % len(faults["lost"])]]
+    frames = [
+        f
+        for i, f in enumerate(frames)
+        if not at <= i < at + length and not faults["lost"][i % len(faults["lost"])]
+    ]
     late = delivered(frames, faults["places"])
     assert seen(late) is None
     assert seen(duplicated(late, faults["copied"])) is None
@@ -133,7 +141,10 @@ def test_senders_that_relieve_each_other_are_one_at_a_time(frames: int) -> None:
 
 @pytest.mark.parametrize("bursts", [[1], [-1], [1, -1], [2], [3], [4], [-4], [1, -2, 3, -4]])
 def test_two_senders_are_found_whatever_their_offset(bursts: list[int]) -> None:
-    needed = [seen(taking_turns(sent("a", 50, 200), sent("b", 50 + offset, 200), bursts)) or 10**6 for offset in range(256)]
+    needed = [
+        seen(taking_turns(sent("a", 50, 200), sent("b", 50 + offset, 200), bursts)) or 10**6
+        for offset in range(256)
+    ]
     assert min(needed) > 2 * 12, "an overlap of twelve frames is none yet"
     assert max(needed) <= 2 * (27 if max(map(abs, bursts)) == 1 else 39)
 
@@ -173,7 +184,9 @@ def test_a_second_sender_that_pauses_is_found_when_it_goes_on() -> None:
     first, second = sent("a", 0, 400), sent("b", 100, 400)
     for pause in (20, 50, 150, 250):
         frames = (
-            taking_turns(first[:5], second[:5], [1]) + first[5 : 5 + pause] + taking_turns(first[5 + pause :], second[5:], [1])
+            taking_turns(first[:5], second[:5], [1])
+            + first[5 : 5 + pause]
+            + taking_turns(first[5 + pause :], second[5:], [1])
         )
         assert (seen(frames) or 10**6) <= 10 + pause + 2 * 20, pause
 
@@ -190,7 +203,9 @@ def test_two_senders_are_found_in_any_order_with_loss_and_when_one_starts_later(
 ) -> None:
     random = Random(seed)
     first = sent("a", 7, earlier + 300)
-    frames = first[:earlier] + taking_turns(first[earlier:], sent("b", 7 + earlier + offset, 300), bursts)
+    frames = first[:earlier] + taking_turns(
+        first[earlier:], sent("b", 7 + earlier + offset, 300), bursts
+    )
     assert seen([f for f in frames if random.random() >= lost]) is not None
 
 
@@ -198,7 +213,9 @@ def test_two_senders_are_found_in_any_order_with_loss_and_when_one_starts_later(
 def test_any_cycle_number_serves_as_the_counter(counters: int) -> None:
     start = counters - 20
     for offset in (0, 1, 8, 9, 13, 16, counters // 2, counters - 1):
-        two = taking_turns(sent("a", start, 100, counters), sent("b", start + offset, 100, counters), [1])
+        two = taking_turns(
+            sent("a", start, 100, counters), sent("b", start + offset, 100, counters), [1]
+        )
         assert (seen(two, counters) or 10**6) <= 2 * 26
     assert seen(delivered(sent("a", start, 1000, counters), [0, 8, 3]), counters) is None
     with pytest.raises(ValueError, match="power of two"):
@@ -207,7 +224,16 @@ def test_any_cycle_number_serves_as_the_counter(counters: int) -> None:
 
 def test_a_slower_second_sender_is_found() -> None:
     slow = iter(sent("b", 30, 100))
-    assert seen([f for i, a in enumerate(sent("a", 0, 500)) for f in ([a, next(slow)] if i % 10 == 0 else [a])]) is not None
+    assert (
+        seen(
+            [
+                f
+                for i, a in enumerate(sent("a", 0, 500))
+                for f in ([a, next(slow)] if i % 10 == 0 else [a])
+            ]
+        )
+        is not None
+    )
 
 
 def test_once_found_it_stays_found_until_forgotten() -> None:

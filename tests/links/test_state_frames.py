@@ -12,8 +12,8 @@ import pytest
 from freeflyer_adapters.arm.frames import ArmFrames, FrameMapping, Mode
 from freeflyer_adapters.arm.state_frames import FOREIGN, MOST_FRAMES, WITHIN, Numbers, StateFrames
 from freeflyer_adapters.can.link import Sender
-from freeflyer_adapters.foundation import environment as outside
-from freeflyer_adapters.foundation.environment import Outside
+from freeflyer_adapters.foundation import environment
+from freeflyer_adapters.foundation.environment import Environment
 
 N = 6
 READING = 1_000
@@ -25,7 +25,7 @@ def frames() -> ArmFrames:
     return ArmFrames(FrameMapping(), N)
 
 
-class Time(Outside):
+class Time(Environment):
     """Passes when it is asked for, and while a bus is waited for."""
 
     def __init__(self) -> None:
@@ -68,7 +68,7 @@ class Here:
         self.taken: list[tuple[Numbers, int, int]] = []
         self.uses = True
         self.sender = Sender(self.bus, frames().command)
-        with outside.within(self.time):
+        with environment.within(self.time):
             self.states = StateFrames(self.bus, frames(), self.sender, self.take)  # type: ignore[arg-type]
 
     def take(self, numbers: Numbers, now: int, empty_at: int) -> bool:
@@ -166,7 +166,10 @@ def test_a_flood_of_other_frames_does_not_hold_a_wait_beyond_its_time(timeout: f
     begin = here.time.now
     assert not here.states.wait(timeout)
     # A wait that is over may still look at so many frames, each of which takes its time here.
-    assert here.time.now - begin <= max(round(timeout * 1e9), MOST_FRAMES * 50_000) + MOST_FRAMES * 5 * READING
+    assert (
+        here.time.now - begin
+        <= max(round(timeout * 1e9), MOST_FRAMES * 50_000) + MOST_FRAMES * 5 * READING
+    )
     assert here.states.others == here.bus.taken
 
 
@@ -185,7 +188,9 @@ def test_a_wait_of_no_time_takes_64_frames_at_most(here: Here) -> None:
 
 
 @pytest.mark.parametrize("before", [0, 10, 63])
-def test_with_a_state_frame_64_frames_are_taken_at_most_and_the_rest_in_the_next_cycle(here: Here, before: int) -> None:
+def test_with_a_state_frame_64_frames_are_taken_at_most_and_the_rest_in_the_next_cycle(
+    here: Here, before: int
+) -> None:
     arm = Node()
 
     def coming() -> Iterator[can.Message]:
@@ -241,7 +246,10 @@ def test_two_arms_are_a_problem_with_both_counters(here: Here) -> None:
     for _ in range(50):
         here.wait(0.001, first.state(), second.state())
     assert here.states.problem is not None
-    assert "two senders send the state frame ArmState (0x181), with the counters " in here.states.problem
+    assert (
+        "two senders send the state frame ArmState (0x181), with the counters "
+        in here.states.problem
+    )
     assert "two arms are on this channel" in here.states.problem
 
 
@@ -282,7 +290,9 @@ def test_damaged_command_frames_are_nobodys(here: Here) -> None:
 
 
 @pytest.mark.parametrize("is_rx", [False, True])
-def test_own_command_frames_that_the_interface_gives_back_are_no_problem(here: Here, is_rx: bool) -> None:
+def test_own_command_frames_that_the_interface_gives_back_are_no_problem(
+    here: Here, is_rx: bool
+) -> None:
     """Some interfaces say that a frame is an own one, and some do not."""
     arm = Node()
     for k in range(100):
@@ -298,7 +308,9 @@ def test_own_command_frames_that_the_interface_gives_back_are_no_problem(here: H
     assert here.states.problem is None
 
 
-def test_frames_that_the_interface_calls_its_own_are_no_problem_however_old_they_are(here: Here) -> None:
+def test_frames_that_the_interface_calls_its_own_are_no_problem_however_old_they_are(
+    here: Here,
+) -> None:
     arm, forgotten = Node(), Node()
     for _ in range(10):
         message = forgotten.command(7)
@@ -307,12 +319,17 @@ def test_frames_that_the_interface_calls_its_own_are_no_problem_however_old_they
     assert here.states.problem is None
 
 
-def test_another_controllers_frames_are_seen_between_own_ones_that_are_given_back(here: Here) -> None:
+def test_another_controllers_frames_are_seen_between_own_ones_that_are_given_back(
+    here: Here,
+) -> None:
     arm, foreign = Node(), Node()
     for k in range(FOREIGN):
         here.sender.send({"controller": (7.0,), "answered_cycle": (float(k),)})
         own = can.Message(
-            arbitration_id=frames().command.identifier, is_extended_id=False, is_fd=True, data=here.sender.recent[-1]
+            arbitration_id=frames().command.identifier,
+            is_extended_id=False,
+            is_fd=True,
+            data=here.sender.recent[-1],
         )
         here.wait(0.001, arm.state(), own, foreign.command(4711))
     assert here.states.problem is not None

@@ -23,13 +23,34 @@ STILL = np.zeros(N)
 IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
 
 
-def logic(watchdog: int = 4, silence: int = 100, cycles: int = 2**24, implicit: bool = False) -> ArmLogic:
+def logic(
+    watchdog: int = 4, silence: int = 100, cycles: int = 2**24, implicit: bool = False
+) -> ArmLogic:
     ramp = RampDown(time=0.25, damping=5.0)
-    return ArmLogic(N, cycle=1e-3, watchdog=watchdog, silence=silence, ramp=ramp, cycles=cycles, implicit=implicit)
+    return ArmLogic(
+        N,
+        cycle=1e-3,
+        watchdog=watchdog,
+        silence=silence,
+        ramp=ramp,
+        cycles=cycles,
+        implicit=implicit,
+    )
 
 
-def command(arm: ArmLogic, mode: Mode = Mode.torque, controller: int = OURS, behind: int = 0, torque: float = 1.0) -> Command:
-    return Command(controller=controller, mode=mode, answered=(arm.cycle - behind) % arm.cycles, torque=np.full(N, torque))
+def command(
+    arm: ArmLogic,
+    mode: Mode = Mode.torque,
+    controller: int = OURS,
+    behind: int = 0,
+    torque: float = 1.0,
+) -> Command:
+    return Command(
+        controller=controller,
+        mode=mode,
+        answered=(arm.cycle - behind) % arm.cycles,
+        torque=np.full(N, torque),
+    )
 
 
 def claimed(arm: ArmLogic, controller: int = OURS) -> ArmLogic:
@@ -88,7 +109,9 @@ def test_it_is_braked_without_torque_until_a_controller_activates_it() -> None:
 
 
 @pytest.mark.parametrize("watchdog", [1, 2, 4])
-def test_without_commands_it_is_in_safe_stop_within_its_watchdogs_cycles_plus_one(watchdog: int) -> None:
+def test_without_commands_it_is_in_safe_stop_within_its_watchdogs_cycles_plus_one(
+    watchdog: int,
+) -> None:
     arm = active(watchdog)
     begin = arm.cycle
     while arm.life.now is LifeCycle.active:
@@ -196,14 +219,25 @@ def test_whatever_is_commanded_only_an_activation_of_a_new_session_that_was_echo
         was, controller = arm.life.now, arm.controller
         arm.begin(
             [
-                Command(controller=c, mode=m, answered=(arm.cycle - behind) % 2**24, torque=np.full(N, torque))
+                Command(
+                    controller=c,
+                    mode=m,
+                    answered=(arm.cycle - behind) % 2**24,
+                    torque=np.full(N, torque),
+                )
                 for m, c, behind, torque in sent
             ],
             STILL,
         )
         if arm.life.now is LifeCycle.active and was is not LifeCycle.active:
-            activations = [(c, behind) for m, c, behind, _ in sent if m is Mode.activate and c == controller != 0]
-            answered = [b for c, b in activations if 0 <= b < watchdog and echoed[: b + 1] == [c] * (b + 1)]
+            activations = [
+                (c, behind)
+                for m, c, behind, _ in sent
+                if m is Mode.activate and c == controller != 0
+            ]
+            answered = [
+                b for c, b in activations if 0 <= b < watchdog and echoed[: b + 1] == [c] * (b + 1)
+            ]
             assert answered, "it was activated by something else"
             assert controller not in used
         if was is LifeCycle.active and arm.life.now is not LifeCycle.active:
@@ -221,7 +255,12 @@ def test_whatever_is_commanded_a_braked_arm_has_no_torque_and_an_inactive_one_is
     for sent in cycles:
         arm.begin(
             [
-                Command(controller=c, mode=m, answered=(arm.cycle - behind) % 2**24, torque=np.full(N, torque))
+                Command(
+                    controller=c,
+                    mode=m,
+                    answered=(arm.cycle - behind) % 2**24,
+                    torque=np.full(N, torque),
+                )
                 for m, c, behind, torque in sent
             ],
             STILL,
@@ -297,7 +336,9 @@ def by_fault(arm: ArmLogic) -> None:
 
 
 @pytest.mark.parametrize("leave", [by_silence, by_brakes, by_fault])
-def test_a_number_is_used_up_by_leaving_active_in_any_way(leave: Callable[[ArmLogic], None]) -> None:
+def test_a_number_is_used_up_by_leaving_active_in_any_way(
+    leave: Callable[[ArmLogic], None],
+) -> None:
     arm = active()
     leave(arm)
     left = arm.life.now
@@ -648,12 +689,22 @@ def proving() -> BaseLogic:
     return made
 
 
-def come(robot: BaseLogic, calls: int, every: int = 4, late: float = 0.0, stamps_per_call: float = 1e-3) -> None:
+def come(
+    robot: BaseLogic, calls: int, every: int = 4, late: float = 0.0, stamps_per_call: float = 1e-3
+) -> None:
     """Set points every so many calls, `late` [s]; their stamps advance by so much a call."""
     begin = robot._calls
     while robot._calls - begin < calls:
         if (robot._calls - begin) % every == 0:
-            robot.take(np.zeros(3), IDENTITY, np.zeros(6), POSE, b"one", 0.0, (robot._calls - begin) * stamps_per_call - late)
+            robot.take(
+                np.zeros(3),
+                IDENTITY,
+                np.zeros(6),
+                POSE,
+                b"one",
+                0.0,
+                (robot._calls - begin) * stamps_per_call - late,
+            )
         robot.tick()
 
 
@@ -671,7 +722,9 @@ def test_set_points_activate_once_they_have_come_for_the_proof_as_their_stamps_a
     [(21, 1e-3), (4, 0.4e-3), (4, 1.6e-3), (4, 0.0)],
     ids=["with gaps", "ever later", "released in a burst", "with a frozen stamp"],
 )
-def test_set_points_that_do_not_come_as_they_were_sent_activate_nothing(every: int, stamps_per_call: float) -> None:
+def test_set_points_that_do_not_come_as_they_were_sent_activate_nothing(
+    every: int, stamps_per_call: float
+) -> None:
     robot = proving()
     come(robot, 400, every=every, stamps_per_call=stamps_per_call)
     assert robot.life.now is LifeCycle.inactive

@@ -37,14 +37,22 @@ class ScriptedBase:
 
     def __init__(self, options: LinkOptions) -> None:
         self.session = open_session([], options.connect, "scripted")
-        self.link = OdometryLink(self.session, options, options.measured_topic, options.setpoint_topic)
+        self.link = OdometryLink(
+            self.session, options, options.measured_topic, options.setpoint_topic
+        )
         self.setpoints: list[Odometry] = []
 
     def send(self, position: np.ndarray | None = None, orientation: np.ndarray = IDENTITY) -> None:
         self.link.publish(np.zeros(3) if position is None else position, orientation, STILL)
 
     def send_as(
-        self, sequence: int, stamp: int, *, gid: bytes | None = None, frame: str = "inertial", child: str = "base"
+        self,
+        sequence: int,
+        stamp: int,
+        *,
+        gid: bytes | None = None,
+        frame: str = "inertial",
+        child: str = "base",
     ) -> None:
         """One sample at the origin, whatever was sent before."""
         attachment = Attachment(sequence, stamp, self.link._gid if gid is None else gid).pack()
@@ -145,8 +153,14 @@ def test_what_lies_between_is_taken_off_slowly(here: ZenohBase, there: ScriptedB
     ("setpoint", "sentence"),
     [
         ({"position_setpoint": [0.6, 0.0, 0.0]}, "outside the workspace"),
-        ({"position_setpoint": [0.01, 0.0, 0.0]}, "jumps by 0.01 m in one cycle, its limit is 0.002 m"),
-        ({"velocity_setpoint": [0.0, 0.3, 0.0, 0.0, 0.0, 0.0]}, "moves at 0.3 m/s, its limit is 0.2 m/s"),
+        (
+            {"position_setpoint": [0.01, 0.0, 0.0]},
+            "jumps by 0.01 m in one cycle, its limit is 0.002 m",
+        ),
+        (
+            {"velocity_setpoint": [0.0, 0.3, 0.0, 0.0, 0.0, 0.0]},
+            "moves at 0.3 m/s, its limit is 0.2 m/s",
+        ),
         ({"position_setpoint": [np.nan, 0.0, 0.0]}, "finite numbers are expected"),
         ({"orientation_setpoint": [0.0, 0.0, 0.0, 0.0]}, "squared norm"),
     ],
@@ -193,7 +207,9 @@ def test_silence_stops_by_the_age_of_the_last_sample(here: ZenohBase, there: Scr
     fresh(here, there)
     time.sleep(0.03)
     here._steps = here._ratio - 1
-    with pytest.raises(SafeStop, match=r"the last measurement is 0\.\d+ s old, its limit is 0.02 s"):
+    with pytest.raises(
+        SafeStop, match=r"the last measurement is 0\.\d+ s old, its limit is 0.02 s"
+    ):
         here.read()
 
 
@@ -203,11 +219,15 @@ def test_a_base_that_does_not_follow_stops(here: ZenohBase, there: ScriptedBase)
     time.sleep(0.01)
     here._take()
     here._steps = here._ratio - 1
-    with pytest.raises(SafeStop, match=r"the base is 0\.02 m from its set point, its limit is 0\.01 m"):
+    with pytest.raises(
+        SafeStop, match=r"the base is 0\.02 m from its set point, its limit is 0\.01 m"
+    ):
         here.read()
 
 
-def test_samples_that_cannot_be_used_are_counted_and_change_nothing(here: ZenohBase, there: ScriptedBase) -> None:
+def test_samples_that_cannot_be_used_are_counted_and_change_nothing(
+    here: ZenohBase, there: ScriptedBase
+) -> None:
     configured(here, there)
     link, before = here._link, here.values["base_position"].copy()
     assert link is not None
@@ -230,8 +250,16 @@ def test_samples_that_cannot_be_used_are_counted_and_change_nothing(here: ZenohB
         (good, b"", "0 bytes"),
         (nan, later, "cannot be used"),
         (elsewhere, later, "a pose of 'gripper' in 'inertial'"),
-        (good, Attachment(sequence, stamp, gid).pack(), f"sequence number {sequence} after {sequence}"),
-        (good, Attachment(sequence - 1, stamp, gid).pack(), f"sequence number {sequence - 1} after {sequence}"),
+        (
+            good,
+            Attachment(sequence, stamp, gid).pack(),
+            f"sequence number {sequence} after {sequence}",
+        ),
+        (
+            good,
+            Attachment(sequence - 1, stamp, gid).pack(),
+            f"sequence number {sequence - 1} after {sequence}",
+        ),
         (good, Attachment(sequence + 1, last.stamp, gid).pack(), "its stamp 0 s later"),
         (good, Attachment(sequence + 1, stamp, bytes(16)).pack(), "a sample from 00000000"),
         (None, later, "does not fit its checksum"),
@@ -259,7 +287,10 @@ def test_the_freshest_of_many_samples_is_read(here: ZenohBase, there: ScriptedBa
 def test_an_approach_keeps_the_limits_of_set_points(here: ZenohBase, there: ScriptedBase) -> None:
     here.values["approach"][:] = 1.0
     here.values["approach_speed"][:] = [2.0, 2.0]
-    with pytest.raises(DeviceError, match=r"approach to the start pose was given up: .*moves at 2 m/s, its limit is 0.2 m/s"):
+    with pytest.raises(
+        DeviceError,
+        match=r"approach to the start pose was given up: .*moves at 2 m/s, its limit is 0.2 m/s",
+    ):
         configured(here, there, np.array([0.3, 0.0, 0.0]))
     assert here.state.now is LifeCycle.inactive
 
@@ -277,7 +308,9 @@ def test_a_silent_base_is_said_to_be_silent(there: ScriptedBase) -> None:
 # What is published, and when
 
 
-def test_configuration_and_the_check_of_the_start_publish_and_announce_nothing(here: ZenohBase, there: ScriptedBase) -> None:
+def test_configuration_and_the_check_of_the_start_publish_and_announce_nothing(
+    here: ZenohBase, there: ScriptedBase
+) -> None:
     with flowing(there):
         here.configure()
         here.check_start()
@@ -318,20 +351,27 @@ def test_without_a_publisher_nothing_goes_out(here: ZenohBase, there: ScriptedBa
     assert there.setpoints == []
 
 
-def test_another_commander_keeps_the_base_from_being_configured(here: ZenohBase, there: ScriptedBase) -> None:
+def test_another_commander_keeps_the_base_from_being_configured(
+    here: ZenohBase, there: ScriptedBase
+) -> None:
     options = there.link.options
     other = OdometryLink(there.session, options, options.setpoint_topic, options.measured_topic)
     try:
         with (
             flowing(there),
-            pytest.raises(DeviceError, match=f"session {other.identity} commands topic base_robot/setpoint already"),
+            pytest.raises(
+                DeviceError,
+                match=f"session {other.identity} commands topic base_robot/setpoint already",
+            ),
         ):
             here.configure()
     finally:
         other.close()
 
 
-def test_a_base_that_reports_whom_it_obeys_is_waited_for_and_its_ceasing_stops(here: ZenohBase, there: ScriptedBase) -> None:
+def test_a_base_that_reports_whom_it_obeys_is_waited_for_and_its_ceasing_stops(
+    here: ZenohBase, there: ScriptedBase
+) -> None:
     there.link.tell_obeyed(False)
     done = Event()
 
@@ -353,7 +393,8 @@ def test_a_base_that_reports_whom_it_obeys_is_waited_for_and_its_ceasing_stops(h
     fresh(here, there)
     there.link.tell_obeyed(False)
     end = time.monotonic() + 5.0
-    with pytest.raises(SafeStop, match="the base robot does not take set points any more; it holds its place"):  # noqa: PT012
+    reason = "the base robot does not take set points any more; it holds its place"
+    with pytest.raises(SafeStop, match=reason):  # noqa: PT012
         while time.monotonic() < end:
             fresh(here, there)
             here._steps = here._ratio - 1
@@ -361,17 +402,24 @@ def test_a_base_that_reports_whom_it_obeys_is_waited_for_and_its_ceasing_stops(h
     assert here.permit.lost
 
 
-def test_a_base_that_reports_somebody_elses_publisher_is_refused(here: ZenohBase, there: ScriptedBase) -> None:
+def test_a_base_that_reports_somebody_elses_publisher_is_refused(
+    here: ZenohBase, there: ScriptedBase
+) -> None:
     there.link._source = bytes(range(16))
     there.link.tell_obeyed(True)
     with (
         flowing(there),
-        pytest.raises(DeviceError, match=f"base obeys publisher {bytes(range(16)).hex()} already; this is session"),
+        pytest.raises(
+            DeviceError,
+            match=f"base obeys publisher {bytes(range(16)).hex()} already; this is session",
+        ),
     ):
         here.configure()
 
 
-def test_a_base_that_does_not_report_whom_it_obeys_is_said_to_be_one(here: ZenohBase, there: ScriptedBase) -> None:
+def test_a_base_that_does_not_report_whom_it_obeys_is_said_to_be_one(
+    here: ZenohBase, there: ScriptedBase
+) -> None:
     configured(here, there)
     assert len(here.cannot_refuse) == 1
     assert "does not report which publisher it obeys" in here.cannot_refuse[0]
@@ -386,12 +434,15 @@ def held_up(base: ZenohBase) -> None:
     time.sleep(0.05)
 
 
-def test_after_a_hold_up_no_set_point_goes_out_and_none_of_the_graded_stop(here: ZenohBase, there: ScriptedBase) -> None:
+def test_after_a_hold_up_no_set_point_goes_out_and_none_of_the_graded_stop(
+    here: ZenohBase, there: ScriptedBase
+) -> None:
     configured(here, there)
     held_up(here)
     published = here.published
     with pytest.raises(
-        SafeStop, match=r"the loop was held up for 0\.\d+ s, longer than the watchdog of the base robot \(0\.02 s\)"
+        SafeStop,
+        match=r"the loop was held up for 0\.\d+ s, longer than the watchdog of the base robot \(0\.02 s\)",
     ):
         here.write()
     here.revoke("the loop was held up")
@@ -402,7 +453,9 @@ def test_after_a_hold_up_no_set_point_goes_out_and_none_of_the_graded_stop(here:
     assert waited(lambda: there.link.publishers(there.link.options.setpoint_topic) == [])
 
 
-def test_a_hold_up_is_noticed_when_the_next_sample_is_read(here: ZenohBase, there: ScriptedBase) -> None:
+def test_a_hold_up_is_noticed_when_the_next_sample_is_read(
+    here: ZenohBase, there: ScriptedBase
+) -> None:
     here.values["age_limit"][:] = 10.0
     here.values["lost_consecutive"][:] = 1000.0
     here.values["lost_in_window"][:] = 0.0
@@ -413,7 +466,9 @@ def test_a_hold_up_is_noticed_when_the_next_sample_is_read(here: ZenohBase, ther
         here.read()
 
 
-def test_the_graded_stop_holds_the_last_set_point_without_velocity(here: ZenohBase, there: ScriptedBase) -> None:
+def test_the_graded_stop_holds_the_last_set_point_without_velocity(
+    here: ZenohBase, there: ScriptedBase
+) -> None:
     here.values["watchdog"][:] = 10.0
     configured(here, there)
     here.values["position_setpoint"][:] = [0.001, 0.0, 0.0]
@@ -426,12 +481,16 @@ def test_the_graded_stop_holds_the_last_set_point_without_velocity(here: ZenohBa
     for k in range(3 * here._ratio):
         there.send()
         here.ramp_down(k * 1e-3)
-    assert waited(lambda: (there.take(), bool(there.setpoints) and there.setpoints[-1].position[0] > 0.0)[1])
+    assert waited(
+        lambda: (there.take(), bool(there.setpoints) and there.setpoints[-1].position[0] > 0.0)[1]
+    )
     assert there.setpoints[-1].position == pytest.approx([0.001, 0.0, 0.0])
     assert not there.setpoints[-1].velocity.any()
 
 
-def test_a_sample_that_was_held_up_on_its_way_is_old_although_it_has_just_come(here: ZenohBase, there: ScriptedBase) -> None:
+def test_a_sample_that_was_held_up_on_its_way_is_old_although_it_has_just_come(
+    here: ZenohBase, there: ScriptedBase
+) -> None:
     here.values["lost_consecutive"][:] = 1000.0
     here.values["lost_in_window"][:] = 0.0
     configured(here, there)
@@ -442,7 +501,9 @@ def test_a_sample_that_was_held_up_on_its_way_is_old_although_it_has_just_come(h
     there.send_as(last.sequence + 1, last.stamp + 4_000_000)
     assert waited(here._take)
     here._steps = here._ratio - 1
-    with pytest.raises(SafeStop, match=r"the last measurement is 0\.0[5-9]\d* s old, its limit is 0\.02 s"):
+    with pytest.raises(
+        SafeStop, match=r"the last measurement is 0\.0[5-9]\d* s old, its limit is 0\.02 s"
+    ):
         here.read()
 
 
@@ -465,7 +526,9 @@ def test_a_base_whose_clock_is_set_is_followed_and_the_step_is_counted(
 def receiving(there: ScriptedBase) -> Iterator[OdometryLink]:
     options = there.link.options
     session = open_session(options.connect, options.listen, "receiver")
-    link = OdometryLink(session, options, options.setpoint_topic, options.measured_topic, publishes=False)
+    link = OdometryLink(
+        session, options, options.setpoint_topic, options.measured_topic, publishes=False
+    )
     assert waited(lambda: bool(session.info.peers_zid()))
     there.send()
     assert waited(lambda: link.take() is not None or (there.send(), False)[1])
@@ -484,7 +547,10 @@ def received(link: OdometryLink, judge: Callable[[Received], bool] = usable) -> 
     def came() -> bool:
         one = link.receive(judge)
         found.extend([] if one is None else [one])
-        return bool(found) or link.counts.malformed + link.counts.stale + link.counts.other_sources > before
+        return (
+            bool(found)
+            or link.counts.malformed + link.counts.stale + link.counts.other_sources > before
+        )
 
     assert waited(came)
     return found[0] if found else None
@@ -496,7 +562,11 @@ NOW = 1_700_000_000_000_000_000
 @pytest.mark.parametrize(
     ("frame", "child", "sentence"),
     [
-        ("world", "base", r"a pose of 'base' in 'world' \(child_frame_id, header.frame_id\); 'base' in 'inertial' is expected"),
+        (
+            "world",
+            "base",
+            r"a pose of 'base' in 'world' \(child_frame_id, header.frame_id\); 'base' in 'inertial' is expected",
+        ),
         ("inertial", "arm", "a pose of 'arm' in 'inertial'"),
         ("base", "inertial", "a pose of 'inertial' in 'base'"),
         ("", "", "a pose of '' in ''"),
@@ -513,7 +583,9 @@ def test_a_pose_of_other_frames_is_refused(
     assert received(receiving) is not None, "a refused sample makes its publisher no source"
 
 
-def test_stamps_set_back_are_a_clock_step_and_equal_ones_are_stale(there: ScriptedBase, receiving: OdometryLink) -> None:
+def test_stamps_set_back_are_a_clock_step_and_equal_ones_are_stale(
+    there: ScriptedBase, receiving: OdometryLink
+) -> None:
     there.send_as(1, NOW)
     assert received(receiving) is not None
     there.send_as(2, NOW - 10**9)
@@ -568,6 +640,7 @@ def test_the_clock_of_a_refused_publisher_makes_no_other_one_late(
 def test_a_watchdog_shorter_than_two_cycles_is_refused_with_both_numbers(here: ZenohBase) -> None:
     here.values["watchdog"][:] = 0.003
     with pytest.raises(
-        DeviceError, match=r"base\.watchdog is 0\.003 s; two cycles of set points or more are expected, 0\.008 s"
+        DeviceError,
+        match=r"base\.watchdog is 0\.003 s; two cycles of set points or more are expected, 0\.008 s",
     ):
         here.configure()

@@ -37,20 +37,22 @@ static int step2(void *instance, double time, double size, int no_state_set_befo
     return !(time >= 0.0 && size > 0.0 && no_state_set_before) * 3;
 }
 
-static int set3(void *instance, const uint32_t *reference, size_t references, const double *value, size_t values)
+static int set3(void *instance, const uint32_t *reference, size_t references, const double *value,
+                size_t values)
 {
     memcpy(((Trivial *)instance)->u, value, values * sizeof *value);
     return references == 1 && reference[0] == 0 ? 0 : 3;
 }
 
-static int get3(void *instance, const uint32_t *reference, size_t references, double *value, size_t values)
+static int get3(void *instance, const uint32_t *reference, size_t references, double *value,
+                size_t values)
 {
     memcpy(value, ((Trivial *)instance)->y, values * sizeof *value);
     return references == 1 && reference[0] == 0 ? 0 : 3;
 }
 
-static int step3(void *instance, double time, double size, bool no_state_set_before, bool *event, bool *terminate, bool *early,
-                 double *reached)
+static int step3(void *instance, double time, double size, bool no_state_set_before, bool *event,
+                 bool *terminate, bool *early, double *reached)
 {
     *event = *terminate = *early = false;
     *reached = time + size;
@@ -67,7 +69,8 @@ static double run_ring(int64_t ticks, int64_t record_ratio)
     double *target[SLAVES][WIDTH];
     const double *source[SLAVES][WIDTH], *recorded[SLAVES * WIDTH];
     size_t rows = (size_t)(ticks / record_ratio) + 2;
-    double *row_time = malloc(rows * sizeof *row_time), *row = malloc(rows * SLAVES * WIDTH * sizeof *row);
+    double *row_time = malloc(rows * sizeof *row_time),
+           *row = malloc(rows * SLAVES * WIDTH * sizeof *row);
     memset(slave, 0, sizeof slave);
     for (int s = 0; s < SLAVES; s++) {
         bool three = s % 2;
@@ -115,11 +118,12 @@ static double run_ring(int64_t ticks, int64_t record_ratio)
     clock_gettime(CLOCK_MONOTONIC, &end);
     /* Once round the ring adds one a slave, and a value goes round in two instants: controllers hand it on at once. */
     double last = row[(core.rows - 1) * SLAVES * WIDTH + (SLAVES - 1) * WIDTH];
-    bool right = ended == DONE && core.rows == ticks / record_ratio + 1 && last == out[SLAVES - 1][0] &&
-                 last > 1.9 * (double)(ticks - 3);
+    bool right = ended == DONE && core.rows == ticks / record_ratio + 1 &&
+                 last == out[SLAVES - 1][0] && last > 1.9 * (double)(ticks - 3);
     free(row_time);
     free(row);
-    double spent = (double)(end.tv_sec - begin.tv_sec) * 1e9 + (double)(end.tv_nsec - begin.tv_nsec);
+    double spent =
+        (double)(end.tv_sec - begin.tv_sec) * 1e9 + (double)(end.tv_nsec - begin.tv_nsec);
     return right ? spent / ((double)ticks * SLAVES) : 0.0;
 }
 

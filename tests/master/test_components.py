@@ -23,7 +23,9 @@ def record_of(tmp_path: Path, text: str, *overrides: str, fmi: int | None = None
 
 def same(one: Record, other: Record, tolerance: float) -> None:
     for name in one.signals:
-        assert np.abs(one[name] - other[name]).max() <= tolerance * max(1.0, np.abs(one[name]).max()), name
+        assert np.abs(one[name] - other[name]).max() <= tolerance * max(
+            1.0, np.abs(one[name]).max()
+        ), name
 
 
 @pytest.fixture(scope="module")
@@ -35,13 +37,18 @@ def test_fmi_3_gives_the_same_bits(tmp_path: Path, reference: Record) -> None:
     same(reference, record_of(tmp_path, "", fmi=3), 0.0)
 
 
-@pytest.mark.parametrize("name", ["free_flyer", "manipulator_controller", "base_controller", "reference_trajectory"])
+@pytest.mark.parametrize(
+    "name", ["free_flyer", "manipulator_controller", "base_controller", "reference_trajectory"]
+)
 def test_a_twin_takes_an_fmus_place(tmp_path: Path, reference: Record, name: str) -> None:
     same(reference, record_of(tmp_path, f'[components.{name}]\nkind = "twin"\n'), 1e-9)
 
 
 def test_a_python_object_takes_an_fmus_place(tmp_path: Path, reference: Record) -> None:
-    start = {name: tuple(map(float, reference[f"reference_trajectory.{name}"][0])) for name in ("position", "orientation")}
+    start = {
+        name: tuple(map(float, reference[f"reference_trajectory.{name}"][0]))
+        for name in ("position", "orientation")
+    }
     (tmp_path / "still.py").write_text(
         f"START = {start!r}\n"
         "from freeflyer.fmi.component import Port, PythonComponent\n"
@@ -56,7 +63,8 @@ def test_a_python_object_takes_an_fmus_place(tmp_path: Path, reference: Record) 
         "        pass\n"
     )
     record = record_of(
-        tmp_path, '[components.reference_trajectory]\nkind = "python"\nobject = "still.py:Still"\nstep_s = 0.3\n'
+        tmp_path,
+        '[components.reference_trajectory]\nkind = "python"\nobject = "still.py:Still"\nstep_s = 0.3\n',
     )
     assert np.ptp(record["reference_trajectory.position"], axis=0).max() == 0.0
     assert (
@@ -66,7 +74,9 @@ def test_a_python_object_takes_an_fmus_place(tmp_path: Path, reference: Record) 
     )
 
 
-def test_robot_parameters_go_to_plant_and_controllers_and_set_goes_to_one(tmp_path: Path, reference: Record) -> None:
+def test_robot_parameters_go_to_plant_and_controllers_and_set_goes_to_one(
+    tmp_path: Path, reference: Record
+) -> None:
     both = record_of(tmp_path, "[robot]\ntool_mass = 2.0\n")
     only_plant = record_of(tmp_path, "", "free_flyer.tool_mass=2.0")
     hand = "free_flyer.end_effector_position"
@@ -79,13 +89,21 @@ def test_robot_parameters_go_to_plant_and_controllers_and_set_goes_to_one(tmp_pa
 
 
 def test_values_with_units(tmp_path: Path) -> None:
-    text = "[components.free_flyer.parameters]\nbase_position = { value = [1, 2, 3], unit = 'mm' }\n"
-    assert record_of(tmp_path, text)["free_flyer.base_position"][0] == pytest.approx([0.001, 0.002, 0.003])
-    record = record_of(tmp_path, "", "base_controller.period=100 ms", "free_flyer.base_mass=150000 g")
+    text = (
+        "[components.free_flyer.parameters]\nbase_position = { value = [1, 2, 3], unit = 'mm' }\n"
+    )
+    assert record_of(tmp_path, text)["free_flyer.base_position"][0] == pytest.approx(
+        [0.001, 0.002, 0.003]
+    )
+    record = record_of(
+        tmp_path, "", "base_controller.period=100 ms", "free_flyer.base_mass=150000 g"
+    )
     assert (np.diff(record["base_controller.base_wrench"][:, 0]) != 0).sum() <= 12
 
 
-def test_a_controller_fmu_in_step_with_the_plant_samples_what_the_record_shows(reference: Record) -> None:
+def test_a_controller_fmu_in_step_with_the_plant_samples_what_the_record_shows(
+    reference: Record,
+) -> None:
     """F_b at the base's samples is that of the recorded state at the same instant."""
     rows = np.isclose(np.round(reference.time / 0.3) * 0.3, reference.time, atol=1e-9)
     held = reference["base_controller.base_wrench"]
@@ -95,10 +113,21 @@ def test_a_controller_fmu_in_step_with_the_plant_samples_what_the_record_shows(r
 
 
 @pytest.mark.parametrize("name", scenario.shipped())
-def test_the_reports_scenario_text_is_a_scenario_that_says_the_same(tmp_path: Path, name: str) -> None:
+def test_the_reports_scenario_text_is_a_scenario_that_says_the_same(
+    tmp_path: Path, name: str
+) -> None:
     shipped = scenario.load(name)
     path = tmp_path / f"{name}.toml"
     path.write_text(shipped.source)
     again = scenario.load(str(path))
-    for field in ("title", "stop", "expect", "components", "connections", "limits", "errors", "observed_energy"):
+    for field in (
+        "title",
+        "stop",
+        "expect",
+        "components",
+        "connections",
+        "limits",
+        "errors",
+        "observed_energy",
+    ):
         assert getattr(again, field) == getattr(shipped, field), field

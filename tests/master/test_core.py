@@ -37,7 +37,9 @@ def assert_twins(one: Outcome, other: Outcome) -> None:
     assert np.array_equal(one.record.time, other.record.time)
     for signal in one.record.signals:
         assert one.record[signal].tobytes() == other.record[signal].tobytes(), signal
-    ends = [(o.simulated, o.steps, o.diverged, o.failed, o.cause, o.interrupted) for o in (one, other)]
+    ends = [
+        (o.simulated, o.steps, o.diverged, o.failed, o.cause, o.interrupted) for o in (one, other)
+    ]
     assert ends[0] == ends[1]
 
 
@@ -48,22 +50,35 @@ def assert_twins(one: Outcome, other: Outcome) -> None:
         ("multirate_passive", ("stop_s=2.0",)),
         ("multirate_passive", ("stop_s=1.0", "exchange=parallel")),
         ("multirate_passive", ("stop_s=1.0", "record.every_s=0.001")),
-        ("multirate_passive", ("stop_s=1.0", "base_controller.step_s=0.001", "record.every_s=0.25")),
+        (
+            "multirate_passive",
+            ("stop_s=1.0", "base_controller.step_s=0.001", "record.every_s=0.25"),
+        ),
         ("multirate_passive", ("stop_s=1.0", 'record.signals=["*_controller.*damping"]')),
-        ("multirate_unstable", ("base_controller.period=0.5", "base_controller.damping=400")),  # diverges by a limit
-        ("multirate_unstable", ("manipulator_controller.singularity_threshold=0.1866",)),  # stops by a failed step
+        (
+            "multirate_unstable",
+            ("base_controller.period=0.5", "base_controller.damping=400"),
+        ),  # diverges by a limit
+        (
+            "multirate_unstable",
+            ("manipulator_controller.singularity_threshold=0.1866",),
+        ),  # stops by a failed step
         ("facility", ("stop_s=0.5",)),
         ("continuous", ("stop_s=0.3",)),  # one component is no co-simulation FMU
     ],
 )
-def test_the_record_is_the_same_to_the_last_bit(name: str, overrides: tuple[str, ...], fmi: int) -> None:
+def test_the_record_is_the_same_to_the_last_bit(
+    name: str, overrides: tuple[str, ...], fmi: int
+) -> None:
     assert_twins(*(outcome(name, engine, *overrides, fmi=fmi) for engine in ("core", "python")))
 
 
 @pytest.mark.parametrize("component", ["base_controller", "free_flyer"])
 def test_a_component_in_python_among_fmus(tmp_path: Path, component: str) -> None:
     path = tmp_path / "mixed.toml"
-    path.write_text(f'extends = "multirate_passive"\nstop_s = 0.7\n[components.{component}]\nkind = "twin"\n')
+    path.write_text(
+        f'extends = "multirate_passive"\nstop_s = 0.7\n[components.{component}]\nkind = "twin"\n'
+    )
     assert_twins(*(outcome(str(path), engine) for engine in ("core", "python")))
 
 
@@ -81,7 +96,9 @@ class Noisy(PythonComponent):
                 sampled=sampled and name == "y",
             )
 
-        super().__init__(name, [port("u", "input"), port("v", "input"), port("y", "output"), port("z", "output")])
+        super().__init__(
+            name, [port("u", "input"), port("v", "input"), port("y", "output"), port("z", "output")]
+        )
         self.fails_at, self.calls = fails_at, 0
 
     def advance(self, time: float, size: float) -> None:
@@ -94,7 +111,11 @@ class Noisy(PythonComponent):
 
 
 @st.composite
-def systems(draw: st.DrawFn) -> tuple[list[tuple[int, bool, int, int]], list[tuple[int, int, str, bool]], int, int, float, int]:
+def systems(
+    draw: st.DrawFn,
+) -> tuple[
+    list[tuple[int, bool, int, int]], list[tuple[int, int, str, bool]], int, int, float, int
+]:
     """Components (size, sampled, fails at, step), connections (from, to, input, delayed), stop, recording, a bound, patience."""
     size = draw(st.integers(1, 3))
     count = draw(st.integers(1, 5))
@@ -121,11 +142,20 @@ def systems(draw: st.DrawFn) -> tuple[list[tuple[int, bool, int, int]], list[tup
 
 def build(system: tuple) -> tuple[Master, dict[str, Noisy]]:
     kinds, wires, stop, every, bound, patience = system
-    components = {f"c{i}": Noisy(f"c{i}", size, sampled, fails) for i, (size, sampled, fails, _) in enumerate(kinds)}
-    connections = [Connection(source=f"c{a}.y", target=f"c{b}.{v}", delayed=delayed) for a, b, v, delayed in wires]
+    components = {
+        f"c{i}": Noisy(f"c{i}", size, sampled, fails)
+        for i, (size, sampled, fails, _) in enumerate(kinds)
+    }
+    connections = [
+        Connection(source=f"c{a}.y", target=f"c{b}.{v}", delayed=delayed)
+        for a, b, v, delayed in wires
+    ]
     samples = {name: kinds[i][1] for i, name in enumerate(components)}
     plan = schedule.build(
-        {f"c{i}": kind[3] * MS for i, kind in enumerate(kinds)}, stop * MS, every * MS, dict.fromkeys(components, True)
+        {f"c{i}": kind[3] * MS for i, kind in enumerate(kinds)},
+        stop * MS,
+        every * MS,
+        dict.fromkeys(components, True),
     )
     limits = [
         Limit(signal="c0.y", bound=bound, cause="far", lasting=patience * MS),
@@ -156,7 +186,9 @@ def test_any_system_of_components_in_python(system: tuple) -> None:
 
 @pytest.mark.parametrize("norm", ["maximum", "euclidean"])
 @pytest.mark.parametrize("bound", ["1e200", "inf"])
-def test_a_limit_whose_square_is_no_number_any_more_is_never_passed(tmp_path: Path, norm: str, bound: str) -> None:
+def test_a_limit_whose_square_is_no_number_any_more_is_never_passed(
+    tmp_path: Path, norm: str, bound: str
+) -> None:
     path = tmp_path / "far.toml"
     limit = f"[[limits]]\nsignal = 'free_flyer.base_velocity'\nmaximum = {bound}\nnorm = '{norm}'\n"
     path.write_text(f"extends = 'multirate_passive'\nstop_s = 0.05\n{limit}")
@@ -190,7 +222,10 @@ def test_every_instant_is_shown_to_somebody_who_watches_and_the_lock_is_free() -
 
 
 def test_another_thread_can_end_a_run() -> None:
-    with assembled(scenario.load("multirate_passive", ["stop_s=2000", "record.every_s=0.1"])) as (master, _):
+    with assembled(scenario.load("multirate_passive", ["stop_s=2000", "record.every_s=0.1"])) as (
+        master,
+        _,
+    ):
         run = native.Run(master)
         threading.Timer(0.3, run.cancel).start()
         begin = time.perf_counter()
@@ -203,7 +238,10 @@ def test_another_thread_can_end_a_run() -> None:
 
 def test_a_run_that_is_too_long_to_count_is_refused() -> None:
     with (
-        assembled(scenario.load("multirate_passive", ["stop_s=2e7", "record.every_s=1000"])) as (master, _),
+        assembled(scenario.load("multirate_passive", ["stop_s=2e7", "record.every_s=1000"])) as (
+            master,
+            _,
+        ),
         pytest.raises(ComponentError, match=r"too long for the native core.*--master python"),
     ):
         native.run(master)
@@ -213,13 +251,39 @@ def test_a_run_that_is_too_long_to_count_is_refused() -> None:
 def test_the_core_alone_under_sanitizers_without_a_warning(tmp_path: Path, compiler: str) -> None:
     if shutil.which(compiler) is None:
         pytest.skip(f"{compiler} is not installed")
-    probe = [compiler, "-fsanitize=address,undefined", "-x", "c", "-", "-o", str(tmp_path / "probe")]
-    if subprocess.run(probe, input=b"int main(void) { return 0; }", capture_output=True, check=False).returncode != 0:
-        pytest.skip(f"{compiler} has no sanitizers on this machine (Debian: libclang-rt-dev for clang)")
+    probe = [
+        compiler,
+        "-fsanitize=address,undefined",
+        "-x",
+        "c",
+        "-",
+        "-o",
+        str(tmp_path / "probe"),
+    ]
+    if (
+        subprocess.run(
+            probe, input=b"int main(void) { return 0; }", capture_output=True, check=False
+        ).returncode
+        != 0
+    ):
+        pytest.skip(
+            f"{compiler} has no sanitizers on this machine (Debian: libclang-rt-dev for clang)"
+        )
     program = tmp_path / "core_alone"
     sources = [str(Path(__file__).parent / "core_alone.c"), *map(str, sorted(CORE.glob("*.c")))]
-    flags = ["-std=c99", "-O1", "-g", "-Wall", "-Wextra", "-Werror", "-pedantic", "-fsanitize=address,undefined"]
-    subprocess.run([compiler, *flags, "-I", str(CORE), *sources, "-lm", "-o", str(program)], check=True)
+    flags = [
+        "-std=c99",
+        "-O1",
+        "-g",
+        "-Wall",
+        "-Wextra",
+        "-Werror",
+        "-pedantic",
+        "-fsanitize=address,undefined",
+    ]
+    subprocess.run(
+        [compiler, *flags, "-I", str(CORE), *sources, "-lm", "-o", str(program)], check=True
+    )
     done = subprocess.run([str(program), "300"], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
 

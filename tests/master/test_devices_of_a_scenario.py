@@ -24,20 +24,36 @@ def test_devices_do_not_touch_the_run_without_them() -> None:
 
 
 def test_keys_of_a_device_are_merged_and_another_kind_replaces_it(tmp_path: Path) -> None:
-    (arm,) = (s for s in loaded(tmp_path, '[devices.arm_drive]\nchannel = "x"').devices if s.name == "arm_drive")
+    (arm,) = (
+        s
+        for s in loaded(tmp_path, '[devices.arm_drive]\nchannel = "x"').devices
+        if s.name == "arm_drive"
+    )
     assert (arm.kind, arm.options["channel"], arm.options["interface"]) == ("can_arm", "x", "local")
-    (arm,) = (s for s in loaded(tmp_path, '[devices.arm_drive]\nkind = "simulated"').devices if s.name == "arm_drive")
+    (arm,) = (
+        s
+        for s in loaded(tmp_path, '[devices.arm_drive]\nkind = "simulated"').devices
+        if s.name == "arm_drive"
+    )
     assert (arm.kind, dict(arm.options), dict(arm.parameters)) == ("simulated", {}, {})
 
 
 def test_a_device_takes_over_the_step_of_its_component(tmp_path: Path) -> None:
-    (arm,) = (s for s in loaded(tmp_path, '[devices.arm_drive]\nkind = "other"').devices if s.name == "arm_drive")
+    (arm,) = (
+        s
+        for s in loaded(tmp_path, '[devices.arm_drive]\nkind = "other"').devices
+        if s.name == "arm_drive"
+    )
     assert arm.step == SECOND // 1000
 
 
 def test_settings_on_the_command_line_reach_devices_and_facility(tmp_path: Path) -> None:
     chosen = loaded(
-        tmp_path, "", 'devices.arm_drive.signals.cycle="N"', "facility.arm_watchdog_cycles=3", "devices.base_robot.domain=7"
+        tmp_path,
+        "",
+        'devices.arm_drive.signals.cycle="N"',
+        "facility.arm_watchdog_cycles=3",
+        "devices.base_robot.domain=7",
     )
     devices = {spec.name: spec.options for spec in chosen.devices}
     assert devices["arm_drive"]["signals"] == {"cycle": "N"}
@@ -57,7 +73,11 @@ def test_settings_on_the_command_line_reach_devices_and_facility(tmp_path: Path)
         ("", ("devices.arm_drive.channel.x=3",), "'channel' is no table"),
         ("", ("facility=3",), "facility.KEY=VALUE is expected"),
         ('[[limits]]\nsignal = "satellite.base_velocity"\nmaximum = 1\nfor_s = -1', (), "for_s"),
-        ('[[limits]]\nsignal = "satellite.base_velocity"\nmaximum = 1\nfor_s = "long"', (), "a number of seconds"),
+        (
+            '[[limits]]\nsignal = "satellite.base_velocity"\nmaximum = 1\nfor_s = "long"',
+            (),
+            "a number of seconds",
+        ),
     ],
 )
 def test_a_table_of_devices_that_cannot_be_is_refused(

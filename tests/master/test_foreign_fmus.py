@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import said
+from commands import run_command
 
 from freeflyer.fmi.fmu_description import describe_fmu
 from freeflyer.foundation.errors import ComponentError
@@ -21,18 +21,28 @@ from freeflyer.scenario.experiment import Result
 
 pytest.importorskip("pythonfmu3")
 builder = pytest.importorskip("pythonfmu.builder")
-needs_binary = pytest.mark.skipif(not builder.FmuBuilder.has_binary(), reason="PythonFMU has no binary for this machine")
+needs_binary = pytest.mark.skipif(
+    not builder.FmuBuilder.has_binary(), reason="PythonFMU has no binary for this machine"
+)
 
 TESTS = Path(__file__).parents[1]
 TUTORIAL = (TESTS.parent / "docs" / "foreign_fmus.md").read_text(encoding="utf-8")
-CONTROLLER, SCENARIO = (re.findall(rf"```{language}\n(.*?)```", TUTORIAL, re.DOTALL)[0] for language in ("python", "toml"))
+CONTROLLER, SCENARIO = (
+    re.findall(rf"```{language}\n(.*?)```", TUTORIAL, re.DOTALL)[0]
+    for language in ("python", "toml")
+)
 REFERENCE_FMUS = os.environ.get("FREEFLYER_REFERENCE_FMUS", "")
 
 
 def build(script: Path) -> None:
     """As a user does it, in a process of its own."""
     tool = "pythonfmu3" if "pythonfmu3" in script.read_text() else "pythonfmu"
-    subprocess.run([sys.executable, "-m", tool, "build", "-f", script.name], cwd=script.parent, check=True, capture_output=True)
+    subprocess.run(
+        [sys.executable, "-m", tool, "build", "-f", script.name],
+        cwd=script.parent,
+        check=True,
+        capture_output=True,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -75,12 +85,18 @@ def test_the_users_controller_holds_the_base_and_the_hand_tracks(loop: Result) -
     assert greatest["end_effector_orientation_error_deg"] < 1e-3
     assert greatest["base_position_error_m"] < 1e-3
     assert greatest["base_orientation_error_deg"] < 0.1
-    assert np.abs(loop.outcome.record["pd.base_wrench"]).max() > 0.1, "the controller had something to do"
+    assert np.abs(loop.outcome.record["pd.base_wrench"]).max() > 0.1, (
+        "the controller had something to do"
+    )
 
 
 @needs_binary
 def test_fmi_3_gives_the_same_closed_loop(folder: Path, loop: Result) -> None:
-    same(loop, closed_loop(folder, text=SCENARIO.replace("PdBaseController", "PdBaseController3")), 1e-9)
+    same(
+        loop,
+        closed_loop(folder, text=SCENARIO.replace("PdBaseController", "PdBaseController3")),
+        1e-9,
+    )
 
 
 @needs_binary
@@ -90,12 +106,17 @@ def test_our_fmi_3_plant_with_a_foreign_fmi_2_controller(folder: Path, loop: Res
 
 
 @needs_binary
-def test_a_foreign_fmu_for_model_exchange_between_ours_and_a_foreign_controller(folder: Path) -> None:
+def test_a_foreign_fmu_for_model_exchange_between_ours_and_a_foreign_controller(
+    folder: Path,
+) -> None:
     lagging = SCENARIO.replace(
-        '"pd.base_wrench -> free_flyer.base_wrench"', '"pd.base_wrench -> lag.command", "lag.wrench -> free_flyer.base_wrench"'
+        '"pd.base_wrench -> free_flyer.base_wrench"',
+        '"pd.base_wrench -> lag.command", "lag.wrench -> free_flyer.base_wrench"',
     )
     lagging += '[components.lag]\nkind = "model_exchange"\nfmu = "ThrusterLagMe.fmu"\nstep_s = 0.004\nsamples = false\n'
-    record = closed_loop(folder, "stop_s=1", "record.every_s=0.004", text=lagging, name="lag").outcome.record
+    record = closed_loop(
+        folder, "stop_s=1", "record.every_s=0.004", text=lagging, name="lag"
+    ).outcome.record
     asked, acting = record["pd.base_wrench"], record["lag.wrench"]
     decay = np.exp(-0.004 / 0.02)
     assert acting[1:-1] == pytest.approx(decay * acting[:-2] + (1 - decay) * asked[:-2], abs=1e-9)
@@ -109,8 +130,13 @@ def test_parameters_and_units_of_a_foreign_fmu(folder: Path) -> None:
     turn = "base_orientation_error_deg"
     assert weak.summary[turn]["max"] > 2 * strong.summary[turn]["max"]
     wrong = SCENARIO.replace("free_flyer.base_position -> pd", "free_flyer.linear_momentum -> pd")
-    closed_loop(folder, "stop_s=0.1", text=wrong)  # PythonFMU declares no units, which agree with any
-    with pytest.raises(Exception, match=r"linear_momentum -> pd.base_position: units differ at element 1: kg.m/s and m"):
+    closed_loop(
+        folder, "stop_s=0.1", text=wrong
+    )  # PythonFMU declares no units, which agree with any
+    with pytest.raises(
+        Exception,
+        match=r"linear_momentum -> pd.base_position: units differ at element 1: kg.m/s and m",
+    ):
         closed_loop(folder, text=wrong.replace("PdBaseController", "PdBaseController3"))
 
 
@@ -143,7 +169,12 @@ TEMPLATES = pytest.mark.parametrize("template", [TEMPLATE_2, TEMPLATE_3], ids=["
 
 
 def small(
-    folder: Path, template: str, *, name: str = "Small", start: str = "pass", step: str = "self.y = 2 * self.u; return True"
+    folder: Path,
+    template: str,
+    *,
+    name: str = "Small",
+    start: str = "pass",
+    step: str = "self.y = 2 * self.u; return True",
 ) -> Path:
     """A scenario with one such FMU that listens to the plant; the script is called slave.py whatever its class."""
     folder.mkdir(exist_ok=True)
@@ -162,19 +193,40 @@ def small(
 @pytest.mark.parametrize(
     ("start", "step", "code", "message"),
     [
-        ("pass", "assert t < 0.05, 'the tank is empty'; return True", 3, r"stopped at 0\.05 s: x: .*the tank is empty"),
-        ("raise OSError('no calibration')", "return True", 2, r"component x cannot be initialised: .*no calibration"),
+        (
+            "pass",
+            "assert t < 0.05, 'the tank is empty'; return True",
+            3,
+            r"stopped at 0\.05 s: x: .*the tank is empty",
+        ),
+        (
+            "raise OSError('no calibration')",
+            "return True",
+            2,
+            r"component x cannot be initialised: .*no calibration",
+        ),
         ("pass", "return t < 0.05", 3, r"stopped at 0\.05 s: x: .*(\(discard\)|asks for the end)"),
     ],
 )
 def test_errors_in_the_users_python_are_one_sentence_with_component_and_cause(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, template: str, start: str, step: str, code: int, message: str
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    template: str,
+    start: str,
+    step: str,
+    code: int,
+    message: str,
 ) -> None:
     path = small(tmp_path, template, start=start, step=step)
-    got, error = said(capsys, "run", str(path), "--out", str(tmp_path / "out"))
+    got, error = run_command(capsys, "run", str(path), "--out", str(tmp_path / "out"))
     assert re.search(message, error), error
     assert got == code
-    assert said(capsys, "run", str(small(tmp_path, template)), "--out", str(tmp_path / "out"))[0] == 0, "ours goes on working"
+    assert (
+        run_command(capsys, "run", str(small(tmp_path, template)), "--out", str(tmp_path / "out"))[
+            0
+        ]
+        == 0
+    ), "ours goes on working"
 
 
 @needs_binary
@@ -184,28 +236,46 @@ def test_two_fmus_of_one_script_name_keep_their_own_code_and_leave_nothing(
 ) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "unpacked"))
     (tmp_path / "unpacked").mkdir()
-    small(tmp_path / "triple", template, step="self.log('100% %s %d'); self.y = 3 * self.u; return True")
+    small(
+        tmp_path / "triple",
+        template,
+        step="self.log('100% %s %d'); self.y = 3 * self.u; return True",
+    )
     path = small(tmp_path / "double", template)
     component = '[components.{name}]\nfmu = "{fmu}"\nstep_s = 0.01\n'
     text = 'stop_s = 0.1\nconnections = ["one.y -> two.u", "two.y -> three.u"]\n'
     text += "".join(
         component.format(name=name, fmu=fmu)
-        for name, fmu in (("one", "Small.fmu"), ("two", "../triple/Small.fmu"), ("three", "Small.fmu"))
+        for name, fmu in (
+            ("one", "Small.fmu"),
+            ("two", "../triple/Small.fmu"),
+            ("three", "Small.fmu"),
+        )
     )
     path.write_text(text + "[components.one.parameters]\nn = 5\nb = false\nu = 7\n")
     record = experiment.run(scenario.load(str(path))).outcome.record
     assert [record[f"{name}.y"][0] for name in ("one", "two", "three")] == [14.0, 42.0, 84.0]
     assert not list((tmp_path / "unpacked").iterdir())
     assert not [entry for entry in sys.path if "freeflyer-" in entry]
-    assert not [name for name, module in sys.modules.items() if "freeflyer-" in str(getattr(module, "__file__", ""))]
+    assert not [
+        name
+        for name, module in sys.modules.items()
+        if "freeflyer-" in str(getattr(module, "__file__", ""))
+    ]
 
 
 @needs_binary
 def test_an_fmi_3_fmu_without_time_is_refused_in_one_sentence(folder: Path, tmp_path: Path) -> None:
     changed = tmp_path / "timeless.fmu"
-    with zipfile.ZipFile(folder / "PdBaseController3.fmu") as whole, zipfile.ZipFile(changed, "w") as archive:
+    with (
+        zipfile.ZipFile(folder / "PdBaseController3.fmu") as whole,
+        zipfile.ZipFile(changed, "w") as archive,
+    ):
         archive.writestr(
-            "modelDescription.xml", re.sub(r"<Float64 name=\"time\"[^>]*/>", "", whole.read("modelDescription.xml").decode())
+            "modelDescription.xml",
+            re.sub(
+                r"<Float64 name=\"time\"[^>]*/>", "", whole.read("modelDescription.xml").decode()
+            ),
         )
     with pytest.raises(ComponentError, match="Exactly one independent variable must be defined"):
         describe_fmu(changed)
@@ -227,20 +297,40 @@ FMI_2 = """<?xml version="1.0" encoding="UTF-8"?>
     ("description", "binaries", "message"),
     [
         (FMI_1, (), "is of FMI version 1.0; FMI 2.0 and FMI 3.0 are supported"),
-        (FMI_1.replace("'1.0'", "'4.0'"), (), "is of FMI version 4.0; FMI 2.0 and FMI 3.0 are supported"),
-        (FMI_1.replace("fmiVersion='1.0'", ""), (), "is of FMI version unknown; FMI 2.0 and FMI 3.0 are supported"),
+        (
+            FMI_1.replace("'1.0'", "'4.0'"),
+            (),
+            "is of FMI version 4.0; FMI 2.0 and FMI 3.0 are supported",
+        ),
+        (
+            FMI_1.replace("fmiVersion='1.0'", ""),
+            (),
+            "is of FMI version unknown; FMI 2.0 and FMI 3.0 are supported",
+        ),
         (FMI_2[:200], (), "its modelDescription.xml is not well-formed XML"),
-        (FMI_2.replace("KIND", "ModelExchange"), (), "of component x offers no co-simulation; only such FMUs can be stepped"),
+        (
+            FMI_2.replace("KIND", "ModelExchange"),
+            (),
+            "of component x offers no co-simulation; only such FMUs can be stepped",
+        ),
         (
             FMI_2.replace("KIND", "CoSimulation"),
             ("amiga/some.so",),
             r"has no binary for this platform \(.*\); it has amiga: build it",
         ),
-        (FMI_2.replace("KIND", "CoSimulation").replace('"2.0"', "'2.0'"), (), "has no binary for this platform"),
+        (
+            FMI_2.replace("KIND", "CoSimulation").replace('"2.0"', "'2.0'"),
+            (),
+            "has no binary for this platform",
+        ),
     ],
 )
 def test_files_that_cannot_be_used(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, description: str, binaries: tuple[str, ...], message: str
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    description: str,
+    binaries: tuple[str, ...],
+    message: str,
 ) -> None:
     with zipfile.ZipFile(tmp_path / "some.fmu", "w") as archive:
         archive.writestr("modelDescription.xml", description)
@@ -248,14 +338,18 @@ def test_files_that_cannot_be_used(
             archive.writestr(f"binaries/{name}", "")
     path = tmp_path / "some.toml"
     path.write_text('stop_s = 0.1\n[components.x]\nfmu = "some.fmu"\nstep_s = 0.01\n')
-    code, error = said(capsys, "run", str(path), "--out", str(tmp_path / "out"))
+    code, error = run_command(capsys, "run", str(path), "--out", str(tmp_path / "out"))
     assert re.search(message, error), error
     assert code == 2
 
 
-@pytest.mark.skipif(not REFERENCE_FMUS, reason="FREEFLYER_REFERENCE_FMUS names no directory with fmi2/ and fmi3/")
+@pytest.mark.skipif(
+    not REFERENCE_FMUS, reason="FREEFLYER_REFERENCE_FMUS names no directory with fmi2/ and fmi3/"
+)
 @pytest.mark.parametrize("fmi", [2, 3])
-def test_the_modelica_associations_reference_fmus(tmp_path: Path, capsys: pytest.CaptureFixture[str], fmi: int) -> None:
+def test_the_modelica_associations_reference_fmus(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], fmi: int
+) -> None:
     def text(name: str, kind: str = "fmu", stop: float = 2.0) -> str:
         fmu = Path(REFERENCE_FMUS).resolve() / f"fmi{fmi}" / f"{name}.fmu"
         path = tmp_path / "reference.toml"
@@ -271,8 +365,21 @@ def test_the_modelica_associations_reference_fmus(tmp_path: Path, capsys: pytest
     assert last("x.x0", "VanDerPol", "model_exchange") == pytest.approx(0.3233166672, abs=1e-6)
     assert last("x.h", "BouncingBall") >= 0.0
     for name, kind, stop, sentence in (
-        ("BouncingBall", "model_exchange", 2.0, "has event indicators; only model exchange without events is supported"),
-        ("Stair", "model_exchange", 2.0, "has a time event at 1 s; only model exchange without events is supported"),
+        (
+            "BouncingBall",
+            "model_exchange",
+            2.0,
+            "has event indicators; only model exchange without events is supported",
+        ),
+        (
+            "Stair",
+            "model_exchange",
+            2.0,
+            "has a time event at 1 s; only model exchange without events is supported",
+        ),
         ("Stair", "fmu", 12.0, "the FMU asks for the end of the simulation"),
     ):
-        assert sentence in said(capsys, "run", text(name, kind, stop), "--out", str(tmp_path / "out"))[1]
+        assert (
+            sentence
+            in run_command(capsys, "run", text(name, kind, stop), "--out", str(tmp_path / "out"))[1]
+        )

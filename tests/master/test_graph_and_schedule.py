@@ -22,8 +22,17 @@ from freeflyer.master.master import Master
 MS = 1_000_000
 
 
-def port(name: str, causality: str, size: int = 1, unit: str | None = "m", direct: tuple[str, ...] = ()) -> Port:
-    return Port(name=name, size=size, causality=causality, units=(unit,) * size, start=(0.0,) * size, direct=frozenset(direct))
+def port(
+    name: str, causality: str, size: int = 1, unit: str | None = "m", direct: tuple[str, ...] = ()
+) -> Port:
+    return Port(
+        name=name,
+        size=size,
+        causality=causality,
+        units=(unit,) * size,
+        start=(0.0,) * size,
+        direct=frozenset(direct),
+    )
 
 
 class Plant(PythonComponent):
@@ -49,7 +58,11 @@ class Gain(PythonComponent):
 
 
 def ready(
-    components: dict[str, PythonComponent], connections: list[Connection], steps: dict[str, int], stop: int, **more: object
+    components: dict[str, PythonComponent],
+    connections: list[Connection],
+    steps: dict[str, int],
+    stop: int,
+    **more: object,
 ) -> Master:
     plan = schedule.build(steps, stop, min(steps.values()), dict.fromkeys(components, True))
     master = Master(graph.build(components, connections), plan, **more)  # type: ignore[arg-type]
@@ -59,7 +72,10 @@ def ready(
 
 def loop(k: float = -1.0) -> tuple[dict[str, PythonComponent], list[Connection]]:
     components = {"plant": Plant("plant"), "gain": Gain("gain", k)}
-    return components, [Connection(source="plant.x", target="gain.u"), Connection(source="gain.y", target="plant.u")]
+    return components, [
+        Connection(source="plant.x", target="gain.u"),
+        Connection(source="gain.y", target="plant.u"),
+    ]
 
 
 def test_controllers_answer_to_the_plants_output_of_the_same_instant() -> None:
@@ -98,11 +114,16 @@ def test_a_slow_plants_output_is_not_known_before_its_time() -> None:
 
 def test_a_delayed_connection_carries_what_was_there_before_the_instant_and_breaks_a_loop() -> None:
     a, b = Gain("a", 1.0, "m"), Gain("b", 1.0, "m")
-    forward, back = Connection(source="a.y", target="b.u"), Connection(source="b.y", target="a.u", delayed=True)
+    forward, back = (
+        Connection(source="a.y", target="b.u"),
+        Connection(source="b.y", target="a.u", delayed=True),
+    )
     built = graph.build({"b": b, "a": a}, [forward, back])
     assert built.first == ("a", "b")
     a.values["u"][:] = 0.0
-    with pytest.raises(GraphError, match=r"algebraic loop: .*a.*b.*declare one of the connections delayed"):
+    with pytest.raises(
+        GraphError, match=r"algebraic loop: .*a.*b.*declare one of the connections delayed"
+    ):
         graph.build({"a": a, "b": b}, [forward, Connection(source="b.y", target="a.u")])
 
 
@@ -156,7 +177,9 @@ def test_a_step_that_is_no_multiple_is_refused_and_told_what_would_fit() -> None
         schedule.build({"a": MS, "b": 2_500_000}, 100 * MS, MS, {"a": True, "b": True})
     with pytest.raises(GraphError, match=r"the stop time of 0.0105 s is no multiple"):
         schedule.build({"a": MS}, 10_500_000, MS, {"a": True})
-    with pytest.raises(GraphError, match=r"component b cannot shorten its last step.*0.009 s would fit"):
+    with pytest.raises(
+        GraphError, match=r"component b cannot shorten its last step.*0.009 s would fit"
+    ):
         schedule.build({"a": MS, "b": 3 * MS}, 10 * MS, MS, {"a": True, "b": False})
 
 
@@ -187,7 +210,13 @@ def test_a_limit_ends_the_run_with_its_cause_and_keeps_what_was_simulated() -> N
     assert outcome.simulated == 0.04
     assert outcome.record.time[-1] == 0.04
     with pytest.raises(CosimError, match="did you mean"):
-        ready({"plant": plant}, [], {"plant": 10 * MS}, 100 * MS, limits=[Limit(signal="plamt.x", bound=1.0, cause="")])
+        ready(
+            {"plant": plant},
+            [],
+            {"plant": 10 * MS},
+            100 * MS,
+            limits=[Limit(signal="plamt.x", bound=1.0, cause="")],
+        )
 
 
 def test_nan_passes_no_limit() -> None:
@@ -243,11 +272,24 @@ def test_a_component_with_both_kinds_of_outputs_in_use_must_say_which_it_is() ->
         """x' = u with its acceleration as a second, direct output."""
 
         def __init__(self, name: str) -> None:
-            PythonComponent.__init__(self, name, [port("u", "input"), port("x", "output"), port("a", "output", direct=("u",))])
+            PythonComponent.__init__(
+                self,
+                name,
+                [port("u", "input"), port("x", "output"), port("a", "output", direct=("u",))],
+            )
 
-    components = {"plant": Both("plant"), "one": Gain("one", 1.0, "m"), "two": Gain("two", 1.0, "m")}
-    wires = [Connection(source="plant.x", target="one.u"), Connection(source="plant.a", target="two.u")]
-    with pytest.raises(GraphError, match="its output a depends directly on its inputs and its output x does not"):
+    components = {
+        "plant": Both("plant"),
+        "one": Gain("one", 1.0, "m"),
+        "two": Gain("two", 1.0, "m"),
+    }
+    wires = [
+        Connection(source="plant.x", target="one.u"),
+        Connection(source="plant.a", target="two.u"),
+    ]
+    with pytest.raises(
+        GraphError, match="its output a depends directly on its inputs and its output x does not"
+    ):
         graph.build(components, wires)
     assert "plant" in graph.build(components, wires, {"plant": False}).then
     assert graph.build(components, wires, {"plant": True}).first[0] == "plant"
@@ -256,7 +298,10 @@ def test_a_component_with_both_kinds_of_outputs_in_use_must_say_which_it_is() ->
 def test_before_its_source_is_initialised_an_input_keeps_its_own_start_value() -> None:
     class Careful(Plant):
         def __init__(self, name: str) -> None:
-            ports = [port("x", "output"), Port(name="u", size=1, causality="input", units=("m/s",), start=(0.7,))]
+            ports = [
+                port("x", "output"),
+                Port(name="u", size=1, causality="input", units=("m/s",), start=(0.7,)),
+            ]
             PythonComponent.__init__(self, name, ports)
 
         def initialise(self, start: float) -> None:
@@ -265,7 +310,10 @@ def test_before_its_source_is_initialised_an_input_keeps_its_own_start_value() -
     plant, gain = Careful("plant"), Gain("gain", -1.0)
     ready(
         {"plant": plant, "gain": gain},
-        [Connection(source="plant.x", target="gain.u"), Connection(source="gain.y", target="plant.u")],
+        [
+            Connection(source="plant.x", target="gain.u"),
+            Connection(source="gain.y", target="plant.u"),
+        ],
         {"plant": 10 * MS, "gain": 10 * MS},
         100 * MS,
     )
@@ -278,7 +326,10 @@ def test_before_its_source_is_initialised_an_input_keeps_its_own_start_value() -
         ({"size": 3, "units": ("m",), "start": None}, "size is 3, but it has 1 units"),
         ({"size": 3, "units": ("m",) * 3, "start": (1.0, 2.0)}, "2 start values"),
         ({"size": 1, "units": ("blorg",), "start": None}, "unit 'blorg' is not known"),
-        ({"size": 1, "units": ("m",), "start": None, "causality": "outptu"}, "causality is 'outptu'"),
+        (
+            {"size": 1, "units": ("m",), "start": None, "causality": "outptu"},
+            "causality is 'outptu'",
+        ),
     ],
 )
 def test_ports_of_python_components_are_checked(ports: dict, message: str) -> None:
@@ -299,7 +350,9 @@ def test_a_python_component_may_assign_its_outputs_and_must_keep_them_finite() -
 
 def test_the_record_loads_in_one_line_with_units(tmp_path: Path) -> None:
     components, connections = loop()
-    record = ready(components, connections, {"plant": 10 * MS, "gain": 10 * MS}, 100 * MS).run().record
+    record = (
+        ready(components, connections, {"plant": 10 * MS, "gain": 10 * MS}, 100 * MS).run().record
+    )
     record.write(tmp_path / "record.parquet")
     frame = pandas.read_parquet(tmp_path / "record.parquet")
     assert list(frame) == ["time", "plant.x", "gain.y"]

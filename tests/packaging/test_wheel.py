@@ -19,7 +19,13 @@ ROOTS = ("freeflyer", "freeflyer_adapters", "freeflyer_fmus")
 
 def run(*command: str, folder: Path, **environment: str) -> str:
     done = subprocess.run(
-        command, cwd=folder, env={**os.environ, **environment}, capture_output=True, text=True, check=False, timeout=120
+        command,
+        cwd=folder,
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
     )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
@@ -53,7 +59,9 @@ def test_the_sdist_gives_the_same_wheel(wheel: Path, tmp_path: Path) -> None:
     shutil.unpack_archive(built("sdist", ROOT, tmp_path / "sdist"), tmp_path / "unpacked")
     (source,) = (tmp_path / "unpacked").iterdir()
     own = names_in(built("wheel", source, tmp_path / "wheel"))
-    assert own == {name for name in names_in(wheel) if "/prebuilt/" not in name}  # a checkout may have compiled files
+    assert own == {
+        name for name in names_in(wheel) if "/prebuilt/" not in name
+    }  # a checkout may have compiled files
     assert {"freeflyer/paper/scenarios/facility.toml", "freeflyer_fmus/c/fmi3.c"} <= own
     assert {f"{root}/{file}" for root in ROOTS for file in ("__init__.pyi", "py.typed")} <= own
 
@@ -63,8 +71,12 @@ def other_wheel(name: str, modules: list[str], folder: Path) -> Path:
     about = f"{name}-9.0.dist-info"
     files = {f"{name}/{module}": f"whose = {name!r}\n".encode() for module in modules}
     files[f"{about}/METADATA"] = f"Metadata-Version: 2.1\nName: {name}\nVersion: 9.0\n".encode()
-    files[f"{about}/WHEEL"] = b"Wheel-Version: 1.0\nGenerator: test\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
-    files[f"{about}/RECORD"] = "".join(f"{path},,\n" for path in (*files, f"{about}/RECORD")).encode()
+    files[f"{about}/WHEEL"] = (
+        b"Wheel-Version: 1.0\nGenerator: test\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
+    )
+    files[f"{about}/RECORD"] = "".join(
+        f"{path},,\n" for path in (*files, f"{about}/RECORD")
+    ).encode()
     path = folder / f"{name}-9.0-py3-none-any.whl"
     with zipfile.ZipFile(path, "w") as archive:
         for inside, content in files.items():
@@ -72,10 +84,25 @@ def other_wheel(name: str, modules: list[str], folder: Path) -> Path:
     return path
 
 
-def test_packages_called_adapters_and_cosim_come_and_go_beside_ours(wheel: Path, tmp_path: Path) -> None:
-    run(sys.executable, "-P", "-m", "venv", "--without-pip", str(tmp_path / "venv"), folder=tmp_path)
-    pip = [sys.executable, "-P", "-m", "pip", "--python", str(tmp_path / "venv/bin/python"), "--disable-pip-version-check"]
-    others = [other_wheel(name, ["__init__.py", "histogram.py", "cli.py"], tmp_path) for name in ("adapters", "cosim")]
+def test_packages_called_adapters_and_cosim_come_and_go_beside_ours(
+    wheel: Path, tmp_path: Path
+) -> None:
+    run(
+        sys.executable, "-P", "-m", "venv", "--without-pip", str(tmp_path / "venv"), folder=tmp_path
+    )
+    pip = [
+        sys.executable,
+        "-P",
+        "-m",
+        "pip",
+        "--python",
+        str(tmp_path / "venv/bin/python"),
+        "--disable-pip-version-check",
+    ]
+    others = [
+        other_wheel(name, ["__init__.py", "histogram.py", "cli.py"], tmp_path)
+        for name in ("adapters", "cosim")
+    ]
     run(*pip, "install", "--no-index", "--no-deps", str(wheel), *map(str, others), folder=tmp_path)
     (site,) = (tmp_path / "venv/lib").glob("python*/site-packages")
     assert (site / "adapters/histogram.py").read_text() == "whose = 'adapters'\n"
@@ -86,7 +113,11 @@ def test_packages_called_adapters_and_cosim_come_and_go_beside_ours(wheel: Path,
     for line in record.read_text().splitlines():
         name, digest, _ = line.rsplit(",", 2)
         if digest:
-            found = base64.urlsafe_b64encode(hashlib.sha256((site / name).read_bytes()).digest()).rstrip(b"=").decode()
+            found = (
+                base64.urlsafe_b64encode(hashlib.sha256((site / name).read_bytes()).digest())
+                .rstrip(b"=")
+                .decode()
+            )
             assert digest == f"sha256={found}", name
             checked += 1
     assert checked > 200

@@ -26,7 +26,9 @@ def fmus(version: int) -> dict[str, Path]:
 
 
 def connections() -> list[Connection]:
-    text = (Path(str(files("freeflyer"))) / "paper" / "scenarios" / "_free_flyer_loop.toml").read_text()
+    text = (
+        Path(str(files("freeflyer"))) / "paper" / "scenarios" / "_free_flyer_loop.toml"
+    ).read_text()
     loop = tomllib.loads(text)
     found = []
     for line in (*loop["connections"], *loop["delayed"]):
@@ -48,7 +50,10 @@ def start_values(
         "base_controller": {"period": period},
     }
     if moving:
-        values["free_flyer"] = {"base_position": [0.02, -0.01, 0.0], "base_velocity": [0.0, 0.01, 0.0, 0.02, 0.0, 0.0]}
+        values["free_flyer"] = {
+            "base_position": [0.02, -0.01, 0.0],
+            "base_velocity": [0.0, 0.01, 0.0, 0.02, 0.0, 0.0],
+        }
     return values
 
 

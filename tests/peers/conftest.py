@@ -29,5 +29,7 @@ class Skipped(pytest.Module):
         pytest.skip(REASON, allow_module_level=True)
 
 
-def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> pytest.Module | None:
+def pytest_pycollect_makemodule(
+    module_path: Path, parent: pytest.Collector
+) -> pytest.Module | None:
     return Skipped.from_parent(parent, path=module_path) if REASON else None

@@ -14,7 +14,17 @@ from pathlib import Path
 import fmpy
 import numpy as np
 from fmu_manipulation_toolbox.assembly import AssemblyNode
-from slaves import Array, Connection, Slave, StartValues, elements, split, ticks, times, variables_of
+from slaves import (
+    Array,
+    Connection,
+    Slave,
+    StartValues,
+    elements,
+    split,
+    ticks,
+    times,
+    variables_of,
+)
 
 INNER = "slow"
 OUT = "out"
@@ -34,7 +44,9 @@ def run(
     """`sequential` steps the components one after the other in the order of `fmus`."""
     size, _, count = ticks(steps, stop)
     with tempfile.TemporaryDirectory() as folder:
-        path, first = build(Path(folder), fmus, connections, start_values, steps, recorded, sequential=sequential)
+        path, first = build(
+            Path(folder), fmus, connections, start_values, steps, recorded, sequential=sequential
+        )
         return run_container(path, first, recorded, size, count)
 
 
@@ -57,14 +69,22 @@ def build(
     variables = variables_of(fmus)
     for name, path in fmus.items():
         shutil.copy(path, folder / f"{name}.fmu")
-    version = 2 if fmpy.read_model_description(str(next(iter(fmus.values())))).fmiVersion.startswith("2") else 3
+    version = (
+        2
+        if fmpy.read_model_description(str(next(iter(fmus.values())))).fmiVersion.startswith("2")
+        else 3
+    )
     automatic = {"auto_link": False, "auto_input": False, "auto_output": False}
-    root = AssemblyNode("loop.fmu", step_size=min(steps.values()), sequential=sequential, **automatic)
+    root = AssemblyNode(
+        "loop.fmu", step_size=min(steps.values()), sequential=sequential, **automatic
+    )
     nodes, place = {root.step_size: root}, {}
     for name in fmus:
         step = steps[name]
         if step not in nodes:
-            nodes[step] = AssemblyNode(f"{INNER}{len(nodes)}.fmu", step_size=step, sequential=sequential, **automatic)
+            nodes[step] = AssemblyNode(
+                f"{INNER}{len(nodes)}.fmu", step_size=step, sequential=sequential, **automatic
+            )
             root.add_sub_node(nodes[step])
         nodes[step].add_fmu(f"{name}.fmu")
         place[name] = nodes[step]
@@ -72,7 +92,11 @@ def build(
     def outer(signal: str, element: str) -> tuple[str, str]:
         """FMU and port by which the outer container knows an element."""
         name = split(signal)[0]
-        return (f"{name}.fmu", element) if place[name] is root else (place[name].name, f"{name}.{element}")
+        return (
+            (f"{name}.fmu", element)
+            if place[name] is root
+            else (place[name].name, f"{name}.{element}")
+        )
 
     def named(signal: str) -> tuple[str, ...]:
         return variables[split(signal)[0]][split(signal)[1]].names
@@ -99,22 +123,34 @@ def build(
     for name, values in start_values.items():
         for variable, value in values.items():
             found = variables[name][variable]
-            texts = [str(x).lower() if isinstance(x, bool) else repr(x) for x in elements(value, found.size)]
-            for element, text in zip(found.names, texts if len(found.names) > 1 else [" ".join(texts)], strict=True):
+            texts = [
+                str(x).lower() if isinstance(x, bool) else repr(x)
+                for x in elements(value, found.size)
+            ]
+            for element, text in zip(
+                found.names, texts if len(found.names) > 1 else [" ".join(texts)], strict=True
+            ):
                 place[name].add_start_value(f"{name}.fmu", element, text)
     root.make_fmu(folder, fmi_version=version)
     return folder / "loop.fmu", first
 
 
 def run_container(
-    path: Path, first: Mapping[str, Sequence[float]], recorded: Sequence[str], size: float, count: int
+    path: Path,
+    first: Mapping[str, Sequence[float]],
+    recorded: Sequence[str],
+    size: float,
+    count: int,
 ) -> dict[str, Array]:
     # The description of an FMI 3.0 container with arrays does not follow the schema (version 2.0): not validated.
     container = Slave("loop", path, validate=False)
     try:
         container.enter_initialization(first)
         container.exit_initialization()
-        record = {signal: np.empty((count + 1, container.variables[f"{OUT}.{signal}"].size)) for signal in recorded}
+        record = {
+            signal: np.empty((count + 1, container.variables[f"{OUT}.{signal}"].size))
+            for signal in recorded
+        }
         record["time"] = times(0, count, size)
         for k in range(count + 1):
             for signal in recorded:

@@ -10,7 +10,17 @@ from pathlib import Path
 
 import numpy as np
 from ecospy import EcosLib, EcosSimulation, EcosSimulationStructure
-from slaves import Array, Connection, StartValues, Variable, elements, split, ticks, times, variables_of
+from slaves import (
+    Array,
+    Connection,
+    StartValues,
+    Variable,
+    elements,
+    split,
+    ticks,
+    times,
+    variables_of,
+)
 
 
 class EcosError(Exception):
@@ -28,7 +38,9 @@ def run(
     variables = variables_of(fmus)
     for name, own in variables.items():
         if any(variable.size > len(variable.names) for variable in own.values()):
-            raise EcosError(f"{name} has arrays of FMI 3.0: ecos takes them for scalars, and hears of no error")
+            raise EcosError(
+                f"{name} has arrays of FMI 3.0: ecos takes them for scalars, and hears of no error"
+            )
     size, _, count = ticks(steps, stop)
     EcosLib.set_log_level("warn")
     parameters: dict[str, float | bool] = {}
@@ -45,14 +57,18 @@ def run(
             structure.add_model(name, str(path), steps[name])
         for source, target in connections:
             (begin, output), (end, input_) = split(source), split(target)
-            for a, b in zip(variables[begin][output].names, variables[end][input_].names, strict=True):
+            for a, b in zip(
+                variables[begin][output].names, variables[end][input_].names, strict=True
+            ):
                 structure.make_real_connection(f"{begin}::{a}", f"{end}::{b}")
         structure.add_parameter_set("start", parameters)
         with EcosSimulation(structure=structure, step_size=size) as simulation:
             return _simulate(simulation, variables, recorded, size, count)
 
 
-def run_ssp(path: Path, fmus: Mapping[str, Path], size: float, stop: float, recorded: Sequence[str]) -> dict[str, Array]:
+def run_ssp(
+    path: Path, fmus: Mapping[str, Path], size: float, stop: float, recorded: Sequence[str]
+) -> dict[str, Array]:
     """An .ssp; the base step is the caller's, the steps are those of its OSP annotations."""
     with EcosSimulation(ssp_path=str(path), step_size=size) as simulation:
         return _simulate(simulation, variables_of(fmus), recorded, size, round(stop / size))
@@ -72,7 +88,9 @@ def _simulate(
         raise EcosError(EcosLib.get_last_error())
     for k in range(count + 1):
         for signal, names in signals.items():
-            record[signal][k] = [simulation.get_real(f"{split(signal)[0]}::{name}") for name in names]
+            record[signal][k] = [
+                simulation.get_real(f"{split(signal)[0]}::{name}") for name in names
+            ]
         if k < count:
             simulation.step()
     simulation.terminate()

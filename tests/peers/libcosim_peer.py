@@ -17,7 +17,17 @@ from libcosimpy.CosimExecution import CosimExecution
 from libcosimpy.CosimLogging import CosimLogLevel, log_output_level
 from libcosimpy.CosimObserver import CosimObserver
 from libcosimpy.CosimSlave import CosimLocalSlave
-from slaves import Array, Connection, StartValues, Variable, elements, split, ticks, times, variables_of
+from slaves import (
+    Array,
+    Connection,
+    StartValues,
+    Variable,
+    elements,
+    split,
+    ticks,
+    times,
+    variables_of,
+)
 
 OSP = "http://opensimulationplatform.com/MSMI/OSPSystemStructure"
 
@@ -52,9 +62,17 @@ def run(
         return _simulate(execution, variables, recorded, size, count)
 
 
-def run_ssp(path: Path, fmus: Mapping[str, Path], size: float, stop: float, recorded: Sequence[str]) -> dict[str, Array]:
+def run_ssp(
+    path: Path, fmus: Mapping[str, Path], size: float, stop: float, recorded: Sequence[str]
+) -> dict[str, Array]:
     """An .ssp; its OSP annotations give base step and steps."""
-    return _simulate(CosimExecution.from_ssp_file(str(path)), variables_of(fmus), recorded, size, round(stop / size))
+    return _simulate(
+        CosimExecution.from_ssp_file(str(path)),
+        variables_of(fmus),
+        recorded,
+        size,
+        round(stop / size),
+    )
 
 
 def _in_memory(
@@ -65,7 +83,10 @@ def _in_memory(
     size: float,
 ) -> CosimExecution:
     execution = CosimExecution.from_step_size(round(size * 1e9))
-    index = {name: execution.add_local_slave(CosimLocalSlave(str(path), name)) for name, path in fmus.items()}
+    index = {
+        name: execution.add_local_slave(CosimLocalSlave(str(path), name))
+        for name, path in fmus.items()
+    }
     for name, number in index.items():
         checked(number >= 0, f"adding {name}")
     for name, values in start_values.items():
@@ -73,19 +94,32 @@ def _in_memory(
             found = variables[name][variable]
             if found.kind == "Enumeration":
                 raise LibcosimError(f"{name}.{variable}: libcosim knows no enumerations")
-            put = execution.boolean_initial_value if found.kind == "Boolean" else execution.real_initial_value
+            put = (
+                execution.boolean_initial_value
+                if found.kind == "Boolean"
+                else execution.real_initial_value
+            )
             for reference, item in zip(found.references, elements(value, found.size), strict=True):
                 checked(put(index[name], reference, item), f"setting {name}.{variable}")
     for source, target in connections:
         (begin, output), (end, input_) = split(source), split(target)
-        pairs = zip(variables[begin][output].references, variables[end][input_].references, strict=True)
+        pairs = zip(
+            variables[begin][output].references, variables[end][input_].references, strict=True
+        )
         for a, b in pairs:
-            checked(execution.connect_real_variables(index[begin], a, index[end], b) == 0, f"connecting {source} to {target}")
+            checked(
+                execution.connect_real_variables(index[begin], a, index[end], b) == 0,
+                f"connecting {source} to {target}",
+            )
     return execution
 
 
 def _simulate(
-    execution: CosimExecution, variables: Mapping[str, Mapping[str, Variable]], recorded: Sequence[str], size: float, count: int
+    execution: CosimExecution,
+    variables: Mapping[str, Mapping[str, Variable]],
+    recorded: Sequence[str],
+    size: float,
+    count: int,
 ) -> dict[str, Array]:
     observer = CosimObserver.create_time_series(count + 2)
     checked(execution.add_observer(observer), "adding an observer")
@@ -93,13 +127,21 @@ def _simulate(
     for signal in recorded:
         component, variable = split(signal)
         number = execution.slave_index_from_instance_name(component)
-        places[signal] = [(number, reference) for reference in variables[component][variable].references]
+        places[signal] = [
+            (number, reference) for reference in variables[component][variable].references
+        ]
         for number, reference in places[signal]:
-            checked(observer.start_time_series(number, reference, CosimVariableType.REAL), f"observing {signal}")
+            checked(
+                observer.start_time_series(number, reference, CosimVariableType.REAL),
+                f"observing {signal}",
+            )
     checked(execution.step(count), "stepping")
     record = {"time": times(1, count, size)}
     for signal, place in places.items():
-        columns = [observer.time_series_real_samples(*where, from_step=1, sample_count=count) for where in place]
+        columns = [
+            observer.time_series_real_samples(*where, from_step=1, sample_count=count)
+            for where in place
+        ]
         # A slow slave is observed at the ends of its steps only; in between, what it showed last.
         held = np.searchsorted(columns[0][1], np.arange(1, count + 1), side="right") - 1
         values = np.array([column[2] for column in columns]).T
@@ -122,7 +164,9 @@ def write_system_structure(
     simulators = ElementTree.SubElement(root, "Simulators")
     for name, fmu in fmus.items():
         attributes = {"name": name, "source": str(fmu), "stepSize": repr(steps[name])}
-        initial = ElementTree.SubElement(ElementTree.SubElement(simulators, "Simulator", attributes), "InitialValues")
+        initial = ElementTree.SubElement(
+            ElementTree.SubElement(simulators, "Simulator", attributes), "InitialValues"
+        )
         for variable, value in start_values.get(name, {}).items():
             found = variables[name][variable]
             for element, item in zip(found.names, elements(value, found.size), strict=True):

@@ -42,48 +42,87 @@ class Peer:
         """By name, in the order in which the peer takes them."""
         paths = closed_loop.fmus(version)
         slow = ["base_controller"] if self.nests and base_step > 0.001 else []
-        return {name: paths[name] for name in (*slow, *(name for name in self.order if name not in slow))}
+        return {
+            name: paths[name]
+            for name in (*slow, *(name for name in self.order if name not in slow))
+        }
 
     def rule_for(self, fmus: Mapping[str, Path]) -> Rule:
         """A container initialises its components in the order in which it has them."""
-        return replace(self.rule, initial_order=tuple(fmus)) if self.rule.initial_order else self.rule
+        return (
+            replace(self.rule, initial_order=tuple(fmus)) if self.rule.initial_order else self.rule
+        )
 
 
 PEERS = {
     "libcosim": Peer(libcosim_peer.run, (2,), Rule(rounds=FOUR, late=True)),
     "ecos": Peer(ecos_peer.run, (2,), Rule(rounds=FOUR)),
     "container, parallel": Peer(
-        container_peer.run, (2, 3), Rule(late=True, initial_order=PLANT_FIRST), order=PLANT_FIRST, nests=True
+        container_peer.run,
+        (2, 3),
+        Rule(late=True, initial_order=PLANT_FIRST),
+        order=PLANT_FIRST,
+        nests=True,
     ),
     "container, sequential": Peer(
-        partial(container_peer.run, sequential=True), (2, 3), Rule(sequential=True, late=True), nests=True
+        partial(container_peer.run, sequential=True),
+        (2, 3),
+        Rule(sequential=True, late=True),
+        nests=True,
     ),
 }
 
 
-def arguments(base_step: float, stop: float, *, moving: bool = True, **options: object) -> tuple[object, ...]:
+def arguments(
+    base_step: float, stop: float, *, moving: bool = True, **options: object
+) -> tuple[object, ...]:
     """What every peer's `run` takes after the FMUs."""
     values = closed_loop.start_values(moving=moving, **options)  # type: ignore[arg-type]
-    return closed_loop.connections(), values, closed_loop.steps(base_step), stop, closed_loop.RECORDED
+    return (
+        closed_loop.connections(),
+        values,
+        closed_loop.steps(base_step),
+        stop,
+        closed_loop.RECORDED,
+    )
 
 
-def own_master(version: int, exchange: Exchange, base_step: float, stop: float, *, moving: bool = True) -> dict[str, Array]:
-    changes = [f"stop_s={stop}", "record.every_s=0.001", f'exchange="{exchange}"', f"base_controller.step_s={base_step}"]
+def own_master(
+    version: int, exchange: Exchange, base_step: float, stop: float, *, moving: bool = True
+) -> dict[str, Array]:
+    changes = [
+        f"stop_s={stop}",
+        "record.every_s=0.001",
+        f'exchange="{exchange}"',
+        f"base_controller.step_s={base_step}",
+    ]
     for component, values in closed_loop.start_values(moving=moving).items():
-        changes += [f"{component}.{name}={value}" for name, value in values.items() if isinstance(value, list)]
+        changes += [
+            f"{component}.{name}={value}"
+            for name, value in values.items()
+            if isinstance(value, list)
+        ]
     with assembled(load("multirate_passive", changes), version) as (master, _):
         record = master.run().record
     return {"time": record.time, **{signal: record[signal] for signal in closed_loop.RECORDED}}
 
 
-def difference(a: Mapping[str, Array], b: Mapping[str, Array], signals: Sequence[str] = closed_loop.RECORDED) -> float:
+def difference(
+    a: Mapping[str, Array], b: Mapping[str, Array], signals: Sequence[str] = closed_loop.RECORDED
+) -> float:
     """The largest, over the instants that both records have."""
-    _, in_a, in_b = np.intersect1d(np.round(a["time"] * 1e3), np.round(b["time"] * 1e3), return_indices=True)
+    _, in_a, in_b = np.intersect1d(
+        np.round(a["time"] * 1e3), np.round(b["time"] * 1e3), return_indices=True
+    )
     assert len(in_a) > 100
     return max(float(np.nanmax(np.abs(a[signal][in_a] - b[signal][in_b]))) for signal in signals)
 
 
 def before_the_instant(record: Mapping[str, Array]) -> dict[str, Array]:
     """A sequential record as peers write theirs: at an instant they show controllers as sampled one step earlier."""
-    shifted = {signal: values[:-1] for signal, values in record.items() if signal.split(".")[0].endswith("controller")}
+    shifted = {
+        signal: values[:-1]
+        for signal, values in record.items()
+        if signal.split(".")[0].endswith("controller")
+    }
     return {name: values[1:] for name, values in record.items()} | shifted

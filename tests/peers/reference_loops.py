@@ -42,7 +42,9 @@ def run(
     slaves = {name: Slave(name, path) for name, path in fmus.items()}
     sources = sorted({source for source, _ in connections} | set(recorded))
     outputs = {name: [split(s)[1] for s in sources if split(s)[0] == name] for name in fmus}
-    inputs = {name: [(s, split(t)[1]) for s, t in connections if split(t)[0] == name] for name in fmus}
+    inputs = {
+        name: [(s, split(t)[1]) for s, t in connections if split(t)[0] == name] for name in fmus
+    }
     shown: dict[str, Array] = {}
     made: dict[str, dict[str, Array]] = {}
 

@@ -40,11 +40,19 @@ def read_variables(path: Path, *, validate: bool = True) -> tuple[Any, dict[str,
         groups.setdefault(variable.name.partition("[")[0], []).append(variable)
     found = {}
     for name, group in groups.items():
-        size = sum(int(np.prod([int(dimension.start) for dimension in v.dimensions] or [1])) for v in group)
-        kind = {"Float64": "Real", "Int32": "Integer", "Int64": "Integer"}.get(group[0].type, group[0].type)
-        words = [word for v in group for word in str(v.start or "").split()] if kind == "Real" else []
+        size = sum(
+            int(np.prod([int(dimension.start) for dimension in v.dimensions] or [1])) for v in group
+        )
+        kind = {"Float64": "Real", "Int32": "Integer", "Int64": "Integer"}.get(
+            group[0].type, group[0].type
+        )
+        words = (
+            [word for v in group for word in str(v.start or "").split()] if kind == "Real" else []
+        )
         start = tuple(float(word) for word in words) if len(words) == size else None
-        found[name] = Variable(kind, size, tuple(v.name for v in group), tuple(v.valueReference for v in group), start)
+        found[name] = Variable(
+            kind, size, tuple(v.name for v in group), tuple(v.valueReference for v in group), start
+        )
     return description, found
 
 
@@ -66,7 +74,11 @@ def elements(value: Value, size: int) -> list[Any]:
 def ticks(steps: Mapping[str, float], stop: float) -> tuple[float, dict[str, int], int]:
     """The smallest step, every step as a multiple of it, and the number of smallest steps."""
     smallest = min(steps.values())
-    return smallest, {name: round(step / smallest) for name, step in steps.items()}, round(stop / smallest)
+    return (
+        smallest,
+        {name: round(step / smallest) for name, step in steps.items()},
+        round(stop / smallest),
+    )
 
 
 def times(first: int, last: int, size: float) -> Array:

@@ -17,7 +17,9 @@ STOP = 21.0
 
 def errors(record: Mapping[str, Array]) -> str:
     """Largest hand and base position errors, in mm."""
-    hand = np.linalg.norm(record["free_flyer.end_effector_position"] - record["reference_trajectory.position"], axis=1)
+    hand = np.linalg.norm(
+        record["free_flyer.end_effector_position"] - record["reference_trajectory.position"], axis=1
+    )
     base = np.linalg.norm(record["free_flyer.base_position"], axis=1)
     return f"{np.nanmax(hand) * 1e3:.3f} / {np.nanmax(base) * 1e3:.3f}"
 
@@ -30,9 +32,14 @@ def main() -> None:
     for base_step in (0.001, 0.3):
         for version in (2, 3):
             sequential = own_master(version, "sequential", base_step, STOP, moving=False)
-            ours = [before_the_instant(sequential), own_master(version, "parallel", base_step, STOP, moving=False)]
+            ours = [
+                before_the_instant(sequential),
+                own_master(version, "parallel", base_step, STOP, moving=False),
+            ]
             for exchange, record in zip(("sequential", "parallel"), ours, strict=True):
-                print(f"| ours, {exchange} | {version} | {base_step:g} s | | | | {errors(record)} |")
+                print(
+                    f"| ours, {exchange} | {version} | {base_step:g} s | | | | {errors(record)} |"
+                )
             options = arguments(base_step, STOP, moving=False)
             for name, peer in PEERS.items():
                 if version not in peer.versions:
@@ -41,18 +48,27 @@ def main() -> None:
                 record = peer.run(fmus, *options)
                 away = difference(record, reference_loops.run(fmus, *options, peer.rule_for(fmus)))
                 both = " | ".join(f"{difference(own, record):.1e}" for own in ours)
-                print(f"| {name} | {version} | {base_step:g} s | {away:.1e} | {both} | {errors(record)} |", flush=True)
+                print(
+                    f"| {name} | {version} | {base_step:g} s | {away:.1e} | {both} | {errors(record)} |",
+                    flush=True,
+                )
     print()
     print("| T_b | without PC, at once (sequential) | one T_m late | a whole T_b late |")
     print("|---|---|---|---|")
     for period in (0.02, 0.05, 0.08, 0.1, 0.12, 0.15, 0.2, 0.25, 0.3):
         cells = []
-        for rule, step in ((Rule(sequential=True), 0.001), (Rule(rounds=4), 0.001), (Rule(rounds=4, late=True), period)):
+        for rule, step in (
+            (Rule(sequential=True), 0.001),
+            (Rule(rounds=4), 0.001),
+            (Rule(rounds=4, late=True), period),
+        ):
             try:
                 options = arguments(step, STOP, period=period, base_passivity_control=False)
                 record = reference_loops.run(closed_loop.fmus(2), *options, rule)
                 cells.append(errors(record))
-            except FMICallException:  # the loop has diverged until a block's equations no longer hold
+            except (
+                FMICallException
+            ):  # the loop has diverged until a block's equations no longer hold
                 cells.append("diverges")
         print(f"| {period:g} s | {' | '.join(cells)} |", flush=True)
 

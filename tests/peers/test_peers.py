@@ -28,25 +28,40 @@ def test_all_at_one_step_a_peer_gives_our_numbers(name: str, version: int, movin
 
 @pytest.mark.parametrize("version", family([3, 2]))
 def test_a_plain_loop_over_fmpys_slaves_gives_our_numbers(version: int) -> None:
-    sequential = reference_loops.run(closed_loop.fmus(version), *arguments(0.001, 2.0), Rule(sequential=True))
-    assert difference(before_the_instant(own_master(version, "sequential", 0.001, 2.0)), sequential) < 1e-9
-    parallel = reference_loops.run(closed_loop.fmus(version), *arguments(0.001, 2.0), Rule(rounds=4))
+    sequential = reference_loops.run(
+        closed_loop.fmus(version), *arguments(0.001, 2.0), Rule(sequential=True)
+    )
+    assert (
+        difference(before_the_instant(own_master(version, "sequential", 0.001, 2.0)), sequential)
+        < 1e-9
+    )
+    parallel = reference_loops.run(
+        closed_loop.fmus(version), *arguments(0.001, 2.0), Rule(rounds=4)
+    )
     assert difference(own_master(version, "parallel", 0.001, 2.0), parallel) < 1e-9
 
 
 @pytest.mark.parametrize(("name", "version"), family(RUNS, ONE_OF_EACH))
-def test_with_a_slow_slave_a_peer_follows_the_rule_that_the_docs_give(name: str, version: int) -> None:
+def test_with_a_slow_slave_a_peer_follows_the_rule_that_the_docs_give(
+    name: str, version: int
+) -> None:
     """docs/peers.md: at T_b steps masters differ by their own rules."""
     peer, options = PEERS[name], arguments(0.3, 2.0)
     fmus = peer.fmus(version, 0.3)
-    assert difference(peer.run(fmus, *options), reference_loops.run(fmus, *options, peer.rule_for(fmus))) < 1e-9
+    assert (
+        difference(
+            peer.run(fmus, *options), reference_loops.run(fmus, *options, peer.rule_for(fmus))
+        )
+        < 1e-9
+    )
 
 
 def test_the_rules_are_not_the_same() -> None:
     """Otherwise the agreements above would say nothing."""
     fmus = closed_loop.fmus(2)
     records = [
-        reference_loops.run(fmus, *arguments(0.3, 2.0), rule) for rule in (Rule(sequential=True), Rule(), Rule(late=True))
+        reference_loops.run(fmus, *arguments(0.3, 2.0), rule)
+        for rule in (Rule(sequential=True), Rule(), Rule(late=True))
     ]
     assert difference(records[0], records[1]) > 1e-5
     assert difference(records[1], records[2]) > 1e-3

@@ -22,7 +22,9 @@ from freeflyer.ssp import write as ssp_write
 
 
 def exported(path: Path, base_step: float) -> Path:
-    chosen = scenario.load("multirate_passive", ["stop_s=2.1", f"base_controller.step_s={base_step}"])
+    chosen = scenario.load(
+        "multirate_passive", ["stop_s=2.1", f"base_controller.step_s={base_step}"]
+    )
     with assemble.loaded(chosen, 2) as system:
         ssp_write.write(chosen, system, path)
     return path
@@ -32,7 +34,9 @@ def exported(path: Path, base_step: float) -> Path:
 def test_libcosim_runs_our_ssp_with_both_periods(tmp_path: Path, base_step: float) -> None:
     """A slow slave's outputs come a whole step of its own late there: as in our parallel exchange."""
     fmus = closed_loop.fmus(2)
-    record = libcosim_peer.run_ssp(exported(tmp_path / "a.ssp", base_step), fmus, 0.001, 2.1, closed_loop.RECORDED)
+    record = libcosim_peer.run_ssp(
+        exported(tmp_path / "a.ssp", base_step), fmus, 0.001, 2.1, closed_loop.RECORDED
+    )
     assert difference(own_master(2, "parallel", base_step, 2.1, moving=False), record) < 1e-9
 
 
@@ -40,9 +44,13 @@ def test_libcosim_runs_our_ssp_with_both_periods(tmp_path: Path, base_step: floa
 def test_ecos_runs_our_ssp_with_both_periods(tmp_path: Path, base_step: float) -> None:
     """A slow slave's outputs are let through one smallest step after its step has begun, whatever that step's size."""
     fmus = closed_loop.fmus(2)
-    record = ecos_peer.run_ssp(exported(tmp_path / "a.ssp", base_step), fmus, 0.001, 2.1, closed_loop.RECORDED)
+    record = ecos_peer.run_ssp(
+        exported(tmp_path / "a.ssp", base_step), fmus, 0.001, 2.1, closed_loop.RECORDED
+    )
     assert difference(own_master(2, "parallel", 0.001, 2.1, moving=False), record) < 1e-9
-    expected = reference_loops.run(fmus, *arguments(base_step, 2.1, moving=False), Rule(rounds=FOUR))
+    expected = reference_loops.run(
+        fmus, *arguments(base_step, 2.1, moving=False), Rule(rounds=FOUR)
+    )
     assert difference(expected, record) < 1e-9
 
 
@@ -96,13 +104,28 @@ def oscillator(folder: Path) -> Path:
 
     for name, source in (("mass", MASS), ("spring", SPRING)):
         (folder / f"{name}.py").write_text(source)
-        command = [sys.executable, "-m", "pythonfmu", "build", "-f", str(folder / f"{name}.py"), "-d", str(folder)]
+        command = [
+            sys.executable,
+            "-m",
+            "pythonfmu",
+            "build",
+            "-f",
+            str(folder / f"{name}.py"),
+            "-d",
+            str(folder),
+        ]
         subprocess.run(command, check=True, capture_output=True)
 
     def component(name: str, file: str, **connectors: str) -> Component:
         made = Component()
-        made.name, made.source, made.component_type = name, f"resources/{file}", "application/x-fmu-sharedlibrary"
-        made.connectors = [Connector(name=key, kind=kind, type_=TypeReal(None)) for key, kind in connectors.items()]
+        made.name, made.source, made.component_type = (
+            name,
+            f"resources/{file}",
+            "application/x-fmu-sharedlibrary",
+        )
+        made.connectors = [
+            Connector(name=key, kind=kind, type_=TypeReal(None)) for key, kind in connectors.items()
+        ]
         return made
 
     with SSV(folder / "spring.ssv", mode="w") as values:
@@ -124,7 +147,10 @@ def oscillator(folder: Path) -> Path:
                 for a, p, b in (("mass", "position", "spring"), ("spring", "force", "mass"))
             ]
             structure.default_experiment = DefaultExperiment()
-            structure.default_experiment.start_time, structure.default_experiment.stop_time = 0.0, 1.0
+            structure.default_experiment.start_time, structure.default_experiment.stop_time = (
+                0.0,
+                1.0,
+            )
     return folder / "oscillator.ssp"
 
 
@@ -140,6 +166,8 @@ def test_a_plain_ssp_by_others_runs_as_in_fmpy(tmp_path: Path) -> None:
     length = ParameterSet(parameters=[Parameter(name="spring.length", value="0.5")])
     theirs = simulate_ssp(str(path), stop_time=1.0, step_size=0.01, parameter_set=length)
     for index in (50, 99):  # its rows show the end of the step that begins at their time
-        assert ours["mass.position"][index + 1] == pytest.approx(theirs["mass.position"][index], abs=1e-12)
+        assert ours["mass.position"][index + 1] == pytest.approx(
+            theirs["mass.position"][index], abs=1e-12
+        )
     assert ours["mass.position"][-1] > 0.1
     shutil.rmtree(tmp_path / "unpacked")

@@ -46,7 +46,9 @@ class Comparison:
         return self.below.simulated < 0.0 <= self.above.simulated
 
     def __str__(self) -> str:
-        sides = "  ".join(f"{s.n:4d}: {s.simulated:+.5f} ({s.predicted:+.5f})" for s in (self.below, self.above))
+        sides = "  ".join(
+            f"{s.n:4d}: {s.simulated:+.5f} ({s.predicted:+.5f})" for s in (self.below, self.above)
+        )
         return f"{self.seed:3d}  {self.predicted:4d} ms  {sides}  {self.limit}"
 
 
@@ -55,7 +57,10 @@ def random_gains(seed: int) -> list[str]:
     random = np.random.default_rng(seed)
 
     def drawn(least: tuple[float, float], most: tuple[float, float]) -> list[float]:
-        centre = [math.exp(random.uniform(math.log(a), math.log(b))) for a, b in zip(least, most, strict=True)]
+        centre = [
+            math.exp(random.uniform(math.log(a), math.log(b)))
+            for a, b in zip(least, most, strict=True)
+        ]
         return [round(float(c * random.uniform(0.7, 1.4)), 3) for c in centre for _ in range(3)]
 
     return [
@@ -86,11 +91,15 @@ def compared(seed: int) -> Comparison | None:
             return None
         # The simulated boundary may be off by 2 % or one T_m, whichever is more; the first unstable period is one T_m beyond.
         off = max(int(0.02 * n), 1)
-        below, above = (side(here, prediction.coordinates, overrides, k, seed) for k in (n - off, n + off + 1))
+        below, above = (
+            side(here, prediction.coordinates, overrides, k, seed) for k in (n - off, n + off + 1)
+        )
     return Comparison(seed=seed, predicted=n, limit=prediction.limit.kind, below=below, above=above)
 
 
-def side(here: SetPoint, coordinates: TaskCoordinates, overrides: list[str], n: int, seed: int) -> Side:
+def side(
+    here: SetPoint, coordinates: TaskCoordinates, overrides: list[str], n: int, seed: int
+) -> Side:
     """Both growth rates with a base period of n T_m."""
     values, vectors = np.linalg.eig(lifting.lifted(here.loop(n), n))
     worst = int(np.abs(values).argmax())
@@ -101,13 +110,19 @@ def side(here: SetPoint, coordinates: TaskCoordinates, overrides: list[str], n: 
     return Side(n=n, predicted=math.log(abs(values[worst])) / (1e-3 * n), simulated=rate)
 
 
-def fitted_growth(overrides: list[str], start: Array, n: int, coordinates: TaskCoordinates) -> float:
+def fitted_growth(
+    overrides: list[str], start: Array, n: int, coordinates: TaskCoordinates
+) -> float:
     """[1/s]: slope of ln sqrt(energy) at the base's samples, over the second half of a run (or of what comes before the
     perturbation has grown a thousandfold).
     """
     period = n * 1e-3
     stop = round(DURATION / period) * n / 1000
-    times = [f"base_controller.period={n / 1000!r}", f"record.every_s={n / 1000!r}", f"stop_s={stop!r}"]
+    times = [
+        f"base_controller.period={n / 1000!r}",
+        f"record.every_s={n / 1000!r}",
+        f"stop_s={stop!r}",
+    ]
     chosen = scenario.load(NAME, [*overrides, *starting_at(start), *times])
     with assembled(chosen) as (master, _):
         record = master.run().record

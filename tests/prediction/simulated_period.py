@@ -28,7 +28,9 @@ QUIET = (
 
 def starting_at(x: Array) -> list[str]:
     """Overrides for a start at x (24), a small displacement from rest: position, rotation vector, base velocity, joints."""
-    return [f"free_flyer.{name}={[float(v) for v in value]}" for name, value in start_values(x).items()]
+    return [
+        f"free_flyer.{name}={[float(v) for v in value]}" for name, value in start_values(x).items()
+    ]
 
 
 def start_values(x: Array) -> dict[str, Array]:
@@ -41,25 +43,41 @@ def displacement(last: Mapping[str, Array]) -> Array:
     """The other way round."""
     turned = Rotation.from_quat(last["base_orientation"]).as_rotvec()
     return np.concatenate(
-        [last["base_position"], turned, last["base_velocity"], last["joint_position"] - POSTURE, last["joint_velocity"]]
+        [
+            last["base_position"],
+            turned,
+            last["base_velocity"],
+            last["joint_position"] - POSTURE,
+            last["joint_velocity"],
+        ]
     )
 
 
 def jacobian(name: str, overrides: Sequence[str], time: float, step: float = 1e-6) -> Array:
     """(24, 24) by central differences of runs through the master, with FMUs that are loaded once and reset in between."""
-    chosen = scenario.load(name, [*QUIET, *overrides, f"stop_s={time!r}", f"record.every_s={time!r}"])
+    chosen = scenario.load(
+        name, [*QUIET, *overrides, f"stop_s={time!r}", f"record.every_s={time!r}"]
+    )
     with loaded(chosen) as system:
-        plan = schedule.build(system.steps, chosen.stop, chosen.record_every, dict.fromkeys(system.components, True))
+        plan = schedule.build(
+            system.steps, chosen.stop, chosen.record_every, dict.fromkeys(system.components, True)
+        )
 
         def after(x: Array) -> Array:
             for component in system.components.values():
                 component._slave.reset()
             master = Master(system.wiring, plan)
-            values = {**system.values, "free_flyer": {**system.values["free_flyer"], **start_values(x)}}
+            values = {
+                **system.values,
+                "free_flyer": {**system.values["free_flyer"], **start_values(x)},
+            }
             master.initialise(values)
             record = master.run().record
             assert record.time[-1] == time
             return displacement({state: record[f"free_flyer.{state}"][-1] for state in STATES})
 
-        columns = [(after(step * direction) - after(-step * direction)) / (2.0 * step) for direction in np.eye(24)]
+        columns = [
+            (after(step * direction) - after(-step * direction)) / (2.0 * step)
+            for direction in np.eye(24)
+        ]
     return np.array(columns).T

@@ -24,9 +24,13 @@ def _run(name: str, overrides: Sequence[str], start: Array) -> Record:
     return outcome.record
 
 
-def growth_rate(name: str, overrides: Sequence[str], coordinates: TaskCoordinates, starts: int = 1) -> float:
+def growth_rate(
+    name: str, overrides: Sequence[str], coordinates: TaskCoordinates, starts: int = 1
+) -> float:
     """[1/s]: slope, over the second half, of ln sqrt(energy) of the difference that 1e-6 at the start has made."""
-    period = next(text.partition("=")[2] for text in overrides if text.startswith("base_controller.period"))
+    period = next(
+        text.partition("=")[2] for text in overrides if text.startswith("base_controller.period")
+    )
     overrides = [*overrides, f"record.every_s={period}"]
     random, total = np.random.default_rng(1), 0.0
     reference = _run(name, overrides, np.zeros(24))
@@ -34,7 +38,10 @@ def growth_rate(name: str, overrides: Sequence[str], coordinates: TaskCoordinate
         start = random.normal(size=24)
         other = _run(name, overrides, 1e-6 * start / np.linalg.norm(start))
         parts = [other[f"free_flyer.{s}"] - reference[f"free_flyer.{s}"] for s in STATES]
-        turned = [Rotation.from_quat(record["free_flyer.base_orientation"]) for record in (other, reference)]
+        turned = [
+            Rotation.from_quat(record["free_flyer.base_orientation"])
+            for record in (other, reference)
+        ]
         parts[1] = (turned[0] * turned[1].inv()).as_rotvec()
         total = total + coordinates.energy(np.hstack(parts).T).sum(axis=0)
     time = reference.time

@@ -17,7 +17,10 @@ NAME = "multirate_unstable"
 
 def overrides_for(n: int, stop: float) -> list[str]:
     """A base period of n ms, and a whole number of them."""
-    return [f"base_controller.period={n / 1000!r}", f"stop_s={math.floor(1000 * stop / n) * n / 1000!r}"]
+    return [
+        f"base_controller.period={n / 1000!r}",
+        f"stop_s={math.floor(1000 * stop / n) * n / 1000!r}",
+    ]
 
 
 def both(n: int, stop: float) -> tuple[float, float]:
@@ -43,7 +46,11 @@ def test_a_perturbation_grows_along_the_motion_as_predicted() -> None:
 
 def test_at_rest_the_growth_along_the_trajectory_is_that_of_the_set_point() -> None:
     """A reference that stays where it is: the product's rate is ln(radius) / T_b, whatever the cells are."""
-    still = ["reference_trajectory.translation_amplitude=0", "reference_trajectory.rotation_amplitude=0", "stop_s=60"]
+    still = [
+        "reference_trajectory.translation_amplitude=0",
+        "reference_trajectory.rotation_amplitude=0",
+        "stop_s=60",
+    ]
     with at_set_point(scenario.load(NAME, [*OFF, *still, "base_controller.period=0.3"])) as here:
         trajectory = Trajectory(here.model, here.coordinates(300), 1.0)
         along, own = trajectory.growth_rate(300), here.modes(300)[0].growth_rate
@@ -67,7 +74,9 @@ def test_the_loop_frozen_in_time_calls_unstable_what_decays() -> None:
     with at_set_point(scenario.load(NAME, [*OFF, *overrides])) as here:
         trajectory = Trajectory(here.model, here.coordinates(90))
         along, frozen = trajectory.growth_rate(90), trajectory.frozen_growth_rates(90)
-    print(f"\nalong {along:+.5f}, frozen up to {frozen.max():+.5f} 1/s, unstable {np.mean(frozen >= 0.0):.0%} of the time")
+    print(
+        f"\nalong {along:+.5f}, frozen up to {frozen.max():+.5f} 1/s, unstable {np.mean(frozen >= 0.0):.0%} of the time"
+    )
     assert frozen.max() > 0.0
     assert np.mean(frozen >= 0.0) > 0.25
     assert along < 0.0

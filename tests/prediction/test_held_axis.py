@@ -24,7 +24,9 @@ def radius(m: float, k: float, d: float, period: float, late: bool = False) -> f
 
 
 @given(m=positive, k=positive, d=positive, period=st.floats(1e-3, 10.0))
-def test_an_axis_is_stable_exactly_if_both_conditions_hold(m: float, k: float, d: float, period: float) -> None:
+def test_an_axis_is_stable_exactly_if_both_conditions_hold(
+    m: float, k: float, d: float, period: float
+) -> None:
     spring, damper = (
         float(sampled_spring(np.array(k), np.array(d), period)),
         float(sampled_damper(np.array(d), np.array(m), period)),
@@ -36,12 +38,18 @@ def test_an_axis_is_stable_exactly_if_both_conditions_hold(m: float, k: float, d
 
 
 @given(m=positive, k=positive, d=positive)
-def test_an_answer_that_is_a_whole_period_late_takes_two_thirds_of_the_springs_period(m: float, k: float, d: float) -> None:
+def test_an_answer_that_is_a_whole_period_late_takes_two_thirds_of_the_springs_period(
+    m: float, k: float, d: float
+) -> None:
     """To first order in the period: where the damper's own condition is far away, at 1 % on either side."""
     boundary = 2.0 * d / (3.0 * k)
     assume(float(sampled_damper(np.array(d), np.array(m), boundary, late=True)) < 1e-3)
     assert sampled_spring(np.array(k), np.array(d), boundary, late=True) == pytest.approx(1.0)
-    assert radius(m, k, d, 0.99 * boundary, late=True) < 1.0 < radius(m, k, d, 1.01 * boundary, late=True)
+    assert (
+        radius(m, k, d, 0.99 * boundary, late=True)
+        < 1.0
+        < radius(m, k, d, 1.01 * boundary, late=True)
+    )
 
 
 @given(m=positive, d=positive)

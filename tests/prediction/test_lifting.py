@@ -29,7 +29,9 @@ exact exponential differ by less.
     ],
     ids=["emulated", "matched"],
 )
-def test_the_lifted_map_is_the_derivative_of_the_simulated_period(n: int, overrides: list[str]) -> None:
+def test_the_lifted_map_is_the_derivative_of_the_simulated_period(
+    n: int, overrides: list[str]
+) -> None:
     """All 24 directions, 1e-6 to either side, each through the master and its co-simulation FMUs."""
     with at_set_point(scenario.load(NAME, [*QUIET, *overrides])) as here:
         predicted = lifting.lifted(here.loop(n), n)
@@ -50,14 +52,18 @@ def test_the_lifted_map_is_the_derivative_of_the_simulated_period_in_parallel_ex
     signals = np.zeros((loop.width, 24))
     signals[: loop.plant.C.shape[0]] = loop.plant.C
     for law in loop.laws:
-        signals[law.first : law.last] = law.gain @ (signals[law.inputs.sources] * ~law.inputs.delayed[:, None])
+        signals[law.first : law.last] = law.gain @ (
+            signals[law.inputs.sources] * ~law.inputs.delayed[:, None]
+        )
     rows[-loop.width :] = signals
     for k in range(2 * n):
         instants.apply(rows, slow=k % n == 0)
     assert np.abs(rows[:24] - jacobian(NAME, overrides, 2 * n / 1000)).max() < ROUNDING
 
 
-def one_axis(m: float, k: float, d: float, tick: float, *, delayed: bool = False, parallel: bool = False) -> Loop:
+def one_axis(
+    m: float, k: float, d: float, tick: float, *, delayed: bool = False, parallel: bool = False
+) -> Loop:
     """Mass, and a slow spring-damper alone."""
     plant = lifting.plant(
         np.array([[0.0, 1.0], [0.0, 0.0]]),
@@ -82,7 +88,9 @@ def held(m: float, period: float) -> tuple[Array, Array]:
     return both[:2, :2], both[:2, 2:]
 
 
-@given(m=st.floats(0.1, 200.0), k=st.floats(0.0, 500.0), d=st.floats(0.0, 500.0), n=st.integers(1, 400))
+@given(
+    m=st.floats(0.1, 200.0), k=st.floats(0.0, 500.0), d=st.floats(0.0, 500.0), n=st.integers(1, 400)
+)
 def test_one_axis_lifts_to_the_held_double_integrator(m: float, k: float, d: float, n: int) -> None:
     A, B = held(m, 1e-3 * n)
     exact = A + B @ np.array([[-k, -d]])
@@ -93,8 +101,12 @@ def test_one_axis_lifts_to_the_held_double_integrator(m: float, k: float, d: flo
 @given(k=st.floats(1.0, 500.0), d=st.floats(1.0, 500.0), n=st.integers(2, 200))
 def test_in_parallel_exchange_the_answer_comes_a_period_late(k: float, d: float, n: int) -> None:
     A, B = held(20.0, 1e-3 * n)
-    late = np.block([[A, B], [np.array([[-k, -d]]), np.zeros((1, 1))]])  # the answer waits for the next sample
-    found = np.sort_complex(np.linalg.eigvals(lifting.lifted(one_axis(20.0, k, d, 1e-3, parallel=True), n)))
+    late = np.block(
+        [[A, B], [np.array([[-k, -d]]), np.zeros((1, 1))]]
+    )  # the answer waits for the next sample
+    found = np.sort_complex(
+        np.linalg.eigvals(lifting.lifted(one_axis(20.0, k, d, 1e-3, parallel=True), n))
+    )
     exact = np.sort_complex(np.linalg.eigvals(late))
     # The order of complex pairs may differ by rounding: compare what does not depend on it.
     assert np.poly(found) == pytest.approx(np.poly(exact), abs=1e-8)
@@ -112,13 +124,17 @@ def test_a_delayed_connection_brings_the_answer_one_step_late(k: float, d: float
         ]
     )
     found = lifting.lifted(one_axis(20.0, k, d, 1e-3, delayed=True), n)
-    assert np.poly(np.linalg.eigvals(found)) == pytest.approx(np.poly(np.linalg.eigvals(exact)), abs=1e-8)
+    assert np.poly(np.linalg.eigvals(found)) == pytest.approx(
+        np.poly(np.linalg.eigvals(exact)), abs=1e-8
+    )
 
 
 @pytest.mark.parametrize("discretisation", ["emulated", "matched"])
 def test_a_scan_gives_the_map_of_every_period(discretisation: str) -> None:
     """The scan carries the fast map's power on; each map by itself is computed from nothing."""
-    with at_set_point(scenario.load(NAME, [f"base_controller.discretisation={discretisation}"])) as here:
+    with at_set_point(
+        scenario.load(NAME, [f"base_controller.discretisation={discretisation}"])
+    ) as here:
         scanned = list(lifting.lifted_maps(here.loop(n) for n in range(1, 61)))
         for n in (1, 2, 17, 60):
             alone = lifting.lifted(here.loop(n), n)

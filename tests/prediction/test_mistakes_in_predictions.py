@@ -6,35 +6,56 @@ from pathlib import Path
 from zipfile import ZipFile
 
 import pytest
-from commands import said
+from commands import run_command
 
 MISTAKES = {
     "a scenario's name": (["multirate_unstabel"], "did you mean 'multirate_unstable'?"),
     "an SSP file": (["loop.ssp"], "a scenario is expected here"),
-    "a parameter's name": (["multirate_unstable", "--set", "base_controller.perod=1"], "did you mean 'period'?"),
+    "a parameter's name": (
+        ["multirate_unstable", "--set", "base_controller.perod=1"],
+        "did you mean 'period'?",
+    ),
     "an override without a value": (
         ["multirate_unstable", "--set", "base_controller"],
         "COMPONENT.PARAMETER=VALUE is expected",
     ),
-    "no time": (["multirate_unstable", "--longest", "0"], "a time of 0.001 s (the fast controllers' step) or more is expected"),
+    "no time": (
+        ["multirate_unstable", "--longest", "0"],
+        "a time of 0.001 s (the fast controllers' step) or more is expected",
+    ),
     "no number": (["multirate_unstable", "--longest", "nan"], "--longest nan"),
     "no number at all": (["multirate_unstable", "--longest", "long"], "invalid float value"),
     "too many periods": (["multirate_unstable", "--longest", "1e9"], "at most 100 s is expected"),
-    "a controller's name": (["multirate_unstable", "--period", "base_controler"], "did you mean 'base_controller'?"),
-    "no controller": (["multirate_unstable", "--period", "free_flyer"], "no controller whose step_s follows a parameter"),
+    "a controller's name": (
+        ["multirate_unstable", "--period", "base_controler"],
+        "did you mean 'base_controller'?",
+    ),
+    "no controller": (
+        ["multirate_unstable", "--period", "free_flyer"],
+        "no controller whose step_s follows a parameter",
+    ),
     "a directory": (["multirate_unstable", "--out", "/proc/nowhere"], "cannot be written"),
     "no directory": (["multirate_unstable", "--out", ""], "a directory is expected"),
-    "a moving start": (["multirate_unstable", "--set", "free_flyer.base_velocity=0.1"], "the start is no set point"),
+    "a moving start": (
+        ["multirate_unstable", "--set", "free_flyer.base_velocity=0.1"],
+        "the start is no set point",
+    ),
     "a base beside its set point": (
         ["multirate_unstable", "--set", "base_controller.position_setpoint=[0.1, 0, 0]"],
         "the start is no set point",
     ),
-    "a singular posture": (["multirate_unstable", "--set", "free_flyer.joint_position=0"], "singular value of J_m"),
+    "a singular posture": (
+        ["multirate_unstable", "--set", "free_flyer.joint_position=0"],
+        "singular value of J_m",
+    ),
     "a period between samples": (
         ["multirate_unstable", "--set", "base_controller.period=0.0015"],
         "0.001 s or 0.002 s would fit",
     ),
-    "a plant that is too slow": (["multirate_unstable", "--set", "free_flyer.step_s=0.002"], "0.001 s is expected"),
+    "a plant that is too slow": (
+        ["multirate_unstable", "--set", "free_flyer.step_s=0.002"],
+        "0.001 s is expected",
+    ),
     "a controller that misses samples": (
         ["multirate_unstable", "--set", "manipulator_controller.step_s=0.002"],
         "passes over a sample",
@@ -44,7 +65,12 @@ MISTAKES = {
         "along a trajectory 2.4 s or more are expected",
     ),
     "a motion that cannot be": (
-        ["multirate_unstable", "--along-trajectory", "--set", "reference_trajectory.translation_amplitude=2"],
+        [
+            "multirate_unstable",
+            "--along-trajectory",
+            "--set",
+            "reference_trajectory.translation_amplitude=2",
+        ],
         "there is no trajectory to predict along",
     ),
     "controllers with memory": (["facility"], "the prediction covers controllers without memory"),
@@ -52,10 +78,12 @@ MISTAKES = {
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
-def test_a_mistake_is_told_in_one_sentence(mistake: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_mistake_is_told_in_one_sentence(
+    mistake: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     arguments, expected = MISTAKES[mistake]
     try:
-        code, error = said(capsys, "predict", *arguments)
+        code, error = run_command(capsys, "predict", *arguments)
     except SystemExit as end:  # argparse's own
         code, error = int(end.code or 0), capsys.readouterr().err
     assert code == 2
@@ -64,29 +92,40 @@ def test_a_mistake_is_told_in_one_sentence(mistake: str, capsys: pytest.CaptureF
 
 
 CHANGES = {
-    "python": ('kind = "python"\nobject = "plant.py:Plant"', "is of kind 'python'; the prediction needs FMUs"),
+    "python": (
+        'kind = "python"\nobject = "plant.py:Plant"',
+        "is of kind 'python'; the prediction needs FMUs",
+    ),
     "twin": ('kind = "twin"\nblock = "free_flyer"', "is of kind 'twin'; the prediction needs FMUs"),
 }
 
 
 @pytest.mark.parametrize("kind", CHANGES)
-def test_a_plant_that_is_no_fmu_is_refused_by_kind(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_plant_that_is_no_fmu_is_refused_by_kind(
+    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     table, expected = CHANGES[kind]
     path = tmp_path / "other.toml"
     path.write_text(f'extends = "multirate_unstable"\n[components.free_flyer]\n{table}\n')
-    code, error = said(capsys, "predict", str(path))
+    code, error = run_command(capsys, "predict", str(path))
     assert code == 2
     assert expected in error
 
 
-def test_an_fmu_without_derivatives_is_refused(fmus: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_fmu_without_derivatives_is_refused(
+    fmus: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     other = tmp_path / "silent.fmu"
     with ZipFile(fmus / "fmi2" / "base_controller.fmu") as source, ZipFile(other, "w") as target:
         for name in source.namelist():
-            target.writestr(name, source.read(name).replace(b' providesDirectionalDerivative="true"', b""))
+            target.writestr(
+                name, source.read(name).replace(b' providesDirectionalDerivative="true"', b"")
+            )
     path = tmp_path / "silent.toml"
-    path.write_text('extends = "multirate_unstable"\n[components.base_controller]\nfmu = "silent.fmu"\n')
-    code, error = said(capsys, "predict", str(path))
+    path.write_text(
+        'extends = "multirate_unstable"\n[components.base_controller]\nfmu = "silent.fmu"\n'
+    )
+    code, error = run_command(capsys, "predict", str(path))
     assert code == 2
     assert "provides no directional derivatives" in error
 
@@ -98,12 +137,17 @@ def test_two_plants_are_refused_by_name(tmp_path: Path, capsys: pytest.CaptureFi
         'connections = ["base_controller.base_wrench -> second.base_wrench"]\n'
         '[components.second]\nfmu = "free_flyer"\nstep_s = 0.001\n'
     )
-    code, error = said(capsys, "predict", str(path))
+    code, error = run_command(capsys, "predict", str(path))
     assert code == 2
     assert "2 connected components have continuous states (free_flyer, second)" in error
 
 
 def test_results_are_written_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    code, _ = said(capsys, "predict", "multirate_unstable", "--longest", "0.12", "--out", str(tmp_path / "out"))
+    code, _ = run_command(
+        capsys, "predict", "multirate_unstable", "--longest", "0.12", "--out", str(tmp_path / "out")
+    )
     assert code == 0
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["prediction.json", "prediction.png"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
+        "prediction.json",
+        "prediction.png",
+    ]

@@ -58,7 +58,11 @@ def test_damping_helps_a_sampled_spring_and_harms_a_sampled_damper(default: Pred
     rates = []
     for factor in (1.0, 1.1):
         damping = [400.0 * factor] * 3 + [100.0 * factor] * 3
-        rates.append(predict(scenario.load("overdamped_base", [f"base_controller.damping={damping}"])).largest_stable_s)
+        rates.append(
+            predict(
+                scenario.load("overdamped_base", [f"base_controller.damping={damping}"])
+            ).largest_stable_s
+        )
     assert rates[1] == pytest.approx(rates[0] / 1.1, rel=0.02)
 
 
@@ -97,7 +101,10 @@ def test_the_passivity_controllers_are_off_in_the_prediction(default: Prediction
 
 
 def test_the_gains_come_back_from_the_linear_loop(default: Prediction) -> None:
-    given = ([150.0] * 3 + [40.0] * 3 + [500.0] * 3 + [50.0] * 3, [10.0] * 3 + [2.0] * 3 + [80.0] * 3 + [3.0] * 3)
+    given = (
+        [150.0] * 3 + [40.0] * 3 + [500.0] * 3 + [50.0] * 3,
+        [10.0] * 3 + [2.0] * 3 + [80.0] * 3 + [3.0] * 3,
+    )
     assert default.coordinates.stiffness == pytest.approx(given[0], rel=1e-6)
     assert default.coordinates.damping == pytest.approx(given[1], rel=1e-6)
 
@@ -129,12 +136,16 @@ def test_the_plants_matrices_are_the_derivatives_of_its_rates() -> None:
             whole = np.concatenate([point[f"free_flyer.{name}"] for name in fmu.states]) + into @ x
             ends = np.cumsum([fmu.ports[name].size for name in fmu.states])[:-1]
             inputs = dict(zip(driven, np.split(u, np.cumsum(sizes)[:-1]), strict=True))
-            fmu.restart({**values, **dict(zip(fmu.states, np.split(whole, ends), strict=True)), **inputs})
+            fmu.restart(
+                {**values, **dict(zip(fmu.states, np.split(whole, ends), strict=True)), **inputs}
+            )
             return np.asarray(back @ fmu.rates())
 
         h, x0, u0 = 1e-5, np.zeros(24), np.zeros(sum(sizes))
         A = np.array([(rates(h * e, u0) - rates(-h * e, u0)) / (2.0 * h) for e in np.eye(24)]).T
-        B = np.array([(rates(x0, h * e) - rates(x0, -h * e)) / (2.0 * h) for e in np.eye(u0.size)]).T
+        B = np.array(
+            [(rates(x0, h * e) - rates(x0, -h * e)) / (2.0 * h) for e in np.eye(u0.size)]
+        ).T
     assert np.abs(A - plant.A).max() < 1e-7
     assert np.abs(B - plant.B).max() < 1e-7 * np.abs(plant.B).max()
 
@@ -166,7 +177,11 @@ def test_stable_islands_beyond_the_first_boundary_are_simulated_too() -> None:
         assert len(prediction.stable_s) == 2
         (_, first), (again, last) = prediction.stable_s
         assert prediction.largest_stable_s == first < again < last < prediction.longest_s
-        for n, stable in ((round(500 * (first + again)), False), (round(500 * (again + last)), True), (800, False)):
+        for n, stable in (
+            (round(500 * (first + again)), False),
+            (round(500 * (again + last)), True),
+            (800, False),
+        ):
             found = side(here, prediction.coordinates, hardly, n, seed=1)
             assert (found.simulated < 0.0) == (found.predicted < 0.0) == stable
 
@@ -175,7 +190,9 @@ def test_stable_islands_beyond_the_first_boundary_are_simulated_too() -> None:
 def test_the_simulated_boundary_is_the_predicted_one_in_fifty_random_gain_sets() -> None:
     """Within max(2 %, one T_m), by the fitted growth rate of a perturbation of 1e-6; and the growth rates themselves."""
     agreeing = 0
-    print("\nset  predicted  n: simulated (predicted) growth rate [1/s] below and above  limited by")
+    print(
+        "\nset  predicted  n: simulated (predicted) growth rate [1/s] below and above  limited by"
+    )
     for found, _ in zip(comparisons(), range(50), strict=False):
         print(found, "" if found.agrees else "DIFFERS", flush=True)
         agreeing += found.agrees

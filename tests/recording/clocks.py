@@ -11,14 +11,14 @@ from typing import Any
 import can
 from loops import START, head
 
-from freeflyer_adapters.foundation.environment import Outside
-from freeflyer_adapters.recording.header import CanChannel, RunHead
+from freeflyer_adapters.foundation.environment import Environment
+from freeflyer_adapters.recording.header import CanChannel, RecordingHeader
 
 MONOTONIC = 5_000_000_000
 """[ns] when a test begins."""
 
 
-class Clocks(Outside):
+class Clocks(Environment):
     def __init__(self) -> None:
         self.passed, self.set_by = 0, 0
         self.waiting: deque[can.Message] = deque()
@@ -40,7 +40,11 @@ class Clocks(Outside):
     def come(self, number: int = 0, late: int = 0) -> float:
         """A frame, stamped `late` [ns] ago; its true time."""
         stamp = (self.time_ns() - late) * 1e-9
-        self.waiting.append(can.Message(timestamp=stamp, arbitration_id=0x181, is_extended_id=False, data=[number % 256]))
+        self.waiting.append(
+            can.Message(
+                timestamp=stamp, arbitration_id=0x181, is_extended_id=False, data=[number % 256]
+            )
+        )
         return self.true - late * 1e-9
 
 
@@ -55,6 +59,6 @@ class FakeBus:
         pass
 
 
-def run_head(directory: Path, can_channels: Sequence[CanChannel] = ()) -> RunHead:
+def run_head(directory: Path, can_channels: Sequence[CanChannel] = ()) -> RecordingHeader:
     """Of a run that begins at the clocks' begin."""
     return replace(head(directory), clock_offset=START - MONOTONIC, can=can_channels)

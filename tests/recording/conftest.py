@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from clocks import Clocks
 
-from freeflyer_adapters.foundation import environment as outside
+from freeflyer_adapters.foundation import environment
 
 
 @pytest.fixture
@@ -26,5 +26,5 @@ def runtime(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 @pytest.fixture
 def clocks() -> Iterator[Clocks]:
     made = Clocks()
-    with outside.within(made):
+    with environment.within(made):
         yield made

@@ -15,7 +15,7 @@ import numpy as np
 
 from freeflyer.foundation.errors import RecordError
 from freeflyer.master.record import Signal
-from freeflyer_adapters.recording.header import RunHead
+from freeflyer_adapters.recording.header import RecordingHeader
 from freeflyer_adapters.recording.recording_file import RecordingFile
 from freeflyer_adapters.recording.ring import RingReader, Rows
 
@@ -34,12 +34,12 @@ PARTS = {
 }
 
 
-def head(directory: Path) -> RunHead:
+def head(directory: Path) -> RecordingHeader:
     signals, first = [], 0
     for name, units in PARTS.items():
         signals.append(Signal(name=name, first=first, size=len(units), units=units))
         first += len(units)
-    return RunHead(
+    return RecordingHeader(
         scenario="made", title="Made of numbers", tick=TICK, started=START, directory=str(directory), signals=signals,
         chosen=frozenset(PARTS), loop=["arm: state", "arm: cycles lost"], origin={"parameters": {"arm": {"mass": 2.0}}},
         versions={"python": "3"},
@@ -58,7 +58,9 @@ def rows(count: int, width: int, seed: int = 0) -> Rows:
     return Rows(np.stack([START + k * TICK, 5_000 + k * TICK, k], axis=1), values)
 
 
-def recording(count: int, chunk_seconds: float = 0.02, *, finished: bool = True, seed: int = 0) -> bytes:
+def recording(
+    count: int, chunk_seconds: float = 0.02, *, finished: bool = True, seed: int = 0
+) -> bytes:
     """The bytes of a recording of so many rows."""
     made, stream = head(Path("/")), BytesIO()
     file = RecordingFile(stream, made, made.signals, chunk_seconds)
@@ -77,7 +79,17 @@ class Loop:
     """`freeflyer hil facility --simulated`, and its recorder."""
 
     def __init__(self, out: Path, runtime: Path, *options: str, stop: float = 60.0) -> None:
-        command = [sys.executable, "-m", "freeflyer.cli.main", "hil", "facility", "--simulated", "--no-view", "--out", str(out)]
+        command = [
+            sys.executable,
+            "-m",
+            "freeflyer.cli.main",
+            "hil",
+            "facility",
+            "--simulated",
+            "--no-view",
+            "--out",
+            str(out),
+        ]
         self.out, self.runtime = out, runtime
         self.process = subprocess.Popen(
             [*command, "--set", f"stop_s={stop}", *options],
@@ -102,7 +114,9 @@ class Loop:
 
     @property
     def recorder(self) -> int:
-        children = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children").read_text().split()
+        children = (
+            Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children").read_text().split()
+        )
         found = [
             int(pid)
             for pid in children

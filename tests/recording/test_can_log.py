@@ -20,7 +20,10 @@ from freeflyer_adapters.recording.header import CanChannel
 from freeflyer_adapters.recording.wall_clock import WallClock
 
 FRAMES = 200
-READERS: dict[str, Callable[[Path], Any]] = {"blf": can.BLFReader, "asc": lambda path: can.ASCReader(path, base="hex")}
+READERS: dict[str, Callable[[Path], Any]] = {
+    "blf": can.BLFReader,
+    "asc": lambda path: can.ASCReader(path, base="hex"),
+}
 
 
 def channel(name: str) -> CanChannel:
@@ -30,15 +33,23 @@ def channel(name: str) -> CanChannel:
 def sent(i: int) -> can.Message:
     """Every kind of frame that an arm's channel may have."""
     if i % 3 == 0:
-        return can.Message(arbitration_id=0x100 + i, is_extended_id=False, data=bytes([i % 256] * 8))
+        return can.Message(
+            arbitration_id=0x100 + i, is_extended_id=False, data=bytes([i % 256] * 8)
+        )
     return can.Message(
-        arbitration_id=0x181, is_extended_id=i % 2 == 0, is_fd=True, bitrate_switch=True, data=bytes([i % 256] * 64)
+        arbitration_id=0x181,
+        is_extended_id=i % 2 == 0,
+        is_fd=True,
+        bitrate_switch=True,
+        data=bytes([i % 256] * 64),
     )
 
 
 @pytest.mark.parametrize("form", FORMATS)
 @pytest.mark.parametrize("killed", [False, True], ids=["closed", "killed"])
-def test_a_log_has_every_frame_in_order(form: str, killed: bool, tmp_path: Path, runtime: Path) -> None:
+def test_a_log_has_every_frame_in_order(
+    form: str, killed: bool, tmp_path: Path, runtime: Path
+) -> None:
     path, copy = tmp_path / f"can.{form}", tmp_path / f"copy.{form}"
     log = CanLog(channel("log"), path, WallClock.start())
     with LocalBus("log", fd=True) as node:
@@ -86,5 +97,11 @@ def test_channels_are_those_of_the_devices_options_each_once() -> None:
         return SimpleNamespace(name=name, options=options, frames=SimpleNamespace(is_fd=True))
 
     shared = SimpleNamespace(interface="socketcan", channel="can0", bus={"bitrate": 1_000_000})
-    found = can_channels([device("a", shared), device("b", shared), device("c", None), SimpleNamespace(name="d")])  # type: ignore[list-item]
-    assert found == [CanChannel(name="a", interface="socketcan", channel="can0", is_fd=True, bus={"bitrate": 1_000_000})]
+    found = can_channels(
+        [device("a", shared), device("b", shared), device("c", None), SimpleNamespace(name="d")]
+    )  # type: ignore[list-item]
+    assert found == [
+        CanChannel(
+            name="a", interface="socketcan", channel="can0", is_fd=True, bus={"bitrate": 1_000_000}
+        )
+    ]

@@ -18,8 +18,8 @@ from test_runs import run, signalled, while_it_runs
 
 from freeflyer_adapters import read_recording
 from freeflyer_adapters.facility.virtual_time import VirtualTime
-from freeflyer_adapters.foundation import environment as outside
-from freeflyer_adapters.foundation.environment import Outside
+from freeflyer_adapters.foundation import environment
+from freeflyer_adapters.foundation.environment import Environment
 from freeflyer_adapters.recording.client import Tap
 from freeflyer_adapters.recording.recorder import Recorder, Written
 from freeflyer_adapters.recording.rescue import rescue
@@ -75,7 +75,9 @@ def test_each_step_is_named_by_itself(tmp_path: Path, runtime: Path, clocks: Clo
 
 
 @pytest.mark.parametrize("steps", [{}, {100: -50_000_000}], ids=["no step", "a step of 0.05 s"])
-def test_what_is_no_step_is_not_named(steps: dict[int, int], tmp_path: Path, runtime: Path, clocks: Clocks) -> None:
+def test_what_is_no_step_is_not_named(
+    steps: dict[int, int], tmp_path: Path, runtime: Path, clocks: Clocks
+) -> None:
     written, said = recorded(tmp_path, clocks, steps)
     assert written.clock_steps == said == []
     assert "clock steps" not in read_recording(tmp_path).attrs["stop"]
@@ -105,7 +107,11 @@ def test_a_process_that_is_held_up_between_two_clocks_sees_no_step() -> None:
 def test_the_recorders_process_names_a_step_in_its_result(tmp_path: Path, runtime: Path) -> None:
     """A start two seconds ahead of the machine's clock, as if that had been set back since."""
     now = WallClock.start()
-    ring = RingWriter(replace(head(tmp_path), started=now.started + 2 * SECOND, clock_offset=now.offset + 2 * SECOND))
+    ring = RingWriter(
+        replace(
+            head(tmp_path), started=now.started + 2 * SECOND, clock_offset=now.offset + 2 * SECOND
+        )
+    )
     ring.write(0, np.zeros(ring.width))
     command = [sys.executable, "-P", "-m", "freeflyer_adapters.recording.recorder", str(ring.path)]
     done = subprocess.run(command, input="", capture_output=True, text=True, timeout=60.0)
@@ -115,7 +121,7 @@ def test_the_recorders_process_names_a_step_in_its_result(tmp_path: Path, runtim
     assert done.stderr == f"freeflyer: {step}\n"
 
 
-class SetBack(Outside):
+class SetBack(Environment):
     """This machine's clocks, of which the wall clock is set by `set_by` [ns]."""
 
     set_by = 0
@@ -124,13 +130,18 @@ class SetBack(Outside):
         return super().time_ns() + self.set_by
 
 
-def test_with_a_dead_recorder_the_loop_names_the_step(tmp_path: Path, runtime: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_with_a_dead_recorder_the_loop_names_the_step(
+    tmp_path: Path, runtime: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     clocks = SetBack()
 
     def set_back(tap: Tap) -> None:
         clocks.set_by = -SECOND
 
-    with outside.within(clocks), while_it_runs(monkeypatch, {50: signalled(signal.SIGKILL), 60: set_back}):
+    with (
+        environment.within(clocks),
+        while_it_runs(monkeypatch, {50: signalled(signal.SIGKILL), 60: set_back}),
+    ):
         _, recording = run(tmp_path, stop=0.2)
     assert recording["clock_steps"] == [
         "this machine's clock was set back by 1.000 s, some time during the run; the recording's times go on from the clock at its start"
@@ -139,19 +150,25 @@ def test_with_a_dead_recorder_the_loop_names_the_step(tmp_path: Path, runtime: P
     assert flight.attrs["stop"]["clock steps"] == recording["clock_steps"][0]
     times = flight["wall_ns"].astype(np.int64) - flight["monotonic_ns"].astype(np.int64)
     assert times.nunique() == 1
-    assert read_recording(tmp_path / "out").attrs["stop"]["clock steps"] == recording["clock_steps"][0]
+    assert (
+        read_recording(tmp_path / "out").attrs["stop"]["clock steps"] == recording["clock_steps"][0]
+    )
 
 
-@pytest.mark.parametrize("other", [Outside, VirtualTime], ids=["real time", "virtual time"])
-def test_a_run_whose_clock_is_not_set_has_no_steps(other: type[Outside], tmp_path: Path, runtime: Path) -> None:
+@pytest.mark.parametrize("other", [Environment, VirtualTime], ids=["real time", "virtual time"])
+def test_a_run_whose_clock_is_not_set_has_no_steps(
+    other: type[Environment], tmp_path: Path, runtime: Path
+) -> None:
     """Nor has one in virtual time, whose recorder has other clocks."""
-    with outside.within(other()):
+    with environment.within(other()):
         _, recording = run(tmp_path, stop=0.1, can=False)
     assert recording["clock_steps"] == recording["missing"] == []
     assert len(read_recording(tmp_path / "out")) == 101
 
 
-def test_a_ring_of_an_earlier_version_is_saved_with_the_times_that_it_has(tmp_path: Path, runtime: Path) -> None:
+def test_a_ring_of_an_earlier_version_is_saved_with_the_times_that_it_has(
+    tmp_path: Path, runtime: Path
+) -> None:
     ring = RingWriter(head(tmp_path))
     stamps = [START + k * TICK for k in range(10)]
     for k, stamp in enumerate(stamps):

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from loops import START, TICK
 from test_can_log import READERS
 
-from freeflyer_adapters.foundation import environment as outside
+from freeflyer_adapters.foundation import environment
 from freeflyer_adapters.recording.can_log import FORMATS, CanLog
 from freeflyer_adapters.recording.frame_times import FOLLOWED
 from freeflyer_adapters.recording.header import CanChannel
@@ -52,7 +52,9 @@ def logged(clocks: Clocks, log: CanLog, steps: dict[int, int], count: int = 400)
 
 @pytest.mark.parametrize("form", FORMATS)
 @pytest.mark.parametrize("step", [-SECOND, SECOND, -20_000_000, 20_000_000, -3600 * SECOND])
-def test_frames_have_the_times_of_a_clock_that_was_not_set(step: int, form: str, tmp_path: Path, clocks: Clocks) -> None:
+def test_frames_have_the_times_of_a_clock_that_was_not_set(
+    step: int, form: str, tmp_path: Path, clocks: Clocks
+) -> None:
     path = tmp_path / f"can.{form}"
     true = logged(clocks, log_of(path), {220: step})
     found = times(path)
@@ -63,7 +65,9 @@ def test_frames_have_the_times_of_a_clock_that_was_not_set(step: int, form: str,
         assert found == pytest.approx(true, abs=2e-6)
 
 
-def test_the_recorders_log_has_the_times_of_its_rows(tmp_path: Path, runtime: Path, clocks: Clocks) -> None:
+def test_the_recorders_log_has_the_times_of_its_rows(
+    tmp_path: Path, runtime: Path, clocks: Clocks
+) -> None:
     ring = RingWriter(run_head(tmp_path, [channel("socketcan")]))
     recorder = Recorder(RingReader(ring.path), print)
     for k in range(200):
@@ -75,12 +79,16 @@ def test_the_recorders_log_has_the_times_of_its_rows(tmp_path: Path, runtime: Pa
     written = recorder.finish()
     ring.close()
     (path,) = written.can
-    assert times(Path(path)) == pytest.approx([(START + k * TICK) * 1e-9 for k in range(200)], abs=2e-6)
+    assert times(Path(path)) == pytest.approx(
+        [(START + k * TICK) * 1e-9 for k in range(200)], abs=2e-6
+    )
     assert len(written.clock_steps) == 1
 
 
 @pytest.mark.parametrize("step", [-20_000_000, -30 * SECOND])
-def test_a_clock_that_was_set_before_the_log_was_opened_is_seen(step: int, tmp_path: Path, clocks: Clocks) -> None:
+def test_a_clock_that_was_set_before_the_log_was_opened_is_seen(
+    step: int, tmp_path: Path, clocks: Clocks
+) -> None:
     clocks.passed, clocks.set_by = SECOND, step
     path = tmp_path / "can.blf"
     log = log_of(path)
@@ -99,7 +107,9 @@ def test_a_clock_that_is_set_and_set_right_between_two_looks_puts_frames_wrong_b
     assert found == pytest.approx(true, abs=LOOK * TICK * 1e-9)
 
 
-def test_differences_of_a_millisecond_leave_the_stamps_as_they_are(tmp_path: Path, clocks: Clocks) -> None:
+def test_differences_of_a_millisecond_leave_the_stamps_as_they_are(
+    tmp_path: Path, clocks: Clocks
+) -> None:
     path = tmp_path / "can.blf"
     true = logged(clocks, log_of(path), {220: 1_000_000})
     late = [time - expected for time, expected in zip(times(path), true, strict=True)]
@@ -138,7 +148,9 @@ def test_a_frame_between_the_last_look_at_the_bus_and_the_one_at_the_clock_keeps
     assert times(path) == pytest.approx([frame], abs=2e-6)
 
 
-def test_frames_of_several_senders_are_in_the_order_of_their_times(tmp_path: Path, clocks: Clocks) -> None:
+def test_frames_of_several_senders_are_in_the_order_of_their_times(
+    tmp_path: Path, clocks: Clocks
+) -> None:
     """A held-up recorder takes them in turn, one that sends rarely long before its time."""
     path = tmp_path / "can.blf"
     log = log_of(path)
@@ -159,7 +171,7 @@ def test_whatever_is_set_once_a_look_frames_are_in_order_and_nearly_at_their_tim
 ) -> None:
     path = tmp_path_factory.mktemp("log") / "can.blf"
     clocks = Clocks()
-    with outside.within(clocks):
+    with environment.within(clocks):
         by_instant = {LOOK * look + k: step for look, (k, step) in steps.items()}
         true = logged(clocks, log_of(path), by_instant)
     found = times(path)

@@ -42,7 +42,10 @@ def test_a_killed_loop_loses_nothing(tmp_path: Path, runtime: Path) -> None:
         written = made.ring.written if made.ring else 0
         wait_until_gone(recorder)
         stamp = last_stamp(made)
-    frame, (flight,) = read_recording(tmp_path / "recording.mcap"), map(read_recording, flights(tmp_path))
+    frame, (flight,) = (
+        read_recording(tmp_path / "recording.mcap"),
+        map(read_recording, flights(tmp_path)),
+    )
     assert frame["instant"].tolist() == list(range(written))
     assert recover(tmp_path / "recording.mcap").path is None  # whole
     assert frame["wall_ns"].iloc[-1] == flight["wall_ns"].iloc[-1] == stamp
@@ -74,7 +77,9 @@ def test_a_killed_recorder_costs_the_end_of_the_recording_and_the_loop_writes_it
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("held_up", [0.0, 3.0], ids=["at once", "the recorder held up for 3 s before"])
+@pytest.mark.parametrize(
+    "held_up", [0.0, 3.0], ids=["at once", "the recorder held up for 3 s before"]
+)
 def test_with_both_killed_the_next_start_saves_the_last_seconds_and_nothing_is_lost(
     held_up: float, tmp_path: Path, runtime: Path
 ) -> None:
@@ -109,7 +114,8 @@ def test_with_both_killed_the_next_start_saves_the_last_seconds_and_nothing_is_l
         assert not frame.isna().any().any()
         assert frame.attrs["stop"]["reason"] == "the controllers' process ended without a word"
         instants = [
-            one["instant"].dropna() for one in (read_recording(done.path or ""), read_recording(out / "recording_2.mcap"))
+            one["instant"].dropna()
+            for one in (read_recording(done.path or ""), read_recording(out / "recording_2.mcap"))
         ]
         assert sum(map(len, instants)) == written  # none is twice
     print(
@@ -148,6 +154,11 @@ def test_ctrl_c_leaves_both_whole(tmp_path: Path, runtime: Path) -> None:
         said = made.finish()
     assert made.process.returncode == 3
     assert "Missing" not in said
-    frame, (flight,) = read_recording(tmp_path / "recording.mcap"), map(read_recording, flights(tmp_path))
-    assert frame.attrs["stop"]["reason"].startswith("interrupted by the user; all devices were brought to rest")
+    frame, (flight,) = (
+        read_recording(tmp_path / "recording.mcap"),
+        map(read_recording, flights(tmp_path)),
+    )
+    assert frame.attrs["stop"]["reason"].startswith(
+        "interrupted by the user; all devices were brought to rest"
+    )
     assert frame["instant"].iloc[-1] == flight["instant"].iloc[-1]

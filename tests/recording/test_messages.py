@@ -16,7 +16,12 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import Rotation
 
 from freeflyer_adapters import read_recording
-from freeflyer_adapters.recording.ros_definitions import DEFINITIONS, field_names, full_text, message_name
+from freeflyer_adapters.recording.ros_definitions import (
+    DEFINITIONS,
+    field_names,
+    full_text,
+    message_name,
+)
 from freeflyer_adapters.recording.topics import topics
 
 COUNT = 130
@@ -42,7 +47,10 @@ def test_every_topic_is_what_its_table_says(path: Path) -> None:
     with path.open("rb") as file:
         summary = make_reader(file).get_summary()
     assert summary is not None
-    found = {channel.topic: summary.schemas[channel.schema_id].name for channel in summary.channels.values()}
+    found = {
+        channel.topic: summary.schemas[channel.schema_id].name
+        for channel in summary.channels.values()
+    }
     assert found == {
         "/loop": "freeflyer_cosim/msg/Loop",
         "/arm": "freeflyer_cosim/msg/Arm",
@@ -72,10 +80,14 @@ def test_mcaps_own_reader_finds_every_message_and_right_checksums(path: Path) ->
         assert [a.name for a in reader.iter_attachments()] == ["origin.json"]
 
 
-def test_rosbags_understands_every_message_and_reads_the_numbers_that_were_written(path: Path) -> None:
+def test_rosbags_understands_every_message_and_reads_the_numbers_that_were_written(
+    path: Path,
+) -> None:
     made = head(path)
     values = rows(COUNT, made.width).values
-    part = {signal.name: values[:, signal.first : signal.first + signal.size] for signal in made.signals}
+    part = {
+        signal.name: values[:, signal.first : signal.first + signal.size] for signal in made.signals
+    }
     seen: dict[str, int] = {}
     with AnyReader([path]) as reader:
         for connection, stamp, raw in reader.messages():
@@ -94,7 +106,10 @@ def test_rosbags_understands_every_message_and_reads_the_numbers_that_were_writt
                     q = message.pose.pose.orientation
                     turn = Rotation.from_quat([q.x, q.y, q.z, q.w])
                     twist = message.twist.twist
-                    for vector, where in ((twist.linear, slice(0, 3)), (twist.angular, slice(3, 6))):
+                    for vector, where in (
+                        (twist.linear, slice(0, 3)),
+                        (twist.angular, slice(3, 6)),
+                    ):
                         in_body = turn.inv().apply(part["base_robot.base_velocity"][i, where])
                         assert [vector.x, vector.y, vector.z] == pytest.approx(in_body, abs=1e-12)
                 case "/hand/pose":
@@ -115,9 +130,13 @@ def test_mcaps_decoder_of_ros_2_understands_every_message(path: Path) -> None:
     values = rows(COUNT, head(path).width).values
     count = 0
     with path.open("rb") as file:
-        for message in make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages():
+        for message in make_reader(
+            file, decoder_factories=[DecoderFactory()]
+        ).iter_decoded_messages():
             if message.channel.topic == "/base_robot":
-                assert list(message.decoded_message.base_position) == values[count // 9, 4:7].tolist()
+                assert (
+                    list(message.decoded_message.base_position) == values[count // 9, 4:7].tolist()
+                )
             count += 1
     assert count == COUNT * 9
 
@@ -148,9 +167,13 @@ def test_names_that_ros_does_not_allow_become_names_that_it_does() -> None:
     assert message_name("7 arms") == "M7Arms"
 
 
-def test_a_signal_of_the_right_name_and_another_size_or_unit_is_no_message_of_ros(tmp_path: Path) -> None:
+def test_a_signal_of_the_right_name_and_another_size_or_unit_is_no_message_of_ros(
+    tmp_path: Path,
+) -> None:
     made = head(tmp_path)
-    changed = [replace(s, units=("1",) * s.size) if s.name.endswith("wrench") else s for s in made.signals]
+    changed = [
+        replace(s, units=("1",) * s.size) if s.name.endswith("wrench") else s for s in made.signals
+    ]
     found = {topic.name for topic in topics(made, changed)}
     assert "/controller/end_effector/wrench" not in found
     assert {f"/{name.split('.')[0]}" for name in PARTS} <= found

@@ -52,7 +52,12 @@ def write(out: Path, count: int, started: int = START) -> list[Path]:
 
 def test_parts_are_whole_files_and_together_one_table(tmp_path: Path, short: None) -> None:
     paths = write(tmp_path, COUNT)
-    assert [path.name for path in paths] == ["recording.mcap", "recording_2.mcap", "recording_3.mcap", "recording_4.mcap"]
+    assert [path.name for path in paths] == [
+        "recording.mcap",
+        "recording_2.mcap",
+        "recording_3.mcap",
+        "recording_4.mcap",
+    ]
     assert [len(read_recording(path)) for path in paths] == [200, 200, 200, 50]
     for path in paths:
         assert recover(path).path is None  # whole
@@ -68,7 +73,9 @@ def test_parts_are_whole_files_and_together_one_table(tmp_path: Path, short: Non
     values = rows(COUNT, head(tmp_path).width).values
     assert np.array_equal(frame["arm.joint_position[1]"], values[:, 0])
     with AnyReader(paths) as reader:
-        assert sum(1 for connection, _, _ in reader.messages() if connection.topic == "/loop") == COUNT
+        assert (
+            sum(1 for connection, _, _ in reader.messages() if connection.topic == "/loop") == COUNT
+        )
 
 
 def test_the_result_names_all_parts(tmp_path: Path, runtime: Path, short: None) -> None:
@@ -76,14 +83,18 @@ def test_the_result_names_all_parts(tmp_path: Path, runtime: Path, short: None) 
     recorder = Recorder(RingReader(ring.path), print)
     recorder.step()
     written = recorder.finish()
-    assert [Path(path).name for path in written.recording] == [f"recording{end}.mcap" for end in ("", "_2", "_3", "_4")]
+    assert [Path(path).name for path in written.recording] == [
+        f"recording{end}.mcap" for end in ("", "_2", "_3", "_4")
+    ]
     (line,) = recording_told({"recording": written.recording, "can": [], "flight": None})
     assert "recording.mcap" in line
     assert "recording_4.mcap" in line
     assert read_recording(tmp_path)["instant"].tolist() == list(range(COUNT))
 
 
-def test_parts_of_a_longer_earlier_run_are_not_taken_for_the_new_ones(tmp_path: Path, short: None) -> None:
+def test_parts_of_a_longer_earlier_run_are_not_taken_for_the_new_ones(
+    tmp_path: Path, short: None
+) -> None:
     write(tmp_path, COUNT)
     set_aside(tmp_path, [], "blf")
     assert len(write(tmp_path, 250, START + 1)) == 2
@@ -99,13 +110,17 @@ def test_a_part_of_another_run_is_not_read(tmp_path: Path, short: None) -> None:
 
 
 @pytest.mark.parametrize("cut", [0, 5, 8, -20], ids=["empty", "five bytes", "its begin", "no end"])
-def test_all_parts_of_an_unfinished_run_are_set_aside(cut: int, tmp_path: Path, short: None) -> None:
+def test_all_parts_of_an_unfinished_run_are_set_aside(
+    cut: int, tmp_path: Path, short: None
+) -> None:
     paths = write(tmp_path, 450)
     whole = [path.read_bytes() for path in paths]
     paths[-1].write_bytes(whole[-1][:cut])
     set_aside(tmp_path, [], "blf")
     assert parts.parts(tmp_path) == []
-    assert sorted(path.read_bytes() for path in tmp_path.iterdir()) == sorted([*whole[:-1], whole[-1][:cut]])
+    assert sorted(path.read_bytes() for path in tmp_path.iterdir()) == sorted(
+        [*whole[:-1], whole[-1][:cut]]
+    )
 
 
 def killed(out: Path, ring: RingWriter, hurt: Callable[[], None]) -> None:
@@ -155,11 +170,15 @@ def test_a_kill_at_the_change_of_parts_loses_nothing(
     assert not frame.isna().any().any()
     told = [recover(path) for path in unfinished(tmp_path)]
     assert all(one.kept or one.path for one in told)
-    set_aside(tmp_path, [], "blf")  # one of them was unfinished, so that the next run does not write over any
+    set_aside(
+        tmp_path, [], "blf"
+    )  # one of them was unfinished, so that the next run does not write over any
     assert parts.parts(tmp_path) == []
 
 
-def test_no_instant_is_twice_in_what_is_recovered_and_the_rest(tmp_path: Path, runtime: Path) -> None:
+def test_no_instant_is_twice_in_what_is_recovered_and_the_rest(
+    tmp_path: Path, runtime: Path
+) -> None:
     ring = filled(tmp_path)
     reader = RingReader(ring.path)
     times = reader.everything().times[:, 0].tolist()
@@ -181,13 +200,17 @@ def test_no_instant_is_twice_in_what_is_recovered_and_the_rest(tmp_path: Path, r
     assert {time for topic, time in kept if topic == "/loop"} == set(times)
 
 
-def test_the_rest_of_another_run_does_not_get_among_a_new_ones_parts(tmp_path: Path, runtime: Path) -> None:
+def test_the_rest_of_another_run_does_not_get_among_a_new_ones_parts(
+    tmp_path: Path, runtime: Path
+) -> None:
     ring = filled(tmp_path)
     write(tmp_path, 100, START + 1)
     ring.close()
     assert len(list(rescue())) == 1
     assert read_recording(tmp_path)["instant"].tolist() == list(range(100))
-    assert read_recording(tmp_path / f"recording_of_{START}_rest.mcap")["instant"].tolist() == list(range(COUNT))
+    assert read_recording(tmp_path / f"recording_of_{START}_rest.mcap")["instant"].tolist() == list(
+        range(COUNT)
+    )
 
 
 @pytest.mark.slow

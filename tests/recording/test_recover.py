@@ -15,7 +15,7 @@ import lz4.frame
 import numpy as np
 import pytest
 import zstandard
-from commands import said
+from commands import run_command
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from loops import head, recording
@@ -29,7 +29,13 @@ from rosbags.highlevel import AnyReader
 from freeflyer.cli import main as command
 from freeflyer.foundation.errors import CosimError, RecordError
 from freeflyer_adapters import read_recording
-from freeflyer_adapters.recording.damaged_mcap import LARGEST, UNPACKED, UNPACKED_A_BYTE, DamagedMcap, WholeMessage
+from freeflyer_adapters.recording.damaged_mcap import (
+    LARGEST,
+    UNPACKED,
+    UNPACKED_A_BYTE,
+    DamagedMcap,
+    WholeMessage,
+)
 from freeflyer_adapters.recording.recover import recover
 from freeflyer_adapters.recording.ring import RingWriter
 
@@ -41,7 +47,10 @@ Key = tuple[str, int, bytes]
 
 def keys(data: bytes) -> Counter[Key]:
     """By mcap's own reader."""
-    return Counter((c.topic, m.log_time, m.data) for _, c, m in make_reader(BytesIO(data), validate_crcs=True).iter_messages())
+    return Counter(
+        (c.topic, m.log_time, m.data)
+        for _, c, m in make_reader(BytesIO(data), validate_crcs=True).iter_messages()
+    )
 
 
 WRITTEN = keys(WHOLE)
@@ -58,7 +67,9 @@ def ends_of_chunks(data: bytes) -> list[tuple[int, int]]:
             chunk = data[place : place + 9 + length]
             (record,) = (
                 r
-                for r in StreamReader(BytesIO(chunk + FOOTER), skip_magic=True, emit_chunks=True).records
+                for r in StreamReader(
+                    BytesIO(chunk + FOOTER), skip_magic=True, emit_chunks=True
+                ).records
                 if isinstance(r, Chunk)
             )
             inside = zstandard.decompress(record.data, record.uncompressed_size)
@@ -123,7 +134,9 @@ def test_a_file_cut_anywhere_keeps_every_chunk_before_the_cut(cut: int, folder: 
 
 
 @pytest.mark.parametrize("offset", range(-2, 12))
-def test_a_file_cut_near_the_end_of_a_record_keeps_what_is_before(offset: int, folder: Path) -> None:
+def test_a_file_cut_near_the_end_of_a_record_keeps_what_is_before(
+    offset: int, folder: Path
+) -> None:
     end, count = CHUNKS[2]
     before = CHUNKS[1][1]
     kept, _ = recovered(folder, WHOLE[: end + offset])
@@ -133,20 +146,29 @@ def test_a_file_cut_near_the_end_of_a_record_keeps_what_is_before(offset: int, f
 
 @given(place=st.integers(0, len(WHOLE) - 1), flip=st.integers(1, 255), finished=st.booleans())
 @settings(max_examples=80)
-def test_a_changed_byte_costs_a_chunk_at_most_and_invents_nothing(place: int, flip: int, finished: bool, folder: Path) -> None:
+def test_a_changed_byte_costs_a_chunk_at_most_and_invents_nothing(
+    place: int, flip: int, finished: bool, folder: Path
+) -> None:
     data = bytearray(WHOLE if finished else UNFINISHED)
     place %= len(data)
     data[place] ^= flip
     kept, count = recovered(folder, bytes(data))
     assert kept <= WRITTEN
-    largest = max(after - before for (_, after), (_, before) in zip(CHUNKS, [(0, 0), *CHUNKS], strict=False))
+    largest = max(
+        after - before for (_, after), (_, before) in zip(CHUNKS, [(0, 0), *CHUNKS], strict=False)
+    )
     begin = CHUNKS[0][0]
     # A begin whose definitions are damaged is made up for by those at the end, if there is one.
     total = len(WRITTEN) if finished else UNFINISHED_COUNT
     assert count >= total - largest or (place < begin and not finished)
 
 
-@given(begin=st.integers(8, len(WHOLE)), size=st.integers(0, 20_000), garbage=st.binary(max_size=300), finished=st.booleans())
+@given(
+    begin=st.integers(8, len(WHOLE)),
+    size=st.integers(0, 20_000),
+    garbage=st.binary(max_size=300),
+    finished=st.booleans(),
+)
 def test_garbage_in_the_middle_costs_the_chunks_that_it_touches(
     begin: int, size: int, garbage: bytes, finished: bool, folder: Path
 ) -> None:
@@ -174,7 +196,9 @@ def refusal(call: Callable[[], object]) -> str | None:
     return None
 
 
-@given(data=st.one_of(st.binary(max_size=400), st.binary(max_size=400).map(lambda tail: MAGIC + tail)))
+@given(
+    data=st.one_of(st.binary(max_size=400), st.binary(max_size=400).map(lambda tail: MAGIC + tail))
+)
 @settings(max_examples=120)
 def test_any_bytes_give_a_whole_file_or_one_sentence(data: bytes, folder: Path) -> None:
     for suffix in (".mcap", ".blf", ".ring", ".txt"):
@@ -186,7 +210,11 @@ def test_any_bytes_give_a_whole_file_or_one_sentence(data: bytes, folder: Path) 
 
 
 def chunk(data: bytes, compression: str, size: int, checksum: int = 0) -> bytes:
-    body = struct.pack("<QQQI", 0, 0, size, checksum) + struct.pack("<I", len(compression)) + compression.encode()
+    body = (
+        struct.pack("<QQQI", 0, 0, size, checksum)
+        + struct.pack("<I", len(compression))
+        + compression.encode()
+    )
     body += struct.pack("<Q", len(data)) + data
     return struct.pack("<BQ", Opcode.CHUNK, len(body)) + body
 
@@ -257,13 +285,18 @@ def test_a_recovered_recording_is_one_for_everybody(folder: Path) -> None:
     done = recover(path)
     assert done.path is not None
     with AnyReader([done.path]) as reader:
-        assert sum(1 for c, _, raw in reader.messages() if reader.deserialize(raw, c.msgtype)) == done.kept
+        assert (
+            sum(1 for c, _, raw in reader.messages() if reader.deserialize(raw, c.msgtype))
+            == done.kept
+        )
     frame = read_recording(done.path)
     assert frame["instant"].tolist() == list(range(len(frame)))
     assert frame.equals(read_recording(path))
 
 
-def test_the_command_says_what_was_kept_and_refuses_what_is_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_says_what_was_kept_and_refuses_what_is_none(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(WHOLE[: CHUNKS[3][0] + 50])
     assert command.call(["recover", str(cut)]) == 0
@@ -276,17 +309,19 @@ def test_the_command_says_what_was_kept_and_refuses_what_is_none(tmp_path: Path,
         (Path(__file__), "neither a recording"),
         (cut, "is the damaged file itself"),
     ):
-        code, error = said(capsys, "recover", str(path), "--out", str(cut))
+        code, error = run_command(capsys, "recover", str(path), "--out", str(cut))
         assert code == 2, path
         assert sentence in error
     (tmp_path / "empty.mcap").write_bytes(b"")
-    code, error = said(capsys, "recover", str(tmp_path / "empty.mcap"))
+    code, error = run_command(capsys, "recover", str(tmp_path / "empty.mcap"))
     assert code == 2
     assert "is no MCAP recording" in error
-    code, error = said(capsys, "recover", str(cut), "--out", str(tmp_path / "no" / "\0"))
+    code, error = run_command(capsys, "recover", str(cut), "--out", str(tmp_path / "no" / "\0"))
     assert code == 2
     (tmp_path / "file").write_text("")
-    code, error = said(capsys, "recover", str(cut), "--out", str(tmp_path / "file" / "out.mcap"))
+    code, error = run_command(
+        capsys, "recover", str(cut), "--out", str(tmp_path / "file" / "out.mcap")
+    )
     assert code == 3
     assert "cannot be written" in error
 
@@ -303,14 +338,21 @@ def blf(folder: Path) -> bytes:
             data = i.to_bytes(8, "little") * 8
             writer.on_message_received(
                 can.Message(
-                    timestamp=1.8e9 + i * 1e-3, arbitration_id=0x181, is_extended_id=False, is_fd=True, data=data, dlc=64
+                    timestamp=1.8e9 + i * 1e-3,
+                    arbitration_id=0x181,
+                    is_extended_id=False,
+                    is_fd=True,
+                    data=data,
+                    dlc=64,
                 )
             )
     return path.read_bytes()
 
 
 @given(cut=st.integers(144, 20_000), place=st.integers(0, 20_000), flip=st.integers(0, 255))
-def test_a_damaged_can_log_keeps_whole_containers_and_invents_no_frame(cut: int, place: int, flip: int, folder: Path) -> None:
+def test_a_damaged_can_log_keeps_whole_containers_and_invents_no_frame(
+    cut: int, place: int, flip: int, folder: Path
+) -> None:
     data = bytearray(blf(folder)[:cut])
     place = 144 + place % max(1, len(data) - 144)
     if place < len(data):
@@ -321,7 +363,10 @@ def test_a_damaged_can_log_keeps_whole_containers_and_invents_no_frame(cut: int,
     frames = list(can.BLFReader(out))
     assert len(frames) == done.kept
     numbers = [int.from_bytes(frame.data[:8], "little") for frame in frames]
-    assert all(frame.data == number.to_bytes(8, "little") * 8 for frame, number in zip(frames, numbers, strict=True))
+    assert all(
+        frame.data == number.to_bytes(8, "little") * 8
+        for frame, number in zip(frames, numbers, strict=True)
+    )
     assert numbers == sorted(set(numbers))
     for frame, number in zip(frames, numbers, strict=True):
         assert frame.timestamp == pytest.approx(1.8e9 + number * 1e-3, abs=1e-6)
@@ -331,7 +376,9 @@ def test_a_damaged_can_log_keeps_whole_containers_and_invents_no_frame(cut: int,
 def test_an_object_that_claims_to_have_no_size_ends_its_stretch(size: int, folder: Path) -> None:
     """python-can's reader would read it for ever."""
     content = struct.pack("<4sHHLL", b"LOBJ", 16, 1, size, 100) + bytes(40)
-    container = struct.pack("<4sHHLL", b"LOBJ", 16, 1, 32 + len(content), 10) + struct.pack("<H6xL4x", 0, len(content))
+    container = struct.pack("<4sHHLL", b"LOBJ", 16, 1, 32 + len(content), 10) + struct.pack(
+        "<H6xL4x", 0, len(content)
+    )
     path = folder / "endless.blf"
     path.write_bytes(blf(folder)[:144] + container + content)
     done = recover(path, folder / "out.blf")
@@ -352,13 +399,19 @@ def test_a_ring_that_claims_more_rows_than_can_be_is_refused(tmp_path: Path, run
 
 def test_messages_are_found_by_an_independent_count() -> None:
     """The reader of damaged files finds in a whole one what mcap's own reader finds, in the same order."""
-    ours = [(m.channel.topic, m.log_time, m.data) for m in DamagedMcap(BytesIO(WHOLE)).records() if isinstance(m, WholeMessage)]
+    ours = [
+        (m.channel.topic, m.log_time, m.data)
+        for m in DamagedMcap(BytesIO(WHOLE)).records()
+        if isinstance(m, WholeMessage)
+    ]
     theirs = make_reader(BytesIO(WHOLE)).iter_messages(log_time_order=False)
     assert ours == [(c.topic, m.log_time, m.data) for _, c, m in theirs]
     assert zlib.crc32(WHOLE) == zlib.crc32(recording(120))
 
 
-def test_a_ring_from_elsewhere_does_not_write_where_it_likes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_ring_from_elsewhere_does_not_write_where_it_likes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for name in ("runtime", "elsewhere", "target"):
         (tmp_path / name).mkdir(mode=0o700)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "runtime"))

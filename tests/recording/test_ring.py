@@ -74,7 +74,12 @@ def test_a_reader_that_is_held_up_counts_what_was_written_over(runtime: Path) ->
 
 def test_a_reader_beside_a_writer_that_is_faster_takes_whole_rows_only(runtime: Path) -> None:
     count = 60_000
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])}
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(
+            [str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]
+        ),
+    }
     with subprocess.Popen(
         [sys.executable, "-c", FAST_WRITER, str(runtime), str(count)],
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment,
@@ -120,7 +125,9 @@ def test_a_ring_belongs_to_somebody_until_all_have_gone(runtime: Path) -> None:
     assert list(left_behind()) == [ring.path]
 
 
-def test_without_room_there_is_no_ring_and_no_rest_of_one(runtime: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_room_there_is_no_ring_and_no_rest_of_one(
+    runtime: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def full(*arguments: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
@@ -138,7 +145,9 @@ def test_a_directory_that_others_can_enter_is_not_used(runtime: Path) -> None:
 
 
 @given(data=st.data())
-def test_a_damaged_ring_is_refused_in_a_sentence_or_read(data: st.DataObject, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_a_damaged_ring_is_refused_in_a_sentence_or_read(
+    data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
+) -> None:
     folder = tmp_path_factory.mktemp("rings")
     ring = RingWriter(head(folder), folder)
     for k in range(5):

@@ -31,13 +31,17 @@ STOP = 3.0
 EXTENDS = 'extends = "facility"\n'
 
 
-def run(folder: Path, text: str = "", stop: float = STOP, **options: Any) -> tuple[Any, dict[str, Any]]:
+def run(
+    folder: Path, text: str = "", stop: float = STOP, **options: Any
+) -> tuple[Any, dict[str, Any]]:
     path = folder / "changed.toml"
     path.write_text(EXTENDS + text)
     chosen = scenario.load(str(path), [f"stop_s={stop}"])
     out = folder / "out"
     out.mkdir(exist_ok=True)
-    result, report = hil.run(chosen, simulated=True, recording=Recording(directory=out, **options), say=lambda text: None)
+    result, report = hil.run(
+        chosen, simulated=True, recording=Recording(directory=out, **options), say=lambda text: None
+    )
     assert report.recording is not None
     return result, dict(report.recording)
 
@@ -49,7 +53,9 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Any, dict[
     return result, recording, folder / "out"
 
 
-def test_a_recording_has_every_instant_and_the_runs_own_record_to_the_bit(whole: tuple[Any, dict[str, Any], Path]) -> None:
+def test_a_recording_has_every_instant_and_the_runs_own_record_to_the_bit(
+    whole: tuple[Any, dict[str, Any], Path],
+) -> None:
     result, recording, out = whole
     assert recording["missing"] == []
     assert recording["rows_lost"] == 0
@@ -60,27 +66,40 @@ def test_a_recording_has_every_instant_and_the_runs_own_record_to_the_bit(whole:
     every = frame.iloc[::10]
     assert np.array_equal(every["time"], record.time)
     for one in record.signals.values():
-        assert np.array_equal(every[one.columns].to_numpy(), record[one.name].reshape(len(every), -1)), one.name
+        assert np.array_equal(
+            every[one.columns].to_numpy(), record[one.name].reshape(len(every), -1)
+        ), one.name
     units = record.units
     assert all(frame.attrs["units"][column] == unit for column, unit in units.items())
     assert (frame["arm_drive: state"] == 2.0).all()
 
 
-def test_the_flight_recording_has_the_last_two_seconds_of_every_signal(whole: tuple[Any, dict[str, Any], Path]) -> None:
+def test_the_flight_recording_has_the_last_two_seconds_of_every_signal(
+    whole: tuple[Any, dict[str, Any], Path],
+) -> None:
     _, recording, out = whole
     frame, flight = read_recording(out / "recording.mcap"), read_recording(recording["flight"])
-    assert flight["monotonic_ns"].iloc[-1] - flight["monotonic_ns"].iloc[0] == pytest.approx(FLIGHT_SECONDS * 1e9, rel=0.05)
+    assert flight["monotonic_ns"].iloc[-1] - flight["monotonic_ns"].iloc[0] == pytest.approx(
+        FLIGHT_SECONDS * 1e9, rel=0.05
+    )
     assert np.array_equal(flight.to_numpy(), frame[flight.columns].tail(len(flight)).to_numpy())
-    assert flight.attrs["stop"]["reason"].startswith("the scenario is over; all devices were brought to rest")
+    assert flight.attrs["stop"]["reason"].startswith(
+        "the scenario is over; all devices were brought to rest"
+    )
     assert flight.attrs["stop"]["rows lost by the recorder"] == "0"
 
 
-def test_messages_of_ros_are_made_of_the_scenarios_signals(whole: tuple[Any, dict[str, Any], Path]) -> None:
+def test_messages_of_ros_are_made_of_the_scenarios_signals(
+    whole: tuple[Any, dict[str, Any], Path],
+) -> None:
     _, _, out = whole
     with (out / "recording.mcap").open("rb") as file:
         summary = make_reader(file).get_summary()
     assert summary is not None
-    found = {channel.topic: summary.schemas[channel.schema_id].name for channel in summary.channels.values()}
+    found = {
+        channel.topic: summary.schemas[channel.schema_id].name
+        for channel in summary.channels.values()
+    }
     expected = {
         "/arm_drive/joint_states": "sensor_msgs/msg/JointState",  # measured
         "/manipulator_controller/joint_states": "sensor_msgs/msg/JointState",  # commanded
@@ -96,7 +115,9 @@ def test_messages_of_ros_are_made_of_the_scenarios_signals(whole: tuple[Any, dic
 
 
 @pytest.mark.slow
-def test_only_the_chosen_signals_are_recorded_but_the_last_seconds_have_all(tmp_path: Path, runtime: Path) -> None:
+def test_only_the_chosen_signals_are_recorded_but_the_last_seconds_have_all(
+    tmp_path: Path, runtime: Path
+) -> None:
     run(tmp_path, '[record]\nsignals = ["satellite.*"]\n', stop=0.2)
     chosen, flight = (
         read_recording(tmp_path / "out" / "recording.mcap"),
@@ -113,14 +134,20 @@ def test_a_limit_is_in_the_last_row_and_in_the_reason(tmp_path: Path, runtime: P
     limit = '[[limits]]\nsignal = "base_controller.base_wrench"\nmaximum = 0.05\ncause = "the force is too large [N]"\n'
     result, recording = run(tmp_path, limit)
     flight = read_recording(recording["flight"])
-    assert flight.attrs["stop"]["reason"].startswith("the force is too large [N]: base_controller.base_wrench is")
-    wrench = np.abs(flight[[f"base_controller.base_wrench[{i + 1}]" for i in range(6)]].to_numpy()).max(axis=1)
+    assert flight.attrs["stop"]["reason"].startswith(
+        "the force is too large [N]: base_controller.base_wrench is"
+    )
+    wrench = np.abs(
+        flight[[f"base_controller.base_wrench[{i + 1}]" for i in range(6)]].to_numpy()
+    ).max(axis=1)
     assert wrench[-1] > 0.05
     assert (wrench[:-1] <= 0.05).all()
     assert flight["time"].iloc[-1] == pytest.approx(result.outcome.simulated)
 
 
-def test_without_a_recording_there_is_still_the_flight_recording(tmp_path: Path, runtime: Path) -> None:
+def test_without_a_recording_there_is_still_the_flight_recording(
+    tmp_path: Path, runtime: Path
+) -> None:
     _, recording = run(tmp_path, stop=0.2, everything=False)
     assert recording["recording"] == []
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["flight_recording.mcap"]
@@ -128,7 +155,9 @@ def test_without_a_recording_there_is_still_the_flight_recording(tmp_path: Path,
 
 
 @pytest.mark.slow
-def test_an_unfinished_recording_of_an_earlier_run_is_not_written_over(tmp_path: Path, runtime: Path) -> None:
+def test_an_unfinished_recording_of_an_earlier_run_is_not_written_over(
+    tmp_path: Path, runtime: Path
+) -> None:
     out = tmp_path / "out"
     out.mkdir()
     (out / "recording.mcap").write_bytes(b"\x89MCAP0\r\n and no end")
@@ -140,7 +169,9 @@ def test_an_unfinished_recording_of_an_earlier_run_is_not_written_over(tmp_path:
 
 
 @contextlib.contextmanager
-def while_it_runs(monkeypatch: pytest.MonkeyPatch, acts: dict[int, Callable[[Tap], object]]) -> Iterator[None]:
+def while_it_runs(
+    monkeypatch: pytest.MonkeyPatch, acts: dict[int, Callable[[Tap], object]]
+) -> Iterator[None]:
     """Calls `acts[k](tap)` at instant k."""
     original = Tap.write
 
@@ -163,7 +194,10 @@ def signalled(number: int) -> Callable[[Tap], None]:
 
 @pytest.mark.slow
 def test_a_vanished_directory_is_told_and_the_loop_goes_on(
-    tmp_path: Path, runtime: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    tmp_path: Path,
+    runtime: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
 ) -> None:
     with while_it_runs(monkeypatch, {300: lambda tap: shutil.rmtree(tmp_path / "out")}):
         result, recording = run(tmp_path, stop=0.8)
@@ -176,9 +210,15 @@ def test_a_vanished_directory_is_told_and_the_loop_goes_on(
     assert read_recording(recording["flight"])["instant"].iloc[-1] == 800
 
 
-@pytest.mark.parametrize("for_all", family([False, True]), ids=["for the recorder", "for the loop too"])
+@pytest.mark.parametrize(
+    "for_all", family([False, True]), ids=["for the recorder", "for the loop too"]
+)
 def test_a_full_disk_is_told_once_and_what_was_written_is_kept(
-    for_all: bool, tmp_path: Path, runtime: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    for_all: bool,
+    tmp_path: Path,
+    runtime: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
 ) -> None:
     """The recorder's files may not grow beyond half a megabyte."""
 
@@ -194,8 +234,14 @@ def test_a_full_disk_is_told_once_and_what_was_written_is_kept(
     with while_it_runs(monkeypatch, {50: fill}):
         result, recording = run(tmp_path, stop=1.0)
     assert result.as_expected
-    assert [text for text in recording["missing"] if "the recording is not whole: File too large" in text]
-    said = [line for line in capfd.readouterr().err.splitlines() if "the recording has stopped" in line]
+    assert [
+        text
+        for text in recording["missing"]
+        if "the recording is not whole: File too large" in text
+    ]
+    said = [
+        line for line in capfd.readouterr().err.splitlines() if "the recording has stopped" in line
+    ]
     assert len(said) == 1
     frame = read_recording(tmp_path / "out" / "recording.mcap")
     assert frame["instant"].tolist() == list(range(len(frame)))
@@ -220,11 +266,15 @@ def test_a_recorder_that_is_held_up_loses_nothing_and_holds_nobody_up(
     tmp_path: Path, runtime: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It stands still until the loop is nearly over: a loop that waited for it would not come so far."""
-    with while_it_runs(monkeypatch, {200: signalled(signal.SIGSTOP), 990: signalled(signal.SIGCONT)}):
+    with while_it_runs(
+        monkeypatch, {200: signalled(signal.SIGSTOP), 990: signalled(signal.SIGCONT)}
+    ):
         result, recording = run(tmp_path, stop=1.0)
     assert result.as_expected
     assert recording["rows_lost"] == 0
-    assert read_recording(tmp_path / "out" / "recording.mcap")["instant"].tolist() == list(range(1001))
+    assert read_recording(tmp_path / "out" / "recording.mcap")["instant"].tolist() == list(
+        range(1001)
+    )
 
 
 @pytest.mark.slow
@@ -232,7 +282,9 @@ def test_a_recorder_that_is_held_up_for_longer_than_the_ring_counts_what_it_miss
     tmp_path: Path, runtime: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("freeflyer_adapters.recording.ring.SECONDS", 0.3)
-    with while_it_runs(monkeypatch, {200: signalled(signal.SIGSTOP), 990: signalled(signal.SIGCONT)}):
+    with while_it_runs(
+        monkeypatch, {200: signalled(signal.SIGSTOP), 990: signalled(signal.SIGCONT)}
+    ):
         result, recording = run(tmp_path, stop=1.0)
     assert result.as_expected
     frame = read_recording(tmp_path / "out" / "recording.mcap")

@@ -20,7 +20,14 @@ from hypothesis import strategies as st
 
 from freeflyer.foundation.errors import BAD_INPUT, OutputError
 from freeflyer_adapters.device.device import DeviceError
-from freeflyer_adapters.loop.stop_notice import LONGEST, LONGEST_MESSAGE, SIZE, StopNotice, check_log_to, one_line
+from freeflyer_adapters.loop.stop_notice import (
+    LONGEST,
+    LONGEST_MESSAGE,
+    SIZE,
+    StopNotice,
+    check_log_to,
+    one_line,
+)
 
 REASON, LEFT = "arm_drive: too many lost cycles", "all devices were brought to rest"
 SENTENCE = f"Stop: {REASON}; {LEFT}"
@@ -33,8 +40,15 @@ notice = StopNotice(directory=Path(sys.argv[1]), log_to=None, scenario="child", 
 GIVES = f"notice.give({REASON!r}, {LEFT!r}, orderly=False)\n"
 
 
-def made(directory: Path | None = None, log_to: str | None = None, said: list[str] | None = None) -> StopNotice:
-    return StopNotice(directory=directory, log_to=log_to, scenario="facility", say=([] if said is None else said).append)
+def made(
+    directory: Path | None = None, log_to: str | None = None, said: list[str] | None = None
+) -> StopNotice:
+    return StopNotice(
+        directory=directory,
+        log_to=log_to,
+        scenario="facility",
+        say=([] if said is None else said).append,
+    )
 
 
 def read(directory: Path) -> dict[str, Any]:
@@ -99,7 +113,12 @@ def test_the_reason_goes_to_standard_output_and_stop_json(tmp_path: Path) -> Non
     assert notice.problems == []
     assert list(before) == list(after)
     assert (before["stopped"], before["orderly"], before["reason"]) == (False, None, None)
-    assert (after["stopped"], after["orderly"], after["reason"], after["left"]) == (True, False, REASON, LEFT)
+    assert (after["stopped"], after["orderly"], after["reason"], after["left"]) == (
+        True,
+        False,
+        REASON,
+        LEFT,
+    )
     assert before["scenario"] == after["scenario"] == "facility"
     assert before["started_ns"] == after["started_ns"] <= after["stopped_ns"] <= time.time_ns()
     assert 0.0 < after["after_s"] < 60.0
@@ -118,12 +137,15 @@ def test_a_full_disk_takes_the_reason(small_disk: Path) -> None:
         (small_disk / "later").write_bytes(b"0" * 4096)
 
 
-def test_a_disk_that_is_full_at_the_start_is_refused_and_an_earlier_stop_json_is_kept(small_disk: Path) -> None:
+def test_a_disk_that_is_full_at_the_start_is_refused_and_an_earlier_stop_json_is_kept(
+    small_disk: Path,
+) -> None:
     with closing(made(small_disk)) as notice:
         notice.give("earlier", LEFT, orderly=True)
     fill(small_disk)
     with pytest.raises(
-        OutputError, match=r"stop\.json cannot be reserved .*: No space left on device; a directory with"
+        OutputError,
+        match=r"stop\.json cannot be reserved .*: No space left on device; a directory with",
     ) as caught:
         made(small_disk)
     assert caught.value.exit_code == BAD_INPUT
@@ -147,7 +169,9 @@ def test_a_directory_that_is_none_is_refused(tmp_path: Path) -> None:
     assert sorted(os.listdir(tmp_path)) == ["file", "stop.json"]
 
 
-def test_a_disk_that_fails_at_the_stop_is_a_problem_and_no_error(tmp_path: Path, receiver: socket.socket) -> None:
+def test_a_disk_that_fails_at_the_stop_is_a_problem_and_no_error(
+    tmp_path: Path, receiver: socket.socket
+) -> None:
     said: list[str] = []
     notice = made(tmp_path, f"syslog:{tmp_path}/log", said)
     descriptor = notice._file
@@ -163,11 +187,14 @@ def test_a_disk_that_fails_at_the_stop_is_a_problem_and_no_error(tmp_path: Path,
 
 
 @pytest.mark.parametrize("orderly", [False, True])
-def test_a_unix_socket_gets_priority_and_text(tmp_path: Path, receiver: socket.socket, orderly: bool) -> None:
+def test_a_unix_socket_gets_priority_and_text(
+    tmp_path: Path, receiver: socket.socket, orderly: bool
+) -> None:
     with closing(made(log_to=f"syslog:{tmp_path}/log")) as notice:
         notice.give("two\nlines\x1b[31m", LEFT, orderly=orderly)
     assert (
-        receiver.recv(SIZE).decode() == f"<{29 if orderly else 28}>freeflyer: Stop: two lines [31m; {LEFT}"
+        receiver.recv(SIZE).decode()
+        == f"<{29 if orderly else 28}>freeflyer: Stop: two lines [31m; {LEFT}"
     )  # daemon.notice, .warning
     assert notice.problems == []
 
@@ -175,7 +202,9 @@ def test_a_unix_socket_gets_priority_and_text(tmp_path: Path, receiver: socket.s
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "[::1]"])
 def test_a_udp_socket_gets_priority_and_text(host: str) -> None:
     try:
-        family, _, _, _, (number, *_) = socket.getaddrinfo(host.strip("[]"), 514, type=socket.SOCK_DGRAM)[0]
+        family, _, _, _, (number, *_) = socket.getaddrinfo(
+            host.strip("[]"), 514, type=socket.SOCK_DGRAM
+        )[0]
         one = socket.socket(family, socket.SOCK_DGRAM)
         one.bind((number, 0))
     except OSError as error:
@@ -187,7 +216,9 @@ def test_a_udp_socket_gets_priority_and_text(host: str) -> None:
     assert notice.problems == []
 
 
-def test_a_long_reason_is_one_datagram_of_whole_characters(tmp_path: Path, receiver: socket.socket) -> None:
+def test_a_long_reason_is_one_datagram_of_whole_characters(
+    tmp_path: Path, receiver: socket.socket
+) -> None:
     with closing(made(log_to=f"syslog:{tmp_path}/log")) as notice:
         notice.give("€" * 5000, LEFT, orderly=False)
     message = receiver.recv(10 * SIZE)
@@ -195,7 +226,9 @@ def test_a_long_reason_is_one_datagram_of_whole_characters(tmp_path: Path, recei
     assert message.decode().endswith("€")
 
 
-def test_a_daemon_that_was_started_anew_gets_the_reason(tmp_path: Path, receiver: socket.socket) -> None:
+def test_a_daemon_that_was_started_anew_gets_the_reason(
+    tmp_path: Path, receiver: socket.socket
+) -> None:
     notice = made(log_to=f"syslog:{tmp_path}/log")
     receiver.close()
     (tmp_path / "log").unlink()
@@ -251,7 +284,10 @@ def test_a_daemon_that_is_gone_is_a_problem_and_no_error(
         ("syslog:localhost:³", "port of 1 to 65535"),
         ("syslog:a..b:514", "no system log takes datagrams at 'a..b:514'"),
         ("syslog:" + "/long" * 50, "path too long"),
-        ("syslog:/", "no system log takes datagrams at '/': Connection refused; start one there, or give another"),
+        (
+            "syslog:/",
+            "no system log takes datagrams at '/': Connection refused; start one there, or give another",
+        ),
         ("syslog:/no\nsuch/log", "No such file"),
     ],
 )
@@ -324,7 +360,9 @@ def test_a_pipe_without_a_reader_is_a_problem_and_no_error(tmp_path: Path) -> No
     os.close(reading)
     # rich's own console ends the command there.
     text = (
-        "from rich.console import Console\nnotice._say = Console().print\n" + GIVES + "print(*notice.problems, file=sys.stderr)"
+        "from rich.console import Console\nnotice._say = Console().print\n"
+        + GIVES
+        + "print(*notice.problems, file=sys.stderr)"
     )
     process = child(tmp_path, text, stdout=writing)
     os.close(writing)
@@ -341,8 +379,12 @@ def unknown_character(text: str) -> None:
     "ä".encode("ascii")
 
 
-@pytest.mark.parametrize(("say", "told"), [(broken_pipe, "Broken pipe"), (unknown_character, "'ascii' codec")])
-def test_a_terminal_that_fails_is_a_problem_and_no_error(tmp_path: Path, say: Any, told: str) -> None:
+@pytest.mark.parametrize(
+    ("say", "told"), [(broken_pipe, "Broken pipe"), (unknown_character, "'ascii' codec")]
+)
+def test_a_terminal_that_fails_is_a_problem_and_no_error(
+    tmp_path: Path, say: Any, told: str
+) -> None:
     notice = StopNotice(directory=tmp_path, log_to=None, scenario="facility", say=say)
     notice.give(REASON, LEFT, orderly=False)
     notice.close()
@@ -351,10 +393,23 @@ def test_a_terminal_that_fails_is_a_problem_and_no_error(tmp_path: Path, say: An
     assert read(tmp_path)["reason"] == REASON
 
 
-@pytest.mark.parametrize(("redirection", "told"), [(">&-", ""), ("> /dev/full", "No space left on device")])
-def test_a_missing_or_full_standard_output_does_not_matter(tmp_path: Path, redirection: str, told: str) -> None:
+@pytest.mark.parametrize(
+    ("redirection", "told"), [(">&-", ""), ("> /dev/full", "No space left on device")]
+)
+def test_a_missing_or_full_standard_output_does_not_matter(
+    tmp_path: Path, redirection: str, told: str
+) -> None:
     text = CHILD + GIVES + "print(*notice.problems, file=sys.stderr)"
-    command = ["sh", "-c", f'exec "$@" {redirection}', "sh", sys.executable, "-c", text, str(tmp_path)]
+    command = [
+        "sh",
+        "-c",
+        f'exec "$@" {redirection}',
+        "sh",
+        sys.executable,
+        "-c",
+        text,
+        str(tmp_path),
+    ]
     error = subprocess.run(command, capture_output=True, text=True, check=False).stderr
     assert told in error.splitlines()[0]
     assert bool(error.splitlines()[0]) == bool(told)
@@ -423,7 +478,9 @@ def test_long_texts_are_cut_between_characters(tmp_path: Path, text: str) -> Non
         whole, cut = one_line(long), document[name]
         assert cut.endswith("...")
         assert whole.startswith(cut[:-3])
-        assert 0 <= LONGEST[name] - len(json.dumps(cut, ensure_ascii=False).encode()) < 8  # no more is lost than must be
+        assert (
+            0 <= LONGEST[name] - len(json.dumps(cut, ensure_ascii=False).encode()) < 8
+        )  # no more is lost than must be
 
 
 @given(
@@ -431,7 +488,9 @@ def test_long_texts_are_cut_between_characters(tmp_path: Path, text: str) -> Non
     left=st.text(max_size=400),
     orderly=st.booleans(),
 )
-def test_any_text_is_one_line_and_comes_back(tmp_path: Path, reason: str, left: str, orderly: bool) -> None:
+def test_any_text_is_one_line_and_comes_back(
+    tmp_path: Path, reason: str, left: str, orderly: bool
+) -> None:
     said: list[str] = []
     with closing(made(tmp_path, said=said)) as notice:
         notice.give(reason, left, orderly=orderly)

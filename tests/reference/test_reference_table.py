@@ -17,7 +17,9 @@ from freeflyer.scenario import experiment, scenario
 M, B = "manipulator_controller", "base_controller"
 
 
-def last_10_s(name: str, *overrides: str, stop: float | None = None) -> tuple[experiment.Result, tuple[float, float, float]]:
+def last_10_s(
+    name: str, *overrides: str, stop: float | None = None
+) -> tuple[experiment.Result, tuple[float, float, float]]:
     result = experiment.run(scenario.load(name, overrides))
     keys = ("end_effector_position_error_m", "base_position_error_m", "base_orientation_error_deg")
     return result, tuple(result.summary[key]["last_10_s"] for key in keys)  # type: ignore[return-value]
@@ -33,7 +35,11 @@ STABLE = {
     "applied, paper": ("multirate_passive", (f"{M}.observer=paper",), (1.9e-5, 1.4e-3, 0.72)),
     "applied, port": ("multirate_passive", (), (5.1e-6, 1.6e-3, 0.06)),
     "applied, tracking": ("multirate_passive", (f"{M}.observer=tracking",), (8.6e-7, 5e-4, 0.065)),
-    "matched gains, no PC": ("multirate_unstable", (f"{B}.discretisation=matched",), (1.4e-6, 5.9e-4, 0.09)),
+    "matched gains, no PC": (
+        "multirate_unstable",
+        (f"{B}.discretisation=matched",),
+        (1.4e-6, 5.9e-4, 0.09),
+    ),
     "matched gains, applied, tracking": (
         "multirate_passive",
         (f"{M}.observer=tracking", f"{B}.discretisation=matched"),
@@ -87,7 +93,9 @@ def test_as_printed_with_the_papers_observer_depends_on_the_initial_energy() -> 
     errors = []
     for k in range(5):
         mass = f"free_flyer.base_mass={150.0 * (1.0 + 1e-12 * k)!r}"
-        fighting, found = last_10_s("multirate_passive", *row, f"{M}.manipulator_initial_energy=0.02", mass)
+        fighting, found = last_10_s(
+            "multirate_passive", *row, f"{M}.manipulator_initial_energy=0.02", mass
+        )
         assert np.abs(fighting.outcome.record[f"{M}.passivity_wrench"]).max() > 0.1
         assert found[0] > 1e-2
         errors.append(found)
@@ -106,7 +114,9 @@ def test_the_overdamped_base_diverges_and_an_unbounded_damper_makes_it_worse() -
     without, _ = last_10_s("overdamped_base", f"{M}.base_passivity_control=false")
     unbounded, _ = last_10_s("overdamped_base", f"{B}.damper_bound=0")
     assert bounded.as_expected
-    assert bounded.outcome.simulated == pytest.approx(without.outcome.simulated, rel=0.2), "the bound lets the PC stand aside"
+    assert bounded.outcome.simulated == pytest.approx(without.outcome.simulated, rel=0.2), (
+        "the bound lets the PC stand aside"
+    )
     assert unbounded.outcome.simulated < 0.8 * without.outcome.simulated
 
 
@@ -116,10 +126,17 @@ def test_the_continuous_scenario_beside_the_loop_in_continuous_time() -> None:
     record = result.outcome.record
     for value, reference in zip(found, (2.5e-7, 3.6e-7, 1.3e-5), strict=True):
         assert reference / 3 <= value <= reference * 3
-    exact = record["continuous_loop.end_effector_position"] - record["continuous_loop.desired_position"]
+    exact = (
+        record["continuous_loop.end_effector_position"] - record["continuous_loop.desired_position"]
+    )
     assert np.abs(exact).max() < 1e-12
     # The desired motion is one: the block's and the reference's.
-    assert np.abs(record["continuous_loop.desired_position"] - record["reference_trajectory.position"]).max() < 1e-12
+    assert (
+        np.abs(
+            record["continuous_loop.desired_position"] - record["reference_trajectory.position"]
+        ).max()
+        < 1e-12
+    )
     assert record["manipulator_controller.jacobian_sigma_min"].min() > 0.18
     assert record["manipulator_controller.joint_limit_margin"].min() > 0.16
 

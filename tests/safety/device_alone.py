@@ -15,7 +15,19 @@ from freeflyer_adapters.facility.arm_logic import ArmLogic, Command
 
 WATCHDOG, SILENCE, CYCLES, OLDEST = 2, 3, 64, 6
 NUMBERS = (1, 2)
-IGNORED = frozenset({"events", "lost", "strangers", "excessive", "ignored", "total_lost", "subject", "ramp", "effort"})
+IGNORED = frozenset(
+    {
+        "events",
+        "lost",
+        "strangers",
+        "excessive",
+        "ignored",
+        "total_lost",
+        "subject",
+        "ramp",
+        "effort",
+    }
+)
 """Counters and constants."""
 STILL = np.zeros(0)
 
@@ -37,7 +49,9 @@ def arm(implicit: bool = False, watchdog: int = WATCHDOG, silence: int = SILENCE
 def shift(logic: ArmLogic, echo: int = WATCHDOG) -> None:
     """Cycle numbers relative to the middle of their range, and none older than matters."""
     middle = CYCLES // 2
-    answered, echoed = ((logic.cycle - number) % CYCLES for number in (logic._answered, logic.echoed))
+    answered, echoed = (
+        (logic.cycle - number) % CYCLES for number in (logic._answered, logic.echoed)
+    )
     logic._answered = middle - (answered if answered < logic.watchdog else OLDEST)
     logic.echoed = middle - (echoed if echoed < echo else OLDEST)
     logic.cycle = middle
@@ -64,7 +78,10 @@ class DeviceAlone:
         yield "a new session", lambda world: world.renew()
         for number, mode, age in itertools.product(NUMBERS, [*Mode, None], range(WATCHDOG + 2)):
             frame = (number, mode, age)
-            yield f"frame {number} {mode.name if mode else mode} {age}", lambda world, f=frame: world.cycle(f)
+            yield (
+                f"frame {number} {mode.name if mode else mode} {age}",
+                lambda world, f=frame: world.cycle(f),
+            )
 
     def fail(self) -> None:
         if self.arm.life.now is LifeCycle.active:
@@ -81,7 +98,14 @@ class DeviceAlone:
         number, mode, age = frame or (0, None, 0)
         commands = []
         if frame is not None:
-            commands = [Command(controller=number, mode=mode, answered=(logic.cycle - age) % CYCLES, torque=STILL)]
+            commands = [
+                Command(
+                    controller=number,
+                    mode=mode,
+                    answered=(logic.cycle - age) % CYCLES,
+                    torque=STILL,
+                )
+            ]
         last = (logic.cycle - logic._answered) % CYCLES
         cycle, answered = logic.cycle, logic._answered
         logic.begin(commands, STILL)
@@ -96,7 +120,11 @@ class DeviceAlone:
             self.bad = "active without a command for as long as the watchdog"
         elif not logic.braked and now not in (LifeCycle.active, LifeCycle.safe_stop):
             self.bad = f"brakes released in {now.name}"
-        elif before in (LifeCycle.safe_stop, LifeCycle.fault) and now is LifeCycle.inactive and number in self.was_active:
+        elif (
+            before in (LifeCycle.safe_stop, LifeCycle.fault)
+            and now is LifeCycle.inactive
+            and number in self.was_active
+        ):
             self.bad = "a used number has left a stop"
         elif obeyed and logic.controller not in (0, obeyed):
             self.bad = "a claim has taken the place of the number that was obeyed"
@@ -108,7 +136,9 @@ class DeviceAlone:
             self.was_active.add(obeyed)
         self.echoes = [*self.echoes[1:], logic.controller]
 
-    def _bad_activation(self, frame: tuple[int, Mode | None, int] | None, before: LifeCycle) -> str | None:
+    def _bad_activation(
+        self, frame: tuple[int, Mode | None, int] | None, before: LifeCycle
+    ) -> str | None:
         if frame is None:
             return "active without a frame"
         number, mode, age = frame

@@ -71,10 +71,19 @@ def frozen(value: Any, ignored: frozenset[str]) -> Any:
         return frozenset(frozen(item, ignored) for item in value)
     if kind is np.ndarray:
         return value.tobytes()
-    return (kind.__name__, *[v if type(v) in PLAIN else frozen(v, ignored) for k, v in vars(value).items() if k not in ignored])
+    return (
+        kind.__name__,
+        *[
+            v if type(v) in PLAIN else frozen(v, ignored)
+            for k, v in vars(value).items()
+            if k not in ignored
+        ],
+    )
 
 
-def explore(first: World, ignored: frozenset[str] = frozenset(), most: int = MOST_STATES) -> Searched:
+def explore(
+    first: World, ignored: frozenset[str] = frozenset(), most: int = MOST_STATES
+) -> Searched:
     """All states that the moves lead to. AssertionError if there are more than `most`: the world was not small."""
     first.normalise()
     seen: dict[Any, tuple[Any, str]] = {frozen(first, ignored): (None, "")}
@@ -93,7 +102,9 @@ def explore(first: World, ignored: frozenset[str] = frozenset(), most: int = MOS
                 while key is not None and seen[key][1]:
                     key, before = seen[key]
                     way.append(before)
-                return Searched(len(seen), transitions, violated, tuple(reversed(way)), frozenset(reached))
+                return Searched(
+                    len(seen), transitions, violated, tuple(reversed(way)), frozenset(reached)
+                )
             world.normalise()
             following = frozen(world, ignored)
             if following not in seen:

@@ -28,7 +28,10 @@ def of_all(what: str) -> list[object]:
     """Every member of both modules, as (module, name)."""
     return [
         pytest.param(
-            module, name, marks=[] if {name, f"{module}: {name}"} & QUICK else pytest.mark.slow, id=f"{module}: {name}"
+            module,
+            name,
+            marks=[] if {name, f"{module}: {name}"} & QUICK else pytest.mark.slow,
+            id=f"{module}: {name}",
         )
         for module, worlds in MODULES.items()
         for name in sorted(getattr(worlds, what))
@@ -40,7 +43,9 @@ def module_of(name: str) -> ModuleType:
 
 
 @pytest.mark.parametrize(("module", "name"), of_all("WORLDS"))
-def test_no_path_leads_to_power_but_an_activation_that_a_run_has_asked_for(module: str, name: str) -> None:
+def test_no_path_leads_to_power_but_an_activation_that_a_run_has_asked_for(
+    module: str, name: str
+) -> None:
     worlds = module_of(module)
     found = explore(worlds.WORLDS[name](), worlds.IGNORED)
     print(f"\n{module}, {name}: {found.states} states, {found.transitions} transitions")
@@ -49,7 +54,9 @@ def test_no_path_leads_to_power_but_an_activation_that_a_run_has_asked_for(modul
 
 
 @pytest.mark.parametrize(("module", "name"), of_all("GUARDS"))
-def test_without_this_guard_a_path_to_power_is_found(module: str, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_this_guard_a_path_to_power_is_found(
+    module: str, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     worlds = module_of(module)
     world, patch = worlds.GUARDS[name]
     patch(monkeypatch)

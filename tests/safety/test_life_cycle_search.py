@@ -30,14 +30,30 @@ WORLDS: dict[str, tuple[Callable[[], World], frozenset[str]]] = {
     "the arm's lock alone, any frames": (DeviceAlone, IGNORED),
     "both locks, any delay": (lambda: Whole(arm_faults=False), HOST_IGNORED),
     "both locks, an arm that fails and restarts": (lambda: Whole(any_delay=False), HOST_IGNORED),
-    "the host's lock alone": (lambda: Whole(**HOST_ALONE, ages=False, arm_faults=False), HOST_IGNORED),
-    # Such an arm may have stopped unseen for want of commands: its link must lose none.
-    "the host's lock alone, neither life cycle nor echo": (
-        lambda: Whole(**HOST_ALONE, ages=False, echoes=False, loses=False, reports_state=False, arm_faults=False),
+    "the host's lock alone": (
+        lambda: Whole(**HOST_ALONE, ages=False, arm_faults=False),
         HOST_IGNORED,
     ),
-    "the host's lock alone, no life cycle": (lambda: Whole(**HOST_ALONE, reports_state=False, arm_faults=False), HOST_IGNORED),
-    "the host's lock alone, an arm that fails and restarts": (lambda: Whole(**HOST_ALONE), HOST_IGNORED),
+    # Such an arm may have stopped unseen for want of commands: its link must lose none.
+    "the host's lock alone, neither life cycle nor echo": (
+        lambda: Whole(
+            **HOST_ALONE,
+            ages=False,
+            echoes=False,
+            loses=False,
+            reports_state=False,
+            arm_faults=False,
+        ),
+        HOST_IGNORED,
+    ),
+    "the host's lock alone, no life cycle": (
+        lambda: Whole(**HOST_ALONE, reports_state=False, arm_faults=False),
+        HOST_IGNORED,
+    ),
+    "the host's lock alone, an arm that fails and restarts": (
+        lambda: Whole(**HOST_ALONE),
+        HOST_IGNORED,
+    ),
     "both locks, any delay, an arm that fails and restarts": (Whole, HOST_IGNORED),
 }
 LONG = ("the host's lock alone, no life cycle", "both locks, an arm that fails and restarts", "the host's lock alone, an arm that fails and restarts",
@@ -61,7 +77,9 @@ def searched(name: str) -> Searched:
 
 def _marked(name: str) -> object:
     """The largest takes more than a minute: by hand, `-m benchmark`."""
-    marks = [pytest.mark.benchmark] if name == LONG[-1] else [pytest.mark.slow] if name in LONG else []
+    marks = (
+        [pytest.mark.benchmark] if name == LONG[-1] else [pytest.mark.slow] if name in LONG else []
+    )
     return pytest.param(name, marks=marks)
 
 
@@ -87,7 +105,10 @@ def guard(world: str, what: str) -> Callable[[Patch], Patch]:
 
 
 ALONE, HOST = "the arm's lock alone, any frames", "the host's lock alone"
-SILENT, MUTE = "the host's lock alone, no life cycle", "the host's lock alone, neither life cycle nor echo"
+SILENT, MUTE = (
+    "the host's lock alone, no life cycle",
+    "the host's lock alone, neither life cycle nor echo",
+)
 
 
 @guard(ALONE, "only mode 4 activates")
@@ -95,7 +116,9 @@ def _(patch: pytest.MonkeyPatch) -> None:
     is_activation = ArmLogic._is_activation
 
     def any_torque(self: ArmLogic, command: Command) -> bool:
-        return is_activation(self, replace(command, mode=Mode.activate) if command.mode is Mode.torque else command)
+        return is_activation(
+            self, replace(command, mode=Mode.activate) if command.mode is Mode.torque else command
+        )
 
     patch.setattr(ArmLogic, "_is_activation", any_torque)
 
@@ -103,7 +126,11 @@ def _(patch: pytest.MonkeyPatch) -> None:
 @guard(ALONE, "only the obeyed session's frames count")
 def _(patch: pytest.MonkeyPatch) -> None:
     is_from_session = ArmLogic._is_from_session
-    patch.setattr(ArmLogic, "_is_from_session", lambda self, command: is_from_session(self, command) or bool(self.controller))
+    patch.setattr(
+        ArmLogic,
+        "_is_from_session",
+        lambda self, command: is_from_session(self, command) or bool(self.controller),
+    )
 
 
 @guard(ALONE, "the activation answers a frame that carried the number")
@@ -124,7 +151,9 @@ def _(patch: pytest.MonkeyPatch) -> None:
     def begun(self: ArmLogic, *arguments: Any) -> None:
         before = self._echoes
         begin(self, *arguments)
-        self._echoes = min(before + 1, self.watchdog + 1) if self.controller and before else self._echoes
+        self._echoes = (
+            min(before + 1, self.watchdog + 1) if self.controller and before else self._echoes
+        )
 
     patch.setattr(ArmLogic, "begin", begun)
 
@@ -145,13 +174,21 @@ def _(patch: pytest.MonkeyPatch) -> None:
 @guard(ALONE, "leaving active uses the number up")
 def _(patch: pytest.MonkeyPatch) -> None:
     use_up = ArmLogic._use_up
-    patch.setattr(ArmLogic, "_use_up", lambda self: None if self.life.now is LifeCycle.active else use_up(self))
+    patch.setattr(
+        ArmLogic,
+        "_use_up",
+        lambda self: None if self.life.now is LifeCycle.active else use_up(self),
+    )
 
 
 @guard(ALONE, "a brake command uses the number up")
 def _(patch: pytest.MonkeyPatch) -> None:
     use_up = ArmLogic._use_up
-    patch.setattr(ArmLogic, "_use_up", lambda self: use_up(self) if self.life.now is LifeCycle.active else None)
+    patch.setattr(
+        ArmLogic,
+        "_use_up",
+        lambda self: use_up(self) if self.life.now is LifeCycle.active else None,
+    )
 
 
 @guard(ALONE, "a used number activates nothing")
@@ -170,7 +207,9 @@ def _(patch: pytest.MonkeyPatch) -> None:
 
 @guard(ALONE, "a used number claims nothing")
 def _(patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(ArmLogic, "_may_begin_session", lambda self, c: c.mode is Mode.reset and not self.controller)
+    patch.setattr(
+        ArmLogic, "_may_begin_session", lambda self, c: c.mode is Mode.reset and not self.controller
+    )
 
 
 @guard(ALONE, "used numbers outlive the session")
@@ -202,7 +241,11 @@ def _(patch: pytest.MonkeyPatch) -> None:
 
 @guard(ALONE, "a claim takes no other session's place")
 def _(patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(ArmLogic, "_may_begin_session", lambda self, c: c.mode is Mode.reset and c.controller not in self.used)
+    patch.setattr(
+        ArmLogic,
+        "_may_begin_session",
+        lambda self, c: c.mode is Mode.reset and c.controller not in self.used,
+    )
 
 
 @guard(ALONE, "a stop is left with brakes engaged")
@@ -210,7 +253,11 @@ def _(patch: pytest.MonkeyPatch) -> None:
     obey = ArmLogic._obey
 
     def careless(self: ArmLogic, command: Command) -> None:
-        if command.mode is Mode.reset and command.controller == self.controller and command.controller not in self.used:
+        if (
+            command.mode is Mode.reset
+            and command.controller == self.controller
+            and command.controller not in self.used
+        ):
             braked, self.braked = self.braked, True
             obey(self, command)
             self.braked = braked
@@ -250,7 +297,11 @@ def _(patch: pytest.MonkeyPatch) -> None:
 @guard(HOST, "a reason to stop takes the permit")
 def _(patch: pytest.MonkeyPatch) -> None:
     lose = Permit.lose
-    patch.setattr(Permit, "lose", lambda self, reason: None if reason == "a reason to stop" else lose(self, reason))
+    patch.setattr(
+        Permit,
+        "lose",
+        lambda self, reason: None if reason == "a reason to stop" else lose(self, reason),
+    )
 
 
 guard(HOST, "a hold-up takes the permit")(without_hold_ups)
@@ -259,7 +310,11 @@ guard(HOST, "a hold-up takes the permit")(without_hold_ups)
 @guard(HOST, "a report of another state takes the permit")
 def _(patch: pytest.MonkeyPatch) -> None:
     lose = Permit.lose
-    patch.setattr(Permit, "lose", lambda self, reason: None if "another state" in reason else lose(self, reason))
+    patch.setattr(
+        Permit,
+        "lose",
+        lambda self, reason: None if "another state" in reason else lose(self, reason),
+    )
 
 
 @guard(HOST, "the ramp-down needs a young report")
@@ -275,7 +330,11 @@ def _(patch: pytest.MonkeyPatch) -> None:
 @guard(HOST, "a stop in the activation ends it")
 def _(patch: pytest.MonkeyPatch) -> None:
     lose = Permit.lose
-    patch.setattr(Permit, "lose", lambda self, reason: None if "while it was activated" in reason else lose(self, reason))
+    patch.setattr(
+        Permit,
+        "lose",
+        lambda self, reason: None if "while it was activated" in reason else lose(self, reason),
+    )
 
 
 @guard(HOST, "no reset after the first frame that may activate")
@@ -287,7 +346,11 @@ def _(patch: pytest.MonkeyPatch) -> None:
         return Mode.reset if self.state in STOPPED else ask(self)
 
     patch.setattr(ArmSession, "_ask", again)
-    patch.setattr(Permit, "lose", lambda self, reason: None if "while it was activated" in reason else lose(self, reason))
+    patch.setattr(
+        Permit,
+        "lose",
+        lambda self, reason: None if "while it was activated" in reason else lose(self, reason),
+    )
 
 
 @guard(HOST, "lost state frames stop the loop")
@@ -301,7 +364,9 @@ def _(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(
         ArmSession,
         "report",
-        lambda self, state, obeyed, at, echoed: report(self, LifeCycle.active if state is None else state, obeyed, at, echoed),
+        lambda self, state, obeyed, at, echoed: report(
+            self, LifeCycle.active if state is None else state, obeyed, at, echoed
+        ),
     )
 
 
@@ -309,13 +374,19 @@ def _(patch: pytest.MonkeyPatch) -> None:
 def _(patch: pytest.MonkeyPatch) -> None:
     def trusting(self: Permit, now: int) -> bool:
         self.allows(now)
-        return self._is_taken and self._active_at is not None and now - self._active_at <= self.watchdog
+        return (
+            self._is_taken
+            and self._active_at is not None
+            and now - self._active_at <= self.watchdog
+        )
 
     patch.setattr(Permit, "may_ramp_down", trusting)
 
 
 @pytest.mark.parametrize("what", GUARDS)
-def test_without_this_guard_a_path_to_power_is_found(what: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_this_guard_a_path_to_power_is_found(
+    what: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     world, patch = GUARDS[what]
     patch(monkeypatch)
     found = searched(world)

@@ -65,14 +65,21 @@ class Host:
     def knows_active(self) -> bool:
         """Whether the newest report says that the arm was active no longer ago than its watchdog."""
         permit = self.session.permit
-        return permit._active_at is not None and (NOW * CYCLE - permit._active_at) <= permit.watchdog
+        return (
+            permit._active_at is not None and (NOW * CYCLE - permit._active_at) <= permit.watchdog
+        )
 
     def receive(self) -> bool:
         """See `StateFrames.wait` and `CanArm._take`."""
         came = bool(self.inbox)
         for state, obeyed, cycle, echoed in self.inbox:
             self.answered = cycle
-            self.session.report(state if self.session.permit.reports_state else None, obeyed, (NOW - 1) * CYCLE, echoed)
+            self.session.report(
+                state if self.session.permit.reports_state else None,
+                obeyed,
+                (NOW - 1) * CYCLE,
+                echoed,
+            )
         self.inbox.clear()
         return came
 
@@ -90,7 +97,9 @@ class Host:
                 self.revoke()
             elif session.phase is Phase.commanding:
                 self.stage = "running"
-        elif self.stage == "running" and (reason or session.is_obeyed_elsewhere or not session.permit.allows(now)):
+        elif self.stage == "running" and (
+            reason or session.is_obeyed_elsewhere or not session.permit.allows(now)
+        ):
             self.revoke()
         if self.stage != "stopping":
             return session.answer(now)
@@ -148,20 +157,34 @@ class Whole:
         self.arm = arm(self.implicit, self.watchdog, self.silence)
 
     def moves(self) -> Iterator[tuple[str, Callable[[Any], None]]]:
-        for name in ("nothing", "commands lost", "states lost", "both lost") if self.loses else ("nothing",):
+        for name in (
+            ("nothing", "commands lost", "states lost", "both lost") if self.loses else ("nothing",)
+        ):
             yield name, lambda world, name=name: world.cycle(name)
         if self.any_delay:
             yield "states held up", lambda world: world.cycle("states held up")
             for frame in self.last:
-                yield "a command of the cycle before", lambda world, f=frame: world.cycle("nothing", late=f)
-                yield "a command held up", lambda world, f=frame: world.cycle("commands lost", late=f)
+                yield (
+                    "a command of the cycle before",
+                    lambda world, f=frame: world.cycle("nothing", late=f),
+                )
+                yield (
+                    "a command held up",
+                    lambda world, f=frame: world.cycle("commands lost", late=f),
+                )
             for number, mode in sorted(self.sent):
                 frame = (number, mode, MIDDLE - OLDEST)
-                yield f"late {mode.name} of run {number}", lambda world, f=frame: world.cycle("nothing", late=f)
+                yield (
+                    f"late {mode.name} of run {number}",
+                    lambda world, f=frame: world.cycle("nothing", late=f),
+                )
         else:
             yield "commands doubled", lambda world: world.cycle("commands doubled")
         if self.arm_faults and not self.off:
-            yield "the arm fails", lambda world: (world.arm.fail("it fails"), world.cycle("nothing"))
+            yield (
+                "the arm fails",
+                lambda world: (world.arm.fail("it fails"), world.cycle("nothing")),
+            )
             yield "the arm restarts", lambda world: (world.restart_arm(), world.cycle("nothing"))
         if self.starts:
             yield "a run starts", lambda world: (world.start(), world.cycle("nothing"))
@@ -170,15 +193,29 @@ class Whole:
                 yield "the loop goes on", lambda world, i=i: world.go_on(i)
             else:
                 yield "the loop is held up", lambda world, i=i: world.hold_up(i, after_answer=False)
-                yield "the loop is held up after its answer", lambda world, i=i: world.hold_up(i, after_answer=True)
+                yield (
+                    "the loop is held up after its answer",
+                    lambda world, i=i: world.hold_up(i, after_answer=True),
+                )
                 if host.stage != "stopping":
-                    yield "a reason to stop", lambda world, i=i: (world.hosts[i].revoke(), world.cycle("nothing"))
-            yield "the loop is killed", lambda world, i=i: (world.hosts.pop(i), world.cycle("nothing"))
+                    yield (
+                        "a reason to stop",
+                        lambda world, i=i: (world.hosts[i].revoke(), world.cycle("nothing")),
+                    )
+            yield (
+                "the loop is killed",
+                lambda world, i=i: (world.hosts.pop(i), world.cycle("nothing")),
+            )
 
     def start(self) -> None:
         self.starts -= 1
         self.hosts.append(
-            Host(2 - self.starts, watchdog=self.watchdog, implicit=self.implicit, reports_state=self.reports_state)
+            Host(
+                2 - self.starts,
+                watchdog=self.watchdog,
+                implicit=self.implicit,
+                reports_state=self.reports_state,
+            )
         )
 
     def restart_arm(self) -> None:
@@ -188,7 +225,9 @@ class Whole:
         self.last = [(number, mode, old) for number, mode, _ in self.last]
         self.off = LOST + 1
         # A run that has not seen its arm active is still in its one activation.
-        self.activated -= {host.session.number for host in self.hosts if host.stage in ("preparing", "activating")}
+        self.activated -= {
+            host.session.number for host in self.hosts if host.stage in ("preparing", "activating")
+        }
         for host in self.hosts:
             host.session._answered_at.clear()
 
@@ -219,7 +258,9 @@ class Whole:
             return
         if mode is Mode.activate and not host.session.permit.is_held:
             self.bad = "an activation was sent without a permit"
-        if host.stage == "stopping" and (mode is Mode.activate or (mode is Mode.torque and not host.knows_active)):
+        if host.stage == "stopping" and (
+            mode is Mode.activate or (mode is Mode.torque and not host.knows_active)
+        ):
             self.bad = f"{mode.name} was sent after a reason to stop, to an arm that was not known to be active"
         self.sending.append(frame)
         if mode in POWER:
@@ -248,7 +289,9 @@ class Whole:
             return
         self._arm_cycle(arriving)
         logic = self.arm
-        self.to_host.append((logic.life.now, logic.controller, logic.cycle, logic.echoed if self.echoes else None))
+        self.to_host.append(
+            (logic.life.now, logic.controller, logic.cycle, logic.echoed if self.echoes else None)
+        )
         if link in ("states lost", "both lost"):
             self.to_host.pop()
         elif link == "states held up":
@@ -291,7 +334,9 @@ class Whole:
             return MIDDLE - (age if age < most else OLDEST)
 
         self.last = [(number, mode, relative(answered)) for number, mode, answered in self.last]
-        self.sending = [(number, mode, relative(answered)) for number, mode, answered in self.sending]
+        self.sending = [
+            (number, mode, relative(answered)) for number, mode, answered in self.sending
+        ]
         # How old the last used answer is matters only where nothing else shows that the arm is active.
         echo = self.watchdog if self.reports_state else OLDEST
         self.to_host = [(s, o, relative(c), relative(e, echo)) for s, o, c, e in self.to_host]
@@ -301,7 +346,9 @@ class Whole:
             host.inbox = [(s, o, relative(c), relative(e, echo)) for s, o, c, e in host.inbox]
             back = self.elapsed * CYCLE
             oldest = (NOW - self.watchdog - 1) * CYCLE
-            answers = {relative(c, echo): max(at - back, oldest) for c, at in session._answered_at.items()}
+            answers = {
+                relative(c, echo): max(at - back, oldest) for c, at in session._answered_at.items()
+            }
             session._answered_at = {c: at for c, at in answers.items() if c > MIDDLE - OLDEST}
             shift_permit(permit, back, oldest)
             session._claims = 0

@@ -40,7 +40,7 @@ RAMP = 2
 OLDEST = 5
 """Calls, more than two watchdogs. Older samples are left out: a base robot knows delays by their differences only, and these are all there."""
 IGNORED = frozenset({
-    "_outside", "options", "settings", "session", "_obedience", "_used", "counts", "_turns", "events", "refused", "steps", "step", "subject",
+    "_environment", "options", "settings", "session", "_obedience", "_used", "counts", "_turns", "events", "refused", "steps", "step", "subject",
     "position", "orientation", "velocity", "jump", "_sequence",
 })  # fmt: skip
 """Counters, constants, and `_used`, which is `logic.used`; set points are where the robot is in all samples."""
@@ -50,7 +50,11 @@ JUMP = (FacilitySettings().base_jump_m, FacilitySettings().base_jump_rad)
 HOLDS_ONLY_WHEN_ACTIVE = True
 """Whether the graded stop's set points are for an activation that was through (`ZenohBase.ramp_down`)."""
 REASON = "a reason to stop"
-SCRATCH = {"position_setpoint": np.zeros(3), "orientation_setpoint": np.zeros(4), "velocity_setpoint": np.zeros(6)}
+SCRATCH = {
+    "position_setpoint": np.zeros(3),
+    "orientation_setpoint": np.zeros(4),
+    "velocity_setpoint": np.zeros(6),
+}
 PAYLOAD = bytes(ros_messages.OdometryWriter("I", "B").write(0, *POSE, np.zeros(6)))
 
 
@@ -121,7 +125,7 @@ class Ear(OdometryLink):
     """The base robot's end of the link without Zenoh: `heard` is what came since the last call."""
 
     def __post_init__(self) -> None:
-        self._outside: Any = Clock
+        self._environment: Any = Clock
         self._told, self._obedience = "", None
         self.clock = PeerClock()
         self._source = self._last = None
@@ -136,7 +140,9 @@ class Ear(OdometryLink):
         }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state, counts=Counts(), options=Options, session=Air(), _turns=deque(maxlen=3))
+        vars(self).update(
+            state, counts=Counts(), options=Options, session=Air(), _turns=deque(maxlen=3)
+        )
         told = self._told
         self._obedience = self.session.declare_token("/" + told) if told else None
         self.session.news.clear()
@@ -154,7 +160,12 @@ class StillLogic(BaseLogic):
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         position, orientation = POSE
-        constant = {"position": position, "orientation": orientation, "velocity": np.zeros(6), "jump": JUMP}
+        constant = {
+            "position": position,
+            "orientation": orientation,
+            "velocity": np.zeros(6),
+            "jump": JUMP,
+        }
         vars(self).update(state, **constant, events=[], refused=1)
 
 
@@ -170,7 +181,10 @@ class Base(VirtualBase):
 
     @property
     def settings(self) -> FacilitySettings:  # type: ignore[override]
-        return FacilitySettings(base_watchdog_s=self.watchdog * PERIOD, forget_after_s=(self.watchdog + SILENCE) * PERIOD)
+        return FacilitySettings(
+            base_watchdog_s=self.watchdog * PERIOD,
+            forget_after_s=(self.watchdog + SILENCE) * PERIOD,
+        )
 
     def _new_logic(self) -> BaseLogic:
         logic = super()._new_logic()
@@ -243,11 +257,17 @@ class Proof:
     """Set points that come as their stamps advance: how late the first was, how long ago it and the last one came [calls]."""
 
     def add(self, late: int, watchdog: int) -> None:
-        self.chains |= {(first, ago, 0) for first, ago, _ in self.chains if abs(late - first) <= watchdog} | {(late, 0, 0)}
+        self.chains |= {
+            (first, ago, 0) for first, ago, _ in self.chains if abs(late - first) <= watchdog
+        } | {(late, 0, 0)}
 
     def shift(self, watchdog: int, proof: int) -> None:
         """A call later; a chain is broken by a gap that is longer than the watchdog."""
-        self.chains = {(first, min(ago + 1, proof), last + 1) for first, ago, last in self.chains if last < watchdog}
+        self.chains = {
+            (first, min(ago + 1, proof), last + 1)
+            for first, ago, last in self.chains
+            if last < watchdog
+        }
 
 
 class BaseAlone:
@@ -281,7 +301,9 @@ class BaseAlone:
                 self.proofs[publisher].add(late, self.watchdog)
         is_active = logic.life.now is LifeCycle.active
         if is_active and before is not LifeCycle.active:
-            self.bad = "active without a sample" if sample is None else self._bad_activation(publisher)
+            self.bad = (
+                "active without a sample" if sample is None else self._bad_activation(publisher)
+            )
             self.obeyed = publisher
         elif is_active and sample is not None and logic._heard == NOW and publisher != self.obeyed:
             self.bad = "a set point of another publisher was followed"
@@ -296,7 +318,9 @@ class BaseAlone:
             return "active by a publisher that was used up"
         if publisher in self.had_sent:
             return "active by a publisher that had sent while another was obeyed"
-        if not any(ago >= self.proof and last == 0 for _, ago, last in self.proofs[publisher].chains):
+        if not any(
+            ago >= self.proof and last == 0 for _, ago, last in self.proofs[publisher].chains
+        ):
             return "active by set points that had not come for long enough as their stamps advance"
         return None
 
@@ -408,7 +432,9 @@ class Host:
         permit, oldest = self.permit, (NOW - watchdog - 1) * CYCLE
         shift_permit(permit, CYCLE, oldest)
         self.looked = None if self.looked is None else min(self.looked + 1, OLDEST + 1)
-        self.held_up = min(self.held_up + 1, 2 * watchdog + 1) if self.is_held_up and not permit.lost else 0
+        self.held_up = (
+            min(self.held_up + 1, 2 * watchdog + 1) if self.is_held_up and not permit.lost else 0
+        )
 
 
 @dataclass
@@ -464,7 +490,9 @@ class Whole:
                 yield f"a sample of run {run} comes again", do("call", again=run)
         yield "samples are held up", do("call")
         yield "samples are lost", do("call", lost=True)
-        if self.starts and not self.hosts:  # another one's publisher is announced, and the run refused
+        if (
+            self.starts and not self.hosts
+        ):  # another one's publisher is announced, and the run refused
             yield "a run starts", then(do("start"), do("call"))
         if self.base_restarts and not self.off and self.bases == 1:
             yield "the base restarts", then(do("restart"), do("call"))
@@ -475,11 +503,17 @@ class Whole:
             if host.is_held_up:
                 yield f"run {run} goes on", do("go_on", i, stamped=False)
                 if host.looked is not None:
-                    yield f"run {run} goes on after its look at the clock", do("go_on", i, stamped=True)
+                    yield (
+                        f"run {run} goes on after its look at the clock",
+                        do("go_on", i, stamped=True),
+                    )
             elif self.hold_ups:
                 yield f"run {run} is held up", then(do("hold_up", i), call)
                 if self.stops_at_look:
-                    yield f"run {run} is held up after its look", then(do("hold_up_at_look", i), call)
+                    yield (
+                        f"run {run} is held up after its look",
+                        then(do("hold_up_at_look", i), call),
+                    )
             if not host.is_held_up and host.stage in ("asking", "running"):
                 yield f"run {run} has a reason to stop", then(do("stop", i), call)
             yield f"run {run} is killed", then(do("kill", i), call)
@@ -537,7 +571,9 @@ class Whole:
 
     def _put(self, host: Host, age: int) -> None:
         if self.tells and not (host.permit.is_held or host.was_obeyed):
-            self.bad = "a set point was sent without a permit to a base robot that was not known to obey"
+            self.bad = (
+                "a set point was sent without a permit to a base robot that was not known to obey"
+            )
         queue = self.ways[host.run].queue
         if age == 0 and queue and queue[-1] == 0:
             return
@@ -576,7 +612,9 @@ class Whole:
             self._base_called(sample)
         self._tell(measured, told)
 
-    def _sample(self, come: int | None, only_oldest: bool, again: int | None, lost: bool) -> tuple[int, int] | None:
+    def _sample(
+        self, come: int | None, only_oldest: bool, again: int | None, lost: bool
+    ) -> tuple[int, int] | None:
         """Run and age of the sample that the base robot finds, if one comes."""
         if lost:
             for way in self.ways.values():
@@ -658,7 +696,11 @@ class Whole:
             if comes_at_once and len(way.queue) > 1 and way.queue[0] >= self.watchdog:
                 del way.queue[0]  # they come at once, and the freshest is looked at
             if way.came is not None:
-                way.came = way.came + 1 if way.came + 1 < (OLDEST if self.playback else self.watchdog) else None
+                way.came = (
+                    way.came + 1
+                    if way.came + 1 < (OLDEST if self.playback else self.watchdog)
+                    else None
+                )
             if way.stopped is not None:
                 way.stopped = min(way.stopped + 1, OLDEST)
                 if way.came is None and (not way.queue or way.queue[0] <= way.stopped):
@@ -674,7 +716,9 @@ WORLDS: dict[str, Callable[[], Any]] = {
     "one run, a base robot that restarts": Whole,
     "two runs": lambda: Whole(starts=2, **NO_RESTART),
     "one run, a link that becomes slow": lambda: Whole(queue=3, hold_ups=False, **NO_RESTART),
-    "one run, a process that is stopped after its look": lambda: Whole(stops_at_look=True, **NO_RESTART),
+    "one run, a process that is stopped after its look": lambda: Whole(
+        stops_at_look=True, **NO_RESTART
+    ),
 }
 NOT_PROMISED: dict[str, Callable[[], Any]] = {
     "a link that plays back what it held up": lambda: Whole(playback=True, **NO_RESTART),
@@ -730,7 +774,13 @@ def _anybody_is_followed(patch: pytest.MonkeyPatch) -> None:
         return received
 
     def takes(
-        self: BaseLogic, position: Any, orientation: Any, velocity: Any, pose: Any, publisher: bytes, *others: Any
+        self: BaseLogic,
+        position: Any,
+        orientation: Any,
+        velocity: Any,
+        pose: Any,
+        publisher: bytes,
+        *others: Any,
     ) -> Any:
         obeyed = self.publisher if self.life.now is LifeCycle.active else publisher
         return take(self, position, orientation, velocity, pose, obeyed, *others)
@@ -741,7 +791,9 @@ def _anybody_is_followed(patch: pytest.MonkeyPatch) -> None:
 
 def _no_reason_to_stop(patch: pytest.MonkeyPatch) -> None:
     lose = Permit.lose
-    patch.setattr(Permit, "lose", lambda permit, reason: None if reason == REASON else lose(permit, reason))
+    patch.setattr(
+        Permit, "lose", lambda permit, reason: None if reason == REASON else lose(permit, reason)
+    )
 
 
 ALONE, ONE, _, SLOW, LOOK = WORLDS.values()
@@ -754,7 +806,9 @@ GUARDS: dict[str, tuple[Callable[[], Any], Patch]] = {
     ),
     "set points must have come for a while": (
         ALONE,
-        lambda patch: patch.setattr(BaseLogic, "_comes_in_time", lambda logic, publisher, stamp: True),
+        lambda patch: patch.setattr(
+            BaseLogic, "_comes_in_time", lambda logic, publisher, stamp: True
+        ),
     ),
     "as their stamps advance": (ALONE, _stamps_do_not_count),
     "one publisher is followed": (ALONE, _anybody_is_followed),

@@ -22,7 +22,13 @@ from whole_base import Move, do, then
 
 from freeflyer_adapters.cia402.drive_session import DriveSession
 from freeflyer_adapters.cia402.objects import SYNC_LOST
-from freeflyer_adapters.cia402.state_machine import FAULT_RESET, POWERED, TOWARDS_ENABLED, Command, DriveState
+from freeflyer_adapters.cia402.state_machine import (
+    FAULT_RESET,
+    POWERED,
+    TOWARDS_ENABLED,
+    Command,
+    DriveState,
+)
 from freeflyer_adapters.device.permit import Permit
 from freeflyer_adapters.device.quality import QualityMonitor
 from freeflyer_adapters.device.ramp_down import RampDown
@@ -156,7 +162,9 @@ class Host:
             if state is not None:
                 self.sessions[j].report(state)
         if all(self.fresh):
-            self.permit.report(all(s.state is S.operation_enabled for s in self.sessions), NOW * CYCLE)
+            self.permit.report(
+                all(s.state is S.operation_enabled for s in self.sessions), NOW * CYCLE
+            )
 
     def write(self) -> list[Rpdo]:
         """What follows in the cycle."""
@@ -199,7 +207,10 @@ class Host:
     def _send_targets(self, *, brake: bool = False) -> list[Rpdo]:
         """See `Cia402Arm._send_targets`."""
         now = NOW * CYCLE
-        sent = [Rpdo(self.run, session.answer(now, brake=brake), session.state) for session in self.sessions]
+        sent = [
+            Rpdo(self.run, session.answer(now, brake=brake), session.state)
+            for session in self.sessions
+        ]
         self.permit.wrote(now)
         return sent
 
@@ -251,10 +262,20 @@ class Whole:
 
     def moves(self) -> Iterator[tuple[str, Move]]:
         cycle = do("cycle", "nothing is lost")
-        for link in ("nothing is lost", "SYNC lost", "RPDOs lost", "TPDOs lost", "all lost", "RPDOs late"):
+        for link in (
+            "nothing is lost",
+            "SYNC lost",
+            "RPDOs lost",
+            "TPDOs lost",
+            "all lost",
+            "RPDOs late",
+        ):
             yield link, do("cycle", link)
         for rpdo in sorted(self.sent, key=str):
-            yield f"late RPDO of run {rpdo.run}: {rpdo.command.name}", then(do("comes_late", rpdo), cycle)
+            yield (
+                f"late RPDO of run {rpdo.run}: {rpdo.command.name}",
+                then(do("comes_late", rpdo), cycle),
+            )
         if self.drive_faults:
             yield "a drive fails", then(do("fail"), cycle)
             if not self.nodes[0].off:
@@ -264,15 +285,24 @@ class Whole:
         for i, host in enumerate(self.hosts):
             if host.is_held_up:
                 yield "the loop goes on", then(do("go_on", i), cycle)
-                yield "the loop goes on, RPDOs lost", then(do("go_on", i), do("cycle", "RPDOs lost"))
+                yield (
+                    "the loop goes on, RPDOs lost",
+                    then(do("go_on", i), do("cycle", "RPDOs lost")),
+                )
             elif self.hold_ups:
                 yield "the loop is held up", then(do("hold_up", i), cycle)
                 if self.stops_at_send:
-                    yield "the loop is held up before it sends", do("cycle", "nothing is lost", hold_up=i)
+                    yield (
+                        "the loop is held up before it sends",
+                        do("cycle", "nothing is lost", hold_up=i),
+                    )
             if not host.is_held_up and host.stage in ("walking", "running"):
                 yield "a reason to stop", then(do("stop", i), cycle)
             if self.hold_ups and not host.is_held_up and host.stage in ("walking", "running"):
-                yield "a reason to stop, and the loop is held up", then(do("stop", i), do("hold_up", i), cycle)
+                yield (
+                    "a reason to stop, and the loop is held up",
+                    then(do("stop", i), do("hold_up", i), cycle),
+                )
             yield "the loop is killed", then(do("kill", i), cycle)
 
     def _may_start(self) -> bool:
@@ -355,7 +385,9 @@ class Whole:
                 answers = self._sync(link)
                 self._arrive(waiting if not synced else [])
                 synced = True
-                host.exchanged([None if link in ("TPDOs lost", "all lost") else answer for answer in answers])
+                host.exchanged(
+                    [None if link in ("TPDOs lost", "all lost") else answer for answer in answers]
+                )
                 rpdos = host.write()
                 if host.permit.lost:
                     self._stopped(host.run)
@@ -441,13 +473,19 @@ class Whole:
 
 WORLDS: dict[str, Callable[[], Whole]] = {
     "one drive": Whole,
-    "one drive, a process that is stopped before it sends": lambda: Whole(stops_at_send=True, drive_faults=False),
+    "one drive, a process that is stopped before it sends": lambda: Whole(
+        stops_at_send=True, drive_faults=False
+    ),
     "two drives": lambda: Whole(drives=2, drive_faults=False),
     "two runs": lambda: Whole(starts=2, drive_faults=False, hold_ups=False),
 }
 NOT_PROMISED: dict[str, Callable[[], Whole]] = {
-    "an RPDO that comes late, in its own run": lambda: Whole(any_delay=True, drive_faults=False, hold_ups=False),
-    "an RPDO of one run that comes in the next": lambda: Whole(starts=2, stops_at_send=True, drive_faults=False),
+    "an RPDO that comes late, in its own run": lambda: Whole(
+        any_delay=True, drive_faults=False, hold_ups=False
+    ),
+    "an RPDO of one run that comes in the next": lambda: Whole(
+        starts=2, stops_at_send=True, drive_faults=False
+    ),
 }
 """A premise dropped, and the way is found: what drives cannot refuse."""
 Patch = Callable[[pytest.MonkeyPatch], None]
@@ -457,7 +495,11 @@ def _not_stepwise(patch: pytest.MonkeyPatch) -> None:
     answer = DriveSession.answer
 
     def enables(self: DriveSession, now: int, *, brake: bool = False) -> Command:
-        return Command.enable_operation if not brake and self.permit.allows(now) else answer(self, now, brake=brake)
+        return (
+            Command.enable_operation
+            if not brake and self.permit.allows(now)
+            else answer(self, now, brake=brake)
+        )
 
     patch.setattr(DriveSession, "answer", enables)
 
@@ -466,7 +508,11 @@ def _ramps_down_unseen(patch: pytest.MonkeyPatch) -> None:
     answer = DriveSession.answer
 
     def enables(self: DriveSession, now: int, *, brake: bool = False) -> Command:
-        return Command.enable_operation if not brake and self.permit.lost else answer(self, now, brake=brake)
+        return (
+            Command.enable_operation
+            if not brake and self.permit.lost
+            else answer(self, now, brake=brake)
+        )
 
     patch.setattr(DriveSession, "answer", enables)
 
@@ -512,7 +558,9 @@ def _follows_anywhere(patch: pytest.MonkeyPatch) -> None:
 def _two_at_a_time(patch: pytest.MonkeyPatch) -> None:
     """Two guards: no run starts where another one's SYNC is heard or a drive is on, and a run stops when it hears another's."""
     patch.setattr(Whole, "_may_start", lambda world: True)
-    patch.setattr(Host, "is_strange", property(lambda host: False, lambda host, value: None), raising=False)
+    patch.setattr(
+        Host, "is_strange", property(lambda host: False, lambda host, value: None), raising=False
+    )
 
 
 GUARDS: dict[str, tuple[Callable[[], Whole], Patch]] = {
@@ -530,7 +578,10 @@ GUARDS: dict[str, tuple[Callable[[], Whole], Patch]] = {
         lambda patch: patch.setattr(f"{__name__}.SYNC_AFTER_HOLD_UP", True),
     ),
     "every step answers the statusword before": (WORLDS["two drives"], _not_stepwise),
-    "torque that falls is for drives that are known to be enabled": (WORLDS["two drives"], _ramps_down_unseen),
+    "torque that falls is for drives that are known to be enabled": (
+        WORLDS["two drives"],
+        _ramps_down_unseen,
+    ),
     "an RPDO never resets a fault": (WORLDS["two drives"], _resets),
     "NMT start forgets what has come before": (WORLDS["two runs"], _keeps_pending),
     "PDOs act in NMT state operational only": (WORLDS["one drive"], _follows_anywhere),

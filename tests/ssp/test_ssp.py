@@ -8,7 +8,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-from commands import said
+from commands import run_command
 from families import family
 from lxml import etree
 
@@ -20,9 +20,14 @@ from freeflyer.ssp import read as ssp_read
 from freeflyer.ssp import write as ssp_write
 
 SSD = "SystemStructure.ssd"
-SCENARIOS = [name for name in scenario.shipped() if name != "continuous"]  # that one is the same loop with one FMU more
+SCENARIOS = [
+    name for name in scenario.shipped() if name != "continuous"
+]  # that one is the same loop with one FMU more
 CHANGED = ["stop_s=0.6", "manipulator_controller.observer=tracking", "free_flyer.base_mass=151.0"]
-CHANGED += ["manipulator_controller.base_passivity_control=false", "base_controller.stiffness=[140, 150, 150, 40, 40, 40]"]
+CHANGED += [
+    "manipulator_controller.base_passivity_control=false",
+    "base_controller.stiffness=[140, 150, 150, 40, 40, 40]",
+]
 
 
 def export(name: str, path: Path, fmi: int, changes: list[str]) -> None:
@@ -53,7 +58,12 @@ def test_what_comes_back_computes_the_same_bits(tmp_path: Path, version: int, na
     export(name, path, version, changes)
     there = scenario.load(name, changes)
     back = ssp_read.read(path, tmp_path / "unpacked")
-    assert (back.limits, back.errors, back.expect, back.stop) == (there.limits, there.errors, there.expect, there.stop)
+    assert (back.limits, back.errors, back.expect, back.stop) == (
+        there.limits,
+        there.errors,
+        there.expect,
+        there.stop,
+    )
     for number, (chosen, fmi) in enumerate(((there, version), (back, None))):
         result = experiment.run(chosen, fmi=fmi)
         result.outcome.record.write(tmp_path / f"{number}.parquet")
@@ -74,10 +84,14 @@ def test_the_exchange_rule_travels_too(tmp_path: Path) -> None:
 
 
 def schemas(version: int) -> Path:
-    package, folder = ("fmpy", "ssp/schema") if version == 2 else ("pyssp_standard", "resources/ssp2")
+    package, folder = (
+        ("fmpy", "ssp/schema") if version == 2 else ("pyssp_standard", "resources/ssp2")
+    )
     found = find_spec(package)
     if found is None or found.origin is None:
-        pytest.skip(f"the schemas of SSP 2.0 come with {package}, which is not installed (pip install '.[peers]')")
+        pytest.skip(
+            f"the schemas of SSP 2.0 come with {package}, which is not installed (pip install '.[peers]')"
+        )
     return Path(found.origin).parent / folder
 
 
@@ -120,11 +134,27 @@ def changed(packed: Path, path: Path, old: str, new: str, entry: str = SSD) -> P
 
 
 WRONG = [
-    ('source="resources/free_flyer.fmu"', 'source="../free_flyer.fmu"', "a file in the archive is expected"),
-    ('source="resources/free_flyer.fmu"', 'source="http://x/free_flyer.fmu"', "a file in the archive is expected"),
-    ('source="resources/free_flyer.fmu"', 'source="resources/free_flier.fmu"', "did you mean 'resources/free_flyer.fmu'"),
+    (
+        'source="resources/free_flyer.fmu"',
+        'source="../free_flyer.fmu"',
+        "a file in the archive is expected",
+    ),
+    (
+        'source="resources/free_flyer.fmu"',
+        'source="http://x/free_flyer.fmu"',
+        "a file in the archive is expected",
+    ),
+    (
+        'source="resources/free_flyer.fmu"',
+        'source="resources/free_flier.fmu"',
+        "did you mean 'resources/free_flyer.fmu'",
+    ),
     (' source="resources/free_flyer.fmu"', "", "component free_flyer has no source"),
-    ('type="application/x-fmu-sharedlibrary"', 'type="application/x-ssp-package"', "is of type application/x-ssp-package"),
+    (
+        'type="application/x-fmu-sharedlibrary"',
+        'type="application/x-ssp-package"',
+        "is of type application/x-ssp-package",
+    ),
     (
         "<ssd:SystemStructureDescription ",
         "<!DOCTYPE a><ssd:SystemStructureDescription ",
@@ -136,33 +166,59 @@ WRONG = [
     ('stopTime="0.6"', 'stopTime="inf"', "the stop time is 'inf'; a number is expected"),
     (' stopTime="0.6"', "", "it has no stop time: give one with --set stop_s=SECONDS"),
     ('startTime="0.0"', 'startTime="10"', "only runs that start at 0 are supported"),
-    ('StepSizeHint value="0.001"', 'StepSizeHint value="-1"', "the step of component free_flyer is -1.0 s"),
+    (
+        'StepSizeHint value="0.001"',
+        'StepSizeHint value="-1"',
+        "the step of component free_flyer is -1.0 s",
+    ),
     ('StepSizeHint value="0.001"', 'StepSizeHint value="1e-320"', "at least 1e-9 s is expected"),
     ('implementation="CoSimulation"', 'implementation="Foo"', "has the implementation 'Foo'"),
     ("encoding='UTF-8'", "encoding='foo'", "is not well-formed XML"),
     ('source="resources/free_flyer.fmu"', 'source="http://["', "a file in the archive is expected"),
-    ('startElement="free_flyer"', 'startElement="free"', "the element 'free', which does not exist"),
-    ('name="reference_trajectory" type', 'name="free_flyer" type', "two elements have the name 'free_flyer'"),
-    ('implementation="CoSimulation"', 'implementation="ScheduledExecution"', "is for scheduled execution"),
+    (
+        'startElement="free_flyer"',
+        'startElement="free"',
+        "the element 'free', which does not exist",
+    ),
+    (
+        'name="reference_trajectory" type',
+        'name="free_flyer" type',
+        "two elements have the name 'free_flyer'",
+    ),
+    (
+        'implementation="CoSimulation"',
+        'implementation="ScheduledExecution"',
+        "is for scheduled execution",
+    ),
     ("[record]", "[record", "is not valid TOML"),
 ]
 
 
 @pytest.mark.parametrize(("old", "new", "sentence"), WRONG)
 def test_what_is_wrong_is_said(
-    packed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, sentence: str
+    packed: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    old: str,
+    new: str,
+    sentence: str,
 ) -> None:
     path = changed(packed, tmp_path / "wrong.ssp", old, new)
-    code, error = said(capsys, "run", str(path), "--out", str(tmp_path / "out"))
+    code, error = run_command(capsys, "run", str(path), "--out", str(tmp_path / "out"))
     assert code == 2
     assert sentence in error
     assert not (tmp_path / "out").exists()
 
 
-def test_a_connection_that_cannot_be_kept_is_refused(packed: Path, version: int, tmp_path: Path) -> None:
+def test_a_connection_that_cannot_be_kept_is_refused(
+    packed: Path, version: int, tmp_path: Path
+) -> None:
     one = '"base_position[1]"' if version == 2 else '"base_position"'
     for new, sentence in (
-        (f'endConnector={one}><ssc:LinearTransformation factor="2"/></ssd:Connection>', "transforms its value"),
+        (
+            f'endConnector={one}><ssc:LinearTransformation factor="2"/></ssd:Connection>',
+            "transforms its value",
+        ),
         (f'endConnector={one}><ssc:LinearTransformation factor="1"/></ssd:Connection>', ""),
         ('endConnector="base_pos" />', "has no variable 'base_pos'"),
     ):
@@ -174,10 +230,16 @@ def test_a_connection_that_cannot_be_kept_is_refused(packed: Path, version: int,
             ssp_read.read(path, tmp_path / "u")
 
 
-def test_a_parameter_that_no_fmu_has_and_a_boolean_that_is_none_are_refused(packed: Path, tmp_path: Path) -> None:
+def test_a_parameter_that_no_fmu_has_and_a_boolean_that_is_none_are_refused(
+    packed: Path, tmp_path: Path
+) -> None:
     entry = "resources/manipulator_controller.ssv"
     for old, new, sentence in (
-        ('name="base_passivity_control"', 'name="base_pasivity_control"', "base_pasivity_control belongs to none of its FMUs"),
+        (
+            'name="base_passivity_control"',
+            'name="base_pasivity_control"',
+            "base_pasivity_control belongs to none of its FMUs",
+        ),
         ('Boolean value="false"', 'Boolean value="maybe"', "is 'maybe'; true or false is expected"),
     ):
         path = changed(packed, tmp_path / "x.ssp", old, new, entry)
@@ -185,10 +247,15 @@ def test_a_parameter_that_no_fmu_has_and_a_boolean_that_is_none_are_refused(pack
             ssp_read.read(path, tmp_path / "u")
 
 
-def test_options_without_effect_are_refused(packed: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert "--fmi belongs to scenarios" in said(capsys, "run", str(packed), "--fmi", "3")[1]
-    assert "--step has no effect" in said(capsys, "run", str(packed), "--step", "0.01")[1]
-    assert "is an SSP file; a scenario is expected here" in said(capsys, "export", str(packed), "--out", "x.ssp")[1]
+def test_options_without_effect_are_refused(
+    packed: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert "--fmi belongs to scenarios" in run_command(capsys, "run", str(packed), "--fmi", "3")[1]
+    assert "--step has no effect" in run_command(capsys, "run", str(packed), "--step", "0.01")[1]
+    assert (
+        "is an SSP file; a scenario is expected here"
+        in run_command(capsys, "export", str(packed), "--out", "x.ssp")[1]
+    )
 
 
 def test_an_archive_is_refused_that_leaves_its_directory_or_swells(
@@ -210,7 +277,9 @@ def test_an_archive_is_refused_that_leaves_its_directory_or_swells(
     with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr(SSD, b" " * (70 << 20))
     assert "70 MiB; 64 MiB are allowed" in refusal(bomb)
-    bomb.write_bytes(bomb.read_bytes().replace(struct.pack("<I", 70 << 20), struct.pack("<I", 1000)))  # a header that lies
+    bomb.write_bytes(
+        bomb.read_bytes().replace(struct.pack("<I", 70 << 20), struct.pack("<I", 1000))
+    )  # a header that lies
     assert "SSP file" in refusal(bomb)
     monkeypatch.setattr(archives, "LARGEST", 1 << 10)
     assert "1 KiB are allowed" in refusal(packed)
@@ -218,29 +287,35 @@ def test_an_archive_is_refused_that_leaves_its_directory_or_swells(
 
 
 def test_mistakes_in_the_arguments(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert said(capsys, "export", "multirate_passive", "--out", str(tmp_path / "a.zip")) == (
+    assert run_command(capsys, "export", "multirate_passive", "--out", str(tmp_path / "a.zip")) == (
         2,
         f"freeflyer: --out {tmp_path / 'a.zip'}: a file name that ends in .ssp is expected\n",
     )
-    code, error = said(capsys, "export", "multirate_passive", "--out", "/proc/x/y.ssp")
+    code, error = run_command(capsys, "export", "multirate_passive", "--out", "/proc/x/y.ssp")
     assert code == 3
     assert "cannot be written" in error
-    code, error = said(capsys, "run", "multirate_passive", "--step", "0.1")
+    code, error = run_command(capsys, "run", "multirate_passive", "--step", "0.1")
     assert code == 2
     assert "--step belongs to an .ssp file" in error
-    code, error = said(capsys, "run", str(tmp_path / "none.ssp"), "--step", "-1")
+    code, error = run_command(capsys, "run", str(tmp_path / "none.ssp"), "--step", "-1")
     assert code == 2
     assert "--step -1: a time above zero is expected" in error
     file = tmp_path / "twin.toml"
     file.write_text('extends = "multirate_passive"\n[components.free_flyer]\nkind = "twin"\n')
-    code, error = said(capsys, "export", str(file), "--out", str(tmp_path / "a.ssp"))
+    code, error = run_command(capsys, "export", str(file), "--out", str(tmp_path / "a.ssp"))
     assert code == 2
-    assert "component free_flyer is of kind 'twin'; only FMUs can be packed into an SSP file" in error
+    assert (
+        "component free_flyer is of kind 'twin'; only FMUs can be packed into an SSP file" in error
+    )
     assert not (tmp_path / "a.ssp").exists()
 
 
-def test_the_two_commands_as_a_user_types_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_two_commands_as_a_user_types_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / "loop.ssp"
     assert command.call(["export", "multirate_passive", "--fmi", "3", "--out", str(path)]) == 0
-    assert command.call(["run", str(path), "--set", "stop_s=0.3", "--out", str(tmp_path / "out")]) == 0
+    assert (
+        command.call(["run", str(path), "--set", "stop_s=0.3", "--out", str(tmp_path / "out")]) == 0
+    )
     assert "record.parquet" in capsys.readouterr().out

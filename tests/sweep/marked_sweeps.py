@@ -25,7 +25,9 @@ PATIENCE = 90.0
 class MarkedSweep:
     """A scenario and a sweep file in `directory`, with runs x = 1 ... count that take `nap` seconds each."""
 
-    def __init__(self, directory: Path, *, count: int, nap: float = 0.0, deadly: int = -1, more: str = "") -> None:
+    def __init__(
+        self, directory: Path, *, count: int, nap: float = 0.0, deadly: int = -1, more: str = ""
+    ) -> None:
         self.count, self.out, self.marks = count, directory / "out", directory / "marks"
         self.marks.mkdir()
         scenario = directory / "marked.toml"
@@ -40,7 +42,17 @@ class MarkedSweep:
     def start(self) -> subprocess.Popen[str]:
         """As a command of its own, with two workers."""
         return subprocess.Popen(
-            [sys.executable, "-m", "freeflyer.cli.main", "sweep", str(self.file), "--out", str(self.out), "--workers", "2"],
+            [
+                sys.executable,
+                "-m",
+                "freeflyer.cli.main",
+                "sweep",
+                str(self.file),
+                "--out",
+                str(self.out),
+                "--workers",
+                "2",
+            ],
             env=os.environ | {"MARKS": str(self.marks)},
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -53,7 +65,9 @@ class MarkedSweep:
         capsys.readouterr()
         with pytest.MonkeyPatch.context() as patch:
             patch.setenv("MARKS", str(self.marks))
-            code = command.call(["sweep", str(self.file), "--out", str(self.out), *(options or ("--workers", "1"))])
+            code = command.call(
+                ["sweep", str(self.file), "--out", str(self.out), *(options or ("--workers", "1"))]
+            )
         return code, *capsys.readouterr()
 
     def times_run(self, x: int) -> int:
@@ -63,7 +77,10 @@ class MarkedSweep:
     @property
     def parts(self) -> dict[str, tuple[int, bytes]]:
         """Time and contents of every finished part."""
-        return {path.name: (path.stat().st_mtime_ns, path.read_bytes()) for path in (self.out / "parts").glob("*.parquet")}
+        return {
+            path.name: (path.stat().st_mtime_ns, path.read_bytes())
+            for path in (self.out / "parts").glob("*.parquet")
+        }
 
     @property
     def results(self) -> pandas.DataFrame:

@@ -31,7 +31,9 @@ def unit_axes(count: int) -> tuple[Axis, ...]:
 
 
 @given(count=st.integers(1, 60), size=st.integers(1, 5), seed=st.integers(0, 2**31))
-def test_a_latin_hypercube_has_one_draw_in_every_stratum_of_every_axis(count: int, size: int, seed: int) -> None:
+def test_a_latin_hypercube_has_one_draw_in_every_stratum_of_every_axis(
+    count: int, size: int, seed: int
+) -> None:
     sample = Sample(method="latin_hypercube", count=count, seed=seed, axes=unit_axes(size))
     strata = np.floor(np.array(sample.rows) * count).astype(int)
     for column in strata.T:
@@ -39,10 +41,14 @@ def test_a_latin_hypercube_has_one_draw_in_every_stratum_of_every_axis(count: in
 
 
 @given(low=numbers, ratio=st.floats(1.1, 1e4), count=st.integers(2, 40))
-def test_a_logarithmic_latin_hypercube_is_stratified_by_ratio(low: float, ratio: float, count: int) -> None:
+def test_a_logarithmic_latin_hypercube_is_stratified_by_ratio(
+    low: float, ratio: float, count: int
+) -> None:
     source = Interval(low=low, high=low * ratio, logarithmic=True)
     sample = Sample(method="latin_hypercube", count=count, seed=7, axes=(axis("c.p", source),))
-    places = np.sort([math.log(row[0] / low) / math.log(source.high / low) * count for row in sample.rows])
+    places = np.sort(
+        [math.log(row[0] / low) / math.log(source.high / low) * count for row in sample.rows]
+    )
     assert (places >= np.arange(count) - 1e-6).all()
     assert (places <= np.arange(count) + 1 + 1e-6).all()
 
@@ -57,7 +63,9 @@ def test_the_seed_alone_decides_the_draws(method: str, seed: int) -> None:
 
 
 @given(low=numbers, span=st.floats(1e-3, 1e3), share=st.floats(0.0, 1.0), logarithmic=st.booleans())
-def test_an_interval_is_never_left(low: float, span: float, share: float, logarithmic: bool) -> None:
+def test_an_interval_is_never_left(
+    low: float, span: float, share: float, logarithmic: bool
+) -> None:
     interval = Interval(low=low, high=low + span, logarithmic=logarithmic)
     assert interval.low <= interval.at(share) <= interval.high
 
@@ -75,7 +83,10 @@ def test_multiples_are_exact_decimal_numbers_inside_the_interval(
 ) -> None:
     unit = Decimal(multiple).scaleb(exponent)
     interval = Interval(
-        low=float(unit * low), high=float(unit * (low + more)), logarithmic=logarithmic, multiple_of=float(unit)
+        low=float(unit * low),
+        high=float(unit * (low + more)),
+        logarithmic=logarithmic,
+        multiple_of=float(unit),
     )
     value = interval.at(share)
     assert interval.low <= value <= interval.high
@@ -83,8 +94,13 @@ def test_multiples_are_exact_decimal_numbers_inside_the_interval(
     assert nanoseconds(value, "period") % nanoseconds(float(unit), "unit") == 0
 
 
-@given(st.lists(st.lists(st.integers(), min_size=1, max_size=4, unique=True), min_size=1, max_size=4), st.integers(0, 3))
-def test_a_grid_is_the_product_of_its_axes_with_every_draw(levels: list[list[int]], draws: int) -> None:
+@given(
+    st.lists(st.lists(st.integers(), min_size=1, max_size=4, unique=True), min_size=1, max_size=4),
+    st.integers(0, 3),
+)
+def test_a_grid_is_the_product_of_its_axes_with_every_draw(
+    levels: list[list[int]], draws: int
+) -> None:
     grid = tuple(axis(f"c.g{k}", Levels(values=tuple(values))) for k, values in enumerate(levels))
     sample = Sample(method="random", count=draws, seed=1, axes=unit_axes(1)) if draws else None
     designs = Designs(grid=grid, sample=sample)
@@ -102,11 +118,17 @@ def test_an_axis_has_both_ends_and_equal_distances(count: int, low: float, span:
 
 
 def test_values_that_rounding_makes_equal_count_once() -> None:
-    assert Interval(low=0.001, high=0.003, multiple_of=0.001).spread(20).values == (0.001, 0.002, 0.003)
+    assert Interval(low=0.001, high=0.003, multiple_of=0.001).spread(20).values == (
+        0.001,
+        0.002,
+        0.003,
+    )
 
 
 @pytest.mark.parametrize(("first", "last"), [(1, 6), (1, 3), (4, 6), (2, 2)])
-def test_elements_and_factors_leave_the_rest_of_a_vector_alone(tmp_path: Path, first: int, last: int) -> None:
+def test_elements_and_factors_leave_the_rest_of_a_vector_alone(
+    tmp_path: Path, first: int, last: int
+) -> None:
     (tmp_path / "parts.toml").write_text(
         f'scenario = "multirate_passive"\n[grid]\n"base_controller.stiffness[{first}:{last}]" = [7.0, 11.0]\n'
         '"base_controller.damping[1:3]" = { values = [0.5, 3.0], relative = true }\n"base_controller.damping[6]" = [5.0]\n'
@@ -116,7 +138,10 @@ def test_elements_and_factors_leave_the_rest_of_a_vector_alone(tmp_path: Path, f
         stiffness, factor, damping = plan.design(number)[2]
         assignments = dict(plan.run(number).assignments)
         own = [150.0] * 3 + [40.0] * 3
-        assert assignments["base_controller.stiffness"] == own[: first - 1] + [stiffness] * (last - first + 1) + own[last:]
+        assert (
+            assignments["base_controller.stiffness"]
+            == own[: first - 1] + [stiffness] * (last - first + 1) + own[last:]
+        )
         assert assignments["base_controller.damping"] == [10.0 * factor] * 3 + [2.0, 2.0, damping]
 
 
@@ -127,7 +152,9 @@ def test_units_are_converted_for_elements_too(tmp_path: Path) -> None:
     )
     plan = Plan(sweep_file.read(str(tmp_path / "units.toml")))
     assignments = dict(plan.run(0).assignments)
-    assert assignments["base_controller.stiffness"] == pytest.approx([150.0] * 3 + [2.0 * 180.0 / math.pi, 40.0, 40.0])
+    assert assignments["base_controller.stiffness"] == pytest.approx(
+        [150.0] * 3 + [2.0 * 180.0 / math.pi, 40.0, 40.0]
+    )
     assert assignments["base_controller.period"] == {"value": 150, "unit": "ms"}
     assert plan.units == {"base_controller.period": "ms", "base_controller.stiffness[4]": "N.m/deg"}
 

@@ -27,7 +27,9 @@ def test_a_killed_worker_loses_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_killed_sweep_goes_on_without_repeating_finished_runs(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_killed_sweep_goes_on_without_repeating_finished_runs(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     sweep = MarkedSweep(tmp_path, count=60, nap=0.1)
     process = sweep.start()
     until(lambda: len(sweep.parts) >= 4, process)
@@ -35,7 +37,11 @@ def test_a_killed_sweep_goes_on_without_repeating_finished_runs(capsys: pytest.C
     kill_9(psutil.Process(process.pid))
     process.communicate(timeout=PATIENCE)
     before = sweep.parts
-    finished = {int(x) for path in (sweep.out / "parts").glob("*.parquet") for x in pandas.read_parquet(path)["one.x"]}
+    finished = {
+        int(x)
+        for path in (sweep.out / "parts").glob("*.parquet")
+        for x in pandas.read_parquet(path)["one.x"]
+    }
     assert 0 < len(finished) < 60
     psutil.wait_procs(workers, timeout=PATIENCE)  # they notice that nobody is there any more
     assert not any(worker.is_running() for worker in workers)
@@ -57,7 +63,9 @@ def test_ctrl_c_keeps_what_is_finished_and_says_how_to_go_on(tmp_path: Path) -> 
     assert process.returncode == 3
     assert len(error.strip().splitlines()) == 1, error
     assert "of 60 runs; the same command goes on from there" in error
-    finished = sum(len(pandas.read_parquet(path)) for path in (sweep.out / "parts").glob("*.parquet"))
+    finished = sum(
+        len(pandas.read_parquet(path)) for path in (sweep.out / "parts").glob("*.parquet")
+    )
     assert f"interrupted after {finished} of 60 runs" in error
     assert not (sweep.out / "results.parquet").exists()
 
@@ -76,7 +84,9 @@ def test_a_run_that_kills_its_worker_becomes_a_row_and_stops_nothing(
 
 
 @pytest.mark.slow
-def test_two_sweeps_do_not_share_a_directory(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_two_sweeps_do_not_share_a_directory(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     sweep = MarkedSweep(tmp_path, count=300, nap=0.2)
     process = sweep.start()
     try:
@@ -91,7 +101,9 @@ def test_two_sweeps_do_not_share_a_directory(capsys: pytest.CaptureFixture[str],
 
 
 @pytest.mark.slow
-def test_a_damaged_part_is_computed_again(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_damaged_part_is_computed_again(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     sweep = MarkedSweep(tmp_path, count=4)
     assert sweep.run(capsys)[0] == 0
     victim = min((sweep.out / "parts").iterdir())
@@ -101,4 +113,6 @@ def test_a_damaged_part_is_computed_again(capsys: pytest.CaptureFixture[str], tm
     assert code == 0
     assert f"{4 - len(lost)} of 4 runs are in" in output
     assert list(sweep.results["one.x"]) == [1, 2, 3, 4]
-    assert [sweep.times_run(x) for x in range(1, 5)] == [2 if x in list(lost) else 1 for x in range(1, 5)]
+    assert [sweep.times_run(x) for x in range(1, 5)] == [
+        2 if x in list(lost) else 1 for x in range(1, 5)
+    ]

@@ -8,7 +8,7 @@ import threading
 from pathlib import Path
 
 import pytest
-from commands import said
+from commands import run_command
 from families import family
 from hypothesis import given
 from hypothesis import strategies as st
@@ -23,8 +23,12 @@ P = '"base_controller.period"'
 def said_of(capsys: pytest.CaptureFixture[str], directory: Path, text: str, *options: str) -> str:
     """What is said of a sweep file; the head `scenario` is given unless the text has one."""
     file = directory / "mine.toml"
-    file.write_text(text if "scenario =" in text else f'scenario = "multirate_passive"\nset = ["stop_s=1"]\n{text}')
-    code, error = said(capsys, "sweep", str(file), "--out", str(directory / "out"), *options)
+    file.write_text(
+        text
+        if "scenario =" in text
+        else f'scenario = "multirate_passive"\nset = ["stop_s=1"]\n{text}'
+    )
+    code, error = run_command(capsys, "sweep", str(file), "--out", str(directory / "out"), *options)
     assert code == 2, error
     assert not (directory / "out" / "parts").exists()
     return error
@@ -37,30 +41,72 @@ def said_of(capsys: pytest.CaptureFixture[str], directory: Path, text: str, *opt
         ("[grid]", "nothing is varied; a [grid] or a [sample] with parameters is expected"),
         ("", "nothing is varied"),
         ('[grid]\n"base_controller.perod" = [0.1]', "no parameter 'perod'; did you mean 'period'"),
-        ('[grid]\n"base_controler.period" = [0.1]', "no component 'base_controler'; did you mean 'base_controller'"),
+        (
+            '[grid]\n"base_controler.period" = [0.1]',
+            "no component 'base_controler'; did you mean 'base_controller'",
+        ),
         (
             '[grid]\n"base_controller.stifness[1:3]" = [1]',
             "there is no parameter 'base_controller.stifness'; did you mean 'stiffness'",
         ),
-        ('[grid]\n"robot.base_mas" = [1]', "no component has a parameter 'base_mas'; did you mean 'base_mass'"),
-        (f"[grid]\n{P} = [0.1, 0.0025, 0.2]", "step of 0.0025 s is no multiple of the smallest step, 0.001 s"),
+        (
+            '[grid]\n"robot.base_mas" = [1]',
+            "no component has a parameter 'base_mas'; did you mean 'base_mass'",
+        ),
+        (
+            f"[grid]\n{P} = [0.1, 0.0025, 0.2]",
+            "step of 0.0025 s is no multiple of the smallest step, 0.001 s",
+        ),
         (f"[grid]\n{P} = {{ first = 0.1, last = 0.2, count = 4 }}", "whole number of nanoseconds"),
-        (f"[grid]\n{P} = {{ first = 0.1, last = 0.2, count = 0 }}", "count is 0; at least 2 values"),
-        (f"[grid]\n{P} = {{ first = 0.2, last = 0.1, count = 3 }}", "from 0.2 to 0.1; two finite numbers, the lower one first"),
-        (f"[grid]\n{P} = {{ first = 0, last = 1, count = 3, logarithmic = true }}", "begins at 0.0; a number above zero"),
-        (f"[grid]\n{P} = {{ first = 0.2, last = 0.3, count = 3, multiple_of = 0.4 }}", "no multiple of 0.4 from 0.2 to 0.3"),
-        (f"[grid]\n{P} = {{ first = 0.2, last = 0.3, count = 3, multiple = 0.1 }}", "unknown key 'multiple'"),
-        (f"[grid]\n{P} = {{ first = 0.2, last = 0.3, count = 3, unit = 'kg' }}", "unit 'kg' cannot be converted to 's'"),
-        ('[grid]\n"base_controller.stiffness" = [[1, 2]]', "base_controller.stiffness has 2 values; 6 are expected"),
+        (
+            f"[grid]\n{P} = {{ first = 0.1, last = 0.2, count = 0 }}",
+            "count is 0; at least 2 values",
+        ),
+        (
+            f"[grid]\n{P} = {{ first = 0.2, last = 0.1, count = 3 }}",
+            "from 0.2 to 0.1; two finite numbers, the lower one first",
+        ),
+        (
+            f"[grid]\n{P} = {{ first = 0, last = 1, count = 3, logarithmic = true }}",
+            "begins at 0.0; a number above zero",
+        ),
+        (
+            f"[grid]\n{P} = {{ first = 0.2, last = 0.3, count = 3, multiple_of = 0.4 }}",
+            "no multiple of 0.4 from 0.2 to 0.3",
+        ),
+        (
+            f"[grid]\n{P} = {{ first = 0.2, last = 0.3, count = 3, multiple = 0.1 }}",
+            "unknown key 'multiple'",
+        ),
+        (
+            f"[grid]\n{P} = {{ first = 0.2, last = 0.3, count = 3, unit = 'kg' }}",
+            "unit 'kg' cannot be converted to 's'",
+        ),
+        (
+            '[grid]\n"base_controller.stiffness" = [[1, 2]]',
+            "base_controller.stiffness has 2 values; 6 are expected",
+        ),
         (
             '[grid]\n"base_controller.stiffness[5:7]" = [1]',
             "base_controller.stiffness[5:7]: base_controller.stiffness has 6 elements",
         ),
-        ('[grid]\n"base_controller.stiffness[3:1]" = [1]', "elements are counted from 1, the first one first"),
+        (
+            '[grid]\n"base_controller.stiffness[3:1]" = [1]',
+            "elements are counted from 1, the first one first",
+        ),
         ('[grid]\n"manipulator_controller.observer" = ["prot"]', "did you mean 'port'"),
-        ('[grid]\n"manipulator_controller.observer[1]" = [1]', "is no real parameter; elements and factors"),
-        ('[grid]\n"base_controller.stiffness[1:3]" = [1]\n"base_controller.stiffness[3]" = [1]', "is varied twice, also as"),
-        (f"[cases.a]\n{P} = 0.2\n[grid]\n{P} = [0.1]", "[cases.a] sets base_controller.period, which is varied"),
+        (
+            '[grid]\n"manipulator_controller.observer[1]" = [1]',
+            "is no real parameter; elements and factors",
+        ),
+        (
+            '[grid]\n"base_controller.stiffness[1:3]" = [1]\n"base_controller.stiffness[3]" = [1]',
+            "is varied twice, also as",
+        ),
+        (
+            f"[cases.a]\n{P} = 0.2\n[grid]\n{P} = [0.1]",
+            "[cases.a] sets base_controller.period, which is varied",
+        ),
         (
             '[cases.a]\n"base_controller.perid" = 0.2\n[grid]\n"stop_s" = [1]',
             "case a: component 'base_controller' has no parameter 'perid'",
@@ -74,16 +120,28 @@ def said_of(capsys: pytest.CaptureFixture[str], directory: Path, text: str, *opt
             "one of latin_hypercube, random is expected",
         ),
         ("[sample]\ncount = 3", "[sample] has no parameters"),
-        (f"[sample]\ncount = 3\n[sample.parameters]\n{P} = {{ low = 0.1 }}", "high is None; a number is expected"),
+        (
+            f"[sample]\ncount = 3\n[sample.parameters]\n{P} = {{ low = 0.1 }}",
+            "high is None; a number is expected",
+        ),
         (
             f"[grid]\n{P} = [0.1]\n[map]\nx = {P}\ny = 'base_controller.damping'",
             "[map] y is 'base_controller.damping'; a target of the grid",
         ),
-        (f"[grid]\n{P} = [0.1, 0.2]\n[map]\nx = {P}\ny = {P}", "[map] x and y are both base_controller.period"),
+        (
+            f"[grid]\n{P} = [0.1, 0.2]\n[map]\nx = {P}\ny = {P}",
+            "[map] x and y are both base_controller.period",
+        ),
         ("scenario = 'multirate_pasive'\n[grid]\nstop_s = [1]", "no scenario 'multirate_pasive'"),
         ("[grid]\n'facility.seed' = [1, 2]", "facility.seed changes nothing that a sweep measures"),
-        ("[grid]\n'record.signals' = ['a']", "record.signals changes nothing that a sweep measures"),
-        ("scenario = 3", "scenario is 3; a shipped scenario or a .toml file beside the sweep is expected"),
+        (
+            "[grid]\n'record.signals' = ['a']",
+            "record.signals changes nothing that a sweep measures",
+        ),
+        (
+            "scenario = 3",
+            "scenario is 3; a shipped scenario or a .toml file beside the sweep is expected",
+        ),
         ("[grid", "is not valid TOML"),
         ("[gird]\nstop_s = [1]", "unknown key 'gird' in the sweep; did you mean 'grid'"),
         (
@@ -99,27 +157,42 @@ def test_files(capsys: pytest.CaptureFixture[str], tmp_path: Path, text: str, me
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("stability_mop",), "no sweep 'stability_mop': neither a shipped one nor a .toml file; did you mean 'stability_map'"),
+        (
+            ("stability_mop",),
+            "no sweep 'stability_mop': neither a shipped one nor a .toml file; did you mean 'stability_map'",
+        ),
         (("missing.toml",), "sweep file missing.toml does not exist"),
         (("stability_map", "--workers", "0"), "at least one worker is expected"),
-        (("stability_map", "--workers", "2", "--scheduler", "tcp://127.0.0.1:1"), "give either --workers or --scheduler"),
-        (("stability_map", "--set", "base_controller.perod=1"), "no parameter 'perod'; did you mean 'period'"),
+        (
+            ("stability_map", "--workers", "2", "--scheduler", "tcp://127.0.0.1:1"),
+            "give either --workers or --scheduler",
+        ),
+        (
+            ("stability_map", "--set", "base_controller.perod=1"),
+            "no parameter 'perod'; did you mean 'period'",
+        ),
     ],
 )
-def test_arguments(capsys: pytest.CaptureFixture[str], tmp_path: Path, arguments: tuple[str, ...], message: str) -> None:
-    code, error = said(capsys, "sweep", *arguments, "--out", str(tmp_path / "out"))
+def test_arguments(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, arguments: tuple[str, ...], message: str
+) -> None:
+    code, error = run_command(capsys, "sweep", *arguments, "--out", str(tmp_path / "out"))
     assert code == 2
     assert message in error
     assert not (tmp_path / "out" / "parts").exists()
 
 
-def test_a_directory_with_another_sweep_is_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_directory_with_another_sweep_is_refused(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     sweep = MarkedSweep(tmp_path, count=1)
     assert sweep.run(capsys)[0] == 0
     sweep.file.write_text(sweep.file.read_text().replace("[1]", "[2]"))
     code, _, error = sweep.run(capsys)
     assert code == 2
-    assert "holds another sweep ('sweep'; designs differ): give another --out, or remove it" in error
+    assert (
+        "holds another sweep ('sweep'; designs differ): give another --out, or remove it" in error
+    )
     sweep.file.write_text(sweep.file.read_text().replace("[2]", "[1]"))
     code, _, error = sweep.run(capsys, "--set", "one.nap=0.1")
     assert code == 2
@@ -131,16 +204,23 @@ def test_a_directory_with_another_sweep_is_refused(capsys: pytest.CaptureFixture
     assert sweep.times_run(2) == 0
 
 
-def test_a_directory_that_is_a_file_is_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_directory_that_is_a_file_is_refused(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     (tmp_path / "file").write_text("")
-    code, error = said(capsys, "sweep", "stability_map", "--out", str(tmp_path / "file"))
+    code, error = run_command(capsys, "sweep", "stability_map", "--out", str(tmp_path / "file"))
     assert code == 2
     assert "cannot be written" in error
 
 
-@pytest.mark.parametrize("address", ["tcp://127.0.0.1:{port}", "127.0.0.1:{port}", "nonsense", "ftp://127.0.0.1:{port}"])
+@pytest.mark.parametrize(
+    "address", ["tcp://127.0.0.1:{port}", "127.0.0.1:{port}", "nonsense", "ftp://127.0.0.1:{port}"]
+)
 def test_a_scheduler_that_is_not_there(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, address: str
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    address: str,
 ) -> None:
     monkeypatch.setattr("freeflyer.analysis.sweep.cluster.ANSWER", 1.0)
     with socket.socket() as free:
@@ -159,7 +239,9 @@ def test_a_scheduler_without_workers(
     with scheduler(tmp_path) as (address, _):
         code, _, error = MarkedSweep(tmp_path, count=2).run(capsys, "--scheduler", address)
     assert code == 2
-    assert f"the scheduler {address} has no workers; start one with `dask worker {address}`" in error
+    assert (
+        f"the scheduler {address} has no workers; start one with `dask worker {address}`" in error
+    )
 
 
 OTHER_PYTHON = """
@@ -170,16 +252,24 @@ distributed.versions.get_package_info = lambda names: there(names) | {"python": 
 
 
 @pytest.mark.parametrize("other", family(["package", "python"]))
-def test_a_worker_with_another_version_is_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path, other: str) -> None:
+def test_a_worker_with_another_version_is_refused(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, other: str
+) -> None:
     sweep = MarkedSweep(tmp_path, count=2)
     about = tmp_path / "older" / "freeflyer_cosim-0.1.0.dist-info"
     about.mkdir(parents=True)
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: freeflyer-cosim\nVersion: 0.1.0\n")
+    (about / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: freeflyer-cosim\nVersion: 0.1.0\n"
+    )
     before, path = (OTHER_PYTHON, None) if other == "python" else ("", about.parent)
     with scheduler(tmp_path) as (address, _), worker(address, tmp_path, before=before, path=path):
         code, _, error = sweep.run(capsys, "--scheduler", address)
     assert code == 2, error
-    has = "python 2.7, and python 3." if other == "python" else "freeflyer-cosim 0.1.0, and freeflyer-cosim"
+    has = (
+        "python 2.7, and python 3."
+        if other == "python"
+        else "freeflyer-cosim 0.1.0, and freeflyer-cosim"
+    )
     assert f"has {has}" in error
     assert "install the same version there" in error
     assert sweep.times_run(1) == sweep.times_run(2) == 0
@@ -226,7 +316,12 @@ errors = st.floats(0.0, 1e3)
 def test_errors_that_fall_are_stable_and_those_that_grow_beyond_the_floor_are_not(
     last: float, before: float, unit: str
 ) -> None:
-    summary = {"diverged": False, "failed": False, "simulated_s": 60.0, f"x_error_{unit}": {"last_10_s": last}}
+    summary = {
+        "diverged": False,
+        "failed": False,
+        "simulated_s": 60.0,
+        f"x_error_{unit}": {"last_10_s": last},
+    }
     found = verdict.stable(summary, {f"x_error_{unit}": before})
     if last <= before or last <= verdict.FLOORS[unit]:
         assert found is True
@@ -237,6 +332,6 @@ def test_errors_that_fall_are_stable_and_those_that_grow_beyond_the_floor_are_no
 
 
 def test_what_the_sweep_varies_is_not_set_beside_it(capsys: pytest.CaptureFixture[str]) -> None:
-    code, error = said(capsys, "sweep", "stability_map", "--set", "base_controller.period=1")
+    code, error = run_command(capsys, "sweep", "stability_map", "--set", "base_controller.period=1")
     assert code == 2
     assert "base_controller.period is varied by the sweep" in error

@@ -76,7 +76,9 @@ def test_a_boundary_is_drawn_where_it_was_given_and_on_its_own_panel(tmp_path: P
     assert {path.name for path in tmp_path.iterdir()} == {"map.png", "map.pdf"}
 
 
-def test_the_boundary_is_the_predicted_one_with_a_gap_where_a_value_is_refused(tmp_path: Path) -> None:
+def test_the_boundary_is_the_predicted_one_with_a_gap_where_a_value_is_refused(
+    tmp_path: Path,
+) -> None:
     path = tmp_path / "some.toml"
     path.write_text(
         'scenario = "multirate_unstable"\n'
@@ -105,6 +107,8 @@ def test_every_value_lies_inside_its_cell(values: list[float]) -> None:
     assert (ordered <= edges[1:]).all()
 
 
-@pytest.mark.parametrize(("values", "expected"), [(np.geomspace(0.1, 10, 20), True), (np.linspace(0.02, 0.5, 25), False)])
+@pytest.mark.parametrize(
+    ("values", "expected"), [(np.geomspace(0.1, 10, 20), True), (np.linspace(0.02, 0.5, 25), False)]
+)
 def test_an_axis_is_logarithmic_where_its_values_are(values: Array, expected: bool) -> None:
     assert stability_map.is_logarithmic(values) is expected

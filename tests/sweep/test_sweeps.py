@@ -30,14 +30,31 @@ manipulator_controller.base_passivity_control = true
 def swept(tmp_path_factory: pytest.TempPathFactory) -> Path:
     directory = tmp_path_factory.mktemp("swept")
     (directory / "some.toml").write_text(SWEEP)
-    assert command.call(["sweep", str(directory / "some.toml"), "--workers", "2", "--out", str(directory / "out")]) == 0
+    assert (
+        command.call(
+            [
+                "sweep",
+                str(directory / "some.toml"),
+                "--workers",
+                "2",
+                "--out",
+                str(directory / "out"),
+            ]
+        )
+        == 0
+    )
     return directory / "out"
 
 
 def test_every_design_is_run_in_every_case(swept: Path) -> None:
     frame = pandas.read_parquet(swept / "results.parquet")
     assert list(frame["run"]) == list(range(16))
-    axes = ["base_controller.period", "base_controller.damping[4:6]", "free_flyer.base_mass", "case"]
+    axes = [
+        "base_controller.period",
+        "base_controller.damping[4:6]",
+        "free_flyer.base_mass",
+        "case",
+    ]
     assert not frame.duplicated(axes).any()
     assert frame.attrs["units"]["base_controller.period"] == "s"
     assert frame.attrs["units"]["base_position_error_m_max"] == "m"
@@ -45,13 +62,24 @@ def test_every_design_is_run_in_every_case(swept: Path) -> None:
 
 def test_a_row_is_what_the_same_run_alone_gives(swept: Path, tmp_path: Path) -> None:
     frame = pandas.read_parquet(swept / "results.parquet")
-    picked = frame["base_controller.period"].eq(0.5) & frame["base_controller.damping[4:6]"].eq(100.0)
-    row = frame[picked & frame["free_flyer.base_mass"].eq(150) & frame["case"].eq("with_pc")].iloc[0]
-    settings = ("stop_s=30.5", "base_controller.period=0.5", "base_controller.damping=[10, 10, 10, 200, 200, 200]")
+    picked = frame["base_controller.period"].eq(0.5) & frame["base_controller.damping[4:6]"].eq(
+        100.0
+    )
+    row = frame[picked & frame["free_flyer.base_mass"].eq(150) & frame["case"].eq("with_pc")].iloc[
+        0
+    ]
+    settings = (
+        "stop_s=30.5",
+        "base_controller.period=0.5",
+        "base_controller.damping=[10, 10, 10, 200, 200, 200]",
+    )
     command.call(
         ["run", "multirate_unstable", "--out", str(tmp_path)]
         + [f"--set={text}" for text in settings]
-        + [f"--set=manipulator_controller.{arm}_passivity_control=true" for arm in ("manipulator", "base")]
+        + [
+            f"--set=manipulator_controller.{arm}_passivity_control=true"
+            for arm in ("manipulator", "base")
+        ]
     )
     summary = json.loads((tmp_path / "summary.json").read_text())
     for name in ("diverged", "failed", "simulated_s"):
@@ -72,7 +100,9 @@ def test_a_refused_value_is_a_row_with_its_reason_and_a_diverged_run_a_result(sw
     rest = frame[frame["free_flyer.base_mass"].eq(150)]
     assert not rest["failed"].any()
     # K_D T_b > 2 M~: the second mechanism, which no passivity controller with a bounded damper cures.
-    heavy = rest[rest["base_controller.period"].eq(0.5) & rest["base_controller.damping[4:6]"].eq(100.0)]
+    heavy = rest[
+        rest["base_controller.period"].eq(0.5) & rest["base_controller.damping[4:6]"].eq(100.0)
+    ]
     assert heavy["diverged"].all()
     assert heavy["diverged_at_s"].notna().all()
 
@@ -81,13 +111,19 @@ def test_the_verdict_follows_from_the_row(swept: Path) -> None:
     frame = pandas.read_parquet(swept / "results.parquet")
     for _, row in frame.iterrows():
         bounded = not row["diverged"] and not row["failed"]
-        for name in (column.removesuffix("_max") for column in frame.columns if column.endswith("_max")):
-            allowed = max(verdict.GROWTH * row[f"{name}_earlier"], verdict.FLOORS[name.rpartition("_")[2]])
+        for name in (
+            column.removesuffix("_max") for column in frame.columns if column.endswith("_max")
+        ):
+            allowed = max(
+                verdict.GROWTH * row[f"{name}_earlier"], verdict.FLOORS[name.rpartition("_")[2]]
+            )
             bounded = bounded and row[f"{name}_last_10_s"] <= allowed
         assert row["stable"] == bounded
 
 
-def test_a_finished_sweep_is_not_computed_again(swept: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_finished_sweep_is_not_computed_again(
+    swept: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     before = {path: path.stat().st_mtime_ns for path in (swept / "parts").iterdir()}
     assert command.call(["sweep", str(swept.parent / "some.toml"), "--out", str(swept)]) == 0
     assert "16 of 16 runs are in" in capsys.readouterr().out

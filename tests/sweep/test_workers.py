@@ -31,12 +31,18 @@ def plan(tmp_path: Path) -> Plan:
 def test_workers_listen_on_the_loopback_only_and_have_one_blas_thread() -> None:
     with connected(None, 1) as client:
         me = psutil.Process()
-        listening = [socket for process in (me, *me.children(recursive=True)) for socket in process.net_connections()]
+        listening = [
+            socket
+            for process in (me, *me.children(recursive=True))
+            for socket in process.net_connections()
+        ]
         addresses = {socket.laddr.ip for socket in listening if socket.status == psutil.CONN_LISTEN}
         threads = client.submit(os.environ.get, "OMP_NUM_THREADS").result()
     assert addresses == {"127.0.0.1"}
     assert threads == "1"
-    assert not any("spawn_main" in " ".join(child.cmdline()) for child in me.children(recursive=True))
+    assert not any(
+        "spawn_main" in " ".join(child.cmdline()) for child in me.children(recursive=True)
+    )
 
 
 def test_other_commands_do_not_wait_for_dask_and_statistics() -> None:
@@ -57,13 +63,18 @@ def test_a_robot_parameter_is_given_to_plant_and_controllers_alike(plan: Plan) -
 
 def test_a_worker_with_other_files_is_refused(plan: Plan) -> None:
     other = replace(plan.setup, files={**plan.setup.files, "base_controller": "0" * 64})
-    with pytest.raises(sweep_task.WorkerRefused, match="its file of component base_controller is not that of the sweep"):
+    with pytest.raises(
+        sweep_task.WorkerRefused,
+        match="its file of component base_controller is not that of the sweep",
+    ):
         sweep_task.run_batch(other, sweep_task.metrics.versions()["freeflyer-cosim"], [plan.run(0)])
     with pytest.raises(sweep_task.WorkerRefused, match="the same version there"):
         sweep_task.run_batch(plan.setup, "9.9", [plan.run(0)])
 
 
-def test_instances_never_share_a_folder_and_kept_ones_are_used_again(fmus: Path, tmp_path: Path) -> None:
+def test_instances_never_share_a_folder_and_kept_ones_are_used_again(
+    fmus: Path, tmp_path: Path
+) -> None:
     path = fmus / "fmi2" / "reference_trajectory.fmu"
     with unpacked.kept_in(tmp_path):
         first, second = FmuComponent("first", path), FmuComponent("second", path)

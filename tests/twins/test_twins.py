@@ -17,7 +17,7 @@ from freeflyer_fmus.blocks.block import Block
 from freeflyer_fmus.blocks.shipped import BLOCKS
 from freeflyer_fmus.export.archive import build
 from freeflyer_fmus.export.prebuilt import directory
-from freeflyer_fmus.in_process_block import Twin
+from freeflyer_fmus.in_process_block import InProcessBlock
 from freeflyer_fmus.robot.urdf import load_robot_file
 
 STEP = 1e-3
@@ -39,7 +39,11 @@ def disturbed(name: str, random: np.random.Generator, start: np.ndarray) -> np.n
 
 
 def outputs_of(
-    component: object, steps: int, seed: int, period: float, values: dict[str, np.ndarray] | None = None
+    component: object,
+    steps: int,
+    seed: int,
+    period: float,
+    values: dict[str, np.ndarray] | None = None,
 ) -> np.ndarray:
     """Outputs after every step, under the same random inputs."""
     ports = component.ports  # type: ignore[attr-defined]
@@ -72,39 +76,52 @@ def outputs_of(
 def test_twin_and_both_fmus_give_the_same_numbers(name: str, seed: int) -> None:
     block = declared(name)
     period = block.default_step
-    twin = outputs_of(Twin(block), 40, seed, period)
-    two, three = (outputs_of(FmuComponent(name, directory() / f"fmi{v}" / f"{name}.fmu"), 40, seed, period) for v in (2, 3))
+    twin = outputs_of(InProcessBlock(block), 40, seed, period)
+    two, three = (
+        outputs_of(FmuComponent(name, directory() / f"fmi{v}" / f"{name}.fmu"), 40, seed, period)
+        for v in (2, 3)
+    )
     assert np.abs(twin).max() > 0.0
-    assert np.array_equal(two, three), "the same binary must give the same bits through both interfaces"
+    assert np.array_equal(two, three), (
+        "the same binary must give the same bits through both interfaces"
+    )
     agree(twin, two, name)
 
 
 @pytest.mark.parametrize("bookkeeping", [1, 2])
 @pytest.mark.parametrize(
-    ("name", "choice", "options"), [("manipulator_controller", "observer", 3), ("base_controller", "discretisation", 2)]
+    ("name", "choice", "options"),
+    [("manipulator_controller", "observer", 3), ("base_controller", "discretisation", 2)],
 )
-def test_twin_and_fmu_agree_in_every_mode(name: str, choice: str, options: int, bookkeeping: int) -> None:
+def test_twin_and_fmu_agree_in_every_mode(
+    name: str, choice: str, options: int, bookkeeping: int
+) -> None:
     for option in range(1, options + 1):
         values = {choice: np.array([float(option)]), "bookkeeping": np.array([float(bookkeeping)])}
         if name == "manipulator_controller":
             values["manipulator_initial_energy"] = np.zeros(6)  # so that both dampers act
         period = declared(name).default_step
-        twin = outputs_of(Twin(declared(name)), 30, 5, period, values)
-        fmu = outputs_of(FmuComponent(name, directory() / "fmi2" / f"{name}.fmu"), 30, 5, period, values)
+        twin = outputs_of(InProcessBlock(declared(name)), 30, 5, period, values)
+        fmu = outputs_of(
+            FmuComponent(name, directory() / "fmi2" / f"{name}.fmu"), 30, 5, period, values
+        )
         agree(twin, fmu, f"{name} {option} {bookkeeping}")
 
 
 def test_ports_of_twin_and_fmus_are_the_same(fmus: Path) -> None:
     for name in BLOCKS:
         block = declared(name)
-        twin = Twin(block).ports
+        twin = InProcessBlock(block).ports
         for version in (2, 3):
             component = FmuComponent(name, fmus / f"fmi{version}" / f"{name}.fmu")
             ports = component.ports
             for variable, port in twin.items():
                 assert ports[variable].size == port.size
                 assert ports[variable].causality == port.causality
-                assert port.causality != "output" or ports[variable].direct == port.direct, (name, variable)
+                assert port.causality != "output" or ports[variable].direct == port.direct, (
+                    name,
+                    variable,
+                )
                 assert ports[variable].start == port.start or port.start is None
                 assert ports[variable].choices == port.choices
             component.close()
@@ -112,7 +129,9 @@ def test_ports_of_twin_and_fmus_are_the_same(fmus: Path) -> None:
 
 @pytest.mark.parametrize("version", [2, 3])
 @pytest.mark.parametrize("name", BLOCKS)
-def test_two_instances_in_one_process_do_not_touch_each_other(fmus: Path, name: str, version: int) -> None:
+def test_two_instances_in_one_process_do_not_touch_each_other(
+    fmus: Path, name: str, version: int
+) -> None:
     """Stepped in turn under different inputs, each gives what it gives alone."""
     path = fmus / f"fmi{version}" / f"{name}.fmu"
     period = declared(name).default_step
@@ -145,11 +164,19 @@ def test_two_instances_in_one_process_do_not_touch_each_other(fmus: Path, name: 
 
 @pytest.mark.parametrize(
     "name",
-    family(["hand_kinematics", "free_flyer", "manipulator_controller", "base_controller", "reference_trajectory"]),
+    family(
+        [
+            "hand_kinematics",
+            "free_flyer",
+            "manipulator_controller",
+            "base_controller",
+            "reference_trajectory",
+        ]
+    ),
 )
 @pytest.mark.parametrize("robot_name", family(["gantry", "ur5"]))
 def test_other_robots_go_the_whole_way(robot_name: str, name: str, tmp_path: Path) -> None:
     block = BLOCKS[name](ROBOTS[robot_name]())
     path = build(block, tmp_path)[2]
-    twin = outputs_of(Twin(block), 5, 3, block.default_step)
+    twin = outputs_of(InProcessBlock(block), 5, 3, block.default_step)
     agree(twin, outputs_of(FmuComponent(name, path), 5, 3, block.default_step), name)

@@ -22,7 +22,7 @@ from freeflyer_adapters.device.limits import ArmLimits
 from freeflyer_adapters.device.permit import Permit
 from freeflyer_adapters.device.quality import QualityMonitor
 from freeflyer_adapters.device.ramp_down import RampDown
-from freeflyer_adapters.foundation import environment as outside
+from freeflyer_adapters.foundation import environment
 from freeflyer_adapters.foundation.histogram import Histogram
 
 MEASURED = ("joint_position", "joint_velocity", "joint_torque")
@@ -40,11 +40,13 @@ class CanArm:
     def __init__(self, name: str, options: ArmOptions) -> None:
         self.name, self.options = name, options
         self.state = State(name)
-        self._outside = outside.present()
+        self._environment = environment.present()
         n = options.joints
         self.frames = ArmFrames(options.frames, n)
         self.ports: Mapping[str, Port] = all_settings.arm_ports(n, all_settings.ARM)
-        self.values: Mapping[str, Array] = {p.name: np.array(p.start or (0.0,) * p.size) for p in self.ports.values()}
+        self.values: Mapping[str, Array] = {
+            p.name: np.array(p.start or (0.0,) * p.size) for p in self.ports.values()
+        }
         self.implicit = options.implicit
         self.frames.check_activation(name, self.implicit)
         self._has_modes = "mode" in self.frames.command
@@ -113,7 +115,9 @@ class CanArm:
             window=round(float(v["window"][0]) / self.cycle),
             cycle=self.cycle,
         )
-        self.ramp = RampDown(time=float(v["ramp_down_time"][0]), damping=float(v["ramp_down_damping"][0]))
+        self.ramp = RampDown(
+            time=float(v["ramp_down_time"][0]), damping=float(v["ramp_down_damping"][0])
+        )
         self._age_limit = float(v["state_age_limit"][0])
         effort = v["joint_effort_limit"]
         self.frames.check_ranges({
@@ -124,7 +128,11 @@ class CanArm:
         })  # fmt: skip
         o = self.options
         description = self.frames.description
-        seen = [self.frames.state, self.frames.command, *([] if description is None else [description])]
+        seen = [
+            self.frames.state,
+            self.frames.command,
+            *([] if description is None else [description]),
+        ]
         self._bus = open_bus(o.interface, o.channel, self.frames.is_fd, seen, o.bus)
         self._sender = Sender(self._bus, self.frames.command)
         self._states = StateFrames(self._bus, self.frames, self._sender, self._take)
@@ -142,7 +150,7 @@ class CanArm:
     def _described(self, receiver: Receiver) -> dict[str, list[float]]:
         """Waits for a description; an arm that is active for another controller sends none, but its state frames name it."""
         end = self._patience_ends()
-        while (left := end - self._outside.monotonic()) > 0.0:
+        while (left := end - self._environment.monotonic()) > 0.0:
             message, _ = self._states.receive(left)
             if message is None:
                 continue
@@ -151,12 +159,12 @@ class CanArm:
                 return found
             state = self._states.receiver.take(message)
             if state is not None:
-                self._take(state, self._outside.monotonic_ns(), 0)
+                self._take(state, self._environment.monotonic_ns(), 0)
                 self._refuse_others()
         raise DeviceError(self._silence("description", receiver))
 
     def _patience_ends(self) -> float:
-        return self._outside.monotonic() + float(self.values["configure_timeout"][0])
+        return self._environment.monotonic() + float(self.values["configure_timeout"][0])
 
     def _silence(self, what: str, receiver: Receiver) -> str:
         return f"{self._where} {self._states.silence(what, receiver, float(self.values['configure_timeout'][0]))}"
@@ -166,7 +174,7 @@ class CanArm:
         end = self._patience_ends() + 2 * frames * self.cycle
         self._states.drain()
         for _ in range(frames):
-            if not self._states.wait(end - self._outside.monotonic()):
+            if not self._states.wait(end - self._environment.monotonic()):
                 raise DeviceError(self._silence("state", self._states.receiver))
             self._refuse_others()
 
@@ -178,8 +186,14 @@ class CanArm:
             raise DeviceError(
                 f"{self._where} obeys controller {session.obeyed} already; this is controller {session.number}: stop that one first"
             )
-        if self._reports_state and session.state is LifeCycle.active and session.phase in (Phase.listening, Phase.claiming):
-            raise DeviceError(f"{self._where} is active already, and this run has not activated it: stop its controller first")
+        if (
+            self._reports_state
+            and session.state is LifeCycle.active
+            and session.phase in (Phase.listening, Phase.claiming)
+        ):
+            raise DeviceError(
+                f"{self._where} is active already, and this run has not activated it: stop its controller first"
+            )
 
     @property
     def _reports_state(self) -> bool:
@@ -211,9 +225,12 @@ class CanArm:
         has_come = False
         while not session.is_claimed:
             self._send(np.zeros(self.options.joints))
-            has_come = self._states.wait(min(2 * self.cycle, end - self._outside.monotonic())) or has_come
+            has_come = (
+                self._states.wait(min(2 * self.cycle, end - self._environment.monotonic()))
+                or has_come
+            )
             self._refuse_others()
-            if self._outside.monotonic() > end:
+            if self._environment.monotonic() > end:
                 if not has_come:
                     raise DeviceError(self._silence("state", self._states.receiver))
                 raise DeviceError(
@@ -227,21 +244,23 @@ class CanArm:
         self._states.drain()
         if session.permit.lost:
             raise DeviceError(f"{self._where} was not activated: {session.permit.lost}")
-        session.activate(self._outside.monotonic_ns())
+        session.activate(self._environment.monotonic_ns())
         self._last_torque = np.zeros(self.options.joints)
         end, silent = self._patience_ends(), 0
         while session.phase is not Phase.commanding:
             self._released = True
             self._send(self._last_torque)
-            came = self._states.wait(min(2 * self.cycle, end - self._outside.monotonic()))
+            came = self._states.wait(min(2 * self.cycle, end - self._environment.monotonic()))
             # An arm that was not received for long may have become active, stopped and forgotten this session meanwhile.
             silent = 0 if came else silent + 1
             if 2 * silent * self.cycle > self._age_limit:
                 session.permit.lose(self._silence("state", self._states.receiver))
             if session.permit.lost:
                 raise DeviceError(f"{self._where} was not activated: {session.permit.lost}")
-            if self._outside.monotonic() > end:
-                raise DeviceError(f"{self._where} does not become active; its state is {self._state_said}{self._states.errors}")
+            if self._environment.monotonic() > end:
+                raise DeviceError(
+                    f"{self._where} does not become active; its state is {self._state_said}{self._states.errors}"
+                )
             self._refuse_others()
             if meanwhile():
                 return  # the loop ends before its first instant, and deactivation brakes
@@ -258,10 +277,12 @@ class CanArm:
 
     def read(self) -> None:
         permit = self.session.permit
-        left = self._arrived * 1e-9 + PATIENCE * self.cycle - self._outside.monotonic()
+        left = self._arrived * 1e-9 + PATIENCE * self.cycle - self._environment.monotonic()
         before = self._cycle_number
         came = self._states.wait(max(left, 0.0))
-        if sentence := permit.hold_up(self._outside.monotonic_ns()):  # the cause comes before its effects
+        if sentence := permit.hold_up(
+            self._environment.monotonic_ns()
+        ):  # the cause comes before its effects
             raise SafeStop(self.name, f"{sentence}{self._states.flood}")
         if came:
             # What is missing in the numbers is lost, but for what was counted as silence already. An arm whose own time has
@@ -284,7 +305,8 @@ class CanArm:
             raise SafeStop(self.name, f"{reason}{self._states.flood}{self._states.errors}")
         if self.session.is_obeyed_elsewhere:
             raise SafeStop(
-                self.name, f"the arm obeys controller {self.session.obeyed}; this is controller {self.session.number}"
+                self.name,
+                f"the arm obeys controller {self.session.obeyed}; this is controller {self.session.number}",
             )
         if permit.lost:
             raise SafeStop(self.name, self._lost_permit())
@@ -307,8 +329,12 @@ class CanArm:
 
     def write(self) -> None:
         torque, reason = self.limits.command(self.values["joint_torque_command"], self._last_torque)
-        mode = self.session.answer(self._outside.monotonic_ns())
-        reason = reason or self.session.permit.lost or ("it has not been activated" if mode is not Mode.torque else None)
+        mode = self.session.answer(self._environment.monotonic_ns())
+        reason = (
+            reason
+            or self.session.permit.lost
+            or ("it has not been activated" if mode is not Mode.torque else None)
+        )
         if reason:
             raise SafeStop(self.name, reason)
         self._put(mode, torque)
@@ -384,7 +410,10 @@ class CanArm:
         return {name: float(count) for name, count in {**counts, **acted}.items()}
 
     def histograms(self) -> Mapping[str, Histogram]:
-        return {f"{self.name}: wake-up after the state frame": self.wake_up, f"{self.name}: answer to it": self.answer}
+        return {
+            f"{self.name}: wake-up after the state frame": self.wake_up,
+            f"{self.name}: answer to it": self.answer,
+        }
 
     # Frames
 
@@ -398,7 +427,7 @@ class CanArm:
         if self._is_stale(numbers):
             self._states.receiver.rejected["stale"] += 1
             return False
-        late = self._outside.time_ns() * 1e-9 - self._states.stamp
+        late = self._environment.time_ns() * 1e-9 - self._states.stamp
         if 0.0 <= late < 1.0 and self.state.now is LifeCycle.active:
             self.wake_up.add(int(late * 1e9))
         for name in MEASURED:
@@ -417,7 +446,9 @@ class CanArm:
         if self._reports_state:
             number = numbers["life_cycle"][0]
             state = self.frames.life_cycle(number)
-            self._state_said = f"a state of the unknown number {number:g}" if state is None else state.name
+            self._state_said = (
+                f"a state of the unknown number {number:g}" if state is None else state.name
+            )
             # A number without a meaning is no reason to go on.
             state = LifeCycle.fault if state is None else state
         session.report(state, int(numbers.get("obeyed_controller", (0,))[0]), empty_at, echoed)
@@ -425,11 +456,15 @@ class CanArm:
 
     def _send(self, torque: Array, *, brake: bool = False) -> None:
         """The command that the session allows now, with this torque if it is one of torque."""
-        self._put(self.session.answer(self._outside.monotonic_ns(), brake=brake), torque)
+        self._put(self.session.answer(self._environment.monotonic_ns(), brake=brake), torque)
 
     def _put(self, mode: Mode, torque: Array) -> None:
-        session, clock = self.session, self._outside.monotonic_ns
-        if not self._has_modes and mode is not Mode.torque and not session.permits(Mode.torque, clock()):
+        session, clock = self.session, self._environment.monotonic_ns
+        if (
+            not self._has_modes
+            and mode is not Mode.torque
+            and not session.permits(Mode.torque, clock())
+        ):
             return  # without modes every frame is a torque frame
         if mode is not Mode.torque:
             torque = np.zeros_like(torque)

@@ -14,7 +14,13 @@ MAY_BE_NARROWER = ("joint_velocity_limit", "joint_effort_limit")
 UNITS = {setting.name: setting.unit for setting in all_settings.ARM}
 
 
-def compare(where: str, frame: Frame, described: Mapping[str, list[float]], expected: Mapping[str, Array], joints: int) -> None:
+def compare(
+    where: str,
+    frame: Frame,
+    described: Mapping[str, list[float]],
+    expected: Mapping[str, Array],
+    joints: int,
+) -> None:
     """DeviceError, with both numbers, where they differ by more than the frame's resolution.
 
     Joint ranges tell one arm from another. Speeds and torques may be less here than the arm's own: who wants to be careful narrows them.
@@ -24,9 +30,13 @@ def compare(where: str, frame: Frame, described: Mapping[str, list[float]], expe
     if count != joints:
         raise DeviceError(f"{where} has {count} joints, but the scenario's robot has {joints}")
     if "cycle_time" in described and abs(described["cycle_time"][0] - period) > 1e-9:
-        raise DeviceError(f"{where} has a cycle of {described['cycle_time'][0]:g} s, but the scenario's is {period:g} s")
+        raise DeviceError(
+            f"{where} has a cycle of {described['cycle_time'][0]:g} s, but the scenario's is {period:g} s"
+        )
     for role in LIMIT_ROLES:
-        for j, (theirs, ours) in enumerate(zip(described.get(role, ()), expected[role], strict=False)):
+        for j, (theirs, ours) in enumerate(
+            zip(described.get(role, ()), expected[role], strict=False)
+        ):
             f = frame.fields[role][j]
             beyond = min(max(float(ours), f.least), f.most) - theirs
             if (beyond if role in MAY_BE_NARROWER else abs(beyond)) > f.resolution:

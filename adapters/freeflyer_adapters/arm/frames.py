@@ -88,7 +88,12 @@ PROMISES: Mapping[str, str] = {
 NEEDED = ("mode_values.activate", "controller", "obeyed_controller", "answered_cycle", "life_cycle")
 """Without one of these the arm itself cannot refuse an activation that no run has asked for."""
 MESSAGES = {"command": "ArmCommand", "state": "ArmState", "description": "ArmDescription"}
-LIMIT_ROLES = ("joint_lower_limit", "joint_upper_limit", "joint_velocity_limit", "joint_effort_limit")
+LIMIT_ROLES = (
+    "joint_lower_limit",
+    "joint_upper_limit",
+    "joint_velocity_limit",
+    "joint_effort_limit",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,8 +123,15 @@ class FrameMapping:
 
     def _names_all(self, *kinds: str) -> bool:
         """Whether the DBC has every message and signal of the shipped profile for these frames."""
-        frames = {message.name: {signal.name for signal in message.signals} for message in load(self.dbc).messages}
-        return all(role.signal.replace("{}", "1") in frames.get(MESSAGES[kind], ()) for kind in kinds for role in ROLES[kind])
+        frames = {
+            message.name: {signal.name for signal in message.signals}
+            for message in load(self.dbc).messages
+        }
+        return all(
+            role.signal.replace("{}", "1") in frames.get(MESSAGES[kind], ())
+            for kind in kinds
+            for role in ROLES[kind]
+        )
 
     @property
     def has_description(self) -> bool:
@@ -136,7 +148,9 @@ def _frame(kind: str, mapping: FrameMapping, joints: int) -> Frame:
     return Frame(
         message,
         {
-            role.name: tuple(field_of(message, name, role.unit, mapping.dbc) for name in names[role])
+            role.name: tuple(
+                field_of(message, name, role.unit, mapping.dbc) for name in names[role]
+            )
             for role in ROLES[kind]
             if names[role]
         },
@@ -153,7 +167,9 @@ def _names(role: Role, mapping: FrameMapping, joints: int, present: set[str]) ->
     pattern = role.signal if given is None else given
     if not role.per_joint:
         if not isinstance(pattern, str):
-            raise DeviceError(f"signals.{role.name} is {pattern!r}; the name of one signal is expected")
+            raise DeviceError(
+                f"signals.{role.name} is {pattern!r}; the name of one signal is expected"
+            )
         names = [pattern]
     elif isinstance(pattern, str):
         names = [pattern.replace("{}", str(i + 1)) for i in range(joints)]
@@ -164,7 +180,9 @@ def _names(role: Role, mapping: FrameMapping, joints: int, present: set[str]) ->
             )
         names = list(pattern)
         if len(names) != joints:
-            raise DeviceError(f"signals.{role.name} names {len(names)} signals; {joints} are expected, one for each joint")
+            raise DeviceError(
+                f"signals.{role.name} names {len(names)} signals; {joints} are expected, one for each joint"
+            )
     missing = [name for name in names if name not in present]
     if missing:
         raise DeviceError(
@@ -198,7 +216,9 @@ def check_mapping(mapping: FrameMapping) -> None:
     ):
         for key in table:
             if key not in known:
-                raise DeviceError(f"{key!r} in the DBC's mapping is not known{did_you_mean(key, known)}")
+                raise DeviceError(
+                    f"{key!r} in the DBC's mapping is not known{did_you_mean(key, known)}"
+                )
     for name, message in mapping.messages.items():
         if not isinstance(message, str):
             raise DeviceError(f"messages.{name} is {message!r}; the name of a message is expected")
@@ -209,7 +229,9 @@ def check_mapping(mapping: FrameMapping) -> None:
     ):
         for name, number in numbers.items():
             if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number <= most:
-                raise DeviceError(f"{title}.{name} is {number!r}; a whole number from 0 to {most} is expected")
+                raise DeviceError(
+                    f"{title}.{name} is {number!r}; a whole number from 0 to {most} is expected"
+                )
 
 
 class ArmFrames:
@@ -220,7 +242,10 @@ class ArmFrames:
         self.mapping, self.joints = mapping, joints
         self.command = _frame("command", mapping, joints)
         self.state = _frame("state", mapping, joints)
-        if (self.command.identifier, self.command.extended) == (self.state.identifier, self.state.extended):
+        if (self.command.identifier, self.command.extended) == (
+            self.state.identifier,
+            self.state.extended,
+        ):
             raise DeviceError(
                 f"DBC {mapping.dbc}: {self.command.message.name} and {self.state.message.name} have one identifier, "
                 f"0x{self.state.identifier:X}, which two nodes cannot send; an identifier for each is expected"
@@ -228,7 +253,9 @@ class ArmFrames:
         self.description: Frame | None = None
         if mapping.has_description:
             self.description = _frame("description", mapping, joints)
-        numbers = [f.fields[r][0].most for f in (self.command, self.state) for r in CYCLE_ROLES if r in f]
+        numbers = [
+            f.fields[r][0].most for f in (self.command, self.state) for r in CYCLE_ROLES if r in f
+        ]
         self.cycles = int(min(numbers)) + 1
         """Cycle numbers count modulo this: the narrowest field that holds one."""
         if self.cycles < FEWEST_CYCLES:
@@ -236,15 +263,25 @@ class ArmFrames:
                 f"DBC {mapping.dbc}: a cycle number of {int(min(numbers)).bit_length()} bits is too narrow; {FEWEST_CYCLES} cycles must "
                 f"be told apart"
             )
-        named = [f.fields[r][0].most for f, r in ((self.command, "controller"), (self.state, "obeyed_controller")) if r in f]
+        named = [
+            f.fields[r][0].most
+            for f, r in ((self.command, "controller"), (self.state, "obeyed_controller"))
+            if r in f
+        ]
         self.controllers = int(min(named, default=0xFFFF))
         """How many controllers can be told apart."""
         self._modes = {mode: int(mapping.mode_values.get(mode.name, mode)) for mode in Mode}
         if not mapping.has_shipped_names and "activate" not in mapping.mode_values:
             del self._modes[Mode.activate]
-        self._states = {int(mapping.life_cycle_values.get(state.name, state)): state for state in LifeCycle}
+        self._states = {
+            int(mapping.life_cycle_values.get(state.name, state)): state for state in LifeCycle
+        }
         _check_values("mode_values", self._modes, self.command.fields.get("mode"))
-        _check_values("life_cycle_values", {s: r for r, s in self._states.items()}, self.state.fields.get("life_cycle"))
+        _check_values(
+            "life_cycle_values",
+            {s: r for r, s in self._states.items()},
+            self.state.fields.get("life_cycle"),
+        )
         if len(self._states) < len(LifeCycle):
             raise DeviceError(
                 "life_cycle_values: two states have the same number; each its own is expected, also those not named"
@@ -300,7 +337,9 @@ class ArmFrames:
                     continue
                 for f, (least, most) in zip(frame.fields[role], ranges, strict=True):
                     if f.least > least + f.resolution or f.most < most - f.resolution:
-                        unit = next(r.unit for rows in ROLES.values() for r in rows if r.name == role)
+                        unit = next(
+                            r.unit for rows in ROLES.values() for r in rows if r.name == role
+                        )
                         raise DeviceError(
                             f"{frame.subject}: signal {f.name} holds {f.least:.6g} to {f.most:.6g} {unit}, but the robot needs {least:.6g} "
                             f"to {most:.6g} {unit}; give the signal more bits or a coarser scale"

@@ -43,7 +43,9 @@ def options_from(name: str, raw: Mapping[str, Any], directory: Path) -> ArmOptio
     )
     activation = checked(name, raw, "activation", str, ACTIVATIONS[0])
     if activation not in ACTIVATIONS:
-        raise DeviceError(f"device {name}: activation is {activation!r}; {' or '.join(map(repr, ACTIVATIONS))} is expected")
+        raise DeviceError(
+            f"device {name}: activation is {activation!r}; {' or '.join(map(repr, ACTIVATIONS))} is expected"
+        )
     return ArmOptions(
         interface=checked(name, raw, "interface", str, "local"),
         channel=str(raw.get("channel", "freeflyer")),

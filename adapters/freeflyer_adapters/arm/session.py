@@ -34,7 +34,14 @@ class ArmSession:
     state frames have the number of the controller that it obeys.
     """
 
-    def __init__(self, permit: Permit, numbers: Callable[[], int], *, implicit: bool = False, echoes: bool = True) -> None:
+    def __init__(
+        self,
+        permit: Permit,
+        numbers: Callable[[], int],
+        *,
+        implicit: bool = False,
+        echoes: bool = True,
+    ) -> None:
         self.permit, self._numbers = permit, numbers
         self.implicit, self.echoes = implicit, echoes
         self.phase = Phase.listening
@@ -65,7 +72,9 @@ class ArmSession:
         if len(self._answered_at) > REMEMBERED:
             del self._answered_at[next(iter(self._answered_at))]
 
-    def report(self, state: LifeCycle | None, obeyed: int, at: int, echoed: int | None = None) -> None:
+    def report(
+        self, state: LifeCycle | None, obeyed: int, at: int, echoed: int | None = None
+    ) -> None:
         """A state frame, which was received at `at` or later. `state`: None from an arm that does not report it; `echoed`: the cycle
         number whose answer it echoes.
         """
@@ -80,7 +89,12 @@ class ArmSession:
         self.permit.report(state is LifeCycle.active and obeyed in (0, self.number), at)
         if self.phase is Phase.commanding:
             return
-        if not self.implicit and self._was_claimed and not self._has_asked and state is not LifeCycle.inactive:
+        if (
+            not self.implicit
+            and self._was_claimed
+            and not self._has_asked
+            and state is not LifeCycle.inactive
+        ):
             # What was there before the claim is reset by it, once; this is new.
             self.permit.lose(f"{self.permit.subject} went to {state.name} before it was activated")
         self._was_claimed = self._was_claimed or (self.phase is Phase.claiming and self.is_claimed)
@@ -88,7 +102,9 @@ class ArmSession:
             if state is LifeCycle.active and not self.is_obeyed_elsewhere:
                 self.phase = Phase.commanding
             elif self._has_asked and state is not LifeCycle.inactive:
-                self.permit.lose(f"{self.permit.subject} went to {state.name} while it was activated")
+                self.permit.lose(
+                    f"{self.permit.subject} went to {state.name} while it was activated"
+                )
 
     def claim(self) -> None:
         self.phase = Phase.claiming

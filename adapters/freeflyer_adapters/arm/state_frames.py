@@ -11,8 +11,8 @@ from collections.abc import Callable, Mapping
 import can
 
 from freeflyer_adapters.arm.frames import ArmFrames
-from freeflyer_adapters.can.link import Receiver, Sender, said
-from freeflyer_adapters.foundation import environment as outside
+from freeflyer_adapters.can.link import Receiver, Sender, driver_message
+from freeflyer_adapters.foundation import environment
 
 MOST_FRAMES = 64
 """Taken at a time. A backlog of more is taken in the next cycles."""
@@ -30,9 +30,15 @@ class StateFrames:
     the frame is used.
     """
 
-    def __init__(self, bus: can.BusABC, frames: ArmFrames, sender: Sender, take: Callable[[Numbers, int, int], bool]) -> None:
+    def __init__(
+        self,
+        bus: can.BusABC,
+        frames: ArmFrames,
+        sender: Sender,
+        take: Callable[[Numbers, int, int], bool],
+    ) -> None:
         self._bus, self._frames, self._sender, self._take = bus, frames, sender, take
-        self._outside = outside.present()
+        self._environment = environment.present()
         self.receiver = Receiver(frames.state)
         self.others = 0
         """Frames of other identifiers."""
@@ -57,7 +63,9 @@ class StateFrames:
             )
         seen = self._foreign
         if len(seen) == FOREIGN and self.receiver.accepted - seen[0] < WITHIN:
-            number = "" if self._foreign_number is None else f", of session {self._foreign_number:.0f}"
+            number = (
+                "" if self._foreign_number is None else f", of session {self._foreign_number:.0f}"
+            )
             return (
                 f"another controller sends the command frame {command.message.name} (0x{command.identifier:X}){number}; "
                 f"stop that one first"
@@ -83,7 +91,11 @@ class StateFrames:
 
     def silence(self, what: str, receiver: Receiver, waited: float) -> str:
         """What to look at where no frame of a kind has come for `waited` [s]."""
-        why = f"; frames came but were refused: {dict(receiver.rejected)}" if receiver.rejected else ""
+        why = (
+            f"; frames came but were refused: {dict(receiver.rejected)}"
+            if receiver.rejected
+            else ""
+        )
         why += f"; {self.others} frames of other identifiers came" if self.others else ""
         return (
             f"sends no {what} frame within {waited:g} s{why}{self.errors}: is the arm (or `freeflyer facility`) running on this channel, "
@@ -92,7 +104,11 @@ class StateFrames:
 
     def wait(self, timeout: float) -> bool:
         """Wait for a state frame for `timeout` [s], and take the newest of those that are there."""
-        clock, bus, identifier = self._outside.monotonic_ns, self._bus, self._frames.state.identifier
+        clock, bus, identifier = (
+            self._environment.monotonic_ns,
+            self._bus,
+            self._frames.state.identifier,
+        )
         before = clock()
         end = before + max(1, int(timeout * 1e9))
         came, taken = False, 0
@@ -104,7 +120,7 @@ class StateFrames:
             try:
                 message = bus.recv(0.0 if came or left <= 0 else left * 1e-9)
             except can.CanError as error:
-                self.error, message = said(error), None
+                self.error, message = driver_message(error), None
             else:
                 if message is None:
                     self._empty_at = before
@@ -121,12 +137,15 @@ class StateFrames:
                     self._note_other(message)
                     if self.others and self.others % MOST_FRAMES == 0 and not came:
                         # A flood: a loop at real-time priority that never sleeps would be throttled.
-                        self._outside.sleep(min(SLICE, max(left * 1e-9, 0.0)))
+                        self._environment.sleep(min(SLICE, max(left * 1e-9, 0.0)))
             before = now
 
     def _note_other(self, message: can.Message) -> None:
         command = self._frames.command
-        if message.arbitration_id != command.identifier or message.is_extended_id != command.extended:
+        if (
+            message.arbitration_id != command.identifier
+            or message.is_extended_id != command.extended
+        ):
             self.others += 1
             return
         # What this controller has sent itself is given back by some interfaces.
@@ -142,13 +161,13 @@ class StateFrames:
         try:
             return self._bus.recv(max(timeout, 0.0)), False
         except can.CanError as error:
-            self.error = said(error)
+            self.error = driver_message(error)
             return None, True
 
     def drain(self) -> None:
         """Throw away what waits, as far as it is bounded."""
         for _ in range(16 * MOST_FRAMES):
-            before = self._outside.monotonic_ns()
+            before = self._environment.monotonic_ns()
             message, failed = self.receive(0.0)
             if message is None:
                 if not failed:

@@ -47,7 +47,11 @@ def controllers_end(options: LinkOptions) -> Protection | None:
         _rule("robot is told", "egress", QUERIES, [announced, *own]),
     ]
     access = _access({"robot": ({"cert_common_names": [options.robot]}, robot)})
-    return Protection(identity=Identity(options.certificates, options.controller), access=access, listens_for_others=False)
+    return Protection(
+        identity=Identity(options.certificates, options.controller),
+        access=access,
+        listens_for_others=False,
+    )
 
 
 def robots_end(options: LinkOptions) -> Protection | None:
@@ -71,7 +75,11 @@ def robots_end(options: LinkOptions) -> Protection | None:
         "reader": ({"link_protocols": list(ENCRYPTED)}, reader),
         "commander": ({"cert_common_names": list(options.commanders)}, commander),
     })  # fmt: skip
-    return Protection(identity=Identity(options.certificates, options.robot), access=access, listens_for_others=True)
+    return Protection(
+        identity=Identity(options.certificates, options.robot),
+        access=access,
+        listens_for_others=True,
+    )
 
 
 def _keys(options: LinkOptions) -> tuple[str, str, str, list[str]]:
@@ -81,14 +89,21 @@ def _keys(options: LinkOptions) -> tuple[str, str, str, list[str]]:
         for topic in (options.setpoint_topic, options.measured_topic)
     ]
     own = [
-        token(options.domain, options.setpoint_topic, "*") for token in (rmw_zenoh.obedience_token, rmw_zenoh.commander_token)
+        token(options.domain, options.setpoint_topic, "*")
+        for token in (rmw_zenoh.obedience_token, rmw_zenoh.commander_token)
     ]
     return topics[0], topics[1], f"@ros2_lv/{options.domain}/**", own
 
 
 def _rule(who: str, flow: str, messages: Sequence[str], keys: Sequence[str]) -> dict[str, Any]:
     name = f"{who} {', '.join(messages)}"
-    return {"id": name, "permission": "allow", "flows": [flow], "messages": list(messages), "key_exprs": list(keys)}
+    return {
+        "id": name,
+        "permission": "allow",
+        "flows": [flow],
+        "messages": list(messages),
+        "key_exprs": list(keys),
+    }
 
 
 def _access(subjects: Mapping[str, tuple[Mapping[str, Any], list[dict[str, Any]]]]) -> Rules:
@@ -97,5 +112,8 @@ def _access(subjects: Mapping[str, tuple[Mapping[str, Any], list[dict[str, Any]]
         "default_permission": "deny",
         "rules": [rule for _, rules in subjects.values() for rule in rules],
         "subjects": [{"id": name, **of} for name, (of, _) in subjects.items()],
-        "policies": [{"subjects": [name], "rules": [rule["id"] for rule in rules]} for name, (_, rules) in subjects.items()],
+        "policies": [
+            {"subjects": [name], "rules": [rule["id"] for rule in rules]}
+            for name, (_, rules) in subjects.items()
+        ],
     }

@@ -10,7 +10,12 @@ from pathlib import Path
 from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.hashes import SHA256
-from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, load_pem_private_key
+from cryptography.hazmat.primitives.serialization import (
+    Encoding,
+    NoEncryption,
+    PrivateFormat,
+    load_pem_private_key,
+)
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from freeflyer.foundation.errors import CosimError
@@ -38,10 +43,16 @@ class CertificateAuthority:
     def new(cls, folder: Path) -> CertificateAuthority:
         """A new one, with its files in the folder."""
         key = ec.generate_private_key(ec.SECP256R1())
-        name = _name(f"freeflyer authority {x509.random_serial_number():x}"[:40])  # two labs' authorities have two names
+        name = _name(
+            f"freeflyer authority {x509.random_serial_number():x}"[:40]
+        )  # two labs' authorities have two names
         begin = datetime.now(UTC) - EARLIER
-        builder = _builder(name, name, key.public_key(), begin, begin + timedelta(days=AUTHORITY_DAYS))
-        builder = builder.add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+        builder = _builder(
+            name, name, key.public_key(), begin, begin + timedelta(days=AUTHORITY_DAYS)
+        )
+        builder = builder.add_extension(
+            x509.BasicConstraints(ca=True, path_length=0), critical=True
+        )
         builder = builder.add_extension(_key_usage(signs_certificates=True), critical=True)
         certificate = builder.sign(key, SHA256())
         made = cls(key, certificate)
@@ -60,11 +71,20 @@ class CertificateAuthority:
                 f"{error.filename} is not there, so that nothing can be signed; it lies where the authority was made"
             ) from error
         except OSError as error:
-            raise CertificateError(f"{error.filename} cannot be read: {error.strerror or error}") from error
+            raise CertificateError(
+                f"{error.filename} cannot be read: {error.strerror or error}"
+            ) from error
         except (ValueError, TypeError) as error:
-            raise CertificateError(f"{where.certificate} and {where.key} are no certificate and key in PEM") from error
-        if not isinstance(key, ec.EllipticCurvePrivateKey) or key.public_key() != certificate.public_key():
-            raise CertificateError(f"{where.key} is not the key of {where.certificate}; both of one authority are expected")
+            raise CertificateError(
+                f"{where.certificate} and {where.key} are no certificate and key in PEM"
+            ) from error
+        if (
+            not isinstance(key, ec.EllipticCurvePrivateKey)
+            or key.public_key() != certificate.public_key()
+        ):
+            raise CertificateError(
+                f"{where.key} is not the key of {where.certificate}; both of one authority are expected"
+            )
         if certificate.not_valid_after_utc < datetime.now(UTC):
             raise CertificateError(
                 f"{where.certificate} expired on {certificate.not_valid_after_utc:%Y-%m-%d}; a new folder gets a new authority"
@@ -72,22 +92,38 @@ class CertificateAuthority:
         return cls(key, certificate)
 
     def issue(
-        self, identity: Identity, *, days: float, hosts: Sequence[str], may_listen: bool, begin: datetime | None = None
+        self,
+        identity: Identity,
+        *,
+        days: float,
+        hosts: Sequence[str],
+        may_listen: bool,
+        begin: datetime | None = None,
     ) -> x509.Certificate:
         """A new key and certificate, in the folder; it never outlives the authority."""
         key = ec.generate_private_key(ec.SECP256R1())
         begin = begin or datetime.now(UTC) - EARLIER
         end = min(begin + EARLIER + timedelta(days=days), self.certificate.not_valid_after_utc)
-        builder = _builder(_name(identity.name), self.certificate.subject, key.public_key(), begin, end)
-        uses = [ExtendedKeyUsageOID.CLIENT_AUTH, *([ExtendedKeyUsageOID.SERVER_AUTH] if may_listen else [])]
-        builder = builder.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        builder = _builder(
+            _name(identity.name), self.certificate.subject, key.public_key(), begin, end
+        )
+        uses = [
+            ExtendedKeyUsageOID.CLIENT_AUTH,
+            *([ExtendedKeyUsageOID.SERVER_AUTH] if may_listen else []),
+        ]
+        builder = builder.add_extension(
+            x509.BasicConstraints(ca=False, path_length=None), critical=True
+        )
         builder = builder.add_extension(_key_usage(signs_certificates=False), critical=True)
         builder = builder.add_extension(x509.ExtendedKeyUsage(uses), critical=False)
         builder = builder.add_extension(
-            x509.AuthorityKeyIdentifier.from_issuer_public_key(self.key.public_key()), critical=False
+            x509.AuthorityKeyIdentifier.from_issuer_public_key(self.key.public_key()),
+            critical=False,
         )
         if hosts:
-            builder = builder.add_extension(x509.SubjectAlternativeName([general_name(h) for h in hosts]), critical=False)
+            builder = builder.add_extension(
+                x509.SubjectAlternativeName([general_name(h) for h in hosts]), critical=False
+            )
         certificate = builder.sign(self.key, SHA256())
         _write(identity, key, certificate)
         return certificate
@@ -98,7 +134,11 @@ def _name(text: str) -> x509.Name:
 
 
 def _builder(
-    subject: x509.Name, issuer: x509.Name, key: ec.EllipticCurvePublicKey, begin: datetime, end: datetime
+    subject: x509.Name,
+    issuer: x509.Name,
+    key: ec.EllipticCurvePublicKey,
+    begin: datetime,
+    end: datetime,
 ) -> x509.CertificateBuilder:
     return (
         x509.CertificateBuilder()
@@ -126,7 +166,9 @@ def _key_usage(*, signs_certificates: bool) -> x509.KeyUsage:
     )
 
 
-def _write(identity: Identity, key: ec.EllipticCurvePrivateKey, certificate: x509.Certificate) -> None:
+def _write(
+    identity: Identity, key: ec.EllipticCurvePrivateKey, certificate: x509.Certificate
+) -> None:
     pem = key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
     write_whole(identity.key, lambda partial: _write_private(partial, pem))
     data = certificate.public_bytes(Encoding.PEM)

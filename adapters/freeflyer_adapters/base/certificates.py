@@ -15,7 +15,11 @@ from pathlib import Path
 
 from cryptography import x509
 from cryptography.exceptions import InvalidSignature
-from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat, load_pem_private_key
+from cryptography.hazmat.primitives.serialization import (
+    Encoding,
+    PublicFormat,
+    load_pem_private_key,
+)
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from freeflyer.foundation.suggestions import did_you_mean
@@ -47,11 +51,15 @@ class Identity:
         return self.folder / f"{self.name}.key"
 
 
-def check(identity: Identity, subject: str, *, hosts: Sequence[str] = (), listens: bool = False) -> x509.Certificate:
+def check(
+    identity: Identity, subject: str, *, hosts: Sequence[str] = (), listens: bool = False
+) -> x509.Certificate:
     """The certificate, if it can be used to connect (and to listen on `hosts`); else DeviceError with the reason."""
     folder = identity.folder
     if not folder.is_dir():
-        raise DeviceError(f"{subject}: there is no folder of certificates {folder}; {remedy(folder, identity.name)}")
+        raise DeviceError(
+            f"{subject}: there is no folder of certificates {folder}; {remedy(folder, identity.name)}"
+        )
     authorities = _certificates(identity.authority, subject)
     chain = _certificates(identity.certificate, subject)
     found = chain[0]
@@ -61,14 +69,21 @@ def check(identity: Identity, subject: str, *, hosts: Sequence[str] = (), listen
             f"{where} is that of {common_name(found)!r}, but access goes by names, and {identity.name!r} is expected"
         )
     _check_key(identity, found, subject)
-    _check_dates(authorities[0], f"{subject}: the authority's certificate {identity.authority}", "a new authority is needed")
+    _check_dates(
+        authorities[0],
+        f"{subject}: the authority's certificate {identity.authority}",
+        "a new authority is needed",
+    )
     _check_dates(found, where, remedy_of_age(identity))
     if not is_issued(chain, authorities):
         raise DeviceError(
             f"{where} was not signed by the authority of {identity.authority} (its issuer calls itself "
             f"{found.issuer.rfc4514_string()!r}); one from there is expected"
         )
-    needed = [ExtendedKeyUsageOID.CLIENT_AUTH, *([ExtendedKeyUsageOID.SERVER_AUTH] if listens else [])]
+    needed = [
+        ExtendedKeyUsageOID.CLIENT_AUTH,
+        *([ExtendedKeyUsageOID.SERVER_AUTH] if listens else []),
+    ]
     for use in needed:
         if not _is_for(found, use):
             raise DeviceError(
@@ -133,7 +148,11 @@ def is_issued(chain: Sequence[x509.Certificate], authorities: Sequence[x509.Cert
     for i, certificate in enumerate(chain):
         if any(_signed(certificate, authority) for authority in authorities):
             return True
-        if i + 1 == len(chain) or not _is_authority(chain[i + 1]) or not _signed(certificate, chain[i + 1]):
+        if (
+            i + 1 == len(chain)
+            or not _is_authority(chain[i + 1])
+            or not _signed(certificate, chain[i + 1])
+        ):
             return False
     return False
 
@@ -165,8 +184,14 @@ def _read(path: Path, subject: str) -> bytes:
         return path.read_bytes()
     except FileNotFoundError:
         others = [found.stem for found in path.parent.glob("*.pem") if found.stem != AUTHORITY]
-        near = did_you_mean(path.stem, others) if path.suffix == ".pem" and path.stem != AUTHORITY else ""
-        raise DeviceError(f"{subject}: there is no file {path}{near or '; ' + _made(path)}") from None
+        near = (
+            did_you_mean(path.stem, others)
+            if path.suffix == ".pem" and path.stem != AUTHORITY
+            else ""
+        )
+        raise DeviceError(
+            f"{subject}: there is no file {path}{near or '; ' + _made(path)}"
+        ) from None
     except OSError as error:
         raise DeviceError(f"{subject}: {path} cannot be read: {error.strerror or error}") from error
 
@@ -181,7 +206,9 @@ def _certificates(path: Path, subject: str) -> list[x509.Certificate]:
     try:
         return x509.load_pem_x509_certificates(_read(path, subject))
     except ValueError as error:
-        raise DeviceError(f"{subject}: {path} is no certificate in PEM ('-----BEGIN CERTIFICATE-----')") from error
+        raise DeviceError(
+            f"{subject}: {path} is no certificate in PEM ('-----BEGIN CERTIFICATE-----')"
+        ) from error
 
 
 def _check_key(identity: Identity, certificate: x509.Certificate, subject: str) -> None:
@@ -189,7 +216,9 @@ def _check_key(identity: Identity, certificate: x509.Certificate, subject: str) 
     data = _read(path, subject)
     mode = stat.S_IMODE(path.stat().st_mode)
     if mode & 0o077:
-        raise DeviceError(f"{subject}: key {path} can be used by others (mode {mode:04o}); `chmod 600 {path}` keeps it to you")
+        raise DeviceError(
+            f"{subject}: key {path} can be used by others (mode {mode:04o}); `chmod 600 {path}` keeps it to you"
+        )
     try:
         key = load_pem_private_key(data, password=None)
     except TypeError as error:
@@ -197,7 +226,9 @@ def _check_key(identity: Identity, certificate: x509.Certificate, subject: str) 
             f"{subject}: key {path} is under a passphrase, which nobody could be asked for; one without is expected"
         ) from error
     except Exception as error:
-        raise DeviceError(f"{subject}: {path} is no private key in PEM ('-----BEGIN PRIVATE KEY-----')") from error
+        raise DeviceError(
+            f"{subject}: {path} is no private key in PEM ('-----BEGIN PRIVATE KEY-----')"
+        ) from error
     form = (Encoding.DER, PublicFormat.SubjectPublicKeyInfo)
     if key.public_key().public_bytes(*form) != certificate.public_key().public_bytes(*form):
         raise DeviceError(
@@ -206,7 +237,11 @@ def _check_key(identity: Identity, certificate: x509.Certificate, subject: str) 
 
 
 def _check_dates(certificate: x509.Certificate, where: str, then: str) -> None:
-    now, begin, end = datetime.now(UTC), certificate.not_valid_before_utc, certificate.not_valid_after_utc
+    now, begin, end = (
+        datetime.now(UTC),
+        certificate.not_valid_before_utc,
+        certificate.not_valid_after_utc,
+    )
     if now > end:
         raise DeviceError(f"{where} expired on {end:%Y-%m-%d %H:%M} UTC; {then}")
     if now < begin:

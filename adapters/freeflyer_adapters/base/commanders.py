@@ -16,7 +16,10 @@ def announce(session: Any, options: LinkOptions) -> list[Any]:
     """The tokens, which live as long as the session; none on a link without certificates."""
     if options.certificates is None:
         return []
-    keys = [rmw_zenoh.commander_token(options.domain, options.setpoint_topic, name) for name in options.commanders]
+    keys = [
+        rmw_zenoh.commander_token(options.domain, options.setpoint_topic, name)
+        for name in options.commanders
+    ]
     return [session.liveliness().declare_token(key) for key in keys]
 
 
@@ -24,7 +27,9 @@ def announced(session: Any, options: LinkOptions) -> list[str]:
     """Whom the base robot lets command; empty if it does not tell."""
     key = rmw_zenoh.commander_token(options.domain, options.setpoint_topic, "*")
     replies = session.liveliness().get(key, timeout=1.0)
-    return sorted(str(reply.ok.key_expr).rsplit("/", 1)[1] for reply in replies if reply.ok is not None)
+    return sorted(
+        str(reply.ok.key_expr).rsplit("/", 1)[1] for reply in replies if reply.ok is not None
+    )
 
 
 def refusal(session: Any, options: LinkOptions, subject: str) -> str | None:

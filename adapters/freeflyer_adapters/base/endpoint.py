@@ -8,7 +8,14 @@ from dataclasses import dataclass
 ENCRYPTED = ("tls", "quic")
 LOCAL = ("unixsock-stream", "unixpipe")
 """Within one machine by their nature."""
-TLS_KEYS = ("root_ca_", "listen_", "connect_", "enable_mtls", "verify_name_on_connect", "close_link_on_expiration")
+TLS_KEYS = (
+    "root_ca_",
+    "listen_",
+    "connect_",
+    "enable_mtls",
+    "verify_name_on_connect",
+    "close_link_on_expiration",
+)
 
 
 @dataclass(frozen=True)
@@ -54,7 +61,9 @@ class Endpoint:
             return True
         address = self._number
         mapped = getattr(address, "ipv4_mapped", None)
-        return address is not None and (address.is_loopback or (mapped is not None and mapped.is_loopback))
+        return address is not None and (
+            address.is_loopback or (mapped is not None and mapped.is_loopback)
+        )
 
     @property
     def is_every_interface(self) -> bool:

@@ -18,10 +18,16 @@ from freeflyer_adapters.base.options import LinkOptions
 from freeflyer_adapters.base.peer_clock import PeerClock
 from freeflyer_adapters.base.rmw_zenoh import Attachment, AttachmentError
 from freeflyer_adapters.base.ros_messages import MessageError, Odometry, OdometryWriter
-from freeflyer_adapters.base.sealed_odometry import checksum, is_intact, is_sealable, is_sealed, sealed
-from freeflyer_adapters.base.session import said
+from freeflyer_adapters.base.sealed_odometry import (
+    checksum,
+    is_intact,
+    is_sealable,
+    is_sealed,
+    sealed,
+)
+from freeflyer_adapters.base.session import zenoh_message
 from freeflyer_adapters.device.device import DeviceError
-from freeflyer_adapters.foundation import environment as outside
+from freeflyer_adapters.foundation import environment
 from freeflyer_adapters.foundation.pose import twist_rotated
 
 LONGEST_QUERY = 0.5
@@ -35,7 +41,9 @@ LARGEST = 1e4
 def is_usable(odometry: Odometry) -> bool:
     """Numbers that can be a pose and a twist, and an orientation that is one."""
     # In this order NaN fails the comparison.
-    possible = (np.abs(odometry.position) < LARGEST).all() and (np.abs(odometry.velocity) < LARGEST).all()
+    possible = (np.abs(odometry.position) < LARGEST).all() and (
+        np.abs(odometry.velocity) < LARGEST
+    ).all()
     return bool(possible) and 0.98 < float(odometry.orientation @ odometry.orientation) < 1.02
 
 
@@ -84,10 +92,10 @@ class OdometryLink:
 
     def __post_init__(self) -> None:
         o = self.options
-        self._outside = outside.present()
+        self._environment = environment.present()
         self._session_id = str(self.session.zid())
         # The wall clock is a label: a step of it does not show in what is sent.
-        self._wall = self._outside.time_ns() - self._outside.monotonic_ns()
+        self._wall = self._environment.time_ns() - self._environment.monotonic_ns()
         self._publisher: Any = None
         self._gid = b""
         self._entities = itertools.count(2)
@@ -108,12 +116,16 @@ class OdometryLink:
         self._is_sealed = False
         """Whether the source's samples have a checksum; then all of them have."""
         try:
-            self._subscriber = self.session.declare_subscriber(self._key(self.in_topic), zenoh.handlers.RingChannel(1))
-            self._tokens.append(self.session.liveliness().declare_token(self._token(self.in_topic, "MS", 1)))
+            self._subscriber = self.session.declare_subscriber(
+                self._key(self.in_topic), zenoh.handlers.RingChannel(1)
+            )
+            self._tokens.append(
+                self.session.liveliness().declare_token(self._token(self.in_topic, "MS", 1))
+            )
             if self.publishes:
                 self.begin_publishing()
         except zenoh.ZError as error:
-            raise DeviceError(f"Zenoh refuses a topic: {said(error)}") from error
+            raise DeviceError(f"Zenoh refuses a topic: {zenoh_message(error)}") from error
 
     def begin_publishing(self) -> None:
         """A new publisher: one that was never obeyed before."""
@@ -136,7 +148,9 @@ class OdometryLink:
                     declared.undeclare()
 
     def _key(self, topic: str) -> str:
-        return rmw_zenoh.topic_key(self.options.domain, topic, ros_messages.TYPE_NAME, ros_messages.TYPE_HASH)
+        return rmw_zenoh.topic_key(
+            self.options.domain, topic, ros_messages.TYPE_NAME, ros_messages.TYPE_HASH
+        )
 
     def _token(self, topic: str, kind: str, entity: int) -> str:
         return rmw_zenoh.liveliness_token(
@@ -162,7 +176,9 @@ class OdometryLink:
     def publishers(self, topic: str) -> list[str]:
         """Sessions, other than this one, that announce to publish a topic."""
         found = set()
-        for reply in self.session.liveliness().get(self._announcements_of(topic), timeout=LONGEST_QUERY):
+        for reply in self.session.liveliness().get(
+            self._announcements_of(topic), timeout=LONGEST_QUERY
+        ):
             if reply.ok is not None:
                 found.add(rmw_zenoh.session_of(str(reply.ok.key_expr)))
         return sorted(found - {self._session_id})
@@ -175,7 +191,12 @@ class OdometryLink:
         """From now on `new_publisher` reports further publishers of both topics."""
         liveliness = self.session.liveliness()
         self._announcements = [
-            (topic, liveliness.declare_subscriber(self._announcements_of(topic), zenoh.handlers.FifoChannel(64)))
+            (
+                topic,
+                liveliness.declare_subscriber(
+                    self._announcements_of(topic), zenoh.handlers.FifoChannel(64)
+                ),
+            )
             for topic in (self.in_topic, self.out_topic)
         ]
 
@@ -199,7 +220,7 @@ class OdometryLink:
 
     def publish(self, position: Array, orientation: Array, velocity: Array) -> None:
         """Pose of B in I and twist in I (which goes out in B)."""
-        stamp = self._outside.monotonic_ns() + self._wall
+        stamp = self._environment.monotonic_ns() + self._wall
         self._sequence += 1
         twist = twist_rotated(orientation, velocity, back=True)
         while True:
@@ -218,14 +239,17 @@ class OdometryLink:
             self._publisher.put(payload, attachment=attachment)
         except zenoh.ZError as error:
             self.counts.failed += 1
-            self.counts.last_fault = said(error)
+            self.counts.last_fault = zenoh_message(error)
 
     def take(self) -> tuple[bytes, bytes] | None:
         """Payload and attachment of the freshest sample since the last call; never waits."""
         sample = self._subscriber.try_recv()
         if sample is None:
             return None
-        return sample.payload.to_bytes(), b"" if sample.attachment is None else sample.attachment.to_bytes()
+        return (
+            sample.payload.to_bytes(),
+            b"" if sample.attachment is None else sample.attachment.to_bytes(),
+        )
 
     def obeyed(self) -> str | None:
         """Whose set points the base robot takes: a GID, NOBODY, or None from one that does not tell."""
@@ -236,12 +260,16 @@ class OdometryLink:
             if reply.ok is not None
         ]
         # While the token changes there may be two; somebody's name says more than nobody's.
-        return next((whom for whom in found if whom != rmw_zenoh.NOBODY), found[0] if found else None)
+        return next(
+            (whom for whom in found if whom != rmw_zenoh.NOBODY), found[0] if found else None
+        )
 
     def watch_obedience(self) -> None:
         """From now on `obedience` reports whether the base robot obeys this publisher."""
         key = rmw_zenoh.obedience_token(self.options.domain, self.options.setpoint_topic, self.gid)
-        self._obeyed_tokens = self.session.liveliness().declare_subscriber(key, zenoh.handlers.FifoChannel(64))
+        self._obeyed_tokens = self.session.liveliness().declare_subscriber(
+            key, zenoh.handlers.FifoChannel(64)
+        )
 
     def obedience(self) -> bool | None:
         """What the base robot has reported since the last call: True, it obeys this publisher; False, it has ceased to; None: nothing.
@@ -278,7 +306,10 @@ class OdometryLink:
             odometry = ros_messages.read(payload)
         except (AttachmentError, MessageError) as error:
             return self._refused(str(error))
-        frames, expected = (odometry.frame, odometry.child_frame), (self.options.frame, self.options.child_frame)
+        frames, expected = (
+            (odometry.frame, odometry.child_frame),
+            (self.options.frame, self.options.child_frame),
+        )
         if frames != expected:
             return self._refused(
                 f"a pose of {frames[1]!r} in {frames[0]!r} (child_frame_id, header.frame_id); {expected[1]!r} in {expected[0]!r} is "
@@ -287,8 +318,10 @@ class OdometryLink:
         if self._source is not None and attachment.gid != self._source:
             self._note_other_source(attachment.gid)
             return None
-        last, arrived = self._last, self._outside.monotonic_ns()
-        if last is not None and (attachment.sequence <= last.sequence or attachment.stamp == last.stamp):
+        last, arrived = self._last, self._environment.monotonic_ns()
+        if last is not None and (
+            attachment.sequence <= last.sequence or attachment.stamp == last.stamp
+        ):
             self.counts.stale += 1
             self.counts.last_fault = f"sequence number {attachment.sequence} after {last.sequence}, its stamp {(attachment.stamp - last.stamp) * 1e-9:.6g} s later"
             return None
@@ -323,7 +356,9 @@ class OdometryLink:
 
     def _note_other_source(self, gid: bytes) -> None:
         self.counts.other_sources += 1
-        self.counts.last_fault = f"a sample from {gid.hex()}, {self._source.hex() if self._source else ''} is in use"
+        self.counts.last_fault = (
+            f"a sample from {gid.hex()}, {self._source.hex() if self._source else ''} is in use"
+        )
         self._other_source = gid
         if not self._turns or self._turns[-1] != self.counts.accepted:
             self._turns.append(self.counts.accepted)

@@ -35,7 +35,9 @@ def _of_link(options: LinkOptions, as_robot: bool) -> Iterator[str]:
         if endpoint.is_every_interface:
             yield f"{endpoint.text} listens on every interface of this machine"
     if options.certificates is not None:
-        yield from _of_certificate(Identity(options.certificates, options.robot if as_robot else options.controller))
+        yield from _of_certificate(
+            Identity(options.certificates, options.robot if as_robot else options.controller)
+        )
 
 
 def _of_certificate(identity: Identity) -> Iterator[str]:

@@ -48,30 +48,46 @@ def check(options: LinkOptions, subject: str) -> None:
     """DeviceError for an endpoint or a topic that cannot be."""
     for key in ("connect", "listen"):
         endpoints = getattr(options, key)
-        if isinstance(endpoints, str) or not all(isinstance(e, str) and "/" in e for e in endpoints):
+        if isinstance(endpoints, str) or not all(
+            isinstance(e, str) and "/" in e for e in endpoints
+        ):
             raise DeviceError(
                 f"{subject}: {key} is {endpoints!r}; a list of endpoints such as 'tcp/127.0.0.1:7447' is expected"
             )
     if not options.listen:
-        raise DeviceError(f"{subject}: listen is empty, and Zenoh would listen on every interface; name an endpoint")
+        raise DeviceError(
+            f"{subject}: listen is empty, and Zenoh would listen on every interface; name an endpoint"
+        )
     for text in (*options.connect, *options.listen):
         _check_endpoint(Endpoint(text), options, subject)
     if options.certificates is not None and options.insecure:
-        raise DeviceError(f"{subject}: insecure = true and certificates exclude each other; leave one of them out")
-    for key, names in (("controller", [options.controller]), ("robot", [options.robot]), ("commanders", options.commanders)):
+        raise DeviceError(
+            f"{subject}: insecure = true and certificates exclude each other; leave one of them out"
+        )
+    for key, names in (
+        ("controller", [options.controller]),
+        ("robot", [options.robot]),
+        ("commanders", options.commanders),
+    ):
         for name in names:
             if not isinstance(name, str) or not NAME.fullmatch(name) or name == AUTHORITY:
                 raise DeviceError(
                     f"{subject}: {key} is {name!r}; the name of a certificate is expected: up to 64 letters, digits, '_', '.' and '-'"
                 )
     if not options.commanders:
-        raise DeviceError(f"{subject}: commanders is empty, and nobody could command; the name of a certificate is expected")
+        raise DeviceError(
+            f"{subject}: commanders is empty, and nobody could command; the name of a certificate is expected"
+        )
     if options.robot in options.commanders:
-        raise DeviceError(f"{subject}: {options.robot!r} is both robot and commander; a certificate for each is expected")
+        raise DeviceError(
+            f"{subject}: {options.robot!r} is both robot and commander; a certificate for each is expected"
+        )
     for key in ("setpoint_topic", "measured_topic"):
         topic = getattr(options, key)
         if not isinstance(topic, str) or not rmw_zenoh.TOPIC.fullmatch(topic):
-            raise DeviceError(f"{subject}: {key} is {topic!r}, no valid key expression of a ROS topic; 'name/name' is expected")
+            raise DeviceError(
+                f"{subject}: {key} is {topic!r}, no valid key expression of a ROS topic; 'name/name' is expected"
+            )
     if not options.connect:
         raise DeviceError(
             f"{subject}: connect is empty, and nobody would be met; name the endpoint of the base robot or a router"
@@ -83,9 +99,13 @@ def check(options: LinkOptions, subject: str) -> None:
     for key in ("frame", "child_frame"):
         frame = getattr(options, key)
         if not frame or len(frame.encode()) > LONGEST_FRAME or "\0" in frame:
-            raise DeviceError(f"{subject}: {key} is {frame[:40]!r}; a frame name of 1 to {LONGEST_FRAME} bytes is expected")
+            raise DeviceError(
+                f"{subject}: {key} is {frame[:40]!r}; a frame name of 1 to {LONGEST_FRAME} bytes is expected"
+            )
     if not isinstance(options.domain, int) or not 0 <= options.domain <= 232:
-        raise DeviceError(f"{subject}: domain is {options.domain!r}; a ROS domain from 0 to 232 is expected")
+        raise DeviceError(
+            f"{subject}: domain is {options.domain!r}; a ROS domain from 0 to 232 is expected"
+        )
 
 
 def _check_endpoint(endpoint: Endpoint, options: LinkOptions, subject: str) -> None:
@@ -95,15 +115,23 @@ def _check_endpoint(endpoint: Endpoint, options: LinkOptions, subject: str) -> N
         "make certificates with `freeflyer certificates DIR`, name them by certificates = 'DIR'",
     )
     if not endpoint.is_complete:
-        raise DeviceError(f"{where} is not whole; PROTOCOL/HOST:PORT is expected, such as tls/192.0.2.10:7447")
+        raise DeviceError(
+            f"{where} is not whole; PROTOCOL/HOST:PORT is expected, such as tls/192.0.2.10:7447"
+        )
     if endpoint.says_its_own_tls:
-        raise DeviceError(f"{where} brings TLS settings of its own, past those of the device; leave out what follows '#'")
+        raise DeviceError(
+            f"{where} brings TLS settings of its own, past those of the device; leave out what follows '#'"
+        )
     if options.certificates is not None and not endpoint.is_encrypted:
-        raise DeviceError(f"{where} is not encrypted, but the device has certificates; tls/{endpoint.address} is expected")
+        raise DeviceError(
+            f"{where} is not encrypted, but the device has certificates; tls/{endpoint.address} is expected"
+        )
     if options.certificates is None and endpoint.is_encrypted:
         raise DeviceError(f"{where} is encrypted, but no certificates are named; {how}")
     if options.certificates is None and endpoint.is_every_interface:
-        raise DeviceError(f"{where} is every interface of this machine, which nobody may listen on without certificates; {how}")
+        raise DeviceError(
+            f"{where} is every interface of this machine, which nobody may listen on without certificates; {how}"
+        )
     if not (options.certificates or options.insecure or endpoint.is_within_this_machine):
         raise DeviceError(
             f"{where} leaves this machine without encryption, and whoever reaches it could command the robot; {how} "
@@ -122,7 +150,9 @@ def options_from(name: str, raw: Mapping[str, Any], directory: Path) -> LinkOpti
     controller = checked(name, raw, "controller", str, defaults.controller)
     options = LinkOptions(
         connect=checked(name, raw, "connect", list, list(defaults.connect)),
-        listen=checked(name, raw, "listen", list, ["tls/127.0.0.1:0"] if folder else list(defaults.listen)),
+        listen=checked(
+            name, raw, "listen", list, ["tls/127.0.0.1:0"] if folder else list(defaults.listen)
+        ),
         certificates=directory / Path(folder).expanduser() if folder else None,
         controller=controller,
         robot=checked(name, raw, "robot", str, name),

@@ -55,11 +55,21 @@ def mangled(name: str) -> str:
 
 
 def liveliness_token(
-    *, domain: int, session: str, entity: int, kind: str, node: str, topic: str, type_name: str, type_hash: str
+    *,
+    domain: int,
+    session: str,
+    entity: int,
+    kind: str,
+    node: str,
+    topic: str,
+    type_name: str,
+    type_hash: str,
 ) -> str:
     """The key of the token that announces a publisher (kind MP) or a subscription (MS)."""
     parts = ["@ros2_lv", str(domain), session, "0", str(entity), kind, "%", "%", node]
-    return "/".join([*parts, mangled("/" + topic.strip("/")), mangled(type_name), type_hash, QOS_SENSOR_DATA])
+    return "/".join(
+        [*parts, mangled("/" + topic.strip("/")), mangled(type_name), type_hash, QOS_SENSOR_DATA]
+    )
 
 
 def obedience_token(domain: int, topic: str, whom: str) -> str:

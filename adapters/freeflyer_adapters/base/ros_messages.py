@@ -66,7 +66,9 @@ class OdometryWriter:
 def read(data: bytes) -> Odometry:
     """Any Odometry, of either byte order; its numbers as they came, finite or not. MessageError if the bytes are none."""
     if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
-        raise MessageError(f"the encapsulation is {data[:4].hex()}; CDR (00 00 or 00 01) is expected")
+        raise MessageError(
+            f"the encapsulation is {data[:4].hex()}; CDR (00 00 or 00 01) is expected"
+        )
     order = "<" if data[1] else ">"
     seconds, nanoseconds = _take(order + "iI", data, 4)
     if not 0 <= nanoseconds < 1_000_000_000:

@@ -12,10 +12,15 @@ from freeflyer_adapters.base import certificates
 from freeflyer_adapters.base.access_control import Protection
 from freeflyer_adapters.base.endpoint import Endpoint
 from freeflyer_adapters.device.device import DeviceError
-from freeflyer_adapters.foundation import environment as outside
+from freeflyer_adapters.foundation import environment
 
 
-def open_session(connect: Sequence[str], listen: Sequence[str], subject: str, protection: Protection | None = None) -> Any:
+def open_session(
+    connect: Sequence[str],
+    listen: Sequence[str],
+    subject: str,
+    protection: Protection | None = None,
+) -> Any:
     """A peer. DeviceError if the endpoints or the certificates cannot be used."""
     settings: dict[str, Any] = {
         "mode": "peer",
@@ -31,20 +36,24 @@ def open_session(connect: Sequence[str], listen: Sequence[str], subject: str, pr
     if protection is not None:
         listeners = [Endpoint(text) for text in listen] if protection.listens_for_others else []
         hosts = [e.host for e in listeners if not e.is_every_interface]
-        certificates.check(protection.identity, subject, hosts=hosts, listens=protection.listens_for_others)
+        certificates.check(
+            protection.identity, subject, hosts=hosts, listens=protection.listens_for_others
+        )
         settings |= _protected(protection)
     config = zenoh.Config()
     for key, value in settings.items():
         try:
             config.insert_json5(key, json.dumps(value))
         except zenoh.ZError as error:
-            raise DeviceError(f"{subject}: Zenoh refuses {key} = {value!r}: {said(error)}") from error
+            raise DeviceError(
+                f"{subject}: Zenoh refuses {key} = {value!r}: {zenoh_message(error)}"
+            ) from error
     try:
-        return outside.present().session(config)
+        return environment.present().session(config)
     except zenoh.ZError as error:
         raise DeviceError(
             f"{subject}: a Zenoh session (listening on {', '.join(listen)}, connecting to {', '.join(connect) or 'nobody'}) cannot be "
-            f"opened: {said(error)}"
+            f"opened: {zenoh_message(error)}"
         ) from error
 
 
@@ -62,6 +71,6 @@ def _protected(protection: Protection) -> Mapping[str, Any]:
     }
 
 
-def said(error: Exception) -> str:
+def zenoh_message(error: Exception) -> str:
     """Zenoh's reason without its source lines."""
     return " ".join(str(error).split(" at ")[0].split())[:200]

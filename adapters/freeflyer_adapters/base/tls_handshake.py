@@ -55,7 +55,10 @@ def trouble(endpoint: Endpoint, identity: Identity | None, peer: str | None) -> 
         except ssl.SSLCertVerificationError as error:
             return _not_trusted(endpoint, error)
         except ssl.SSLError as error:
-            return _alert(endpoint, error) or f"what listens on {endpoint.text} does not speak TLS ({_reason(error)})"
+            return (
+                _alert(endpoint, error)
+                or f"what listens on {endpoint.text} does not speak TLS ({_reason(error)})"
+            )
         except TimeoutError:
             return f"what listens on {endpoint.text} does not speak TLS (plain TCP, most likely)"
         except OSError as error:
@@ -106,7 +109,10 @@ def _reason(error: ssl.SSLError) -> str:
 def _alert(endpoint: Endpoint, error: ssl.SSLError) -> str | None:
     found = str(error.reason or "")
     meaning = next((text for name, text in ALERTS.items() if found.endswith(name)), None)
-    return meaning and f"{endpoint.text} refuses our certificate: {meaning} (TLS alert: {_reason(error)})"
+    return (
+        meaning
+        and f"{endpoint.text} refuses our certificate: {meaning} (TLS alert: {_reason(error)})"
+    )
 
 
 def _not_trusted(endpoint: Endpoint, error: ssl.SSLCertVerificationError) -> str:
@@ -115,9 +121,13 @@ def _not_trusted(endpoint: Endpoint, error: ssl.SSLCertVerificationError) -> str
     if error.verify_code in ANOTHER_AUTHORITY:
         return f"{what} was signed by another authority than ours: it is a stranger's, or made with another `freeflyer certificates`"
     if error.verify_code == EXPIRED:
-        return f"{what} has expired" + (f" on {found.not_valid_after_utc:%Y-%m-%d %H:%M} UTC" if found else "")
+        return f"{what} has expired" + (
+            f" on {found.not_valid_after_utc:%Y-%m-%d %H:%M} UTC" if found else ""
+        )
     if error.verify_code == NOT_YET:
-        return f"{what} is not valid yet" + (f", but from {found.not_valid_before_utc:%Y-%m-%d %H:%M} UTC" if found else "")
+        return f"{what} is not valid yet" + (
+            f", but from {found.not_valid_before_utc:%Y-%m-%d %H:%M} UTC" if found else ""
+        )
     if error.verify_code in (OTHER_NAME, OTHER_ADDRESS):
         known = f"for {', '.join(hosts_of(found)) or 'no host'}, " if found else ""
         return f"{what} is {known}not for {endpoint.host}; `freeflyer certificates DIR --renew NAME --host {endpoint.host}` makes one"

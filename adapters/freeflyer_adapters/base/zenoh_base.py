@@ -23,7 +23,7 @@ from freeflyer_adapters.device.device import DeviceError, LifeCycle, SafeStop, S
 from freeflyer_adapters.device.limits import BaseLimits
 from freeflyer_adapters.device.permit import Permit
 from freeflyer_adapters.device.quality import QualityMonitor
-from freeflyer_adapters.foundation import environment as outside
+from freeflyer_adapters.foundation import environment
 from freeflyer_adapters.foundation.histogram import Histogram
 from freeflyer_adapters.foundation.pacing import Pacer
 from freeflyer_adapters.foundation.pose import distance, twist_rotated
@@ -43,18 +43,28 @@ class ZenohBase:
     def __init__(self, name: str, options: LinkOptions) -> None:
         self.name, self.options = name, options
         self.state = State(name)
-        self._outside = outside.present()
+        self._environment = environment.present()
         ports = [
             *all_settings.ports(all_settings.BASE),
             Port(name="position_setpoint", size=3, causality="input", units=("m",) * 3),
-            Port(name="orientation_setpoint", size=4, causality="input", units=("1",) * 4, start=(0.0, 0.0, 0.0, 1.0)),
+            Port(
+                name="orientation_setpoint",
+                size=4,
+                causality="input",
+                units=("1",) * 4,
+                start=(0.0, 0.0, 0.0, 1.0),
+            ),
             Port(name="velocity_setpoint", size=6, causality="input", units=TWIST),
             Port(name="base_position", size=3, causality="output", units=("m",) * 3, sampled=True),
-            Port(name="base_orientation", size=4, causality="output", units=("1",) * 4, sampled=True),
+            Port(
+                name="base_orientation", size=4, causality="output", units=("1",) * 4, sampled=True
+            ),
             Port(name="base_velocity", size=6, causality="output", units=TWIST, sampled=True),
         ]
         self.ports: Mapping[str, Port] = {port.name: port for port in ports}
-        self.values: Mapping[str, Array] = {port.name: np.array(port.start or (0.0,) * port.size) for port in ports}
+        self.values: Mapping[str, Array] = {
+            port.name: np.array(port.start or (0.0,) * port.size) for port in ports
+        }
         self.age = Histogram()
         """Of every sample when it is read; it tells something only where both clocks are one."""
         self.published = 0
@@ -86,11 +96,15 @@ class ZenohBase:
         v, o = self.values, self.options
         all_settings.check(self.name, all_settings.BASE, v)
         if not v["start_orientation"].any():
-            raise DeviceError(f"{self.name}.start_orientation is all zero; a quaternion x, y, z, w of norm one is expected")
+            raise DeviceError(
+                f"{self.name}.start_orientation is all zero; a quaternion x, y, z, w of norm one is expected"
+            )
         cycle = float(v["cycle"][0])
         self._ratio = round(cycle / self.step)
         if self._ratio < 1 or abs(self._ratio * self.step - cycle) > 1e-9:
-            raise DeviceError(f"{self.name}: its cycle of {cycle:g} s is no multiple of its step of {self.step:g} s")
+            raise DeviceError(
+                f"{self.name}: its cycle of {cycle:g} s is no multiple of its step of {self.step:g} s"
+            )
         if v["watchdog"][0] < 2.0 * cycle:
             raise DeviceError(
                 f"{self.name}.watchdog is {v['watchdog'][0]:g} s; two cycles of set points or more are expected, {2.0 * cycle:g} s"
@@ -105,8 +119,12 @@ class ZenohBase:
         )
         self._late = round(PATIENCE * cycle * 1e9)
         self._age_limit = round(float(v["age_limit"][0]) * 1e9)
-        self._session = open_session(o.connect, o.listen, self.name, access_control.controllers_end(o))
-        self._link = link = OdometryLink(self._session, o, o.setpoint_topic, o.measured_topic, publishes=False)
+        self._session = open_session(
+            o.connect, o.listen, self.name, access_control.controllers_end(o)
+        )
+        self._link = link = OdometryLink(
+            self._session, o, o.setpoint_topic, o.measured_topic, publishes=False
+        )
         self.permit = self._new_permit()
         self._observe(LISTEN)
         if refused := commanders.refusal(self._session, o, self.name):
@@ -128,27 +146,37 @@ class ZenohBase:
 
     def _new_permit(self) -> Permit:
         # A base robot reports no life cycle: after a hold-up nothing is sent any more, not even a set point to hold.
-        return Permit("the base robot", watchdog=round(float(self.values["watchdog"][0]) * 1e9), reports_state=False)
+        return Permit(
+            "the base robot",
+            watchdog=round(float(self.values["watchdog"][0]) * 1e9),
+            reports_state=False,
+        )
 
     def _observe(self, samples: int, meanwhile: Callable[[], bool] = lambda: False) -> None:
         """So many samples, or fewer if the user stops; nothing is published. DeviceError for silence, and for a second publisher."""
         assert self._link is not None
         v, o, link = self.values, self.options, self._link
-        end = self._outside.monotonic() + float(v["configure_timeout"][0])
+        end = self._environment.monotonic() + float(v["configure_timeout"][0])
         for _ in range(samples):
             while not self._take():
                 if meanwhile():
                     return
-                if self._outside.monotonic() > end:
-                    why = f"; samples came but were refused: {link.counts.last_fault}" if link.counts.last_fault else ""
+                if self._environment.monotonic() > end:
+                    why = (
+                        f"; samples came but were refused: {link.counts.last_fault}"
+                        if link.counts.last_fault
+                        else ""
+                    )
                     why = why or link_diagnosis.why_silent(self._session, o)
                     raise DeviceError(
                         f"{self.name} sends nothing on topic {o.measured_topic} by way of {', '.join(o.connect)} within "
                         f"{v['configure_timeout'][0]:g} s{why}"
                     )
-                self._outside.sleep(0.001)
+                self._environment.sleep(0.001)
             if link.second_source:
-                raise DeviceError(f"{self.name}: {link.second_source}: two base robots; stop one of them")
+                raise DeviceError(
+                    f"{self.name}: {link.second_source}: two base robots; stop one of them"
+                )
 
     def _refuse_another_controller(self) -> str | None:
         """Which publisher the base obeys, where it reports that; DeviceError if that is another one."""
@@ -182,7 +210,10 @@ class ZenohBase:
 
     @property
     def _is_at_start(self) -> bool:
-        return all(size <= most for size, most in zip(self._start_gap, self.values["start_tolerance"], strict=True))
+        return all(
+            size <= most
+            for size, most in zip(self._start_gap, self.values["start_tolerance"], strict=True)
+        )
 
     def check_start(self) -> None:
         self._observe(1)
@@ -200,7 +231,11 @@ class ZenohBase:
     def stay(self) -> None:
         """While the arm takes its time: the base's watchdog is not to take this for the end."""
         due = self._published_at + round(float(self.values["cycle"][0]) * 1e9)
-        if self.state.now is LifeCycle.active and self._sent is not None and self._outside.monotonic_ns() >= due:
+        if (
+            self.state.now is LifeCycle.active
+            and self._sent is not None
+            and self._environment.monotonic_ns() >= due
+        ):
             self._take()
             self._publish(*self._sent, np.zeros(6))
 
@@ -218,7 +253,7 @@ class ZenohBase:
             raise DeviceError(
                 f"{self.name}: session {others[0]} commands topic {self.options.setpoint_topic}, too; stop one of them"
             )
-        self.permit.take(self._outside.monotonic_ns())
+        self.permit.take(self._environment.monotonic_ns())
         self._be_obeyed(meanwhile)
         if not self._is_at_start:
             self._approach(start, meanwhile)
@@ -236,13 +271,13 @@ class ZenohBase:
         """Set points that are where the base is, until a base that reports which publisher it obeys reports this one."""
         assert self._link is not None
         v, cycle = self.values, float(self.values["cycle"][0])
-        end = self._outside.monotonic() + float(v["configure_timeout"][0])
+        end = self._environment.monotonic() + float(v["configure_timeout"][0])
         while True:
             self._publish(v["base_position"].copy(), v["base_orientation"].copy(), np.zeros(6))
             if not self._tells_obedience or self._link.obedience():
                 return
             self._refuse_lost_permit()
-            if self._outside.monotonic() > end:
+            if self._environment.monotonic() > end:
                 self._refuse_another_controller()
                 raise DeviceError(
                     commanders.refusal(self._session, self.options, self.name)
@@ -252,7 +287,7 @@ class ZenohBase:
             if meanwhile():
                 return
             self._take()
-            self._outside.sleep(cycle)
+            self._environment.sleep(cycle)
 
     def _refuse_lost_permit(self) -> None:
         if self.permit.lost:
@@ -266,40 +301,56 @@ class ZenohBase:
         begin = Rotation.from_quat(v["base_orientation"])
         path = start[0] - first
         duration = max(
-            float(np.linalg.norm(path)) / float(v["approach_speed"][0]), turn.magnitude() / float(v["approach_speed"][1]), cycle
+            float(np.linalg.norm(path)) / float(v["approach_speed"][0]),
+            turn.magnitude() / float(v["approach_speed"][1]),
+            cycle,
         )
         count = int(np.ceil(duration / cycle))
-        pacer = Pacer(round(cycle * 1e9))  # after a hold-up it goes on where it was, and does not hurry
+        pacer = Pacer(
+            round(cycle * 1e9)
+        )  # after a hold-up it goes on where it was, and does not hurry
         settle = round(1.0 / cycle)
         for i in range(1, count + settle + 1):
             share = min(1.0, i / count)
             position = first + share * path
             orientation = (Rotation.from_rotvec(share * turn.as_rotvec()) * begin).as_quat()
-            moving = np.concatenate([path, turn.as_rotvec()]) / duration if i < count else np.zeros(6)
+            moving = (
+                np.concatenate([path, turn.as_rotvec()]) / duration if i < count else np.zeros(6)
+            )
             reason = self.limits.setpoint(position, orientation, moving, self._sent)
             if reason:
-                raise DeviceError(f"{self.name}: the approach to the start pose was given up: {reason}")
+                raise DeviceError(
+                    f"{self.name}: the approach to the start pose was given up: {reason}"
+                )
             self._publish(position, orientation, moving)
             pacer.wait()
             self._take()
-            reason = self.limits.measured(v["base_position"], v["base_orientation"], (position, orientation))
-            if self._outside.monotonic_ns() - self._arrived > self._age_limit:
-                reason = f"no measurement for {(self._outside.monotonic_ns() - self._arrived) * 1e-9:.3g} s"
+            reason = self.limits.measured(
+                v["base_position"], v["base_orientation"], (position, orientation)
+            )
+            if self._environment.monotonic_ns() - self._arrived > self._age_limit:
+                reason = f"no measurement for {(self._environment.monotonic_ns() - self._arrived) * 1e-9:.3g} s"
             if reason:
-                raise DeviceError(f"{self.name}: the approach to the start pose was given up: {reason}")
+                raise DeviceError(
+                    f"{self.name}: the approach to the start pose was given up: {reason}"
+                )
             self._refuse_lost_permit()
             if meanwhile():
                 return  # the loop ends before its first instant; the base holds where it is
             gap = distance(v["base_position"], v["base_orientation"], *start)
-            if i > count and all(size < 0.5 * most for size, most in zip(gap, v["start_tolerance"], strict=True)):
+            if i > count and all(
+                size < 0.5 * most for size, most in zip(gap, v["start_tolerance"], strict=True)
+            ):
                 return
-        raise DeviceError(f"{self.name} did not reach the start pose within {(count + settle) * cycle:.3g} s")
+        raise DeviceError(
+            f"{self.name} did not reach the start pose within {(count + settle) * cycle:.3g} s"
+        )
 
     # Every cycle
 
     def read(self) -> None:
         permit, link = self.permit, self._link
-        if sentence := permit.hold_up(self._outside.monotonic_ns()):
+        if sentence := permit.hold_up(self._environment.monotonic_ns()):
             raise SafeStop(self.name, sentence)
         before = self._sequence
         came = self._take()
@@ -313,23 +364,30 @@ class ZenohBase:
             self.monitor.observe(lost=False)
         if self._steps % self._ratio and not reason:
             return
-        silence = self._outside.monotonic_ns() - self._arrived
+        silence = self._environment.monotonic_ns() - self._arrived
         if silence > self._late:
             self._silent += 1
             reason = self.monitor.observe(lost=True) or reason
         age = silence + self._delay
         if age > self._age_limit:
-            reason = reason or f"the last measurement is {age * 1e-9:.4g} s old, its limit is {self._age_limit * 1e-9:g} s"
+            reason = (
+                reason
+                or f"the last measurement is {age * 1e-9:.4g} s old, its limit is {self._age_limit * 1e-9:g} s"
+            )
         if link is not None:
             reason = link.second_source or link.new_publisher() or reason
             if link.obedience() is False:
-                reason = reason or "the base robot does not take set points any more; it holds its place"
+                reason = (
+                    reason or "the base robot does not take set points any more; it holds its place"
+                )
                 permit.report(False, 0)
         if self._sent is not None:
-            reason = reason or self.limits.measured(self.values["base_position"], self.values["base_orientation"], self._sent)
+            reason = reason or self.limits.measured(
+                self.values["base_position"], self.values["base_orientation"], self._sent
+            )
         if reason:
             # A hold-up in the middle of this is the cause.
-            raise SafeStop(self.name, permit.hold_up(self._outside.monotonic_ns()) or reason)
+            raise SafeStop(self.name, permit.hold_up(self._environment.monotonic_ns()) or reason)
 
     def write(self) -> None:
         if self._steps % self._ratio:
@@ -343,9 +401,11 @@ class ZenohBase:
         position = v["position_setpoint"] + self._offset[0]
         orientation = v["orientation_setpoint"]
         if self._offset[1].any():
-            orientation = (Rotation.from_rotvec(self._offset[1]) * Rotation.from_quat(_unit(orientation))).as_quat()
+            orientation = (
+                Rotation.from_rotvec(self._offset[1]) * Rotation.from_quat(_unit(orientation))
+            ).as_quat()
         reason = self.limits.setpoint(position, orientation, v["velocity_setpoint"], self._sent)
-        if reason is None and not self.permit.allows(self._outside.monotonic_ns()):
+        if reason is None and not self.permit.allows(self._environment.monotonic_ns()):
             reason = self.permit.lost or "it has not been activated"
         if reason:
             raise SafeStop(self.name, reason)
@@ -355,7 +415,7 @@ class ZenohBase:
 
     def revoke(self, reason: str) -> None:
         """A reason to stop: from now on only the last set point is held; after a hold-up nothing is sent any more."""
-        is_held_up = self.permit.hold_up(self._outside.monotonic_ns())
+        is_held_up = self.permit.hold_up(self._environment.monotonic_ns())
         self.permit.lose(reason)
         if is_held_up and self._link is not None:
             self._link.end_publishing()
@@ -366,7 +426,12 @@ class ZenohBase:
         self._steps += 1
         # Not where the activation was given up half-way: holding a place could complete it.
         is_active = self.state.now is LifeCycle.active
-        if is_active and self._sent is not None and self._link is not None and self._steps % self._ratio == 0:
+        if (
+            is_active
+            and self._sent is not None
+            and self._link is not None
+            and self._steps % self._ratio == 0
+        ):
             self._publish(*self._sent, np.zeros(6))
         return True
 
@@ -430,13 +495,13 @@ class ZenohBase:
         self.permit.report(True, received.arrived)
         self._arrived, self._sequence = received.arrived, received.attachment.sequence
         if self.state.now is LifeCycle.active:
-            self.age.add(max(0, self._outside.time_ns() - received.attachment.stamp))
+            self.age.add(max(0, self._environment.time_ns() - received.attachment.stamp))
         return True
 
     def _publish(self, position: Array, orientation: Array, velocity: Array) -> None:
         """What may not be sent, is not; whether that ends the loop is decided where it is noticed."""
         assert self._link is not None
-        now = self._outside.monotonic_ns()
+        now = self._environment.monotonic_ns()
         if not (self.permit.allows(now) or self.permit.may_ramp_down(now)):
             return
         self._link.publish(position, orientation, velocity)

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 
-def bus_load(frames: Sequence[tuple[int, bool]], cycle: float, nominal: float = 1e6, data: float = 5e6) -> float:
+def bus_load(
+    frames: Sequence[tuple[int, bool]], cycle: float, nominal: float = 1e6, data: float = 5e6
+) -> float:
     """Worst share of the bus that frames of (bytes, is CAN FD) take, each once in a cycle [s] (with every stuff bit there can be)."""
     return sum(frame_time(size, is_fd, nominal, data) for size, is_fd in frames) / cycle
 

@@ -61,7 +61,9 @@ class Checker:
         return status
 
     def _status(self, data: bytes | bytearray) -> Status:
-        if len(data) < self.offset + HEADER_BYTES or not e2e_p05_check(bytes(data), self.data_id, offset=self.offset):
+        if len(data) < self.offset + HEADER_BYTES or not e2e_p05_check(
+            bytes(data), self.data_id, offset=self.offset
+        ):
             return Status.wrong_crc
         counter, before = data[self.offset + 2], self._counter
         self._counter = counter

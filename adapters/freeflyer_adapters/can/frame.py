@@ -20,7 +20,13 @@ class Frame:
     """
 
     def __init__(
-        self, message: Any, fields: Mapping[str, tuple[Field, ...]], *, subject: str, data_id: int | None, e2e_offset: int
+        self,
+        message: Any,
+        fields: Mapping[str, tuple[Field, ...]],
+        *,
+        subject: str,
+        data_id: int | None,
+        e2e_offset: int,
     ) -> None:
         self.message, self.fields, self.subject = message, fields, subject
         self.identifier, self.extended = int(message.frame_id), bool(message.is_extended_frame)
@@ -34,15 +40,21 @@ class Frame:
         self.is_fd = bool(message.is_fd) or self.size > 8
         if self.size not in CAN_FD_SIZES:
             sizes = ", ".join(map(str, CAN_FD_SIZES))
-            raise DeviceError(f"{subject} is {self.size} bytes long, which no CAN FD frame is: one of {sizes} is expected")
+            raise DeviceError(
+                f"{subject} is {self.size} bytes long, which no CAN FD frame is: one of {sizes} is expected"
+            )
         known = message.dbc.attributes.get("E2eDataId") if message.dbc else None
-        self.data_id = data_id if data_id is not None else int(known.value) if known and known.value else None
+        self.data_id = (
+            data_id if data_id is not None else int(known.value) if known and known.value else None
+        )
         self.e2e_offset = e2e_offset
         if self.data_id is not None:
             _check_header(message, subject, set(bound), e2e_offset)
         self.cycle_ms = float(message.cycle_time or 0)
         self._codec = only(message, set(bound))
-        self._values: dict[str, float] = {signal.name: signal.offset for signal in self._codec.signals}
+        self._values: dict[str, float] = {
+            signal.name: signal.offset for signal in self._codec.signals
+        }
 
     def __contains__(self, role: str) -> bool:
         return role in self.fields
@@ -58,7 +70,10 @@ class Frame:
     def unpack(self, data: bytes | bytearray) -> dict[str, list[float]]:
         """Values in SI, by role."""
         values = self._codec.decode(bytes(data), decode_choices=False)
-        return {role: [f.factor * values[f.name] for f in fields] for role, fields in self.fields.items()}
+        return {
+            role: [f.factor * values[f.name] for f in fields]
+            for role, fields in self.fields.items()
+        }
 
 
 def _check_header(message: Any, subject: str, bound: set[str], offset: int) -> None:

@@ -14,7 +14,7 @@ from freeflyer_adapters.can.e2e import Checker, Protector, Status
 from freeflyer_adapters.can.frame import Frame
 from freeflyer_adapters.can.second_sender import SecondSender
 from freeflyer_adapters.device.device import DeviceError
-from freeflyer_adapters.foundation import environment as outside
+from freeflyer_adapters.foundation import environment
 
 FILTERING = ("local", "socketcan")
 """Interfaces that filter before `recv` sees a frame. With the others, a frame for somebody else would end a `recv` that does not
@@ -23,23 +23,42 @@ wait, so they get no filter; identifiers are compared in any case.
 RECENT = 32
 
 
-def open_bus(interface: str, channel: str, is_fd: bool, identifiers: Sequence[Frame], options: Mapping[str, Any]) -> can.BusABC:
+def open_bus(
+    interface: str,
+    channel: str,
+    is_fd: bool,
+    identifiers: Sequence[Frame],
+    options: Mapping[str, Any],
+) -> can.BusABC:
     """Any interface of python-can, seeing only the given frames. DeviceError with one sentence if it cannot be opened."""
     known = sorted(can.VALID_INTERFACES)
     if interface not in known:
-        raise DeviceError(f"CAN interface {interface!r} is not known to python-can{did_you_mean(interface, known)}")
+        raise DeviceError(
+            f"CAN interface {interface!r} is not known to python-can{did_you_mean(interface, known)}"
+        )
     filters = [
-        {"can_id": f.identifier, "can_mask": 0x1FFFFFFF if f.extended else 0x7FF, "extended": f.extended} for f in identifiers
+        {
+            "can_id": f.identifier,
+            "can_mask": 0x1FFFFFFF if f.extended else 0x7FF,
+            "extended": f.extended,
+        }
+        for f in identifiers
     ]
     try:
-        return outside.present().bus(
-            interface=interface, channel=channel, fd=is_fd, can_filters=filters if interface in FILTERING else None, **options
+        return environment.present().bus(
+            interface=interface,
+            channel=channel,
+            fd=is_fd,
+            can_filters=filters if interface in FILTERING else None,
+            **options,
         )
     except Exception as error:  # every interface has errors of its own, and of its driver's
-        raise DeviceError(f"CAN interface {interface!r}, channel {channel!r}, cannot be opened: {said(error)}") from error
+        raise DeviceError(
+            f"CAN interface {interface!r}, channel {channel!r}, cannot be opened: {driver_message(error)}"
+        ) from error
 
 
-def said(error: Exception) -> str:
+def driver_message(error: Exception) -> str:
     """The driver's own text, on one line."""
     return " ".join(str(error).split())[:300] or type(error).__name__
 
@@ -62,7 +81,9 @@ class Sender:
 
     def __init__(self, bus: Sending, frame: Frame) -> None:
         self.bus, self.frame = bus, frame
-        self._protector = None if frame.data_id is None else Protector(frame.data_id, frame.e2e_offset)
+        self._protector = (
+            None if frame.data_id is None else Protector(frame.data_id, frame.e2e_offset)
+        )
         self.failed = 0
         self.error = ""
         """The driver's own text of the last failure."""
@@ -70,7 +91,9 @@ class Sender:
         self.recent: deque[bytearray] = deque(maxlen=RECENT)
         """What went out last: some interfaces give own frames back."""
 
-    def send(self, numbers: Mapping[str, Sequence[float]], permitted: Callable[[], bool] | None = None) -> bool:
+    def send(
+        self, numbers: Mapping[str, Sequence[float]], permitted: Callable[[], bool] | None = None
+    ) -> bool:
         """Whether the interface took the frame; one that it did not take is a lost one, not an end.
 
         `permitted` is asked when the frame is ready, and only then it goes out.
@@ -93,7 +116,7 @@ class Sender:
             )
         except can.CanError as error:
             self.failed += 1
-            self.error = said(error)
+            self.error = driver_message(error)
             return False
         self.sent += 1
         return True
@@ -107,7 +130,11 @@ class Receiver:
         self._checker = None if frame.data_id is None else Checker(frame.data_id, frame.e2e_offset)
         # Without E2E protection a state frame's cycle number serves as its counter.
         self._counts_cycles = self._checker is None and "cycle" in frame
-        self._counters = 1 << max(int(frame.fields["cycle"][0].most).bit_length(), 5) if self._counts_cycles else 256
+        self._counters = (
+            1 << max(int(frame.fields["cycle"][0].most).bit_length(), 5)
+            if self._counts_cycles
+            else 256
+        )
         self.rejected: Counter[str] = Counter()
         self.accepted = 0
         self.senders = SecondSender(self._counters)
@@ -127,7 +154,10 @@ class Receiver:
     def take(self, message: can.Message) -> dict[str, list[float]] | None:
         """The frame's values by role, or None for one that must not be used."""
         data = message.data
-        if message.arbitration_id != self.frame.identifier or message.is_extended_id != self.frame.extended:
+        if (
+            message.arbitration_id != self.frame.identifier
+            or message.is_extended_id != self.frame.extended
+        ):
             return None
         if message.is_error_frame or message.is_remote_frame:
             self.rejected["no data frame"] += 1

@@ -48,7 +48,10 @@ def directory(channel: str) -> Path:
         raise CanInitializationError(
             f"channel {channel!r} of the local CAN interface: up to 32 letters, digits, '.', '_' and '-' are expected"
         )
-    root = Path(os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir()) / f"freeflyer-can-{os.getuid()}"
+    root = (
+        Path(os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir())
+        / f"freeflyer-can-{os.getuid()}"
+    )
     for path in (root, root / channel):
         if refused := private_directory.made(path):
             raise CanInitializationError(refused)
@@ -195,7 +198,12 @@ class LocalBus(BusABC):
                 self.dropped += 1
             except OSError as error:
                 # One that has left is removed once what it sent before is read.
-                if error.errno not in (errno.EPIPE, errno.ECONNRESET, errno.ENOTCONN, errno.ECONNREFUSED):
+                if error.errno not in (
+                    errno.EPIPE,
+                    errno.ECONNRESET,
+                    errno.ENOTCONN,
+                    errno.ECONNREFUSED,
+                ):
                     raise CanOperationError(f"{self.channel_info}: {error.strerror}") from error
         if self._own is not None:
             with contextlib.suppress(BlockingIOError):
@@ -246,7 +254,9 @@ class LocalBus(BusABC):
     def _packed(self, msg: Message) -> bytes:
         data = bytes(msg.data)
         if msg.is_fd and not self._fd:
-            raise CanOperationError(f"{self.channel_info} was opened without fd=True; a CAN FD frame cannot be sent")
+            raise CanOperationError(
+                f"{self.channel_info} was opened without fd=True; a CAN FD frame cannot be sent"
+            )
         if len(data) > (64 if msg.is_fd else 8):
             raise CanOperationError(
                 f"a frame of {len(data)} bytes cannot be sent: at most {64 if msg.is_fd else 8} are possible"
@@ -258,7 +268,9 @@ class LocalBus(BusABC):
         flags = FD_FORMAT if msg.is_fd else 0
         flags |= BIT_RATE_SWITCH if msg.bitrate_switch else 0
         flags |= ERROR_STATE if msg.error_state_indicator else 0
-        return FRAME.pack(identifier, msg.dlc if msg.is_remote_frame else len(data), flags, 0, 0, data)
+        return FRAME.pack(
+            identifier, msg.dlc if msg.is_remote_frame else len(data), flags, 0, 0, data
+        )
 
     def _unpacked(self, packet: bytes, stamp: float) -> Message:
         identifier, length, flags, _, _, data = FRAME.unpack(packet)
@@ -282,9 +294,16 @@ class LocalBus(BusABC):
     @staticmethod
     def _detect_available_configs() -> list[Any]:
         """Channels that somebody is on."""
-        root = Path(os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir()) / f"freeflyer-can-{os.getuid()}"
+        root = (
+            Path(os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir())
+            / f"freeflyer-can-{os.getuid()}"
+        )
         folders = sorted(root.iterdir()) if root.is_dir() else []
-        return [{"interface": "local", "channel": folder.name} for folder in folders if len(list(folder.iterdir())) > 1]
+        return [
+            {"interface": "local", "channel": folder.name}
+            for folder in folders
+            if len(list(folder.iterdir())) > 1
+        ]
 
 
 def _stamp(extra: list[Any]) -> float:

@@ -50,7 +50,9 @@ class SecondSender:
 
     def __init__(self, counters: int = 256) -> None:
         if counters < 32 or counters & (counters - 1):
-            raise ValueError(f"the number of counter values must be a power of two and at least 32, not {counters}")
+            raise ValueError(
+                f"the number of counter values must be a power of two and at least 32, not {counters}"
+            )
         self._mask = counters - 1
         self._remembered = min(REMEMBERED, counters // 2)
         self._run, self._since, self._evidence = 0, 0, 0
@@ -102,7 +104,15 @@ class SecondSender:
             self._current, self._other = Stream(counter, self._mask, content), current
         return False
 
-    def _change(self, current: Stream, other: Stream, counter: int, content: Content, repeated: bool, fits: bool) -> bool:
+    def _change(
+        self,
+        current: Stream,
+        other: Stream,
+        counter: int,
+        content: Content,
+        repeated: bool,
+        fits: bool,
+    ) -> bool:
         """The other stream goes on. Evidence, unless one stream may be the late frames that the other left out."""
         current.advanced += self._run
         if self._run >= ALONE or self._since >= OLD:
@@ -110,7 +120,9 @@ class SecondSender:
             current.advanced = other.advanced = 0
         apart = (counter - current.following + 1) & self._mask
         self._since += self._run
-        disjoint = not fits and apart > other.advanced and self._mask + 1 - apart >= current.advanced
+        disjoint = (
+            not fits and apart > other.advanced and self._mask + 1 - apart >= current.advanced
+        )
         if self._since > REACH and (repeated or disjoint):
             self._evidence += 1
             self._since = 0

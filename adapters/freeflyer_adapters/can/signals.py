@@ -45,12 +45,18 @@ def field_of(message: Any, name: str, unit: str | None, path: Path) -> Field:
     """DeviceError if there is no such signal, it is no scaled integer, or its unit cannot be converted."""
     names: Mapping[str, Any] = {signal.name: signal for signal in message.signals}
     if name not in names:
-        raise DeviceError(f"DBC {path}: message {message.name} has no signal {name!r}{did_you_mean(name, names)}")
+        raise DeviceError(
+            f"DBC {path}: message {message.name} has no signal {name!r}{did_you_mean(name, names)}"
+        )
     signal = names[name]
     if signal.is_float:
-        raise DeviceError(f"DBC {path}: signal {name} of {message.name} is a floating-point one; a scaled integer is expected")
+        raise DeviceError(
+            f"DBC {path}: signal {name} of {message.name} is a floating-point one; a scaled integer is expected"
+        )
     if signal.is_multiplexer or signal.multiplexer_ids:
-        raise DeviceError(f"DBC {path}: signal {name} of {message.name} is multiplexed; one that is always there is expected")
+        raise DeviceError(
+            f"DBC {path}: signal {name} of {message.name} is multiplexed; one that is always there is expected"
+        )
     scale, offset = float(signal.scale), float(signal.offset)
     if not (scale and math.isfinite(scale) and math.isfinite(offset)):
         raise DeviceError(
@@ -59,7 +65,9 @@ def field_of(message: Any, name: str, unit: str | None, path: Path) -> Field:
         )
     conversion = _conversion(signal, unit, path)
     if signal.start < 0:
-        raise DeviceError(f"DBC {path}: signal {name} of {message.name} begins at bit {signal.start}; 0 or more is expected")
+        raise DeviceError(
+            f"DBC {path}: signal {name} of {message.name} begins at bit {signal.start}; 0 or more is expected"
+        )
     bits = int(signal.length)
     if bits > MOST_BITS:
         raise DeviceError(
@@ -71,7 +79,9 @@ def field_of(message: Any, name: str, unit: str | None, path: Path) -> Field:
         raise DeviceError(
             f"DBC {path}: signal {name} of {message.name} holds {least:g} to {most:g}; finite numbers are expected"
         )
-    return Field(name=name, factor=conversion, least=least, most=most, resolution=abs(conversion * scale))
+    return Field(
+        name=name, factor=conversion, least=least, most=most, resolution=abs(conversion * scale)
+    )
 
 
 def _conversion(signal: Any, unit: str | None, path: Path) -> float:
@@ -80,7 +90,9 @@ def _conversion(signal: Any, unit: str | None, path: Path) -> float:
     try:
         return factor(SPELLINGS.get(signal.unit, signal.unit), unit)
     except ValueError as error:
-        raise DeviceError(f"DBC {path}: signal {signal.name} is in {signal.unit!r}; {unit} is expected ({error})") from error
+        raise DeviceError(
+            f"DBC {path}: signal {signal.name} is in {signal.unit!r}; {unit} is expected ({error})"
+        ) from error
 
 
 def occupied_bits(signal: Any) -> set[int]:
@@ -125,10 +137,14 @@ def _check_sizes(text: str) -> None:
         elif word == "SG_MUL_VAL_":  # SG_MUL_VAL_ identifier signal multiplexer first-last, ... ;
             listed = words[i + 4 : words.index(";", i) if ";" in words[i : i + 2000] else i + 2000]
             ends = [int(number[:12]) for number in re.findall(r"\d+", " ".join(listed))]
-            values += sum(max(last - first, 0) + 1 for first, last in zip(ends[::2], ends[1::2], strict=False))
+            values += sum(
+                max(last - first, 0) + 1 for first, last in zip(ends[::2], ends[1::2], strict=False)
+            )
     for size in sizes:
         if size.isdigit() and (len(size) > 6 or int(size) > 8 * LARGEST_MESSAGE):
-            raise ValueError(f"a message or signal of {size[:20]} bytes or bits; at most {LARGEST_MESSAGE} bytes are expected")
+            raise ValueError(
+                f"a message or signal of {size[:20]} bytes or bits; at most {LARGEST_MESSAGE} bytes are expected"
+            )
     if values > MOST_VALUES:
         raise ValueError(f"more than {MOST_VALUES} multiplexer values")
 
@@ -144,8 +160,12 @@ def load(path: Path) -> Any:
         return _parsed(content(path, LARGEST).decode(ENCODING))
     except OSError as error:
         raise DeviceError(f"DBC {path} cannot be read: {error.strerror or error}") from error
-    except Exception as error:  # cantools has several kinds for a malformed file, and passes on its parser's
-        raise DeviceError(f"DBC {path} cannot be used: {' '.join(str(error).split())[:300]}") from error
+    except (
+        Exception
+    ) as error:  # cantools has several kinds for a malformed file, and passes on its parser's
+        raise DeviceError(
+            f"DBC {path} cannot be used: {' '.join(str(error).split())[:300]}"
+        ) from error
 
 
 def message_of(database: Any, name: str, path: Path) -> Any:

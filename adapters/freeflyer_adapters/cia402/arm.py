@@ -26,7 +26,7 @@ from freeflyer_adapters.device.limits import ArmLimits
 from freeflyer_adapters.device.permit import Permit
 from freeflyer_adapters.device.quality import QualityMonitor
 from freeflyer_adapters.device.ramp_down import RampDown
-from freeflyer_adapters.foundation import environment as outside
+from freeflyer_adapters.foundation import environment
 from freeflyer_adapters.foundation.histogram import Histogram
 from freeflyer_adapters.foundation.pacing import Pacer
 
@@ -51,10 +51,12 @@ class Cia402Arm:
     def __init__(self, name: str, options: DriveOptions) -> None:
         self.name, self.options = name, options
         self.state = State(name)
-        self._outside = outside.present()
+        self._environment = environment.present()
         n = options.joints
         self.ports: Mapping[str, Port] = all_settings.arm_ports(n, DRIVES)
-        self.values: Mapping[str, Array] = {p.name: np.array(p.start or (0.0,) * p.size) for p in self.ports.values()}
+        self.values: Mapping[str, Array] = {
+            p.name: np.array(p.start or (0.0,) * p.size) for p in self.ports.values()
+        }
         self.scaling = Scaling(options.motors)
         self.answers, self.targets = Histogram(), Histogram()
         self.drives: list[RemoteDrive] = []
@@ -90,7 +92,9 @@ class Cia402Arm:
 
     def _new_permit(self) -> Permit:
         v = self.values
-        return Permit("the arm", watchdog=round(float(v["watchdog_cycles"][0] * v["period"][0]) * 1e9))
+        return Permit(
+            "the arm", watchdog=round(float(v["watchdog_cycles"][0] * v["period"][0]) * 1e9)
+        )
 
     remarks = ()
 
@@ -117,7 +121,13 @@ class Cia402Arm:
         all_settings.check(self.name, DRIVES, v)
         self.cycle = self.step
         self.bus_load = load.check(
-            self.name, o.joints, self.cycle, o.bitrate, o.heartbeat, o.largest_load, measured_velocity=o.measured_velocity
+            self.name,
+            o.joints,
+            self.cycle,
+            o.bitrate,
+            o.heartbeat,
+            o.largest_load,
+            measured_velocity=o.measured_velocity,
         )
         self.limits = ArmLimits(v, self.cycle)
         self.monitor = QualityMonitor(
@@ -127,16 +137,21 @@ class Cia402Arm:
             window=round(float(v["window"][0]) / self.cycle),
             cycle=self.cycle,
         )
-        self.ramp = RampDown(time=float(v["ramp_down_time"][0]), damping=float(v["ramp_down_damping"][0]))
+        self.ramp = RampDown(
+            time=float(v["ramp_down_time"][0]), damping=float(v["ramp_down_damping"][0])
+        )
         objects.dictionary(o.eds, o.node_ids[0])  # its mistakes are told before anything is opened
         patience = float(v["configure_timeout"][0])
-        self._network = PolledNetwork(open_bus(o.interface, o.channel, False, [], {"bitrate": int(o.bitrate), **o.bus}))
+        self._network = PolledNetwork(
+            open_bus(o.interface, o.channel, False, [], {"bitrate": int(o.bitrate), **o.bus})
+        )
         self._network.subscribe(process_data.SYNC, self._on_strange_sync)
         self._network.subscribe(process_data.HEARTBEAT + o.host_node_id, self._on_strange_sync)
         self._listen()
         self.permit = permit = self._new_permit()
         self.drives = [
-            RemoteDrive(self.name, joint, node, o, self._network, patience, permit) for joint, node in enumerate(o.node_ids)
+            RemoteDrive(self.name, joint, node, o, self._network, patience, permit)
+            for joint, node in enumerate(o.node_ids)
         ]
         for node in o.node_ids:
             self._network.subscribe(process_data.TARGET.base + node, self._on_strange_sync)
@@ -156,8 +171,10 @@ class Cia402Arm:
     def _listen(self) -> None:
         """A bus has one SYNC producer. CANopen has no other word for a second controller."""
         assert self._network is not None
-        end = self._outside.monotonic() + max(LISTEN, 3 * self.cycle, 1.5 * self.options.heartbeat)
-        while (left := end - self._outside.monotonic()) > 0.0:
+        end = self._environment.monotonic() + max(
+            LISTEN, 3 * self.cycle, 1.5 * self.options.heartbeat
+        )
+        while (left := end - self._environment.monotonic()) > 0.0:
             self._network.poll(left)
             self._refuse_another_controller()
 
@@ -172,21 +189,21 @@ class Cia402Arm:
             )
 
     def _first_measurement(self) -> None:
-        end = self._outside.monotonic() + float(self.values["configure_timeout"][0])
+        end = self._environment.monotonic() + float(self.values["configure_timeout"][0])
         while True:
             self._exchange(max(ANSWER_SHARE * self.cycle, 0.05))
             self._refuse_another_controller()
             silent = [drive for drive in self.drives if not drive.fresh]
             if not silent:
                 return
-            if self._outside.monotonic() > end:
+            if self._environment.monotonic() > end:
                 raise DeviceError(
                     f"{silent[0].where} does not answer SYNC with its TPDOs; are its PDOs mapped, and is it operational?"
                 )
 
     def stay(self) -> None:
         """While other devices take their time: SYNC tells everybody that the bus has its host, and keeps enabled drives from stopping."""
-        is_held_up = self.permit.hold_up(self._outside.monotonic_ns())
+        is_held_up = self.permit.hold_up(self._environment.monotonic_ns())
         if self._network is not None and self._is_prepared and not self._walking and not is_held_up:
             self._is_host = True
             self._exchange(0.0)
@@ -225,7 +242,7 @@ class Cia402Arm:
         self._is_host, self._cycles = True, 0
         for drive in self.drives:
             drive.emergency = 0
-        self.permit.take(self._outside.monotonic_ns())
+        self.permit.take(self._environment.monotonic_ns())
         self._powered = True
         if not self._walk(meanwhile):
             return  # the loop ends before its first instant, and the stop switches off
@@ -244,20 +261,23 @@ class Cia402Arm:
         """
         zero = np.zeros(self.options.joints)
         pacer = Pacer(round(self.cycle * 1e9))
-        end = self._outside.monotonic() + float(self.values["configure_timeout"][0])
+        end = self._environment.monotonic() + float(self.values["configure_timeout"][0])
         self._walking = True
         try:
             while not all(drive.state is DriveState.operation_enabled for drive in self.drives):
                 self._send_targets(zero)
                 pacer.wait()
                 # The targets act with the next SYNC, which must not come once they are old.
-                if self.permit.allows(self._outside.monotonic_ns()):
+                if self.permit.allows(self._environment.monotonic_ns()):
                     self._exchange(ANSWER_SHARE * self.cycle)
                 self._refuse_another_controller()
                 if meanwhile():
                     return False
-                if self._outside.monotonic() > end or self.permit.lost:
-                    late = next((d for d in self.drives if d.state is not DriveState.operation_enabled), self.drives[0])
+                if self._environment.monotonic() > end or self.permit.lost:
+                    late = next(
+                        (d for d in self.drives if d.state is not DriveState.operation_enabled),
+                        self.drives[0],
+                    )
                     why = f": {self.permit.lost}" if self.permit.lost else late.error_code
                     raise DeviceError(
                         f"{late.where} does not come to {DriveState.operation_enabled.value}: it is in {late.says}{why}"
@@ -291,10 +311,16 @@ class Cia402Arm:
             )
         for drive in self.drives:
             if drive.state is not DriveState.operation_enabled:
-                raise SafeStop(self.name, f"{drive.who} left Operation enabled by itself: it is in {drive.says}")
+                raise SafeStop(
+                    self.name,
+                    f"{drive.who} left Operation enabled by itself: it is in {drive.says}",
+                )
             if drive.emergency:
                 raise SafeStop(self.name, f"{drive.who} sent an emergency: it is in {drive.says}")
-            if drive.cycles_since_heartbeat * self.cycle > HEARTBEATS_MISSED * self.options.heartbeat:
+            if (
+                drive.cycles_since_heartbeat * self.cycle
+                > HEARTBEATS_MISSED * self.options.heartbeat
+            ):
                 raise SafeStop(
                     self.name,
                     f"{drive.who} has sent no heartbeat for {drive.cycles_since_heartbeat * self.cycle:.3g} s; one every "
@@ -307,7 +333,7 @@ class Cia402Arm:
             raise SafeStop(self.name, reason)
 
     def _stop_if_held_up(self) -> None:
-        if sentence := self.permit.hold_up(self._outside.monotonic_ns()):
+        if sentence := self.permit.hold_up(self._environment.monotonic_ns()):
             raise SafeStop(self.name, sentence)
 
     def _exchange(self, timeout: float) -> None:
@@ -318,7 +344,7 @@ class Cia402Arm:
         for drive in self.drives:
             drive.expect()
         network.sync.transmit()
-        self._synced = self._outside.monotonic_ns()
+        self._synced = self._environment.monotonic_ns()
         every = max(1, round(self.options.heartbeat / self.cycle))
         if self._is_host and self._cycles % every == 0:
             network.send_message(process_data.HEARTBEAT + self.options.host_node_id, OPERATIONAL)
@@ -326,15 +352,17 @@ class Cia402Arm:
         end = self._synced * 1e-9 + timeout
         missing = list(self.drives)
         while missing:
-            left = end - self._outside.monotonic()
+            left = end - self._environment.monotonic()
             if not network.poll(max(left, 0.0)) and left <= 0.0:
                 break
             missing = [drive for drive in missing if not drive.fresh]
         if not missing and self.state.now is LifeCycle.active:
-            self.answers.add(self._outside.monotonic_ns() - self._synced)
+            self.answers.add(self._environment.monotonic_ns() - self._synced)
         if not missing:
             # They answer this SYNC, so they were made after it.
-            self.permit.report(all(d.state is DriveState.operation_enabled for d in self.drives), self._synced)
+            self.permit.report(
+                all(d.state is DriveState.operation_enabled for d in self.drives), self._synced
+            )
         self._take()
 
     def _take(self) -> None:
@@ -344,7 +372,9 @@ class Cia402Arm:
         cycles = self._silent + 1
         position = np.array([drive.position for drive in self.drives]) * s.position_step
         if self.options.measured_velocity:
-            v["joint_velocity"][:] = np.array([drive.velocity for drive in self.drives]) * s.velocity_step
+            v["joint_velocity"][:] = (
+                np.array([drive.velocity for drive in self.drives]) * s.velocity_step
+            )
         else:
             moved = (position - v["joint_position"]) / (cycles * self.cycle)
             known = fresh & self._known
@@ -358,22 +388,24 @@ class Cia402Arm:
         if not self._targets_due:  # one target for each SYNC
             return
         torque, reason = self.limits.command(self.values["joint_torque_command"], self._last_torque)
-        if reason is None and not self.permit.allows(self._outside.monotonic_ns()):
+        if reason is None and not self.permit.allows(self._environment.monotonic_ns()):
             reason = self.permit.lost or "it has not been activated"
         if reason:
             raise SafeStop(self.name, reason)
         self._send_targets(torque)
-        self.targets.add(self._outside.monotonic_ns() - self._synced)
+        self.targets.add(self._environment.monotonic_ns() - self._synced)
         self._targets_due = False
         self._last_torque = torque
 
     def _send_targets(self, torque: Array, *, brake: bool = False) -> None:
         """One target to every drive, with the command that its session allows now."""
-        now = self._outside.monotonic_ns()
+        now = self._environment.monotonic_ns()
         commands = [drive.session.answer(now, brake=brake) for drive in self.drives]
         if not all(command is Command.enable_operation for command in commands):
             torque = np.zeros_like(torque)
-        for drive, command, raw in zip(self.drives, commands, self.scaling.raw_torque(torque).tolist(), strict=True):
+        for drive, command, raw in zip(
+            self.drives, commands, self.scaling.raw_torque(torque).tolist(), strict=True
+        ):
             drive.send(command, int(raw))
         self.permit.wrote(now)
         self.commands_sent += 1
@@ -385,7 +417,7 @@ class Cia402Arm:
             return True
         if self._stopping_torque is None:
             self._stopping_torque = self._last_torque.copy()
-        if self.permit.hold_up(self._outside.monotonic_ns()):
+        if self.permit.hold_up(self._environment.monotonic_ns()):
             # No SYNC any more: targets from before the hold-up wait in the drives for it. They have stopped by themselves.
             for drive in self.drives:
                 drive.node.sdo.RESPONSE_TIMEOUT = SHORT
@@ -437,7 +469,7 @@ class Cia402Arm:
 
     def _stop_now(self) -> None:
         if self._network is not None and self.drives:
-            is_held_up = self.permit.hold_up(self._outside.monotonic_ns())
+            is_held_up = self.permit.hold_up(self._environment.monotonic_ns())
             self._brake()
             if not is_held_up:
                 self._network.sync.transmit()  # targets act with the next SYNC
@@ -448,7 +480,9 @@ class Cia402Arm:
             "cycles_lost": self.monitor.lost,
             "longest_loss_cycles": self.monitor.longest_row,
             "cycles_with_targets_sent": self.commands_sent,
-            "frames_not_taken_by_the_interface": self._failed if self._network is None else self._network.failed,
+            "frames_not_taken_by_the_interface": self._failed
+            if self._network is None
+            else self._network.failed,
             "emergencies": sum(drive.emergencies for drive in self.drives),
             "bus_load_percent": round(100 * self.bus_load),
         }

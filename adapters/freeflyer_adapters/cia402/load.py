@@ -14,7 +14,9 @@ LONGEST = 0.1
 """Cycles are looked for up to this [s]."""
 
 
-def load(joints: int, cycle: float, bitrate: float, heartbeat: float, *, measured_velocity: bool) -> float:
+def load(
+    joints: int, cycle: float, bitrate: float, heartbeat: float, *, measured_velocity: bool
+) -> float:
     """Worst share of the bus: SYNC, PDOs and room for SDOs in a `cycle` [s], heartbeats of all drives and the host in `heartbeat` [s]."""
 
     def taken(size: int) -> float:
@@ -26,7 +28,14 @@ def load(joints: int, cycle: float, bitrate: float, heartbeat: float, *, measure
 
 
 def check(
-    name: str, joints: int, cycle: float, bitrate: float, heartbeat: float, largest: float, *, measured_velocity: bool
+    name: str,
+    joints: int,
+    cycle: float,
+    bitrate: float,
+    heartbeat: float,
+    largest: float,
+    *,
+    measured_velocity: bool,
 ) -> float:
     """The load; DeviceError with the load and what would fit if it is above `largest`."""
     share = load(joints, cycle, bitrate, heartbeat, measured_velocity=measured_velocity)
@@ -40,8 +49,13 @@ def check(
     if measured_velocity:
         less = load(joints, cycle, bitrate, heartbeat, measured_velocity=False)
         verdict = "fits" if less <= largest else "is still too much"
-        remedies.append(f'velocity = "estimated" (no {SPEED.name}) would take {100 * less:.0f} %, which {verdict}')
-    if bitrate < 1e6 and load(joints, cycle, 1e6, heartbeat, measured_velocity=measured_velocity) <= largest:
+        remedies.append(
+            f'velocity = "estimated" (no {SPEED.name}) would take {100 * less:.0f} %, which {verdict}'
+        )
+    if (
+        bitrate < 1e6
+        and load(joints, cycle, 1e6, heartbeat, measured_velocity=measured_velocity) <= largest
+    ):
         remedies.append("1 Mbit/s fits")
     raise DeviceError(
         f"device {name}: {joints} drives at a cycle of {1e3 * cycle:g} ms take up to {100 * share:.0f} % of a CAN bus of "
@@ -49,14 +63,22 @@ def check(
     )
 
 
-def table(joints: Sequence[int] = (6, 7), cycles: Sequence[int] = (1, 2, 3, 4, 5, 8), heartbeat: float = 0.1) -> list[str]:
+def table(
+    joints: Sequence[int] = (6, 7),
+    cycles: Sequence[int] = (1, 2, 3, 4, 5, 8),
+    heartbeat: float = 0.1,
+) -> list[str]:
     """Rows of Markdown for docs/cia402.md: cycles [ms] at 1 Mbit/s."""
     rows = [
         "| cycle | " + " | ".join(f"{n} drives | {n} drives, with TPDO2" for n in joints) + " |",
         "|---|" + "---|---|" * len(joints),
     ]
     for ms in cycles:
-        shares = [load(n, 1e-3 * ms, 1e6, heartbeat, measured_velocity=v) for n in joints for v in (False, True)]
+        shares = [
+            load(n, 1e-3 * ms, 1e6, heartbeat, measured_velocity=v)
+            for n in joints
+            for v in (False, True)
+        ]
         rows.append(f"| {ms} ms | " + " | ".join(f"{100 * share:.0f} %" for share in shares) + " |")
     return rows
 

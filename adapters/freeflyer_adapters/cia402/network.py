@@ -14,8 +14,8 @@ import canopen
 from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoCommunicationError
 
-from freeflyer_adapters.can.link import said
-from freeflyer_adapters.foundation import environment as outside
+from freeflyer_adapters.can.link import driver_message
+from freeflyer_adapters.foundation import environment
 
 MOST_FRAMES = 512
 """Taken at a time."""
@@ -38,11 +38,16 @@ class PolledNetwork(canopen.Network):
         try:
             message = self.bus.recv(max(timeout, 0.0))
         except can.CanError as error:
-            self.error = said(error)
+            self.error = driver_message(error)
             return False
         if message is None:
             return False
-        if not (message.is_error_frame or message.is_remote_frame or message.is_extended_id or message.is_fd):
+        if not (
+            message.is_error_frame
+            or message.is_remote_frame
+            or message.is_extended_id
+            or message.is_fd
+        ):
             self.notify(message.arbitration_id, message.data, message.timestamp)
         return True
 
@@ -54,12 +59,14 @@ class PolledNetwork(canopen.Network):
 
     def send_message(self, can_id: int, data: Any, remote: bool = False) -> None:
         assert self.bus is not None
-        message = can.Message(arbitration_id=can_id, is_extended_id=False, is_remote_frame=remote, data=data)
+        message = can.Message(
+            arbitration_id=can_id, is_extended_id=False, is_remote_frame=remote, data=data
+        )
         try:
             self.bus.send(message)
         except can.CanError as error:
             self.failed += 1
-            self.error = said(error)
+            self.error = driver_message(error)
 
     def send_periodic(self, can_id: int, data: Any, period: float, remote: bool = False) -> Any:
         """Nothing is sent by itself: the caller's own cycle does it."""
@@ -78,9 +85,9 @@ class PolledSdo(SdoClient):
     network: PolledNetwork
 
     def read_response(self) -> Any:
-        end = outside.present().monotonic() + self.RESPONSE_TIMEOUT
+        end = environment.present().monotonic() + self.RESPONSE_TIMEOUT
         while self.responses.empty():
-            left = end - outside.present().monotonic()
+            left = end - environment.present().monotonic()
             if left <= 0.0:
                 raise SdoCommunicationError("no answer")
             self.network.poll(left)

@@ -46,32 +46,64 @@ class Entry:
 
 
 DEVICE_TYPE = Entry(index=0x1000, name="Device type", use="compared: profile 402")
-SYNC_PERIOD = Entry(index=0x1006, name="Communication cycle period", unit="us", use="written: the cycle", optional=True)
+SYNC_PERIOD = Entry(
+    index=0x1006,
+    name="Communication cycle period",
+    unit="us",
+    use="written: the cycle",
+    optional=True,
+)
 CONSUMER_HEARTBEAT = Entry(
-    index=0x1016, sub=1, name="Consumer heartbeat time", unit="ms", use="written: the host's node and patience"
+    index=0x1016,
+    sub=1,
+    name="Consumer heartbeat time",
+    unit="ms",
+    use="written: the host's node and patience",
 )
 PRODUCER_HEARTBEAT = Entry(index=0x1017, name="Producer heartbeat time", unit="ms", use="written")
 ERROR_CODE = Entry(index=0x603F, name="Error code", use="read for sentences", optional=True)
 CONTROLWORD = Entry(index=0x6040, name="Controlword", use="RPDO1")
 STATUSWORD = Entry(index=0x6041, name="Statusword", use="TPDO1")
-QUICK_STOP = Entry(index=0x605A, name="Quick stop option code", use="written: 2, ramp and power off")
+QUICK_STOP = Entry(
+    index=0x605A, name="Quick stop option code", use="written: 2, ramp and power off"
+)
 MODE = Entry(index=0x6060, name="Modes of operation", use="written: 10, cyclic synchronous torque")
 MODE_DISPLAY = Entry(index=0x6061, name="Modes of operation display", use="compared with 10")
 POSITION = Entry(index=0x6064, name="Position actual value", unit="increments", use="TPDO1")
 VELOCITY = Entry(index=0x606C, name="Velocity actual value", unit="increments/s", use="TPDO2")
 TARGET_TORQUE = Entry(index=0x6071, name="Target torque", unit="0.001 rated torque", use="RPDO1")
 MAX_TORQUE = Entry(
-    index=0x6072, name="Max torque", unit="0.001 rated torque", use="compared: at least the joint's effort limit"
+    index=0x6072,
+    name="Max torque",
+    unit="0.001 rated torque",
+    use="compared: at least the joint's effort limit",
 )
-RATED_TORQUE = Entry(index=0x6076, name="Motor rated torque", unit="mN m", use="compared: scales torques")
-ACTUAL_TORQUE = Entry(index=0x6077, name="Torque actual value", unit="0.001 rated torque", use="TPDO1")
-ENCODER_INCREMENTS = Entry(index=0x608F, sub=1, name="Encoder increments", use="compared: scales positions")
+RATED_TORQUE = Entry(
+    index=0x6076, name="Motor rated torque", unit="mN m", use="compared: scales torques"
+)
+ACTUAL_TORQUE = Entry(
+    index=0x6077, name="Torque actual value", unit="0.001 rated torque", use="TPDO1"
+)
+ENCODER_INCREMENTS = Entry(
+    index=0x608F, sub=1, name="Encoder increments", use="compared: scales positions"
+)
 ENCODER_TURNS = Entry(index=0x608F, sub=2, name="Motor revolutions", use="compared")
-GEAR_MOTOR_TURNS = Entry(index=0x6091, sub=1, name="Motor shaft revolutions", use="compared: scales torques and positions")
+GEAR_MOTOR_TURNS = Entry(
+    index=0x6091,
+    sub=1,
+    name="Motor shaft revolutions",
+    use="compared: scales torques and positions",
+)
 GEAR_SHAFT_TURNS = Entry(index=0x6091, sub=2, name="Driving shaft revolutions", use="compared")
-PERIOD_VALUE = Entry(index=0x60C2, sub=1, name="Interpolation time period value", use="written: the cycle")
-PERIOD_INDEX = Entry(index=0x60C2, sub=2, name="Interpolation time index", use="written: its power of ten")
-SUPPORTED_MODES = Entry(index=0x6502, name="Supported drive modes", use="compared: bit 9", optional=True)
+PERIOD_VALUE = Entry(
+    index=0x60C2, sub=1, name="Interpolation time period value", use="written: the cycle"
+)
+PERIOD_INDEX = Entry(
+    index=0x60C2, sub=2, name="Interpolation time index", use="written: its power of ten"
+)
+SUPPORTED_MODES = Entry(
+    index=0x6502, name="Supported drive modes", use="compared: bit 9", optional=True
+)
 
 ENTRIES: Sequence[Entry] = (
     DEVICE_TYPE, SYNC_PERIOD, CONSUMER_HEARTBEAT, PRODUCER_HEARTBEAT, ERROR_CODE, CONTROLWORD, STATUSWORD, QUICK_STOP, MODE,
@@ -104,7 +136,9 @@ def dictionary(path: Path, node_id: int) -> Any:
     try:
         if path.suffix.lower() not in (".eds", ".dcf"):
             raise DeviceError(f"EDS {path}: a file whose name ends in .eds or .dcf is expected")
-        found = import_eds(io.StringIO(content(path, LARGEST_EDS).decode(errors="replace")), node_id)  # type: ignore[no-untyped-call]
+        found = import_eds(
+            io.StringIO(content(path, LARGEST_EDS).decode(errors="replace")), node_id
+        )  # type: ignore[no-untyped-call]
     except DeviceError:
         raise
     except OSError as error:
@@ -123,4 +157,7 @@ def dictionary(path: Path, node_id: int) -> Any:
 def table() -> list[str]:
     """Rows of Markdown for docs/cia402.md."""
     rows = ["| object | name | unit | use |", "|---|---|---|---|"]
-    return rows + [f"| {e} | {e.name} | {e.unit} | {e.use}{' (if the drive has it)' if e.optional else ''} |" for e in ENTRIES]
+    return rows + [
+        f"| {e} | {e.name} | {e.unit} | {e.use}{' (if the drive has it)' if e.optional else ''} |"
+        for e in ENTRIES
+    ]

@@ -86,24 +86,36 @@ def _nodes(name: str, raw: Mapping[str, Any], joints: int) -> dict[str, Any]:
     nodes = checked(name, raw, "node_ids", list, list(range(1, joints + 1)))
     host = checked(name, raw, "host_node_id", int, 127)
     if len(nodes) != joints:
-        raise DeviceError(f"device {name}: node_ids has {len(nodes)} entries; one for each of {joints} joints is expected")
+        raise DeviceError(
+            f"device {name}: node_ids has {len(nodes)} entries; one for each of {joints} joints is expected"
+        )
     for node in (*nodes, host):
         if isinstance(node, bool) or not isinstance(node, int) or not 1 <= node <= 127:
-            raise DeviceError(f"device {name}: node {node!r} is no CANopen node; a whole number from 1 to 127 is expected")
+            raise DeviceError(
+                f"device {name}: node {node!r} is no CANopen node; a whole number from 1 to 127 is expected"
+            )
     twice = [node for node in nodes if [*nodes, host].count(node) > 1]
     if twice:
-        raise DeviceError(f"device {name}: node {twice[0]} is there twice in node_ids and host_node_id; each needs its own")
+        raise DeviceError(
+            f"device {name}: node {twice[0]} is there twice in node_ids and host_node_id; each needs its own"
+        )
     return {"node_ids": tuple(nodes), "host_node_id": host}
 
 
-def _number(name: str, raw: Mapping[str, Any], key: str, default: float, least: float, most: float) -> float:
+def _number(
+    name: str, raw: Mapping[str, Any], key: str, default: float, least: float, most: float
+) -> float:
     value = raw.get(key, default)
     if isinstance(value, bool) or not isinstance(value, int | float) or not least <= value <= most:
-        raise DeviceError(f"device {name}: {key} is {value!r}; a number from {least:g} to {most:g} is expected")
+        raise DeviceError(
+            f"device {name}: {key} is {value!r}; a number from {least:g} to {most:g} is expected"
+        )
     return float(value)
 
 
-def _per_joint(name: str, raw: Mapping[str, Any], key: str, joints: int, default: float | None) -> list[float]:
+def _per_joint(
+    name: str, raw: Mapping[str, Any], key: str, joints: int, default: float | None
+) -> list[float]:
     """A number for all joints, or a list with one each."""
     value = raw.get(key, default)
     if value is None:
@@ -112,8 +124,12 @@ def _per_joint(name: str, raw: Mapping[str, Any], key: str, joints: int, default
         )
     values = value if isinstance(value, list) else [value] * joints
     if len(values) != joints:
-        raise DeviceError(f"device {name}: {key} has {len(values)} entries; one for each of {joints} joints is expected")
+        raise DeviceError(
+            f"device {name}: {key} has {len(values)} entries; one for each of {joints} joints is expected"
+        )
     for v in values:
         if isinstance(v, bool) or not isinstance(v, int | float) or not 0.0 < v < 1e9:
-            raise DeviceError(f"device {name}: {key} has {v!r}; a number greater than zero is expected")
+            raise DeviceError(
+                f"device {name}: {key} has {v!r}; a number greater than zero is expected"
+            )
     return [float(v) for v in values]

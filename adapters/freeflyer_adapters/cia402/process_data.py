@@ -43,4 +43,10 @@ ACTUAL = ProcessData(
     mapping=((objects.STATUSWORD, 16), (objects.ACTUAL_TORQUE, 16), (objects.POSITION, 32)),
     layout=struct.Struct("<Hhi"),
 )
-SPEED = ProcessData(name="TPDO2", number=2, base=0x280, mapping=((objects.VELOCITY, 32),), layout=struct.Struct("<i"))
+SPEED = ProcessData(
+    name="TPDO2",
+    number=2,
+    base=0x280,
+    mapping=((objects.VELOCITY, 32),),
+    layout=struct.Struct("<i"),
+)

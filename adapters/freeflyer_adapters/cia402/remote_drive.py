@@ -12,7 +12,13 @@ from freeflyer_adapters.cia402.network import PolledNetwork, PolledNode
 from freeflyer_adapters.cia402.objects import Entry
 from freeflyer_adapters.cia402.options import DriveOptions
 from freeflyer_adapters.cia402.process_data import ACTUAL, ON_SYNC, SPEED, TARGET, ProcessData
-from freeflyer_adapters.cia402.state_machine import FAULT_RESET, POWERED, Command, DriveState, state_of
+from freeflyer_adapters.cia402.state_machine import (
+    FAULT_RESET,
+    POWERED,
+    Command,
+    DriveState,
+    state_of,
+)
 from freeflyer_adapters.device.device import DeviceError
 from freeflyer_adapters.device.permit import Permit
 
@@ -72,7 +78,10 @@ class RemoteDrive:
             raise DeviceError(
                 f"{self.where} is of device profile {device_type & 0xFFFF} (1000h is 0x{device_type:08X}); a drive of profile 402 is expected"
             )
-        if self._has(objects.SUPPORTED_MODES) and not self.read(objects.SUPPORTED_MODES) & objects.SUPPORTS_TORQUE:
+        if (
+            self._has(objects.SUPPORTED_MODES)
+            and not self.read(objects.SUPPORTED_MODES) & objects.SUPPORTS_TORQUE
+        ):
             raise DeviceError(
                 f"{self.where} has no cyclic synchronous torque mode: bit 9 of its supported drive modes ({objects.SUPPORTED_MODES}) is 0"
             )
@@ -103,7 +112,9 @@ class RemoteDrive:
         self.emergency = 0
         self._read_state()
         if self.state is DriveState.fault:
-            raise DeviceError(f"{self.where} stays in {self.says} after a fault reset{self.error_code}; find its cause first")
+            raise DeviceError(
+                f"{self.where} stays in {self.says} after a fault reset{self.error_code}; find its cause first"
+            )
 
     @property
     def error_code(self) -> str:
@@ -114,7 +125,9 @@ class RemoteDrive:
             code = self.read(objects.ERROR_CODE)
         except DeviceError:
             return "; it gives no error code"
-        return f"; its error code ({objects.ERROR_CODE}) is {objects.error_text(code)}" if code else ""
+        return (
+            f"; its error code ({objects.ERROR_CODE}) is {objects.error_text(code)}" if code else ""
+        )
 
     def compare(self, effort: float) -> None:
         """The drive's own scales against the scenario's; `effort` [N m] is the largest torque that the joint may be given."""
@@ -122,7 +135,9 @@ class RemoteDrive:
         rated = 1e-3 * self.read(objects.RATED_TORQUE)
         self._same("rated torque", rated, m.rated_torque, "N m", objects.RATED_TORQUE, 0.5e-3)
         gear = self._ratio(objects.GEAR_MOTOR_TURNS, objects.GEAR_SHAFT_TURNS)
-        self._same("gear ratio", gear, m.gear_ratio, "", objects.GEAR_MOTOR_TURNS, 1e-9 * m.gear_ratio)
+        self._same(
+            "gear ratio", gear, m.gear_ratio, "", objects.GEAR_MOTOR_TURNS, 1e-9 * m.gear_ratio
+        )
         encoder = self._ratio(objects.ENCODER_INCREMENTS, objects.ENCODER_TURNS)
         self._same(
             "encoder resolution",
@@ -139,7 +154,9 @@ class RemoteDrive:
                 f"{effort:.4g} N m (joint_effort_limit): raise the one or lower the other"
             )
 
-    def _same(self, what: str, theirs: float, ours: float, unit: str, entry: Entry, tolerance: float) -> None:
+    def _same(
+        self, what: str, theirs: float, ours: float, unit: str, entry: Entry, tolerance: float
+    ) -> None:
         if not abs(theirs - ours) <= tolerance:
             raise DeviceError(
                 f"{self.where}: its {what} ({entry}) is {theirs:.9g} {unit}".rstrip()
@@ -169,7 +186,10 @@ class RemoteDrive:
         if self._has(objects.SYNC_PERIOD):
             self.write(objects.SYNC_PERIOD, round(1e6 * cycle))
         heartbeat = self.options.heartbeat
-        self.write(objects.CONSUMER_HEARTBEAT, self.options.host_node_id << 16 | round(1e3 * HEARTBEATS_MISSED * heartbeat))
+        self.write(
+            objects.CONSUMER_HEARTBEAT,
+            self.options.host_node_id << 16 | round(1e3 * HEARTBEATS_MISSED * heartbeat),
+        )
         self.write(objects.PRODUCER_HEARTBEAT, round(1e3 * heartbeat))
         self._map(self.node.rpdo, TARGET, used=True)
         self._map(self.node.tpdo, ACTUAL, used=True)
@@ -179,7 +199,10 @@ class RemoteDrive:
 
     def _silence_others(self) -> None:
         """PDOs that the drive has besides these would take bus time that nobody has counted."""
-        for maps, used in ((self.node.rpdo, {TARGET.number}), (self.node.tpdo, {ACTUAL.number, SPEED.number})):
+        for maps, used in (
+            (self.node.rpdo, {TARGET.number}),
+            (self.node.tpdo, {ACTUAL.number, SPEED.number}),
+        ):
             for number, pdo in maps.items():
                 if number in used:
                     continue
@@ -189,14 +212,21 @@ class RemoteDrive:
                         pdo.com_record[1].raw = cob_id | NOT_VALID
                 except SdoError as error:
                     record = f"its further PDO ({pdo.com_record.od.index:04X}h)"
-                    raise DeviceError(self._refused("does not switch off", record, error)) from error
+                    raise DeviceError(
+                        self._refused("does not switch off", record, error)
+                    ) from error
 
     def _map(self, maps: Any, pdo: ProcessData, *, used: bool) -> None:
         """canopen writes the mapping: PDO off, count 0, entries, count, PDO on."""
         what = f"the mapping of {pdo.name}"
         try:
             chosen = maps[pdo.number]
-            chosen.cob_id, chosen.enabled, chosen.trans_type, chosen.rtr_allowed = pdo.base + self.node_id, used, ON_SYNC, False
+            chosen.cob_id, chosen.enabled, chosen.trans_type, chosen.rtr_allowed = (
+                pdo.base + self.node_id,
+                used,
+                ON_SYNC,
+                False,
+            )
             chosen.clear()
             for entry, bits in pdo.mapping:
                 chosen.add_variable(entry.index, entry.sub, bits)
@@ -210,7 +240,11 @@ class RemoteDrive:
         finally:
             # canopen would copy every frame behind a lock; these are taken by `_on_actual` and `_on_speed`.
             for subscribers in self._network.subscribers.values():
-                subscribers[:] = [s for s in subscribers if getattr(s, "__self__", None) not in maps.map.maps.values()]
+                subscribers[:] = [
+                    s
+                    for s in subscribers
+                    if getattr(s, "__self__", None) not in maps.map.maps.values()
+                ]
 
     def _has(self, entry: Entry) -> bool:
         return self.node.object_dictionary.get_variable(entry.index, entry.sub) is not None
@@ -220,13 +254,19 @@ class RemoteDrive:
         try:
             return int(self._variable(entry).raw)
         except (SdoError, ValueError, TypeError) as error:
-            raise DeviceError(self._refused("does not give", f"{entry.name.lower()} ({entry})", error)) from error
+            raise DeviceError(
+                self._refused("does not give", f"{entry.name.lower()} ({entry})", error)
+            ) from error
 
     def write(self, entry: Entry, value: int) -> None:
         try:
             self._variable(entry).raw = value
         except (SdoError, ValueError) as error:
-            raise DeviceError(self._refused(f"does not take {value} for", f"{entry.name.lower()} ({entry})", error)) from error
+            raise DeviceError(
+                self._refused(
+                    f"does not take {value} for", f"{entry.name.lower()} ({entry})", error
+                )
+            ) from error
 
     def _variable(self, entry: Entry) -> Any:
         found = self.node.sdo[entry.index]
@@ -275,7 +315,9 @@ class RemoteDrive:
         self.cycles_since_heartbeat = 0
 
     def send(self, command: Command, raw_torque: int) -> None:
-        self._network.send_message(TARGET.base + self.node_id, TARGET.layout.pack(command.value, raw_torque))
+        self._network.send_message(
+            TARGET.base + self.node_id, TARGET.layout.pack(command.value, raw_torque)
+        )
 
     @property
     def says(self) -> str:

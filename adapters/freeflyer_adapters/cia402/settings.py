@@ -15,6 +15,10 @@ DESCRIPTIONS = {
 }
 
 DRIVES = tuple(
-    replace(s, default=DEFAULTS.get(s.name, s.default), description=DESCRIPTIONS.get(s.name, s.description))
+    replace(
+        s,
+        default=DEFAULTS.get(s.name, s.default),
+        description=DESCRIPTIONS.get(s.name, s.description),
+    )
     for s in settings.ARM
 )

@@ -15,21 +15,30 @@ from rich.console import Console
 from freeflyer.foundation.errors import DONE
 from freeflyer.foundation.output_file import folder
 from freeflyer.foundation.suggestions import did_you_mean
-from freeflyer_adapters.base.certificate_authority import HOSTS, CertificateAuthority, CertificateError
+from freeflyer_adapters.base.certificate_authority import (
+    HOSTS,
+    CertificateAuthority,
+    CertificateError,
+)
 from freeflyer_adapters.base.certificates import AUTHORITY, NAME, Identity, hosts_of, written
 
 NAMES = ("controller", "base_robot")
 """What a facility of one controller and one base robot needs."""
 DAYS = 365.0
 LONGEST = 3650.0
-HOST = re.compile(r"(?=.{1,253}$)[A-Za-z0-9]([A-Za-z0-9-]*[A-Za-z0-9])?(\.[A-Za-z0-9]([A-Za-z0-9-]*[A-Za-z0-9])?)*")
+HOST = re.compile(
+    r"(?=.{1,253}$)[A-Za-z0-9]([A-Za-z0-9-]*[A-Za-z0-9])?(\.[A-Za-z0-9]([A-Za-z0-9-]*[A-Za-z0-9])?)*"
+)
 """A host name by RFC 1123."""
 
 
 class CertificatesCommand:
     def configure(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
-            "directory", type=folder, metavar="DIR", help="an authority that is there signs; else a new one is made"
+            "directory",
+            type=folder,
+            metavar="DIR",
+            help="an authority that is there signs; else a new one is made",
         )
         parser.add_argument(
             "--name",
@@ -38,7 +47,13 @@ class CertificatesCommand:
             metavar="NAME",
             help=f"one that connects and listens (default: {' and '.join(NAMES)})",
         )
-        parser.add_argument("--observer", action="append", default=[], metavar="NAME", help="one that connects only, to read")
+        parser.add_argument(
+            "--observer",
+            action="append",
+            default=[],
+            metavar="NAME",
+            help="one that connects only, to read",
+        )
         parser.add_argument(
             "--host",
             action="append",
@@ -47,15 +62,27 @@ class CertificatesCommand:
             help=f"name or address under which those of --name are met (besides {', '.join(HOSTS)})",
         )
         parser.add_argument(
-            "--days", type=float, default=DAYS, metavar="N", help="how long certificates are valid (default: 365)"
+            "--days",
+            type=float,
+            default=DAYS,
+            metavar="N",
+            help="how long certificates are valid (default: 365)",
         )
         parser.add_argument(
-            "--renew", action="append", default=[], metavar="NAME", help="a new certificate and key for one that is there"
+            "--renew",
+            action="append",
+            default=[],
+            metavar="NAME",
+            help="a new certificate and key for one that is there",
         )
 
     def execute(self, arguments: argparse.Namespace, console: Console) -> int:
         directory: Path = arguments.directory
-        names, observers, renewed = list(arguments.name), list(arguments.observer), list(arguments.renew)
+        names, observers, renewed = (
+            list(arguments.name),
+            list(arguments.observer),
+            list(arguments.renew),
+        )
         if not names and not observers and not renewed:
             names = list(NAMES)
         _check(directory, names + observers, renewed, arguments.host, arguments.days)
@@ -63,23 +90,31 @@ class CertificatesCommand:
         is_new = not Identity(directory, AUTHORITY).certificate.exists()
         authority = _authority(directory, is_new)
         if is_new:
-            console.print(f"{directory}/{AUTHORITY}.pem, {AUTHORITY}.key: a new authority", soft_wrap=True)
+            console.print(
+                f"{directory}/{AUTHORITY}.pem, {AUTHORITY}.key: a new authority", soft_wrap=True
+            )
         for name in [*names, *observers, *renewed]:
             old = before.get(name)
             may_listen = _may_listen(old) if old is not None else name in names
             hosts = _united(
-                hosts_of(old) if old is not None else HOSTS if may_listen else (), arguments.host if may_listen else ()
+                hosts_of(old) if old is not None else HOSTS if may_listen else (),
+                arguments.host if may_listen else (),
             )
-            made = authority.issue(Identity(directory, name), days=arguments.days, hosts=hosts, may_listen=may_listen)
+            made = authority.issue(
+                Identity(directory, name), days=arguments.days, hosts=hosts, may_listen=may_listen
+            )
             use = f"connects, and listens on {', '.join(hosts)}" if may_listen else "connects only"
             console.print(
-                f"{directory}/{name}.pem, {name}.key: {use}; valid until {made.not_valid_after_utc:%Y-%m-%d}", soft_wrap=True
+                f"{directory}/{name}.pem, {name}.key: {use}; valid until {made.not_valid_after_utc:%Y-%m-%d}",
+                soft_wrap=True,
             )
         console.print(_next_step(directory), soft_wrap=True)
         return DONE
 
 
-def _check(directory: Path, names: Sequence[str], renewed: Sequence[str], hosts: Sequence[str], days: float) -> None:
+def _check(
+    directory: Path, names: Sequence[str], renewed: Sequence[str], hosts: Sequence[str], days: float
+) -> None:
     """Every mistake before a file is written."""
     for name in [*names, *renewed]:
         if not NAME.fullmatch(name) or name == AUTHORITY:
@@ -87,14 +122,18 @@ def _check(directory: Path, names: Sequence[str], renewed: Sequence[str], hosts:
                 f"{name!r} is no name for a certificate; up to 64 letters, digits, '_', '.' and '-' are expected, and not {AUTHORITY!r}"
             )
     if twice := next((name for name in names if [*names, *renewed].count(name) > 1), None):
-        raise CertificateError(f"{twice!r} is named more than once; one certificate for each name is expected")
+        raise CertificateError(
+            f"{twice!r} is named more than once; one certificate for each name is expected"
+        )
     for host in hosts:
         if not _is_host(host):
             raise CertificateError(
                 f"--host {host!r} is neither a host name nor an address; 192.0.2.10 or robot.lab.example is expected"
             )
     if not 0.0 < days <= LONGEST:
-        raise CertificateError(f"--days {days:g}: more than 0 and at most {LONGEST:g} days are expected")
+        raise CertificateError(
+            f"--days {days:g}: more than 0 and at most {LONGEST:g} days are expected"
+        )
     if directory.exists() and not directory.is_dir():
         raise CertificateError(f"{directory} is a file; a directory is expected")
     for name in names:
@@ -107,7 +146,9 @@ def _check(directory: Path, names: Sequence[str], renewed: Sequence[str], hosts:
     for name in renewed:
         if not Identity(directory, name).certificate.exists():
             known = sorted(path.stem for path in directory.glob("*.pem") if path.stem != AUTHORITY)
-            raise CertificateError(f"--renew {name}: there is no {directory}/{name}.pem{did_you_mean(name, known)}")
+            raise CertificateError(
+                f"--renew {name}: there is no {directory}/{name}.pem{did_you_mean(name, known)}"
+            )
 
 
 def _is_host(host: str) -> bool:
@@ -123,7 +164,9 @@ def _authority(directory: Path, is_new: bool) -> CertificateAuthority:
         return CertificateAuthority.read(directory)
     key = Identity(directory, AUTHORITY).key
     if key.exists():
-        raise CertificateError(f"{key} is there without its certificate, and is not overwritten; another directory is expected")
+        raise CertificateError(
+            f"{key} is there without its certificate, and is not overwritten; another directory is expected"
+        )
     try:
         directory.mkdir(mode=0o700, parents=True, exist_ok=True)
     except OSError as error:
@@ -135,12 +178,17 @@ def _read(identity: Identity) -> x509.Certificate:
     try:
         return x509.load_pem_x509_certificate(identity.certificate.read_bytes())
     except (OSError, ValueError) as error:
-        raise CertificateError(f"{identity.certificate} is no certificate that could be renewed") from error
+        raise CertificateError(
+            f"{identity.certificate} is no certificate that could be renewed"
+        ) from error
 
 
 def _may_listen(certificate: x509.Certificate) -> bool:
     try:
-        return ExtendedKeyUsageOID.SERVER_AUTH in certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
+        return (
+            ExtendedKeyUsageOID.SERVER_AUTH
+            in certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
+        )
     except x509.ExtensionNotFound:
         return True
 

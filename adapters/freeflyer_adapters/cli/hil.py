@@ -38,10 +38,14 @@ AFTERWARDS = 1.0
 class HilCommand:
     def configure(self, parser: argparse.ArgumentParser) -> None:
         _common(parser)
-        parser.add_argument("--out", type=folder, metavar="DIR", help="default: freeflyer_out/hil_SCENARIO")
+        parser.add_argument(
+            "--out", type=folder, metavar="DIR", help="default: freeflyer_out/hil_SCENARIO"
+        )
         how = parser.add_mutually_exclusive_group()
         how.add_argument(
-            "--simulated", action="store_true", help="every device is its model in this process, at wall-clock rate"
+            "--simulated",
+            action="store_true",
+            help="every device is its model in this process, at wall-clock rate",
         )
         how.add_argument(
             "--accelerated",
@@ -70,7 +74,12 @@ class HilCommand:
             metavar="LOG",
             help="the reason of the stop to the system log, too: syslog (that is /dev/log), syslog:PATH or syslog:HOST:PORT",
         )
-        parser.add_argument("--can-log", choices=FORMATS, default=FORMATS[0], help=f"format of it (default: {FORMATS[0]})")
+        parser.add_argument(
+            "--can-log",
+            choices=FORMATS,
+            default=FORMATS[0],
+            help=f"format of it (default: {FORMATS[0]})",
+        )
 
     def execute(self, arguments: argparse.Namespace, console: Console) -> int:
         chosen = scenario.load(arguments.scenario, arguments.overrides)
@@ -92,9 +101,14 @@ class HilCommand:
         for sentence in rescue():
             say(sentence)
         recording = Recording(
-            directory=directory, everything=arguments.record, can=not arguments.accelerated, can_format=arguments.can_log
+            directory=directory,
+            everything=arguments.record,
+            can=not arguments.accelerated,
+            can_format=arguments.can_log,
         )
-        stop = StopNotice(directory=directory, log_to=arguments.log_to, scenario=chosen.name, say=say)
+        stop = StopNotice(
+            directory=directory, log_to=arguments.log_to, scenario=chosen.name, say=say
+        )
         with closing(stop), _facility_beside(chosen, arguments, say), _reason_kept(stop):
             result, report = hil.run(
                 chosen,
@@ -112,7 +126,9 @@ class HilCommand:
         console.print(result_table(result))
         console.print(times_table(report.times))
         console.print(counts_table(report.devices))
-        console.print(f"Results in {directory}: record.parquet, summary.json, stop.json", soft_wrap=True)
+        console.print(
+            f"Results in {directory}: record.parquet, summary.json, stop.json", soft_wrap=True
+        )
         for sentence in (*report.remarks, *recording_told(report.recording or {})):
             console.print(sentence, soft_wrap=True)
         return verdict(result)
@@ -121,7 +137,9 @@ class HilCommand:
 class FacilityCommand:
     def configure(self, parser: argparse.ArgumentParser) -> None:
         _common(parser)
-        parser.add_argument("--out", type=folder, metavar="DIR", help="write facility.json there at the end")
+        parser.add_argument(
+            "--out", type=folder, metavar="DIR", help="write facility.json there at the end"
+        )
 
     def execute(self, arguments: argparse.Namespace, console: Console) -> int:
         chosen = scenario.load(arguments.scenario, arguments.overrides)
@@ -159,14 +177,18 @@ class FacilityCommand:
 def _check(chosen: Scenario, arguments: argparse.Namespace, console: Console) -> int:
     """What `--check` shows; BAD_INPUT if a device could not be activated as it stands."""
     with _facility_beside(chosen, arguments, lambda text: None):
-        found = hil.look(chosen, simulated=arguments.simulated, fmi=arguments.fmi)
+        found = hil.inspect(chosen, simulated=arguments.simulated, fmi=arguments.fmi)
     for name, looked in found.items():
         table = Table(title=f"{name} measures", title_justify="left")
         for column in ("", "unit", "value"):
             table.add_column(column)
         for variable, values in looked.measured.items():
             units = list(dict.fromkeys(unit or "" for unit in looked.units[variable]))
-            table.add_row(variable.replace("_", " "), ", ".join(units), "  ".join(f"{value:.5g}" for value in values))
+            table.add_row(
+                variable.replace("_", " "),
+                ", ".join(units),
+                "  ".join(f"{value:.5g}" for value in values),
+            )
         console.print(table)
     for sentence in hil.limitations({name: looked.cannot_refuse for name, looked in found.items()}):
         console.print(sentence, soft_wrap=True)
@@ -175,7 +197,10 @@ def _check(chosen: Scenario, arguments: argparse.Namespace, console: Console) ->
         complain(refusal, BAD_INPUT)
     if refusals:
         return BAD_INPUT
-    console.print("Every device answers as the scenario expects, and could be activated. Nothing was.", soft_wrap=True)
+    console.print(
+        "Every device answers as the scenario expects, and could be activated. Nothing was.",
+        soft_wrap=True,
+    )
     return DONE
 
 
@@ -185,12 +210,19 @@ def _reason_kept(stop: StopNotice) -> Iterator[None]:
     try:
         yield
     except BaseException as error:
-        stop.give(hil.reason_of(error), NOTHING_ACTIVE, orderly=isinstance(error, KeyboardInterrupt), quiet=True)
+        stop.give(
+            hil.reason_of(error),
+            NOTHING_ACTIVE,
+            orderly=isinstance(error, KeyboardInterrupt),
+            quiet=True,
+        )
         raise
 
 
 @contextmanager
-def _facility_beside(chosen: Scenario, arguments: argparse.Namespace, say: Callable[[str], None]) -> Iterator[None]:
+def _facility_beside(
+    chosen: Scenario, arguments: argparse.Namespace, say: Callable[[str], None]
+) -> Iterator[None]:
     """Where `--accelerated` asks for it: in this process, on one virtual time with the loop."""
     if not arguments.accelerated:
         yield
@@ -207,7 +239,9 @@ def say_faults(facility: Facility, say: Callable[[str], None]) -> None:
 
 
 def _common(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("scenario", metavar="SCENARIO", help=f"{', '.join(scenario.shipped())}, or a .toml file")
+    parser.add_argument(
+        "scenario", metavar="SCENARIO", help=f"{', '.join(scenario.shipped())}, or a .toml file"
+    )
     parser.add_argument(
         "--set",
         action="append",
@@ -216,7 +250,9 @@ def _common(parser: argparse.ArgumentParser) -> None:
         dest="overrides",
         help="COMPONENT.PARAMETER=VALUE, or devices.NAME.KEY=VALUE",
     )
-    parser.add_argument("--fmi", type=int, choices=(2, 3), help="FMI version of the shipped FMUs (default: 2)")
+    parser.add_argument(
+        "--fmi", type=int, choices=(2, 3), help="FMI version of the shipped FMUs (default: 2)"
+    )
     parser.add_argument(
         "--real-time",
         action=argparse.BooleanOptionalAction,
@@ -230,8 +266,14 @@ def recording_told(recording: Mapping[str, Any]) -> list[str]:
     paths = [*recording.get("recording", ()), *recording.get("can", ()), recording.get("flight")]
     said = [f"Recorded: {', '.join(path for path in paths if path)}"] if any(paths) else []
     if recording.get("rows_lost"):
-        said.append(f"The recorder was held up: {recording['rows_lost']} instants are missing in the recording")
-    return [*said, *recording.get("clock_steps", ()), *(f"Missing: {sentence}" for sentence in recording.get("missing", ()))]
+        said.append(
+            f"The recorder was held up: {recording['rows_lost']} instants are missing in the recording"
+        )
+    return [
+        *said,
+        *recording.get("clock_steps", ()),
+        *(f"Missing: {sentence}" for sentence in recording.get("missing", ())),
+    ]
 
 
 def times_table(times: Mapping[str, Mapping[str, float]]) -> Table:

@@ -6,7 +6,15 @@ from collections.abc import Iterator, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 
-from freeflyer_adapters.arm.frames import MESSAGES, NEEDED, PROMISES, SHIPPED_DBC, ArmFrames, FrameMapping, Mode
+from freeflyer_adapters.arm.frames import (
+    MESSAGES,
+    NEEDED,
+    PROMISES,
+    SHIPPED_DBC,
+    ArmFrames,
+    FrameMapping,
+    Mode,
+)
 from freeflyer_adapters.base import access_control, rmw_zenoh, ros_messages
 from freeflyer_adapters.base.options import LinkOptions
 from freeflyer_adapters.can.bus_load import bus_load, frame_time
@@ -68,7 +76,9 @@ def _can() -> Iterator[str]:
         for signal in sorted(message.signals, key=lambda signal: signal.start):
             meaning = signal.comment or ""
             if signal.choices:
-                meaning += ": " + ", ".join(f"{number} {name}" for number, name in sorted(signal.choices.items()))
+                meaning += ": " + ", ".join(
+                    f"{number} {name}" for number, name in sorted(signal.choices.items())
+                )
             low, high = signal.minimum, signal.maximum
             yield (
                 f"| {signal.name} | {signal.start} | {signal.length} | {'yes' if signal.is_signed else 'no'} | {signal.scale:g} | "
@@ -183,12 +193,21 @@ def _access_control(o: LinkOptions) -> Iterator[str]:
         f"`{rmw_zenoh.commander_token(o.domain, o.setpoint_topic, 'NAME')}`."
     )
     yield "\n| on the end of | certificates | flow | messages | key expressions |\n|---|---|---|---|---|"
-    for end, protection in (("base robot", access_control.robots_end(o)), ("controller", access_control.controllers_end(o))):
+    for end, protection in (
+        ("base robot", access_control.robots_end(o)),
+        ("controller", access_control.controllers_end(o)),
+    ):
         assert protection is not None
         access = protection.access
-        names = {s["id"]: ", ".join(s.get("cert_common_names", ["every valid one"])) for s in access["subjects"]}
+        names = {
+            s["id"]: ", ".join(s.get("cert_common_names", ["every valid one"]))
+            for s in access["subjects"]
+        }
         who = {
-            rule: names[subject] for policy in access["policies"] for subject in policy["subjects"] for rule in policy["rules"]
+            rule: names[subject]
+            for policy in access["policies"]
+            for subject in policy["subjects"]
+            for rule in policy["rules"]
         }
         for rule in access["rules"]:
             keys = ", ".join(f"`{key}`" for key in rule["key_exprs"])
@@ -210,7 +229,10 @@ def _settings() -> Iterator[str]:
         "engage. What *refuses* keeps the loop from being activated. Further limits are the scenario's own `[[limits]]`: on the base "
         "wrench, and on the observed energies for a stated time."
     )
-    for title, rows in (("Arm (`can_arm`)", settings.ARM), ("Base robot (`zenoh_base`)", settings.BASE)):
+    for title, rows in (
+        ("Arm (`can_arm`)", settings.ARM),
+        ("Base robot (`zenoh_base`)", settings.BASE),
+    ):
         yield f"\n### {title}\n\n| setting | default | unit | effect | meaning |\n|---|---|---|---|---|"
         for row in rows:
             yield f"| `{row.name}` | {_default(row)} | {_units(row)} | {row.effect} | {row.description} |"
@@ -261,14 +283,17 @@ def _faults() -> Iterator[str]:
     yield "| kind | what happens | takes | `can_arm` | `zenoh_base` | `cia402_arm` |\n|---|---|---|---|---|---|"
     played_by = can_faults.FAULT_KINDS, zenoh_faults.FAULT_KINDS, can_faults.OF_DRIVES
     for name, kind in KINDS.items():
-        takes = ", ".join(f"`{key}` ({getattr(Fault(kind=name, device=''), key):g})" for key in kind.takes)
+        takes = ", ".join(
+            f"`{key}` ({getattr(Fault(kind=name, device=''), key):g})" for key in kind.takes
+        )
         played = ("yes" if name in kinds else "" for kinds in played_by)
         yield f"| `{name}` | {kind.description} | {takes} | {' | '.join(played)} |"
 
 
 def _defaults(settings: RandomFaults) -> str:
     return ", ".join(
-        f"`{f.name} = {list(v) if isinstance(v := getattr(settings, f.name), tuple) else v}`" for f in fields(settings)
+        f"`{f.name} = {list(v) if isinstance(v := getattr(settings, f.name), tuple) else v}`"
+        for f in fields(settings)
     )
 
 

@@ -16,9 +16,14 @@ from freeflyer_adapters.recording.recover import recover, rings_of, unfinished
 class RecoverCommand:
     def configure(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
-            "path", type=Path, metavar="PATH", help="FILE.mcap, FILE.blf, FILE.ring, or the directory of a run with all of them"
+            "path",
+            type=Path,
+            metavar="PATH",
+            help="FILE.mcap, FILE.blf, FILE.ring, or the directory of a run with all of them",
         )
-        parser.add_argument("--out", type=Path, metavar="FILE", help="default: FILE_recovered beside it")
+        parser.add_argument(
+            "--out", type=Path, metavar="FILE", help="default: FILE_recovered beside it"
+        )
 
     def execute(self, arguments: argparse.Namespace, console: Console) -> int:
         path, out = arguments.path, arguments.out
@@ -27,13 +32,20 @@ class RecoverCommand:
         paths = [path]
         if path.is_dir():
             if out is not None:
-                raise RecordError(f"--out {out}: {path} is a directory, whose files are recovered beside the old ones")
+                raise RecordError(
+                    f"--out {out}: {path} is a directory, whose files are recovered beside the old ones"
+                )
             paths = list(unfinished(path))
             if not paths:
-                raise RecordError(f"{path} has no recording, no CAN log, and no run in it has left a ring")
+                raise RecordError(
+                    f"{path} has no recording, no CAN log, and no run in it has left a ring"
+                )
         elif path.suffix.lower() == ".mcap" and path.is_file():
             paths = [*rings_of(path.parent), path]
-        with interrupts() as asked, Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+        with (
+            interrupts() as asked,
+            Progress(console=console, transient=True, disable=not console.is_terminal) as bar,
+        ):
             for one in paths:
                 task = bar.add_task(one.name)
 

@@ -61,7 +61,9 @@ class State:
         if following == self.now:
             return
         if following not in TRANSITIONS[self.now]:
-            raise RuntimeError(f"{self.subject}: {self.now.name} -> {following.name} is no transition of its life cycle")
+            raise RuntimeError(
+                f"{self.subject}: {self.now.name} -> {following.name} is no transition of its life cycle"
+            )
         self.now = following
 
 

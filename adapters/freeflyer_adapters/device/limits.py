@@ -22,13 +22,19 @@ class ArmLimits:
         self.change = np.array(settings["torque_rate_limit"]) * cycle
         self.velocity = np.array(settings["joint_velocity_limit"])
         margin = float(settings["joint_limit_margin"][0])
-        self.lower, self.upper = settings["joint_lower_limit"] + margin, settings["joint_upper_limit"] - margin
+        self.lower, self.upper = (
+            settings["joint_lower_limit"] + margin,
+            settings["joint_upper_limit"] - margin,
+        )
         self.acted: Counter[str] = Counter(joint_effort_limit=0, torque_rate_limit=0)
 
     def command(self, wanted: Array, before: Array) -> tuple[Array, str | None]:
         """The torque (n) [N m] to send in place of `wanted`, after `before` in the last cycle; a reason to stop."""
         if not np.isfinite(wanted).all():
-            return before, f"the commanded joint torque is {_listed(wanted)} N m; finite numbers are expected"
+            return (
+                before,
+                f"the commanded joint torque is {_listed(wanted)} N m; finite numbers are expected",
+            )
         # Written with minimum and maximum: np.clip takes several times as long for so few numbers.
         held = np.minimum(np.maximum(wanted, -self.effort), self.effort)
         if (held != wanted).any():
@@ -46,7 +52,9 @@ class ArmLimits:
             joint = int(np.argmax(np.nan_to_num(np.abs(velocity) / self.velocity, nan=np.inf)))
             return f"joint {joint + 1} moves at {velocity[joint]:.4g} rad/s, its limit is {self.velocity[joint]:.4g} rad/s"
         if not ((position >= self.lower) & (position <= self.upper)).all():
-            beyond = np.nan_to_num(np.maximum(self.lower - position, position - self.upper), nan=np.inf)
+            beyond = np.nan_to_num(
+                np.maximum(self.lower - position, position - self.upper), nan=np.inf
+            )
             joint = int(np.argmax(beyond))
             return f"joint {joint + 1} is at {position[joint]:.4g} rad, its range is {self.lower[joint]:.4g} to {self.upper[joint]:.4g} rad"
         return None
@@ -56,34 +64,56 @@ class BaseLimits:
     """Of one base robot; `settings` are those of `freeflyer_adapters.device.settings.BASE`."""
 
     def __init__(self, settings: Mapping[str, Array]) -> None:
-        self.lower, self.upper = np.array(settings["workspace_lower"]), np.array(settings["workspace_upper"])
+        self.lower, self.upper = (
+            np.array(settings["workspace_lower"]),
+            np.array(settings["workspace_upper"]),
+        )
         self.speed = np.array(settings["velocity_limit"])
         self.step = np.array(settings["step_limit"])
         self.following = np.array(settings["following_error_limit"])
 
-    def setpoint(self, position: Array, orientation: Array, velocity: Array, before: tuple[Array, Array] | None) -> str | None:
+    def setpoint(
+        self,
+        position: Array,
+        orientation: Array,
+        velocity: Array,
+        before: tuple[Array, Array] | None,
+    ) -> str | None:
         """A reason not to send a set point: position (3) [m], orientation (4, xyzw), velocity (6); `before` is the last one."""
-        if not (np.isfinite(position).all() and np.isfinite(orientation).all() and np.isfinite(velocity).all()):
+        if not (
+            np.isfinite(position).all()
+            and np.isfinite(orientation).all()
+            and np.isfinite(velocity).all()
+        ):
             return f"the base's set point is {_listed([*position, *orientation, *velocity])}; finite numbers are expected"
         if not 0.9 < float(orientation @ orientation) < 1.1:
             return f"the base's orientation set point has the squared norm {orientation @ orientation:.3g}; 1 is expected"
         if not ((position >= self.lower) & (position <= self.upper)).all():
             return f"the base's set point {_listed(position)} m is outside the workspace {_listed(self.lower)} to {_listed(self.upper)} m"
-        for part, limit, unit in ((velocity[:3], self.speed[0], "m/s"), (velocity[3:], self.speed[1], "rad/s")):
+        for part, limit, unit in (
+            (velocity[:3], self.speed[0], "m/s"),
+            (velocity[3:], self.speed[1], "rad/s"),
+        ):
             size = float(np.linalg.norm(part))
             if size > limit:
                 return f"the base's set point moves at {size:.4g} {unit}, its limit is {limit:.4g} {unit}"
         if before is not None:
-            for size, limit, unit in zip(distance(position, orientation, *before), self.step, ("m", "rad"), strict=True):
+            for size, limit, unit in zip(
+                distance(position, orientation, *before), self.step, ("m", "rad"), strict=True
+            ):
                 if size > limit:
                     return f"the base's set point jumps by {size:.4g} {unit} in one cycle, its limit is {limit:.4g} {unit}"
         return None
 
-    def measured(self, position: Array, orientation: Array, setpoint: tuple[Array, Array]) -> str | None:
+    def measured(
+        self, position: Array, orientation: Array, setpoint: tuple[Array, Array]
+    ) -> str | None:
         """A reason to stop from the measured pose."""
         if not (np.isfinite(position).all() and np.isfinite(orientation).all()):
             return f"the base's measured pose is {_listed([*position, *orientation])}; finite numbers are expected"
-        for size, limit, unit in zip(distance(position, orientation, *setpoint), self.following, ("m", "rad"), strict=True):
+        for size, limit, unit in zip(
+            distance(position, orientation, *setpoint), self.following, ("m", "rad"), strict=True
+        ):
             if size > limit:
                 return f"the base is {size:.4g} {unit} from its set point, its limit is {limit:.4g} {unit}"
         return None

@@ -15,7 +15,9 @@ KINDS = {str: "a text", int: "a whole number", dict: "a table", list: "a list"}
 def known_keys(name: str, raw: Mapping[str, Any], keys: Sequence[str]) -> None:
     for key in raw:
         if key not in keys:
-            raise DeviceError(f"device {name}: unknown key {key!r}{did_you_mean(key, [*keys, 'kind', 'step_s', 'parameters'])}")
+            raise DeviceError(
+                f"device {name}: unknown key {key!r}{did_you_mean(key, [*keys, 'kind', 'step_s', 'parameters'])}"
+            )
 
 
 def checked(name: str, raw: Mapping[str, Any], key: str, kind: type[T], default: T) -> T:

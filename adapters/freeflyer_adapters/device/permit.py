@@ -85,4 +85,8 @@ class Permit:
         """Whether the device is known to be active still, so that the torques of a graded stop cannot activate it anew."""
         if self.hold_up(now) and not self.reports_state:
             return False
-        return self._is_taken and self._active_at is not None and now - self._active_at <= self.watchdog
+        return (
+            self._is_taken
+            and self._active_at is not None
+            and now - self._active_at <= self.watchdog
+        )

@@ -11,8 +11,16 @@ from collections import deque
 class QualityMonitor:
     """Stop on `consecutive` lost cycles in a row, or on `within` lost ones in the last `window` cycles (0: that rule is off)."""
 
-    def __init__(self, subject: str, *, consecutive: int, within: int = 0, window: int = 0, cycle: float) -> None:
-        self.subject, self.consecutive, self.within, self.window, self.cycle = subject, consecutive, within, window, cycle
+    def __init__(
+        self, subject: str, *, consecutive: int, within: int = 0, window: int = 0, cycle: float
+    ) -> None:
+        self.subject, self.consecutive, self.within, self.window, self.cycle = (
+            subject,
+            consecutive,
+            within,
+            window,
+            cycle,
+        )
         self._row = 0
         self._recent: deque[int] = deque(maxlen=max(within, 1))
         self._count = 0
@@ -40,7 +48,11 @@ class QualityMonitor:
         self._recent.append(self._count)
         if self._row >= self.consecutive:
             return f"{self._row} cycles in a row were lost, {self.consecutive} are one too many ({self.subject}, cycles of {self.cycle:g} s)"
-        if self.within and len(self._recent) == self.within and self._count - self._recent[0] < self.window:
+        if (
+            self.within
+            and len(self._recent) == self.within
+            and self._count - self._recent[0] < self.window
+        ):
             return (
                 f"{self.within} cycles within {self.window * self.cycle:g} s were lost, one too many ({self.subject}, "
                 f"cycles of {self.cycle:g} s)"

@@ -26,4 +26,6 @@ class RampDown:
 
     def over(self, velocity: Array, elapsed: float) -> bool:
         """Whether to brake: at rest after the ramp, or after twice its time in any case."""
-        return elapsed >= self.time and (bool((np.abs(velocity) < AT_REST).all()) or elapsed >= 2.0 * self.time)
+        return elapsed >= self.time and (
+            bool((np.abs(velocity) < AT_REST).all()) or elapsed >= 2.0 * self.time
+        )

@@ -39,11 +39,17 @@ class Setting:
             if self.whole and value != int(value):
                 raise DeviceError(f"{device}.{self.name} is {value:g}; a whole number is expected")
             if self.least is not None and not self.least <= value:
-                raise DeviceError(f"{device}.{self.name} is {value:g}{unit}; {self.least:g}{unit} or more is expected")
+                raise DeviceError(
+                    f"{device}.{self.name} is {value:g}{unit}; {self.least:g}{unit} or more is expected"
+                )
             if self.least is None and self.above is not None and not self.above < value:
-                raise DeviceError(f"{device}.{self.name} is {value:g}{unit}; more than {self.above:g}{unit} is expected")
+                raise DeviceError(
+                    f"{device}.{self.name} is {value:g}{unit}; more than {self.above:g}{unit} is expected"
+                )
             if not abs(value) <= self.most:
-                raise DeviceError(f"{device}.{self.name} is {value:g}{unit}; at most {self.most:g} is expected")
+                raise DeviceError(
+                    f"{device}.{self.name} is {value:g}{unit}; at most {self.most:g} is expected"
+                )
 
     def port(self, joints: int) -> Port:
         start = self.default * joints if self.per_joint else self.default
@@ -51,7 +57,9 @@ class Setting:
             name=self.name,
             size=len(start),
             causality="parameter",
-            units=(self.unit,) * len(start) if self.unit is None or " " not in self.unit else tuple(self.unit.split()),
+            units=(self.unit,) * len(start)
+            if self.unit is None or " " not in self.unit
+            else tuple(self.unit.split()),
             start=start,
             settable=True,
             boolean=self.boolean,

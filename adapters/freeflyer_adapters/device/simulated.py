@@ -35,8 +35,17 @@ class SimulatedDevice:
         self.name, self.model = name, model
         self.state = State(name)
         self.is_arm = {"joint_torque_command", "joint_velocity"} <= model.ports.keys()
-        self.is_base = {"position_setpoint", "orientation_setpoint", "velocity_setpoint", "base_position"} <= model.ports.keys()
-        ports = {port.name: replace(port, sampled=port.causality == "output") for port in model.ports.values() if port.real}
+        self.is_base = {
+            "position_setpoint",
+            "orientation_setpoint",
+            "velocity_setpoint",
+            "base_position",
+        } <= model.ports.keys()
+        ports = {
+            port.name: replace(port, sampled=port.causality == "output")
+            for port in model.ports.values()
+            if port.real
+        }
         self._parameters = [port.name for port in ports.values() if port.settable]
         if self.is_arm:
             joints = model.ports["joint_torque_command"].size
@@ -49,9 +58,13 @@ class SimulatedDevice:
         self._inputs = [port.name for port in ports.values() if port.causality == "input"]
         self._outputs = [port.name for port in ports.values() if port.causality == "output"]
         self.ports: Mapping[str, Port] = ports
-        self.values: Mapping[str, Array] = {p.name: np.array(p.start or (0.0,) * p.size, dtype=float) for p in ports.values()}
+        self.values: Mapping[str, Array] = {
+            p.name: np.array(p.start or (0.0,) * p.size, dtype=float) for p in ports.values()
+        }
         self._count = 0
-        self._last_torque = np.zeros(ports["joint_torque_command"].size) if self.is_arm else np.zeros(0)
+        self._last_torque = (
+            np.zeros(ports["joint_torque_command"].size) if self.is_arm else np.zeros(0)
+        )
         self._stopping: Array | None = None
 
     @property
@@ -83,7 +96,9 @@ class SimulatedDevice:
             self.base_limits = BaseLimits(v)
         if self.is_arm:
             self.limits = ArmLimits(v, self.step)
-            self.ramp = RampDown(time=float(v["ramp_down_time"][0]), damping=float(v["ramp_down_damping"][0]))
+            self.ramp = RampDown(
+                time=float(v["ramp_down_time"][0]), damping=float(v["ramp_down_damping"][0])
+            )
         self.state.to(LifeCycle.inactive)
 
     def check_start(self) -> None:
@@ -110,7 +125,9 @@ class SimulatedDevice:
     def read(self) -> None:
         self._cycle()
         if self.is_arm and self.state.now is LifeCycle.active:
-            reason = self.limits.measured(self.values["joint_position"], self.values["joint_velocity"])
+            reason = self.limits.measured(
+                self.values["joint_position"], self.values["joint_velocity"]
+            )
             if reason:
                 raise SafeStop(self.name, reason)
 
@@ -130,9 +147,13 @@ class SimulatedDevice:
         if self._count % max(1, round(float(v["cycle"][0]) / self.step)):
             return
         position, orientation = v["position_setpoint"], v["orientation_setpoint"]
-        reason = self.base_limits.setpoint(position, orientation, v["velocity_setpoint"], self._sent)
+        reason = self.base_limits.setpoint(
+            position, orientation, v["velocity_setpoint"], self._sent
+        )
         self._sent = (position.copy(), orientation.copy())
-        reason = reason or self.base_limits.measured(v["base_position"], v["base_orientation"], self._sent)
+        reason = reason or self.base_limits.measured(
+            v["base_position"], v["base_orientation"], self._sent
+        )
         if reason:
             raise SafeStop(self.name, reason)
 
@@ -169,7 +190,11 @@ class SimulatedDevice:
         self.model.close()
 
     def report(self) -> Mapping[str, float]:
-        return {f"{name}_acted": float(count) for name, count in self.limits.acted.items()} if self.is_arm else {}
+        return (
+            {f"{name}_acted": float(count) for name, count in self.limits.acted.items()}
+            if self.is_arm
+            else {}
+        )
 
     def histograms(self) -> Mapping[str, Histogram]:
         return {}
@@ -190,7 +215,11 @@ class SimulatedDevice:
         first = 0
         for name in self._inputs:
             # The torque that was let through, whatever the controller has asked for since.
-            value = self._last_torque if self.is_arm and name == "joint_torque_command" else self.values[name]
+            value = (
+                self._last_torque
+                if self.is_arm and name == "joint_torque_command"
+                else self.values[name]
+            )
             self._input_buffer[first : first + value.size] = value
             first += value.size
         self._write()

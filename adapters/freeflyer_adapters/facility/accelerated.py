@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from freeflyer.scenario.scenario import Scenario
 from freeflyer_adapters.facility.server import Facility
 from freeflyer_adapters.facility.virtual_time import VirtualTime
-from freeflyer_adapters.foundation import environment as outside
+from freeflyer_adapters.foundation import environment
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,9 +23,15 @@ def _unheard(text: str) -> None:
 
 
 @contextmanager
-def accelerated(scenario: Scenario, fmi: int | None = None, say: Callable[[str], None] = _unheard) -> Iterator[Accelerated]:
+def accelerated(
+    scenario: Scenario, fmi: int | None = None, say: Callable[[str], None] = _unheard
+) -> Iterator[Accelerated]:
     """What is run meanwhile (`freeflyer_adapters.loop.hil.run` without real time) meets this facility, and its time. Raises CosimError."""
     time = VirtualTime()
-    with outside.within(time), closing(Facility(scenario, fmi)) as facility, closing(facility.cycles(say)) as cycles:
+    with (
+        environment.within(time),
+        closing(Facility(scenario, fmi)) as facility,
+        closing(facility.cycles(say)) as cycles,
+    ):
         time.play(cycles, facility.period)
         yield Accelerated(facility=facility, time=time)

@@ -141,7 +141,11 @@ class ArmLogic:
             self.excessive += 1
             return
         if command.mode is Mode.reset:
-            if self.life.now in (LifeCycle.safe_stop, LifeCycle.fault) and self.braked and not self._is_used_up:
+            if (
+                self.life.now in (LifeCycle.safe_stop, LifeCycle.fault)
+                and self.braked
+                and not self._is_used_up
+            ):
                 self._to(LifeCycle.inactive, "reset")
         elif command.mode is Mode.brake:
             self._use_up()
@@ -170,7 +174,11 @@ class ArmLogic:
     def _may_begin_session(self, command: Command) -> bool:
         if self.implicit:
             return not self.controller
-        return command.mode is Mode.reset and not self.controller and command.controller not in self.used
+        return (
+            command.mode is Mode.reset
+            and not self.controller
+            and command.controller not in self.used
+        )
 
     @property
     def _is_used_up(self) -> bool:
@@ -185,7 +193,11 @@ class ArmLogic:
         """Whether the frame activates: the challenge is the arm's own recent state frame, which has carried the session number."""
         age = (self.cycle - command.answered) % self.cycles
         if self.implicit:
-            return command.mode is Mode.torque and self.life.now is LifeCycle.inactive and age < self.watchdog
+            return (
+                command.mode is Mode.torque
+                and self.life.now is LifeCycle.inactive
+                and age < self.watchdog
+            )
         if command.mode is not Mode.activate:
             return False
         counts = self.life.now is LifeCycle.inactive and age < self._echoes and not self._is_used_up

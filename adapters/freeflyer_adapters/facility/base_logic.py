@@ -41,7 +41,11 @@ class BaseLogic:
         self.life.to(LifeCycle.inactive)
         self.publisher = b""
         """Whose set points are taken while the robot is active."""
-        self.position, self.orientation, self.velocity = np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(6)
+        self.position, self.orientation, self.velocity = (
+            np.zeros(3),
+            np.array([0.0, 0.0, 0.0, 1.0]),
+            np.zeros(6),
+        )
         """The set point that the robot is given (its own frame is I)."""
         self.refused = 0
         self.was_active = False
@@ -57,7 +61,11 @@ class BaseLogic:
 
     def hold(self, position: Array, orientation: Array) -> None:
         """Stay at a pose, without velocity."""
-        self.position, self.orientation, self.velocity = position.copy(), orientation.copy(), np.zeros(6)
+        self.position, self.orientation, self.velocity = (
+            position.copy(),
+            orientation.copy(),
+            np.zeros(6),
+        )
 
     def take(
         self,
@@ -72,7 +80,11 @@ class BaseLogic:
         """A set point of this stamp [s], which came `delay` [s] late; `pose` is where the robot is. Whether it is followed; None: not
         yet, its publisher's have not come for long enough.
         """
-        finite = np.isfinite(position).all() and np.isfinite(orientation).all() and np.isfinite(velocity).all()
+        finite = (
+            np.isfinite(position).all()
+            and np.isfinite(orientation).all()
+            and np.isfinite(velocity).all()
+        )
         if not finite or not 0.98 < float(orientation @ orientation) < 1.02:
             self.refused += 1
             return False
@@ -81,7 +93,9 @@ class BaseLogic:
             return False
         if self.life.now is LifeCycle.active:
             step = distance(position, orientation, self.position, self.orientation)
-            if publisher != self.publisher or any(gap > most for gap, most in zip(step, self.jump, strict=True)):
+            if publisher != self.publisher or any(
+                gap > most for gap, most in zip(step, self.jump, strict=True)
+            ):
                 self.refused += 1
                 return False
         else:
@@ -89,7 +103,11 @@ class BaseLogic:
             if not activated:
                 self.refused += activated is not None
                 return activated
-        self.position, self.orientation, self.velocity = position.copy(), orientation.copy(), velocity.copy()
+        self.position, self.orientation, self.velocity = (
+            position.copy(),
+            orientation.copy(),
+            velocity.copy(),
+        )
         self._heard = self._calls
         return True
 
@@ -99,14 +117,21 @@ class BaseLogic:
             self.used.append(publisher)
 
     def _is_activated(
-        self, position: Array, orientation: Array, pose: tuple[Array, Array], publisher: bytes, stamp: float
+        self,
+        position: Array,
+        orientation: Array,
+        pose: tuple[Array, Array],
+        publisher: bytes,
+        stamp: float,
     ) -> bool | None:
         if publisher in self.used:
             return False
         far = distance(position, orientation, *pose)
         if any(gap > most for gap, most in zip(far, self.jump, strict=True)):
             if not self.refused:
-                self._note(f"a first set point {far[0]:.4f} m and {far[1]:.4f} rad away was refused")
+                self._note(
+                    f"a first set point {far[0]:.4f} m and {far[1]:.4f} rad away was refused"
+                )
             return False
         if not self._comes_in_time(publisher, stamp):
             return None
@@ -130,7 +155,10 @@ class BaseLogic:
         """Once every servo cycle, after what came was taken."""
         self._calls += 1
         if self.life.now is LifeCycle.active and self._calls - self._heard > self.watchdog:
-            self._to(LifeCycle.safe_stop, f"no set point for {self.watchdog * self.period:g} s; it holds its place")
+            self._to(
+                LifeCycle.safe_stop,
+                f"no set point for {self.watchdog * self.period:g} s; it holds its place",
+            )
             self.velocity = np.zeros(6)
 
     def _to(self, following: LifeCycle, reason: str) -> None:

@@ -33,7 +33,12 @@ class CanTamper:
         self._cycles, self._period = frames.cycles, period
 
     def changed(
-        self, fault: Fault, way: Way, packet: can.Message, memory: dict[str, Any], lot: random.Random
+        self,
+        fault: Fault,
+        way: Way,
+        packet: can.Message,
+        memory: dict[str, Any],
+        lot: random.Random,
     ) -> can.Message | None:
         frame = self._frames.get(packet.arbitration_id)
         if frame is None:
@@ -53,7 +58,9 @@ class CanTamper:
         changed.data = data
         return changed
 
-    def _protected_otherwise(self, frame: Frame, packet: can.Message, fault: Fault, memory: dict[str, Any]) -> bytearray | None:
+    def _protected_otherwise(
+        self, frame: Frame, packet: can.Message, fault: Fault, memory: dict[str, Any]
+    ) -> bytearray | None:
         if frame.data_id is None:
             return None
         data, place = bytearray(packet.data), frame.e2e_offset
@@ -94,7 +101,14 @@ def _protected(data: bytearray, data_id: int, offset: int) -> bytearray:
 class Untouched:
     """A tamper for frames whose content is left alone: classic CAN's own checksum finds what a cable does, and drives have no more."""
 
-    def changed(self, fault: Fault, way: Way, packet: can.Message, memory: dict[str, Any], lot: random.Random) -> None:
+    def changed(
+        self,
+        fault: Fault,
+        way: Way,
+        packet: can.Message,
+        memory: dict[str, Any],
+        lot: random.Random,
+    ) -> None:
         return None
 
 

@@ -105,11 +105,15 @@ class DriveLogic:
             speed = np.array([velocity])
             elapsed = self._stopping * self.tick
             self._stopping += 1
-            self.torque = float(self.ramp.torque(np.array([self._stopping_torque]), speed, elapsed)[0])
+            self.torque = float(
+                self.ramp.torque(np.array([self._stopping_torque]), speed, elapsed)[0]
+            )
             has_stopped = self._stopping_torque == 0.0 and abs(velocity) < AT_REST
             if has_stopped or self.ramp.over(speed, elapsed):
                 self.torque = 0.0
-                self.state = S.fault if self.state is S.fault_reaction_active else S.switch_on_disabled
+                self.state = (
+                    S.fault if self.state is S.fault_reaction_active else S.switch_on_disabled
+                )
 
     def _watch(self) -> None:
         if self.sync_period and self._since_sync * self.tick > self.watchdog * self.sync_period:
@@ -180,7 +184,11 @@ class DriveGroup:
                 steps.setdefault(f"{before.value} -> {drive.state.value}{why}", []).append(j + 1)
                 self._states[j] = drive.state
         for step, joints in steps.items():
-            who = "all joints" if len(joints) == len(self.drives) else f"joint {', '.join(map(str, joints))}"
+            who = (
+                "all joints"
+                if len(joints) == len(self.drives)
+                else f"joint {', '.join(map(str, joints))}"
+            )
             self._note(f"{who}: {step}")
 
     def _note(self, event: str) -> None:

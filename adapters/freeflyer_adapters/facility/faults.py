@@ -102,7 +102,11 @@ ALLOWED = {
 
 
 def _fits(key: str, value: Any) -> bool:
-    if isinstance(value, bool) or not isinstance(value, int if key == "bits" else int | float) or math.isnan(value):
+    if (
+        isinstance(value, bool)
+        or not isinstance(value, int if key == "bits" else int | float)
+        or math.isnan(value)
+    ):
         return False
     least, most = {
         "duration_s": (1e-9, math.inf),
@@ -118,8 +122,12 @@ def _fits(key: str, value: Any) -> bool:
 def read(raw: Any) -> tuple[Fault, ...]:
     """`[[facility.faults]]`; DeviceError for a key or value that is none."""
     if not isinstance(raw, list) or not all(isinstance(entry, Mapping) for entry in raw):
-        raise DeviceError(f"[facility] faults is {raw!r}; a list of tables, [[facility.faults]], is expected")
-    return tuple(_read_one(f"[[facility.faults]] number {i + 1}", entry) for i, entry in enumerate(raw))
+        raise DeviceError(
+            f"[facility] faults is {raw!r}; a list of tables, [[facility.faults]], is expected"
+        )
+    return tuple(
+        _read_one(f"[[facility.faults]] number {i + 1}", entry) for i, entry in enumerate(raw)
+    )
 
 
 def _read_one(subject: str, entry: Mapping[str, Any]) -> Fault:
@@ -130,12 +138,20 @@ def _read_one(subject: str, entry: Mapping[str, Any]) -> Fault:
     kind = entry.get("kind")
     if not isinstance(kind, str) or kind not in KINDS:
         hint = did_you_mean(str(kind), KINDS) or f"; one of {', '.join(KINDS)} is expected"
-        raise DeviceError(f"{subject}: kind is {kind!r}{hint}" if kind is not None else f"{subject}: kind is missing{hint}")
+        raise DeviceError(
+            f"{subject}: kind is {kind!r}{hint}"
+            if kind is not None
+            else f"{subject}: kind is missing{hint}"
+        )
     if not isinstance(entry.get("device"), str):
-        raise DeviceError(f"{subject}: device is {entry.get('device')!r}; the name of one of [devices] is expected")
+        raise DeviceError(
+            f"{subject}: device is {entry.get('device')!r}; the name of one of [devices] is expected"
+        )
     direction = entry.get("direction", "both")
     if direction not in DIRECTIONS:
-        raise DeviceError(f"{subject}: direction is {direction!r}; one of {', '.join(DIRECTIONS)} is expected")
+        raise DeviceError(
+            f"{subject}: direction is {direction!r}; one of {', '.join(DIRECTIONS)} is expected"
+        )
     takes = KINDS[kind].takes
     for key, value in entry.items():
         if key in ALLOWED and not _fits(key, value):
@@ -145,9 +161,13 @@ def _read_one(subject: str, entry: Mapping[str, Any]) -> Fault:
                 f"{subject}: {key} means nothing to {kind}; it takes {', '.join((*takes, 'begin_s', 'duration_s'))}"
             )
     if "duration_s" in entry and "begin_s" not in entry:
-        raise DeviceError(f"{subject}: duration_s counts from begin_s, which is missing; without both the fault lasts for ever")
+        raise DeviceError(
+            f"{subject}: duration_s counts from begin_s, which is missing; without both the fault lasts for ever"
+        )
     if KINDS[kind].whole_device and direction != "both":
-        raise DeviceError(f"{subject}: {kind} is of the whole device and has no direction; leave it out")
+        raise DeviceError(
+            f"{subject}: {kind} is of the whole device and has no direction; leave it out"
+        )
     return Fault(**entry)
 
 
@@ -158,25 +178,45 @@ def read_random(raw: Any) -> RandomFaults:
     known = {f.name: f.default for f in fields(RandomFaults)}
     for key, value in raw.items():
         if key not in known:
-            raise DeviceError(f"[facility.random_faults] {key} is not known{did_you_mean(key, known)}")
+            raise DeviceError(
+                f"[facility.random_faults] {key} is not known{did_you_mean(key, known)}"
+            )
         if key == "kinds":
-            if not isinstance(value, list) or not all(isinstance(kind, str) and kind in KINDS for kind in value):
-                raise DeviceError(f"[facility.random_faults] kinds is {value!r}; a list of {', '.join(KINDS)} is expected")
+            if not isinstance(value, list) or not all(
+                isinstance(kind, str) and kind in KINDS for kind in value
+            ):
+                raise DeviceError(
+                    f"[facility.random_faults] kinds is {value!r}; a list of {', '.join(KINDS)} is expected"
+                )
             continue
         whole = isinstance(known[key], int)
         least, most = (0, MOST if key == "count" else 1 << 62) if whole else (1e-9, 1e9)
-        if isinstance(value, bool) or not isinstance(value, int if whole else int | float) or not least <= value <= most:
-            expected = f"a whole number from 0 to {most}" if whole else "a number of seconds greater than zero"
-            raise DeviceError(f"[facility.random_faults] {key} is {value!r}; {expected} is expected")
+        if (
+            isinstance(value, bool)
+            or not isinstance(value, int if whole else int | float)
+            or not least <= value <= most
+        ):
+            expected = (
+                f"a whole number from 0 to {most}"
+                if whole
+                else "a number of seconds greater than zero"
+            )
+            raise DeviceError(
+                f"[facility.random_faults] {key} is {value!r}; {expected} is expected"
+            )
     return RandomFaults(**{**raw, "kinds": tuple(raw.get("kinds", ()))})
 
 
 def draw(chosen: RandomFaults, devices: Mapping[str, Sequence[str]]) -> tuple[Fault, ...]:
     """Faults by lot: the same seed gives the same ones. `devices`: by name, the kinds that each knows."""
     lot = random.Random(chosen.seed)
-    offered = [(d, k) for d in sorted(devices) for k in devices[d] if not chosen.kinds or k in chosen.kinds]
+    offered = [
+        (d, k) for d in sorted(devices) for k in devices[d] if not chosen.kinds or k in chosen.kinds
+    ]
     if not offered:
-        raise DeviceError("[facility.random_faults] kinds: no device of this facility knows one of them")
+        raise DeviceError(
+            "[facility.random_faults] kinds: no device of this facility knows one of them"
+        )
     drawn = []
     for _ in range(chosen.count):
         device, kind = lot.choice(offered)
@@ -207,8 +247,14 @@ def check(faults: Sequence[Fault], devices: Mapping[str, Sequence[str]]) -> None
     """Whether every fault's device is there and knows its kind; DeviceError if not."""
     for fault in faults:
         if fault.device not in devices:
-            hint = did_you_mean(fault.device, devices) or f"; one of {', '.join(devices)} is expected"
-            raise DeviceError(f"[[facility.faults]]: device {fault.device!r} is not played here{hint}")
+            hint = (
+                did_you_mean(fault.device, devices) or f"; one of {', '.join(devices)} is expected"
+            )
+            raise DeviceError(
+                f"[[facility.faults]]: device {fault.device!r} is not played here{hint}"
+            )
         if fault.kind not in devices[fault.device]:
             known = ", ".join(devices[fault.device]) or "none"
-            raise DeviceError(f"[[facility.faults]]: {fault.device} has no fault {fault.kind!r}; it knows {known}")
+            raise DeviceError(
+                f"[[facility.faults]]: {fault.device} has no fault {fault.kind!r}; it knows {known}"
+            )

@@ -17,11 +17,21 @@ Way = Literal["to_controller", "to_device"]
 class Tamper(Protocol[P]):
     """How a transport's packets are changed. Each call gives a new packet, or None if these packets have nothing of the kind."""
 
-    def changed(self, fault: Fault, way: Way, packet: P, memory: dict[str, Any], lot: random.Random) -> P | None:
+    def changed(
+        self, fault: Fault, way: Way, packet: P, memory: dict[str, Any], lot: random.Random
+    ) -> P | None:
         """`memory` is the fault's own, and empty when it begins."""
 
 
-TAMPERING = ("flipped_bits", "wrong_data_id", "stale_stamp", "frozen_counter", "not_a_number", "out_of_range", "clock_jump")
+TAMPERING = (
+    "flipped_bits",
+    "wrong_data_id",
+    "stale_stamp",
+    "frozen_counter",
+    "not_a_number",
+    "out_of_range",
+    "clock_jump",
+)
 
 
 @dataclass
@@ -53,17 +63,24 @@ class LinkFaults(Generic[P]):
     it was, as it became) for tests that compare, if `keeps` is set.
     """
 
-    def __init__(self, faults: Sequence[Fault], period: float, seed: int, tamper: Tamper[P]) -> None:
+    def __init__(
+        self, faults: Sequence[Fault], period: float, seed: int, tamper: Tamper[P]
+    ) -> None:
         self._all = []
         for i, fault in enumerate(faults):
             begin = None if fault.begin_s is None else round(fault.begin_s / period)
             # One that is shorter than a cycle acts for one.
             end = (begin or 0) + max(1.0, fault.duration_s / period)
-            self._all.append(_Fault(fault, begin, end, random.Random(f"{seed}/{i}/{fault.kind}"), {}))
+            self._all.append(
+                _Fault(fault, begin, end, random.Random(f"{seed}/{i}/{fault.kind}"), {})
+            )
         # What a sender gets wrong comes before what happens on the way: nobody protects what a cable has changed.
         self._all.sort(key=lambda one: one.fault.kind == "flipped_bits")
         self.period, self._tamper = period, tamper
-        self._queues: dict[Way, deque[tuple[int, P]]] = {"to_controller": deque(), "to_device": deque()}
+        self._queues: dict[Way, deque[tuple[int, P]]] = {
+            "to_controller": deque(),
+            "to_device": deque(),
+        }
         self._overtaken: dict[Way, list[P]] = {"to_controller": [], "to_device": []}
         self._cycle = 0
         self.acted: Counter[str] = Counter()

@@ -22,7 +22,9 @@ class Time(Protocol):
 class MemoryBus(can.BusABC):
     """One node; `nodes` are all of its channel. Frames come at the instant at which they were sent, in order."""
 
-    def __init__(self, channel: str, nodes: list[MemoryBus], time: Time, can_filters: Any = None) -> None:
+    def __init__(
+        self, channel: str, nodes: list[MemoryBus], time: Time, can_filters: Any = None
+    ) -> None:
         self.channel_info = f"channel {channel!r} in virtual time"
         self._nodes, self._time = nodes, time
         self._queue: deque[can.Message] = deque()

@@ -114,7 +114,15 @@ class Facility:
         try:
             for spec in played:
                 make = factories[spec.name]
-                self.devices.append(make(spec.name, spec.options, scenario.directory, self.settings, seconds(self.period)))
+                self.devices.append(
+                    make(
+                        spec.name,
+                        spec.options,
+                        scenario.directory,
+                        self.settings,
+                        seconds(self.period),
+                    )
+                )
             # What cannot be put together is refused now, and not when somebody connects.
             self._prepared = self._prepare()
         except BaseException:
@@ -129,7 +137,9 @@ class Facility:
         assert self.outcome is not None
         return self.outcome
 
-    def cycles(self, say: Callable[[str], None], asked: Sequence[float] = ()) -> Generator[None, None, None]:
+    def cycles(
+        self, say: Callable[[str], None], asked: Sequence[float] = ()
+    ) -> Generator[None, None, None]:
         """One cycle after another, session after session, for who has the time in hand; until something is in `asked`."""
         while True:
             outcome = self.outcome = yield from self._session(say, asked)
@@ -139,7 +149,9 @@ class Facility:
                 return
             say("the controller has gone; the robots return to their start poses")
 
-    def _session(self, say: Callable[[str], None], asked: Sequence[float]) -> Generator[None, None, Outcome]:
+    def _session(
+        self, say: Callable[[str], None], asked: Sequence[float]
+    ) -> Generator[None, None, Outcome]:
         prepared, self._prepared = self._prepared or self._prepare(), None
         with prepared.stack:
             master, values = prepared.master, prepared.values
@@ -203,19 +215,30 @@ class Facility:
     def _connections(self) -> list[Connection]:
         names = {device.name for device in self.devices}
         # What joins two devices is physics, and stays; all else that they are given or give goes over the wire.
-        joined = [c for c in self.scenario.connections if {split(c.source)[0], split(c.target)[0]} <= names]
+        joined = [
+            c
+            for c in self.scenario.connections
+            if {split(c.source)[0], split(c.target)[0]} <= names
+        ]
         for device in self.devices:
             joined += [
-                Connection(source=f"{device.name}_incoming.{p.name}", target=f"{device.name}.{p.name}") for p in device.commands
+                Connection(
+                    source=f"{device.name}_incoming.{p.name}", target=f"{device.name}.{p.name}"
+                )
+                for p in device.commands
             ]
             joined += [
-                Connection(source=f"{device.name}.{p.name}", target=f"{device.name}_outgoing.{p.name}")
+                Connection(
+                    source=f"{device.name}.{p.name}", target=f"{device.name}_outgoing.{p.name}"
+                )
                 for p in device.measurements
             ]
         return joined
 
     def report(self) -> dict[str, Any]:
-        histograms = {name: h.summary() for device in self.devices for name, h in device.histograms().items()}
+        histograms = {
+            name: h.summary() for device in self.devices for name, h in device.histograms().items()
+        }
         return {
             "scenario": self.scenario.name,
             "faults": [fault.said() for fault in self.settings.faults],
@@ -236,7 +259,11 @@ class Facility:
 def _cycle(scenario: Scenario) -> int:
     """The device models' smallest step [ns]."""
     names = {spec.name for spec in scenario.devices}
-    steps = [spec.step for spec in scenario.components if spec.name in names and isinstance(spec.step, int)]
+    steps = [
+        spec.step
+        for spec in scenario.components
+        if spec.name in names and isinstance(spec.step, int)
+    ]
     if not steps:
         raise DeviceError(
             f"scenario {scenario.name}: the step of its device models must be a number, to be the facility's cycle"
@@ -247,14 +274,20 @@ def _cycle(scenario: Scenario) -> int:
 def _factory(name: str, kind: str) -> Factory:
     points = plugins("freeflyer.virtual_devices")
     if kind not in points:
-        raise DeviceError(f"device {name}: no virtual device plays the kind {kind!r}{did_you_mean(kind, points)}")
+        raise DeviceError(
+            f"device {name}: no virtual device plays the kind {kind!r}{did_you_mean(kind, points)}"
+        )
     found: Factory = load(points[kind])
     return found
 
 
-def _with_drawn_faults(settings: FacilitySettings, factories: Mapping[str, Factory]) -> FacilitySettings:
+def _with_drawn_faults(
+    settings: FacilitySettings, factories: Mapping[str, Factory]
+) -> FacilitySettings:
     """Scheduled and random faults in one list, checked against what the devices can play."""
-    kinds: dict[str, tuple[str, ...]] = {name: getattr(factory, "fault_kinds", ()) for name, factory in factories.items()}
+    kinds: dict[str, tuple[str, ...]] = {
+        name: getattr(factory, "fault_kinds", ()) for name, factory in factories.items()
+    }
     drawn = () if settings.random_faults is None else faults.draw(settings.random_faults, kinds)
     everything = (*settings.faults, *drawn)
     faults.check(everything, kinds)

@@ -12,7 +12,10 @@ from freeflyer_adapters.device.device import DeviceError
 from freeflyer_adapters.facility import faults
 from freeflyer_adapters.facility.faults import Fault, RandomFaults
 
-WATCHDOG_CYCLES, WATCHDOG = ("watchdog_cycles", "arm_watchdog_cycles"), ("watchdog", "base_watchdog_s")
+WATCHDOG_CYCLES, WATCHDOG = (
+    ("watchdog_cycles", "arm_watchdog_cycles"),
+    ("watchdog", "base_watchdog_s"),
+)
 """The controllers' parameter, and the key of [facility]."""
 
 
@@ -56,7 +59,9 @@ def with_watchdogs(scenario: Scenario) -> Scenario:
     for spec in scenario.devices:
         parameter, key = known.get(spec.kind, ("", ""))
         if key in scenario.facility and parameter not in spec.parameters:
-            spec = replace(spec, parameters={**spec.parameters, parameter: float(getattr(settings, key))})
+            spec = replace(
+                spec, parameters={**spec.parameters, parameter: float(getattr(settings, key))}
+            )
         devices.append(spec)
     return replace(scenario, devices=tuple(devices))
 
@@ -64,7 +69,10 @@ def with_watchdogs(scenario: Scenario) -> Scenario:
 def read(raw: Mapping[str, Any]) -> FacilitySettings:
     """DeviceError for a key or value that is none."""
     known = {f.name: f for f in fields(FacilitySettings)}
-    readers: Mapping[str, Callable[[Any], Any]] = {"faults": faults.read, "random_faults": faults.read_random}
+    readers: Mapping[str, Callable[[Any], Any]] = {
+        "faults": faults.read,
+        "random_faults": faults.read_random,
+    }
     for key, value in raw.items():
         if key not in known:
             raise DeviceError(f"[facility] {key} is not known{did_you_mean(key, known)}")
@@ -76,5 +84,7 @@ def read(raw: Mapping[str, Any]) -> FacilitySettings:
             raise DeviceError(
                 f"[facility] {key} is {value!r}; a {'whole ' if whole else ''}number greater than zero is expected"
             )
-    values: dict[str, Any] = {key: readers[key](value) if key in readers else value for key, value in raw.items()}
+    values: dict[str, Any] = {
+        key: readers[key](value) if key in readers else value for key, value in raw.items()
+    }
     return FacilitySettings(**values)

@@ -21,7 +21,7 @@ from freeflyer_adapters.facility.can_faults import FAULT_KINDS, CanTamper, Fault
 from freeflyer_adapters.facility.link_faults import LinkFaults
 from freeflyer_adapters.facility.settings import FacilitySettings
 from freeflyer_adapters.facility.virtual_device import VirtualDevice
-from freeflyer_adapters.foundation import environment as outside
+from freeflyer_adapters.foundation import environment
 from freeflyer_adapters.foundation.histogram import Histogram
 
 MOST_FRAMES = 256
@@ -34,9 +34,16 @@ class VirtualArm(VirtualDevice[ArmLogic]):
 
     fault_kinds = FAULT_KINDS
 
-    def __init__(self, name: str, raw: Mapping[str, Any], directory: Path, settings: FacilitySettings, period: float) -> None:
+    def __init__(
+        self,
+        name: str,
+        raw: Mapping[str, Any],
+        directory: Path,
+        settings: FacilitySettings,
+        period: float,
+    ) -> None:
         self.name, self.settings, self.period = name, settings, period
-        self._outside = outside.present()
+        self._environment = environment.present()
         self.options = arm_options.options_from(name, raw, directory)
         n = self.options.joints
         self.frames = ArmFrames(self.options.frames, n)
@@ -47,11 +54,21 @@ class VirtualArm(VirtualDevice[ArmLogic]):
                 f"only; less than half of that is expected"
             )
         self.commands = (
-            Port(name="joint_torque_command", size=n, causality="output", units=("N.m",) * n, sampled=True),
-            Port(name="brake", size=1, causality="output", units=("1",), sampled=True, start=(1.0,)),
+            Port(
+                name="joint_torque_command",
+                size=n,
+                causality="output",
+                units=("N.m",) * n,
+                sampled=True,
+            ),
+            Port(
+                name="brake", size=1, causality="output", units=("1",), sampled=True, start=(1.0,)
+            ),
         )
         units = {"joint_position": "rad", "joint_velocity": "rad/s", "joint_torque": "N.m"}
-        self.measurements = tuple(Port(name=s, size=n, causality="input", units=(units[s],) * n) for s in SENSED)
+        self.measurements = tuple(
+            Port(name=s, size=n, causality="input", units=(units[s],) * n) for s in SENSED
+        )
         self.round_trip = Histogram()
         """From sending a state frame until its answer was taken by the system."""
         self._before: dict[str, float] = {}
@@ -61,13 +78,20 @@ class VirtualArm(VirtualDevice[ArmLogic]):
         self.logic = self._first_logic()
         seen = [self.frames.command]
         self.faults = LinkFaults(
-            settings.faults_of(name), period, settings.seed, CanTamper(ArmFrames(self.options.frames, n), period)
+            settings.faults_of(name),
+            period,
+            settings.seed,
+            CanTamper(ArmFrames(self.options.frames, n), period),
         )
-        bus = open_bus(self.options.interface, self.options.channel, self.frames.is_fd, seen, self.options.bus)
+        bus = open_bus(
+            self.options.interface, self.options.channel, self.frames.is_fd, seen, self.options.bus
+        )
         self._bus = FaultyBus(bus, self.faults)
         self._receiver = Receiver(self.frames.command)
         self._sender = Sender(self._bus, self.frames.state)
-        self._describer = None if self.frames.description is None else Sender(self._bus, self.frames.description)
+        self._describer = (
+            None if self.frames.description is None else Sender(self._bus, self.frames.description)
+        )
 
     def _first_logic(self) -> ArmLogic:
         s = self.settings
@@ -84,7 +108,9 @@ class VirtualArm(VirtualDevice[ArmLogic]):
 
     def begin_session(self, parameters: Mapping[str, Array]) -> None:
         """The model's parameters, in which its limits are; the cycle number runs on."""
-        self._limits = {role: list(map(float, parameters[role])) for role in LIMIT_ROLES if role in parameters}
+        self._limits = {
+            role: list(map(float, parameters[role])) for role in LIMIT_ROLES if role in parameters
+        }
         self._before = self._totals()
         self.logic = self.logic.again()
         if "joint_effort_limit" in self._limits:
@@ -125,7 +151,11 @@ class VirtualArm(VirtualDevice[ArmLogic]):
                 )
             )
             trip = message.timestamp - self._sent_at
-            if answered == self.logic.cycle and 0.0 <= trip < 1.0 and self.logic.life.now is LifeCycle.active:
+            if (
+                answered == self.logic.cycle
+                and 0.0 <= trip < 1.0
+                and self.logic.life.now is LifeCycle.active
+            ):
                 self.round_trip.add(int(trip * 1e9))
         return commands
 
@@ -141,7 +171,7 @@ class VirtualArm(VirtualDevice[ArmLogic]):
         self._bus.flush()
         if self._bus.silent:
             return
-        self._sent_at = self._outside.time_ns() * 1e-9
+        self._sent_at = self._environment.time_ns() * 1e-9
         self._sender.send({
             "cycle": (float(logic.cycle),),
             "echoed_cycle": (float(logic.echoed),),
@@ -151,10 +181,15 @@ class VirtualArm(VirtualDevice[ArmLogic]):
             "command_age": (float(min(logic.command_age, 255)),),
             **{name: values[name].tolist() for name in SENSED},
         })  # fmt: skip
-        due = logic.life.now is not LifeCycle.active and logic.cycle % self.settings.describe_every == 0
+        due = (
+            logic.life.now is not LifeCycle.active
+            and logic.cycle % self.settings.describe_every == 0
+        )
         if self._describer is not None and due:
             joints = (float(self.options.joints),)
-            self._describer.send({"joint_count": joints, "cycle_time": (self.period,), **self._limits})
+            self._describer.send(
+                {"joint_count": joints, "cycle_time": (self.period,), **self._limits}
+            )
 
     def report(self) -> Mapping[str, float]:
         return {
@@ -168,10 +203,14 @@ class VirtualArm(VirtualDevice[ArmLogic]):
     def _totals(self) -> dict[str, float]:
         """Over all sessions."""
         return {
-            "commands_late_or_lost": self._before.get("commands_late_or_lost", 0.0) + self.logic.total_lost,
-            "commands_of_strangers": self._before.get("commands_of_strangers", 0.0) + self.logic.strangers,
-            "commands_beyond_limits": self._before.get("commands_beyond_limits", 0.0) + self.logic.excessive,
-            "commands_outside_active": self._before.get("commands_outside_active", 0.0) + self.logic.ignored,
+            "commands_late_or_lost": self._before.get("commands_late_or_lost", 0.0)
+            + self.logic.total_lost,
+            "commands_of_strangers": self._before.get("commands_of_strangers", 0.0)
+            + self.logic.strangers,
+            "commands_beyond_limits": self._before.get("commands_beyond_limits", 0.0)
+            + self.logic.excessive,
+            "commands_outside_active": self._before.get("commands_outside_active", 0.0)
+            + self.logic.ignored,
         }
 
     def histograms(self) -> Mapping[str, Histogram]:

@@ -32,17 +32,39 @@ class VirtualBase(VirtualDevice[BaseLogic]):
 
     fault_kinds = FAULT_KINDS
 
-    def __init__(self, name: str, raw: Mapping[str, Any], directory: Path, settings: FacilitySettings, period: float) -> None:
+    def __init__(
+        self,
+        name: str,
+        raw: Mapping[str, Any],
+        directory: Path,
+        settings: FacilitySettings,
+        period: float,
+    ) -> None:
         self.name, self.settings, self.period = name, settings, period
         self.options = o = link_options.options_from(name, raw, directory)
         self.commands = (
-            Port(name="position_setpoint", size=3, causality="output", units=("m",) * 3, sampled=True),
-            Port(name="orientation_setpoint", size=4, causality="output", units=("1",) * 4, sampled=True, start=(0, 0, 0, 1)),
+            Port(
+                name="position_setpoint", size=3, causality="output", units=("m",) * 3, sampled=True
+            ),
+            Port(
+                name="orientation_setpoint",
+                size=4,
+                causality="output",
+                units=("1",) * 4,
+                sampled=True,
+                start=(0, 0, 0, 1),
+            ),
             Port(name="velocity_setpoint", size=6, causality="output", units=TWIST, sampled=True),
         )
         self.measurements = (
             Port(name="base_position", size=3, causality="input", units=("m",) * 3),
-            Port(name="base_orientation", size=4, causality="input", units=("1",) * 4, start=(0, 0, 0, 1)),
+            Port(
+                name="base_orientation",
+                size=4,
+                causality="input",
+                units=("1",) * 4,
+                start=(0, 0, 0, 1),
+            ),
             Port(name="base_velocity", size=6, causality="input", units=TWIST),
         )
         self._used: deque[bytes] = deque(maxlen=MOST_USED)

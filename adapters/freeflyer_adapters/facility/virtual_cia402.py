@@ -29,7 +29,7 @@ from freeflyer_adapters.facility.drive_logic import DriveGroup, DriveLogic
 from freeflyer_adapters.facility.link_faults import LinkFaults
 from freeflyer_adapters.facility.settings import FacilitySettings
 from freeflyer_adapters.facility.virtual_device import VirtualDevice
-from freeflyer_adapters.foundation import environment as outside
+from freeflyer_adapters.foundation import environment
 from freeflyer_adapters.foundation.histogram import Histogram
 
 INITIALISING, PRE_OPERATIONAL, OPERATIONAL = 0, 127, 5
@@ -43,7 +43,14 @@ MEASURED = (objects.POSITION.index, objects.VELOCITY.index, objects.ACTUAL_TORQU
 class VirtualDrive:
     """One node: canopen's local node around a `DriveLogic`."""
 
-    def __init__(self, node_id: int, joint: int, options: DriveOptions, logic: DriveLogic, network: PolledNetwork) -> None:
+    def __init__(
+        self,
+        node_id: int,
+        joint: int,
+        options: DriveOptions,
+        logic: DriveLogic,
+        network: PolledNetwork,
+    ) -> None:
         self.node_id = node_id
         self.options, self.motor, self.logic = options, options.motors[joint], logic
         self.raw: dict[int, int] = dict.fromkeys(MEASURED, 0)
@@ -101,7 +108,9 @@ class VirtualDrive:
 
     def _written(self, *, index: int, subindex: int, od: Any, data: bytes) -> None:
         """What a host writes by SDO, before it is stored; an abort refuses it."""
-        value = int.from_bytes(data, "little", signed=index in (objects.MODE.index, objects.QUICK_STOP.index))
+        value = int.from_bytes(
+            data, "little", signed=index in (objects.MODE.index, objects.QUICK_STOP.index)
+        )
         if index == objects.MODE.index and value not in (0, objects.CYCLIC_SYNCHRONOUS_TORQUE):
             raise SdoAbortedError(VALUE_RANGE)
         if index == objects.QUICK_STOP.index and value != objects.RAMP_AND_DISABLE:
@@ -115,7 +124,11 @@ class VirtualDrive:
 
     def _take(self, pdo: Any) -> None:
         """An RPDO came: its objects act with the next SYNC, or now if it is not of the synchronous kind."""
-        if self.node.nmt._state != OPERATIONAL or pdo not in self.node.rpdo.values() or len(pdo.data) * 8 < pdo.length:
+        if (
+            self.node.nmt._state != OPERATIONAL
+            or pdo not in self.node.rpdo.values()
+            or len(pdo.data) * 8 < pdo.length
+        ):
             return
         self._pending |= {variable.index: variable.raw for variable in pdo}
         if pdo.trans_type is not None and pdo.trans_type > 240:
@@ -128,7 +141,9 @@ class VirtualDrive:
             if pdo.enabled and pdo.trans_type is not None and 1 <= pdo.trans_type <= 240:
                 for variable in pdo:
                     variable.raw = (
-                        self.statusword if variable.index == objects.STATUSWORD.index else self._value(variable.index)
+                        self.statusword
+                        if variable.index == objects.STATUSWORD.index
+                        else self._value(variable.index)
                     )
                 pdo.transmit()
         self._apply()
@@ -141,7 +156,10 @@ class VirtualDrive:
         return self.logic.error if index == objects.ERROR_CODE.index else 0
 
     def _apply(self) -> None:
-        word, raw = self._pending.get(objects.CONTROLWORD.index), self._pending.get(objects.TARGET_TORQUE.index, 0)
+        word, raw = (
+            self._pending.get(objects.CONTROLWORD.index),
+            self._pending.get(objects.TARGET_TORQUE.index, 0),
+        )
         most = self.get(objects.MAX_TORQUE)
         has_mode = self.get(objects.MODE) == objects.CYCLIC_SYNCHRONOUS_TORQUE
         target = min(max(raw, -most), most) * self.motor.torque_step if has_mode else 0.0
@@ -196,18 +214,35 @@ class VirtualCia402(VirtualDevice[DriveGroup]):
 
     fault_kinds = OF_DRIVES
 
-    def __init__(self, name: str, raw: Mapping[str, Any], directory: Path, settings: FacilitySettings, period: float) -> None:
+    def __init__(
+        self,
+        name: str,
+        raw: Mapping[str, Any],
+        directory: Path,
+        settings: FacilitySettings,
+        period: float,
+    ) -> None:
         self.name, self.settings, self.period = name, settings, period
-        self._outside = outside.present()
+        self._environment = environment.present()
         self.options = o = options_from(name, raw, directory)
         n = o.joints
         self.scaling = Scaling(o.motors)
         self.commands = (
-            Port(name="joint_torque_command", size=n, causality="output", units=("N.m",) * n, sampled=True),
-            Port(name="brake", size=1, causality="output", units=("1",), sampled=True, start=(1.0,)),
+            Port(
+                name="joint_torque_command",
+                size=n,
+                causality="output",
+                units=("N.m",) * n,
+                sampled=True,
+            ),
+            Port(
+                name="brake", size=1, causality="output", units=("1",), sampled=True, start=(1.0,)
+            ),
         )
         units = {"joint_position": "rad", "joint_velocity": "rad/s", "joint_torque": "N.m"}
-        self.measurements = tuple(Port(name=s, size=n, causality="input", units=(u,) * n) for s, u in units.items())
+        self.measurements = tuple(
+            Port(name=s, size=n, causality="input", units=(u,) * n) for s, u in units.items()
+        )
         self.syncs = 0
         self.answers = Histogram()
         """From the kernel's stamp on a SYNC until all TPDOs were handed over."""
@@ -221,7 +256,9 @@ class VirtualCia402(VirtualDevice[DriveGroup]):
         try:
             self.drives = [
                 VirtualDrive(node, joint, o, logic, network)
-                for joint, (node, logic) in enumerate(zip(o.node_ids, self.logic.drives, strict=True))
+                for joint, (node, logic) in enumerate(
+                    zip(o.node_ids, self.logic.drives, strict=True)
+                )
             ]
         except BaseException:
             network.disconnect()
@@ -234,7 +271,10 @@ class VirtualCia402(VirtualDevice[DriveGroup]):
     def _new_logic(self) -> DriveGroup:
         s = self.settings
         ramp = RampDown(time=s.ramp_down_time_s, damping=s.ramp_down_damping)
-        drives = [DriveLogic(tick=self.period, watchdog=s.arm_watchdog_cycles, ramp=ramp) for _ in self.options.node_ids]
+        drives = [
+            DriveLogic(tick=self.period, watchdog=s.arm_watchdog_cycles, ramp=ramp)
+            for _ in self.options.node_ids
+        ]
         return DriveGroup(drives, round(s.forget_after_s / self.period))
 
     def begin_session(self, parameters: Mapping[str, Array]) -> None:
@@ -265,7 +305,7 @@ class VirtualCia402(VirtualDevice[DriveGroup]):
         self.syncs += 1
         for drive in self.drives:
             drive.on_sync()
-        late = self._outside.time_ns() * 1e-9 - timestamp
+        late = self._environment.time_ns() * 1e-9 - timestamp
         if 0.0 <= late < 1.0:
             self.answers.add(int(1e9 * late))
 

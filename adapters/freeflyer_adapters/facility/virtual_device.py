@@ -58,7 +58,9 @@ class VirtualDevice(ABC, Generic[L]):
         self._cycles += 1
         if self._active_since is None and self.logic.was_active:
             self._active_since = self._cycles
-        faults.begin_cycle(None if self._active_since is None else self._cycles - self._active_since)
+        faults.begin_cycle(
+            None if self._active_since is None else self._cycles - self._active_since
+        )
         dead, hung = faults.acts("dead"), faults.acts("hung")
         if dead:
             self.power_off()

@@ -16,13 +16,13 @@ import zenoh
 
 from freeflyer_adapters.facility.memory_can import MemoryBus
 from freeflyer_adapters.facility.memory_zenoh import MemorySession, Net
-from freeflyer_adapters.foundation.environment import Outside
+from freeflyer_adapters.foundation.environment import Environment
 
 START = 1_000_000_000
 """[ns] of both clocks, so that nothing is taken for a time that was never set."""
 
 
-class VirtualTime(Outside):
+class VirtualTime(Environment):
     """`facility` is what happens every `period` [ns]; it is stepped while somebody waits, and never within itself."""
 
     def __init__(self) -> None:
@@ -58,7 +58,9 @@ class VirtualTime(Outside):
     def pass_until(self, duration: float, happened: Callable[[], bool]) -> bool:
         """Let `duration` [s] pass, or less if something has `happened`."""
         if self._is_stepping:
-            raise RuntimeError("the facility itself waits for something in virtual time; it would wait for ever")
+            raise RuntimeError(
+                "the facility itself waits for something in virtual time; it would wait for ever"
+            )
         # At least something, or who waits for a remainder would wait for ever.
         end = self._now + max(1, round(duration * 1e9))
         while self._facility is not None and self._next <= end:

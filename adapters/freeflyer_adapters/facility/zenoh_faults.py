@@ -23,7 +23,9 @@ Sample = tuple[bytes, bytes]
 class ZenohTamper:
     """See `freeflyer_adapters.facility.link_faults.Tamper`; what a sender itself gets wrong is sealed as its samples are."""
 
-    def changed(self, fault: Fault, way: Way, packet: Sample, memory: dict[str, Any], lot: random.Random) -> Sample | None:
+    def changed(
+        self, fault: Fault, way: Way, packet: Sample, memory: dict[str, Any], lot: random.Random
+    ) -> Sample | None:
         payload, raw = packet
         if fault.kind == "flipped_bits":
             both = bytearray(payload + raw)
@@ -37,7 +39,9 @@ class ZenohTamper:
         if fault.kind == "wrong_data_id":
             attachment = replace(attachment, gid=bytes(byte ^ 0x55 for byte in attachment.gid))
         elif fault.kind == "frozen_counter":
-            attachment = replace(attachment, sequence=memory.setdefault("sequence", attachment.sequence))
+            attachment = replace(
+                attachment, sequence=memory.setdefault("sequence", attachment.sequence)
+            )
         elif fault.kind == "stale_stamp":
             # One that stands still is as good as new as long as its samples are numbered on; one of the past is not.
             attachment = replace(attachment, stamp=memory.setdefault("stamp", attachment.stamp - 1))

@@ -16,7 +16,7 @@ import can
 import zenoh
 
 
-class Outside:
+class Environment:
     """The real one."""
 
     # Asked for some twenty times in a cycle of 1 ms: the system's own functions, without a call of ours around them.
@@ -42,15 +42,15 @@ class Outside:
         return zenoh.open(config)
 
 
-_present: ContextVar[Outside] = ContextVar("outside", default=Outside())  # noqa: B039 - it has no state
+_present: ContextVar[Environment] = ContextVar("environment", default=Environment())  # noqa: B039 - it has no state
 
 
-def present() -> Outside:
+def present() -> Environment:
     return _present.get()
 
 
 @contextmanager
-def within(other: Outside) -> Iterator[None]:
+def within(other: Environment) -> Iterator[None]:
     """What is made meanwhile reaches the outside by `other`."""
     token = _present.set(other)
     try:

@@ -8,7 +8,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
-from freeflyer_adapters.foundation import environment as outside
+from freeflyer_adapters.foundation import environment
 from freeflyer_adapters.foundation.histogram import Histogram
 
 PR_SET_TIMERSLACK = 29
@@ -90,17 +90,17 @@ class Pacer:
         self.late = 0
         """At the last waking up [ns]."""
         self._deadline = 0
-        self._outside = outside.present()
+        self._environment = environment.present()
 
     def wait(self) -> int:
         """Returns the time of waking up [ns of CLOCK_MONOTONIC]."""
-        now = self._outside.monotonic_ns()
+        now = self._environment.monotonic_ns()
         if not self._deadline:
             self._deadline = now
         self._deadline += self.period
         if now < self._deadline:
-            self._outside.sleep((self._deadline - now) * 1e-9)
-            now = self._outside.monotonic_ns()
+            self._environment.sleep((self._deadline - now) * 1e-9)
+            now = self._environment.monotonic_ns()
         self.late = now - self._deadline
         self.lateness.add(self.late)
         if self.late > self.period:

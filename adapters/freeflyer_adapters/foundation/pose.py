@@ -21,10 +21,14 @@ def rotated(orientation: Array, vector: Array, *, back: bool = False) -> tuple[f
 
 def twist_rotated(orientation: Array, twist: Array, *, back: bool = False) -> Array:
     """Both halves of a twist (6), rotated alike."""
-    return np.array([*rotated(orientation, twist[:3], back=back), *rotated(orientation, twist[3:], back=back)])
+    return np.array(
+        [*rotated(orientation, twist[:3], back=back), *rotated(orientation, twist[3:], back=back)]
+    )
 
 
-def distance(position: Array, orientation: Array, other_position: Array, other_orientation: Array) -> tuple[float, float]:
+def distance(
+    position: Array, orientation: Array, other_position: Array, other_orientation: Array
+) -> tuple[float, float]:
     """Between two poses: [m] and [rad]. By the chord between unit quaternions, which is exact near zero."""
     gap = position - other_position
     q = orientation / math.sqrt(orientation @ orientation)

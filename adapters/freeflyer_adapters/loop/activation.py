@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from freeflyer.foundation.errors import CosimError, StepFailed
-from freeflyer.master.master import told
+from freeflyer.master.master import message_of
 from freeflyer_adapters.device.device import Device, SafeStop
 
 
@@ -16,7 +16,7 @@ def guarded(device: Device, call: Callable[[], object]) -> None:
     except (StepFailed, CosimError):
         raise
     except Exception as error:
-        raise SafeStop(device.name, told(error)) from error
+        raise SafeStop(device.name, message_of(error)) from error
 
 
 def clocks_first(devices: Sequence[Device]) -> list[Device]:

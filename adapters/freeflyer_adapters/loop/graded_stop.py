@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 from freeflyer_adapters.device.device import Device, LifeCycle
-from freeflyer_adapters.foundation import environment as outside
+from freeflyer_adapters.foundation import environment
 from freeflyer_adapters.foundation.pacing import Pacer
 
 LONGEST_STOP = 5.0
@@ -23,8 +23,12 @@ def stop(devices: Sequence[Device], period: int, reason: str, *, orderly: bool) 
         with suppress(Exception):
             device.revoke(reason)
     # Also a device whose activation was given up half-way must be seen to come to rest.
-    active = [device for device in devices if device.state.now is LifeCycle.active or device.may_have_power]
-    now = outside.present().monotonic
+    active = [
+        device
+        for device in devices
+        if device.state.now is LifeCycle.active or device.may_have_power
+    ]
+    now = environment.present().monotonic
     begin = now()
     pacer = None if any(device.is_clock for device in active) else Pacer(period)
     going = list(active)

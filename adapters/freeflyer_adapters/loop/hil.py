@@ -20,7 +20,7 @@ from freeflyer.master.graph import Connection, split
 from freeflyer.master.master import InstantHook, Master, Outcome
 from freeflyer.scenario import metrics
 from freeflyer.scenario.assemble import assembled, make
-from freeflyer.scenario.experiment import Result, origin
+from freeflyer.scenario.experiment import Result, provenance
 from freeflyer.scenario.parameters import Values, current
 from freeflyer.scenario.scenario import ComponentSpec, Measure, Scenario
 from freeflyer_adapters.device.component import DeviceComponent
@@ -61,24 +61,34 @@ class LoopReport:
         }
 
 
-def with_devices(scenario: Scenario, *, simulated: bool = False, fmi: int | None = None) -> Scenario:
+def with_devices(
+    scenario: Scenario, *, simulated: bool = False, fmi: int | None = None
+) -> Scenario:
     """Devices in the place of the components of the same names; what joined two of them is physics, which is theirs.
 
     `simulated`: every device is its own model in this process, and the wall clock paces the loop.
     """
     if not scenario.devices:
-        raise DeviceError(f"scenario {scenario.name} has no [devices.NAME]: there is nothing to put into the loop")
+        raise DeviceError(
+            f"scenario {scenario.name} has no [devices.NAME]: there is nothing to put into the loop"
+        )
     if scenario.exchange != "sequential":
         raise DeviceError(
             f"scenario {scenario.name}: exchange is '{scenario.exchange}', but a device answers at its instant; 'sequential' is expected"
         )
     models = {spec.name: spec for spec in scenario.components}
     if simulated:
-        specs = [replace(models[spec.name], kind=SIMULATED, parameters=spec.parameters) for spec in scenario.devices]
+        specs = [
+            replace(models[spec.name], kind=SIMULATED, parameters=spec.parameters)
+            for spec in scenario.devices
+        ]
     else:
         specs = list(scenario.devices)
     # A simulated device has its model's parameters and, beside them, a device's settings.
-    specs = [_with_model(spec, models[spec.name], fmi) if spec.kind == SIMULATED else spec for spec in specs]
+    specs = [
+        _with_model(spec, models[spec.name], fmi) if spec.kind == SIMULATED else spec
+        for spec in specs
+    ]
     devices = {spec.name: spec for spec in specs}
     others = tuple(spec for spec in scenario.components if spec.name not in devices)
 
@@ -98,7 +108,9 @@ def with_devices(scenario: Scenario, *, simulated: bool = False, fmi: int | None
 def _with_model(spec: ComponentSpec, model: ComponentSpec, fmi: int | None) -> ComponentSpec:
     version = {} if fmi is None else {"fmi": fmi}
     return replace(
-        spec, parameters={**model.parameters, **spec.parameters}, options={**model.options, **spec.options, **version}
+        spec,
+        parameters={**model.parameters, **spec.parameters},
+        options={**model.options, **spec.options, **version},
     )
 
 
@@ -113,7 +125,9 @@ def _ports(specs: Sequence[ComponentSpec], directory: Path) -> dict[str, frozens
     return found
 
 
-def _present_errors(scenario: Scenario, master: Master, values: Values) -> dict[str, Callable[[], float]]:
+def _present_errors(
+    scenario: Scenario, master: Master, values: Values
+) -> dict[str, Callable[[], float]]:
     """The scenario's errors as functions of the present instant."""
 
     def made(measure: Measure, is_position: bool) -> Callable[[], float]:
@@ -121,12 +135,18 @@ def _present_errors(scenario: Scenario, master: Master, values: Values) -> dict[
         for signal in (measure.actual, measure.desired):
             component, variable = split(signal)
             is_output = master.graph.components[component].ports[variable].causality == "output"
-            ends.append(master.value(signal) if is_output else current(master.graph.components, values, component, variable))
+            ends.append(
+                master.value(signal)
+                if is_output
+                else current(master.graph.components, values, component, variable)
+            )
         actual, desired = (end.reshape(1, -1) for end in ends)
         error = metrics.position_error if is_position else metrics.orientation_error
         return lambda: float(error(actual, desired)[0])
 
-    return {name: made(measure, name.endswith("position")) for name, measure in scenario.errors.items()}
+    return {
+        name: made(measure, name.endswith("position")) for name, measure in scenario.errors.items()
+    }
 
 
 def run(
@@ -155,7 +175,7 @@ def run(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Looked:
+class Inspection:
     """What a device measures before anything is activated; `refusal`: why it could not be activated now, or None."""
 
     measured: Mapping[str, Array]
@@ -165,7 +185,9 @@ class Looked:
     """What the device itself cannot refuse, a sentence for each."""
 
 
-def look(scenario: Scenario, *, simulated: bool = False, fmi: int | None = None) -> dict[str, Looked]:
+def inspect(
+    scenario: Scenario, *, simulated: bool = False, fmi: int | None = None
+) -> dict[str, Inspection]:
     """Configure every device, read it, ask whether it may be activated, and leave it as it was found. Raises CosimError."""
     scenario = with_devices(scenario, simulated=simulated, fmi=fmi)
     found = {}
@@ -179,7 +201,7 @@ def look(scenario: Scenario, *, simulated: bool = False, fmi: int | None = None)
             except DeviceError as error:
                 refusal = str(error)
             outputs = [port for port in device.ports.values() if port.causality == "output"]
-            found[device.name] = Looked(
+            found[device.name] = Inspection(
                 measured={port.name: device.values[port.name].copy() for port in outputs},
                 units={port.name: port.units for port in outputs},
                 refusal=refusal,
@@ -190,7 +212,11 @@ def look(scenario: Scenario, *, simulated: bool = False, fmi: int | None = None)
 
 def limitations(found: Mapping[str, Sequence[str]]) -> list[str]:
     """What devices cannot refuse by themselves, for the operator."""
-    return [f"{name} cannot refuse everything by itself: {sentence}" for name, said in found.items() for sentence in said]
+    return [
+        f"{name} cannot refuse everything by itself: {sentence}"
+        for name, said in found.items()
+        for sentence in said
+    ]
 
 
 def _run(
@@ -209,10 +235,16 @@ def _run(
     for device in devices:
         step = seconds(master.schedule.ratios[device.name] * period)
         if abs(step - device.step) > 1e-9:
-            raise DeviceError(f"device {device.name} works in steps of {device.step:g} s; its step_s is {step:g} s")
+            raise DeviceError(
+                f"device {device.name} works in steps of {device.step:g} s; its step_s is {step:g} s"
+            )
     deadlines = Pacing(devices, period)
     observation = Observation(
-        devices, master, deadlines, list(scenario.observed_energy.values()), _present_errors(scenario, master, values)
+        devices,
+        master,
+        deadlines,
+        list(scenario.observed_energy.values()),
+        _present_errors(scenario, master, values),
     )
     hooks: list[InstantHook] = [deadlines, CommandWriting(devices, master), observation]
     pacing.leave_real_time()  # or viewer and recorder would inherit the priority of the links
@@ -222,10 +254,14 @@ def _run(
         try:
             if view:
                 try:
-                    observation.view = LiveValues(f"{scenario.title} (Ctrl-C stops it in order)", observation.names)
+                    observation.view = LiveValues(
+                        f"{scenario.title} (Ctrl-C stops it in order)", observation.names
+                    )
                     observation.view.show()
                 except OSError as error:
-                    say(f"there is no live view: {error.strerror or error}; the loop runs without it")
+                    say(
+                        f"there is no live view: {error.strerror or error}; the loop runs without it"
+                    )
             if recording is not None:
                 observation.tap = Tap(recording, scenario, master, values, devices)
             granted = pacing.enter_real_time(real_time)
@@ -257,7 +293,11 @@ def _run(
 
 
 def _loop(
-    master: Master, outcome: Outcome, devices: Sequence[Device], hooks: Sequence[InstantHook], asked: Sequence[float]
+    master: Master,
+    outcome: Outcome,
+    devices: Sequence[Device],
+    hooks: Sequence[InstantHook],
+    asked: Sequence[float],
 ) -> Outcome:
     """Activate as late as can be, then run to the end."""
     try:
@@ -274,7 +314,11 @@ def _loop(
 
 def reason_of(error: BaseException) -> str:
     """Why a run ended that an exception has ended."""
-    return INTERRUPTED if isinstance(error, KeyboardInterrupt) else " ".join(str(error).split()) or repr(error)
+    return (
+        INTERRUPTED
+        if isinstance(error, KeyboardInterrupt)
+        else " ".join(str(error).split()) or repr(error)
+    )
 
 
 class _Stopping:
@@ -299,7 +343,9 @@ class _Stopping:
     def __enter__(self) -> None:
         pass
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, place: object) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, place: object
+    ) -> None:
         if error is not None:
             self.reason, self.orderly = reason_of(error), isinstance(error, KeyboardInterrupt)
         with no_interrupts():
@@ -314,8 +360,10 @@ class _Stopping:
                 self._say(f"Stop: {self.sentence}")
 
 
-def _result(scenario: Scenario, master: Master, values: Values, outcome: Outcome, report: LoopReport) -> Result:
-    outcome.record.origin = origin(scenario, master, values)
+def _result(
+    scenario: Scenario, master: Master, values: Values, outcome: Outcome, report: LoopReport
+) -> Result:
+    outcome.record.provenance = provenance(scenario, master, values)
     series = metrics.errors(scenario, outcome.record, master.graph.components, values)
     summary = {**metrics.summary(scenario, outcome, series), "real_time": report.summary()}
     return Result(scenario=scenario, outcome=outcome, errors=series, summary=summary)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from freeflyer.foundation.clock import seconds
 from freeflyer.master.master import Master
 from freeflyer_adapters.device.device import STATE, Device
-from freeflyer_adapters.foundation import environment as outside
+from freeflyer_adapters.foundation import environment
 from freeflyer_adapters.foundation.histogram import Histogram
 from freeflyer_adapters.foundation.pacing import Pacer
 from freeflyer_adapters.loop.activation import clocks_first, guarded
@@ -75,7 +75,7 @@ class Observation:
         if pacing.pacer is not None:
             self._times["loop: wake-up"] = pacing.pacer.lateness
         self._shown_at = 0.0
-        self._outside = outside.present()
+        self._environment = environment.present()
 
     def before(self, k: int) -> str | None:
         return None
@@ -83,7 +83,7 @@ class Observation:
     def after(self, k: int) -> None:
         if self.tap is not None:
             self.tap.write(k)
-        self.compute.add(self._outside.monotonic_ns() - self._pacing.woken)
+        self.compute.add(self._environment.monotonic_ns() - self._pacing.woken)
         if self.view is not None and k % VIEW_EVERY == 0:
             self.view.write(self.numbers(k))
 
@@ -93,15 +93,32 @@ class Observation:
 
     @property
     def names(self) -> list[str]:
-        times = ["time [s]", "rate [Hz]", "longest compute [us]", *(f"longest: {name} [us]" for name in self._times)]
+        times = [
+            "time [s]",
+            "rate [Hz]",
+            "longest compute [us]",
+            *(f"longest: {name} [us]" for name in self._times),
+        ]
         states = [f"{device.name}{STATE}" for device in self.devices]
-        errors = [f"{name} error [{'m' if name.endswith('position') else 'deg'}]" for name in self._errors]
-        counts = [f"{device.name}: {name.replace('_', ' ')}" for device in self.devices for name in device.report()]
-        return [*times, *states, *errors, *(f"least {name} [J]" for name in self._energies), *counts]
+        errors = [
+            f"{name} error [{'m' if name.endswith('position') else 'deg'}]" for name in self._errors
+        ]
+        counts = [
+            f"{device.name}: {name.replace('_', ' ')}"
+            for device in self.devices
+            for name in device.report()
+        ]
+        return [
+            *times,
+            *states,
+            *errors,
+            *(f"least {name} [J]" for name in self._energies),
+            *counts,
+        ]
 
     def numbers(self, k: int) -> list[float]:
         """In the order of `names`; times since the last set, all else as it is."""
-        now = self._outside.monotonic()
+        now = self._environment.monotonic()
         rate = VIEW_EVERY / max(now - self._shown_at, 1e-9)
         self._shown_at = now
         return [

@@ -43,7 +43,9 @@ class LiveValues:
         self.path = Path(path)
         size = self._first + SEQUENCE.size + self._values.size
         # Space for every byte: on a full disk, a write into memory that has none would end the process.
-        os.posix_fallocate(handle, 0, size) if hasattr(os, "posix_fallocate") else os.write(handle, bytes(size))
+        os.posix_fallocate(handle, 0, size) if hasattr(os, "posix_fallocate") else os.write(
+            handle, bytes(size)
+        )
         self._memory = mmap.mmap(handle, size)
         os.close(handle)
         self._memory[: self._first] = HEADER.pack(len(head)) + head
@@ -53,7 +55,8 @@ class LiveValues:
     def show(self) -> None:
         """Start the viewer on this terminal."""
         self.viewer = subprocess.Popen(
-            [sys.executable, "-P", "-m", "freeflyer_adapters.loop.live_view", str(self.path)], stdin=subprocess.DEVNULL
+            [sys.executable, "-P", "-m", "freeflyer_adapters.loop.live_view", str(self.path)],
+            stdin=subprocess.DEVNULL,
         )
 
     def write(self, values: Sequence[float]) -> None:
@@ -93,7 +96,11 @@ class LiveReader:
             self._memory = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         (length,) = HEADER.unpack_from(self._memory, 0)
         head = json.loads(self._memory[HEADER.size : HEADER.size + length])
-        self.title, self.names, self.loop = str(head["title"]), tuple(head["names"]), int(head["loop"])
+        self.title, self.names, self.loop = (
+            str(head["title"]),
+            tuple(head["names"]),
+            int(head["loop"]),
+        )
         self._first = HEADER.size + length
         self._values = struct.Struct(f"={len(self.names)}d")
 

@@ -17,7 +17,7 @@ from typing import Any
 from freeflyer.foundation.errors import BAD_INPUT, OutputError
 from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer_adapters.device.device import DeviceError
-from freeflyer_adapters.foundation import environment as outside
+from freeflyer_adapters.foundation import environment
 
 NAME = "stop.json"
 SIZE = 4096
@@ -36,18 +36,25 @@ class StopNotice:
     problems: list[str]
     """One sentence for each place that did not take it, to be printed afterwards."""
 
-    def __init__(self, *, directory: Path | None, log_to: str | None, scenario: str, say: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        *,
+        directory: Path | None,
+        log_to: str | None,
+        scenario: str,
+        say: Callable[[str], None],
+    ) -> None:
         """Open every place. Raises DeviceError for `log_to`, OutputError where stop.json cannot be reserved (exit code 2)."""
         self.problems = []
-        self._outside, self._say, self._given = outside.present(), say, False
-        self._started = self._outside.monotonic_ns()
+        self._environment, self._say, self._given = environment.present(), say, False
+        self._started = self._environment.monotonic_ns()
         self._fields: dict[str, Any] = {
             "scenario": _cut(one_line(scenario), LONGEST["scenario"]),
             "stopped": False,
             "orderly": None,
             "reason": None,
             "left": None,
-            "started_ns": self._outside.time_ns(),
+            "started_ns": self._environment.time_ns(),
             "stopped_ns": None,
             "after_s": None,
         }
@@ -55,7 +62,9 @@ class StopNotice:
         self._file: int | None = None
         self._log = None if log_to is None else _SystemLog(log_to)
         try:
-            self._file = None if self._path is None else _reserved(self._path, _document(self._fields))
+            self._file = (
+                None if self._path is None else _reserved(self._path, _document(self._fields))
+            )
         except OutputError:
             self.close()
             raise
@@ -68,11 +77,22 @@ class StopNotice:
         if self._given:
             return
         self._given = True
-        stopped_ns, after_s = self._outside.time_ns(), (self._outside.monotonic_ns() - self._started) * 1e-9
+        stopped_ns, after_s = (
+            self._environment.time_ns(),
+            (self._environment.monotonic_ns() - self._started) * 1e-9,
+        )
         reason, left = one_line(reason), one_line(left)
         sentence = f"Stop: {reason}; {left}"
-        texts = {name: _cut(text, LONGEST[name]) for name, text in (("reason", reason), ("left", left))}
-        self._fields |= {"stopped": True, "orderly": orderly, **texts, "stopped_ns": stopped_ns, "after_s": after_s}
+        texts = {
+            name: _cut(text, LONGEST[name]) for name, text in (("reason", reason), ("left", left))
+        }
+        self._fields |= {
+            "stopped": True,
+            "orderly": orderly,
+            **texts,
+            "stopped_ns": stopped_ns,
+            "after_s": after_s,
+        }
         at_once = quiet or _takes(sentence)
         if at_once and not quiet:
             self._put("standard output", lambda: self._print(sentence))
@@ -97,7 +117,10 @@ class StopNotice:
     def _put(self, place: str, put: Callable[[], None]) -> None:
         try:
             put()
-        except (Exception, SystemExit) as error:  # a console may make anything of a terminal that is gone
+        except (
+            Exception,
+            SystemExit,
+        ) as error:  # a console may make anything of a terminal that is gone
             self.problems.append(f"{place} did not take the reason of the stop: {_told(error)}")
 
     def _print(self, sentence: str) -> None:
@@ -116,13 +139,19 @@ class _SystemLog:
         expected = "'syslog', 'syslog:PATH' or 'syslog:HOST:PORT' is expected"
         word, colon, self.name = log_to.partition(":")
         if word != "syslog":
-            raise DeviceError(f"--log-to {log_to!r}: there is no log {word!r}; {expected}{did_you_mean(word, ['syslog'])}")
+            raise DeviceError(
+                f"--log-to {log_to!r}: there is no log {word!r}; {expected}{did_you_mean(word, ['syslog'])}"
+            )
         if not colon:
             self.name = "/dev/log"
         host, _, port = self.name.rpartition(":")
         is_path = "/" in self.name
-        if not is_path and not (host and port.isascii() and port.isdecimal() and len(port) < 6 and 0 < int(port) < 65536):
-            raise DeviceError(f"--log-to {log_to!r}: that is no path, and not HOST:PORT with a port of 1 to 65535; {expected}")
+        if not is_path and not (
+            host and port.isascii() and port.isdecimal() and len(port) < 6 and 0 < int(port) < 65536
+        ):
+            raise DeviceError(
+                f"--log-to {log_to!r}: that is no path, and not HOST:PORT with a port of 1 to 65535; {expected}"
+            )
         family: int = socket.AF_UNIX
         self._address: Any = self.name
         try:
@@ -130,7 +159,9 @@ class _SystemLog:
                 with socket.socket(family, socket.SOCK_DGRAM) as probe:
                     probe.connect(self.name)
             else:
-                found = socket.getaddrinfo(host.removeprefix("[").removesuffix("]"), int(port), type=socket.SOCK_DGRAM)
+                found = socket.getaddrinfo(
+                    host.removeprefix("[").removesuffix("]"), int(port), type=socket.SOCK_DGRAM
+                )
                 family, *_, self._address = found[0]
             self._socket = socket.socket(family, socket.SOCK_DGRAM)
         except (OSError, ValueError) as error:  # ValueError: no host can have that name
@@ -142,7 +173,9 @@ class _SystemLog:
 
     def send(self, sentence: str, priority: int) -> None:
         """Send it without waiting. Raises OSError."""
-        message = f"<{SysLogHandler.LOG_DAEMON << 3 | priority}>freeflyer: {sentence}".encode()[:LONGEST_MESSAGE]
+        message = f"<{SysLogHandler.LOG_DAEMON << 3 | priority}>freeflyer: {sentence}".encode()[
+            :LONGEST_MESSAGE
+        ]
         # Not connected: a daemon that was started anew meanwhile has another socket of the same name.
         self._socket.sendto(message.decode(errors="ignore").encode(), self._address)
 
@@ -164,7 +197,10 @@ def one_line(text: str) -> str:
 def _cut(text: str, size: int) -> str:
     """Return as much of its begin as `size` [bytes] of JSON have room for."""
     whole, text = text, text[:size]
-    while (excess := len(json.dumps(text + "..." * (text != whole), ensure_ascii=False).encode()) - size) > 0:
+    while (
+        excess := len(json.dumps(text + "..." * (text != whole), ensure_ascii=False).encode())
+        - size
+    ) > 0:
         text = text[: -(excess // 4 or 1)]  # a character has 4 bytes at most
     return text + "..." * (text != whole)
 
@@ -223,7 +259,11 @@ def _takes(sentence: str) -> bool:
     """Whether standard output takes it within PATIENCE, as far as can be known."""
     try:
         writable = select.select([], [sys.stdout.fileno()], [], PATIENCE)[1]
-    except (AttributeError, OSError, ValueError):  # none, or one without a descriptor: it is no pipe
+    except (
+        AttributeError,
+        OSError,
+        ValueError,
+    ):  # none, or one without a descriptor: it is no pipe
         return True
     # A pipe that is writable has room for so much only.
     return bool(writable) and len(sentence.encode()) < select.PIPE_BUF

@@ -19,11 +19,11 @@ from freeflyer.foundation.errors import CosimError
 from freeflyer.master.master import Master
 from freeflyer.master.record import Signal
 from freeflyer.scenario import metrics
-from freeflyer.scenario.experiment import origin
+from freeflyer.scenario.experiment import provenance
 from freeflyer.scenario.parameters import Values
 from freeflyer.scenario.scenario import Scenario
 from freeflyer_adapters.device.device import STATE, Device
-from freeflyer_adapters.recording.header import CanChannel, RunHead
+from freeflyer_adapters.recording.header import CanChannel, RecordingHeader
 from freeflyer_adapters.recording.parts import parts, save_rest
 from freeflyer_adapters.recording.recorder import GOODBYE, READY, Written
 from freeflyer_adapters.recording.recording_file import FLIGHT, save_flight
@@ -59,7 +59,9 @@ def can_channels(devices: Sequence[Device]) -> list[CanChannel]:
             bus = dict(getattr(options, "bus", {}))
             found.setdefault(
                 (interface, channel),
-                CanChannel(name=device.name, interface=interface, channel=channel, is_fd=is_fd, bus=bus),
+                CanChannel(
+                    name=device.name, interface=interface, channel=channel, is_fd=is_fd, bus=bus
+                ),
             )
     return list(found.values())
 
@@ -68,7 +70,12 @@ class Tap:
     """Opened before the loop begins; `write` in every instant; `close` whatever has happened."""
 
     def __init__(
-        self, wanted: Recording, scenario: Scenario, master: Master, values: Values, devices: Sequence[Device]
+        self,
+        wanted: Recording,
+        scenario: Scenario,
+        master: Master,
+        values: Values,
+        devices: Sequence[Device],
     ) -> None:
         """RecordError if there is no memory for the ring. A recorder that does not start is a sentence in the result."""
         places = master.slaves.places
@@ -77,14 +84,20 @@ class Tap:
         for name, place in places.items():
             component, _, variable = name.partition(".")
             units = ports[component][variable].units
-            signals.append(Signal(name=name, first=place.start, size=place.stop - place.start, units=units))
+            signals.append(
+                Signal(name=name, first=place.start, size=place.stop - place.start, units=units)
+            )
         signals.sort(key=lambda signal: signal.first)
         self._now, self._devices = master.slaves.now, devices
         states = [f"{device.name}{STATE}" for device in devices]
         self._counters = [(device, tuple(device.report())) for device in devices]
-        counts = [f"{device.name}: {name.replace('_', ' ')}" for device, names in self._counters for name in names]
+        counts = [
+            f"{device.name}: {name.replace('_', ' ')}"
+            for device, names in self._counters
+            for name in names
+        ]
         self._clock = WallClock.start()
-        head = RunHead(
+        head = RecordingHeader(
             scenario=scenario.name,
             title=scenario.title,
             tick=master.schedule.tick,
@@ -94,7 +107,7 @@ class Tap:
             signals=signals,
             chosen=frozenset(master.record.signals),
             loop=[*states, *counts],
-            origin=json.loads(origin(scenario, master, values).to_json()),
+            origin=json.loads(provenance(scenario, master, values).to_json()),
             versions=metrics.versions(),
             records=wanted.everything,
             can=can_channels(devices) if wanted.everything and wanted.can else [],
@@ -112,7 +125,13 @@ class Tap:
         self._recorder: subprocess.Popen[bytes] | None = None
         try:
             self._recorder = subprocess.Popen(
-                [sys.executable, "-P", "-m", "freeflyer_adapters.recording.recorder", str(self._ring.path)],
+                [
+                    sys.executable,
+                    "-P",
+                    "-m",
+                    "freeflyer_adapters.recording.recorder",
+                    str(self._ring.path),
+                ],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
             )
@@ -172,7 +191,9 @@ class Tap:
             if reader.head.records and self._directory.is_dir():
                 written.recording = [str(path) for path in parts(self._directory)]
         except (OSError, CosimError) as error:
-            written.missing.append(f"what the ring had of the recording's end is not written: {error}")
+            written.missing.append(
+                f"what the ring had of the recording's end is not written: {error}"
+            )
 
     def _written(self, clock_steps: list[str]) -> Written:
         """By the recorder; what it has not done is done here, and `clock_steps` stand for what it has not named."""
@@ -194,12 +215,16 @@ class Tap:
             return written
         try:
             with closing(RingReader(self._ring.path)) as reader:
-                flight = save_flight(reader, "the loop, without its recorder", FLIGHT, written.clock_steps)
+                flight = save_flight(
+                    reader, "the loop, without its recorder", FLIGHT, written.clock_steps
+                )
                 written.flight = None if flight is None else str(flight)
                 if self._recorder is None or self._recorder.poll() is not None:
                     self._add_rest(reader, written)
         except CosimError as error:
-            written.missing.append(f"the flight recording is missing: {error}; `freeflyer recover {self._ring.path}` saves it")
+            written.missing.append(
+                f"the flight recording is missing: {error}; `freeflyer recover {self._ring.path}` saves it"
+            )
             return written
         if self._recorder is None or self._recorder.poll() is not None:
             self._ring.path.unlink(missing_ok=True)

@@ -32,7 +32,9 @@ LATEST = 253_402_300_799.0
 """The end of the year 9999 [s since 1970]."""
 
 
-def copy_frames(path: Path, file: BinaryIO, output: BinaryIO | None) -> tuple[int, int | None, int | None, str, bool]:
+def copy_frames(
+    path: Path, file: BinaryIO, output: BinaryIO | None
+) -> tuple[int, int | None, int | None, str, bool]:
     """Every frame of whole containers into a new log; without `output`, only looked at.
 
     Gives how many, the first and last time [ns since the epoch], what was lost, and whether the file was whole.
@@ -68,7 +70,9 @@ def copy_frames(path: Path, file: BinaryIO, output: BinaryIO | None) -> tuple[in
             writer.stop()
     parts = []
     if log.skipped:
-        parts.append(f"{log.skipped} bytes in {log.places} place{'s' * (log.places > 1)} could not be read")
+        parts.append(
+            f"{log.skipped} bytes in {log.places} place{'s' * (log.places > 1)} could not be read"
+        )
     if broken:
         parts.append(f"what followed in {broken} place{'s' * (broken > 1)} could not be understood")
     if size != log.length and not parts:
@@ -108,8 +112,14 @@ class _Log:
                 after_gap = False
                 place += len(base + data) + len(base + data) % 4
                 continue
-            following = self._next(place + 1) if self._allowance > 0 and self._work > 0 else self.length
-            self.skipped, self.places, place = self.skipped + following - place, self.places + 1, following
+            following = (
+                self._next(place + 1) if self._allowance > 0 and self._work > 0 else self.length
+            )
+            self.skipped, self.places, place = (
+                self.skipped + following - place,
+                self.places + 1,
+                following,
+            )
             if not after_gap:
                 stretch.seek(0)
                 yield stretch
@@ -156,7 +166,9 @@ def _plain(content: bytes) -> bytes:
     """A container around unpacked contents."""
     size = OBJ_HEADER_BASE_STRUCT.size + LOG_CONTAINER_STRUCT.size + len(content)
     base = OBJ_HEADER_BASE_STRUCT.pack(OBJECT, OBJ_HEADER_BASE_STRUCT.size, 1, size, LOG_CONTAINER)
-    return base + LOG_CONTAINER_STRUCT.pack(NO_COMPRESSION, len(content)) + content + bytes(size % 4)
+    return (
+        base + LOG_CONTAINER_STRUCT.pack(NO_COMPRESSION, len(content)) + content + bytes(size % 4)
+    )
 
 
 def _first_object(content: bytes) -> int:
@@ -203,7 +215,9 @@ class _Reader(can.BLFReader):
 
     def _parse_container(self, data: bytes) -> Iterator[can.Message]:
         whole, place = self._tail + data, 0
-        while (place := whole.find(OBJECT, place, place + 8)) >= 0 and place + OBJ_HEADER_BASE_STRUCT.size <= len(whole):
+        while (
+            place := whole.find(OBJECT, place, place + 8)
+        ) >= 0 and place + OBJ_HEADER_BASE_STRUCT.size <= len(whole):
             size = OBJ_HEADER_BASE_STRUCT.unpack_from(whole, place)[3]
             if size < OBJ_HEADER_BASE_STRUCT.size:
                 raise BlfError(f"an object of {size} bytes")

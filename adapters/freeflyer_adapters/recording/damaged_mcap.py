@@ -41,7 +41,16 @@ DEFINITIONS = 64 * 2**20
 """Bytes of all schemas and channels."""
 NEXT_CHUNK = re.compile(rb"\x06[\s\S]{4}\x00{4}")
 FIRST_WINDOW, WINDOW = 2**12, 2**20
-BROKEN = (McapError, struct.error, ValueError, OverflowError, EOFError, RuntimeError, MemoryError, zstandard.ZstdError)
+BROKEN = (
+    McapError,
+    struct.error,
+    ValueError,
+    OverflowError,
+    EOFError,
+    RuntimeError,
+    MemoryError,
+    zstandard.ZstdError,
+)
 
 R = TypeVar("R", Schema, Channel, Metadata, Attachment, Statistics)
 
@@ -116,7 +125,9 @@ class DamagedMcap:
                 continue
             yield from taken
             place += HEAD.size + (length or 0)
-        damage.is_whole = self.begins_well and self._ended and not damage.places and not damage.undefined
+        damage.is_whole = (
+            self.begins_well and self._ended and not damage.places and not damage.undefined
+        )
         if not self._chunks:
             yield from self._outside_chunks(loose_begin)
 
@@ -159,7 +170,13 @@ class DamagedMcap:
             return None
         opcode = self._read(place, 1)[0]
         if (
-            opcode in (Opcode.CHUNK_INDEX, Opcode.SUMMARY_OFFSET, Opcode.METADATA_INDEX, Opcode.ATTACHMENT_INDEX)
+            opcode
+            in (
+                Opcode.CHUNK_INDEX,
+                Opcode.SUMMARY_OFFSET,
+                Opcode.METADATA_INDEX,
+                Opcode.ATTACHMENT_INDEX,
+            )
             or opcode >= 0x80
         ):
             return []
@@ -199,14 +216,20 @@ class DamagedMcap:
 
     def _footer(self, place: int, length: int) -> bool:
         end = place + HEAD.size + length
-        return length == FOOTER_SIZE and end + len(MAGIC) == self.size and self._read(end, len(MAGIC)) == MAGIC
+        return (
+            length == FOOTER_SIZE
+            and end + len(MAGIC) == self.size
+            and self._read(end, len(MAGIC)) == MAGIC
+        )
 
     def _define(self, opcode: int, body: bytes, *, checked: bool = False) -> bool:
         """The first of a number counts, as the format knows no second one; but one under a checksum is believed before others."""
         schema = _parsed(Schema, body) if opcode == Opcode.SCHEMA else None
         channel = _parsed(Channel, body) if opcode == Opcode.CHANNEL else None
         for record, known in ((schema, self._schemas), (channel, self._channels)):
-            if record is None or (record.id in known and (not checked or (opcode, record.id) in self._checked)):
+            if record is None or (
+                record.id in known and (not checked or (opcode, record.id) in self._checked)
+            ):
                 continue
             self._definition_bytes += len(body)
             if self._definition_bytes > DEFINITIONS or len(known) >= MOST_DEFINITIONS:
@@ -281,7 +304,12 @@ class DamagedMcap:
         following = self.size
         if not self.damage.exhausted:
             behind = place + HEAD.size + (length or 0)
-            if length is not None and place and behind < self.size and self._length(behind) is not None:
+            if (
+                length is not None
+                and place
+                and behind < self.size
+                and self._length(behind) is not None
+            ):
                 following = behind
             else:
                 following = self._next_chunk(place + 1)
@@ -301,13 +329,17 @@ class DamagedMcap:
 
     def _take_summary(self) -> None:
         """Schemas and channels that a whole file repeats at its end, in case the first ones are damaged."""
-        footer = self._read(max(0, self.size - len(MAGIC) - FOOTER_SIZE - HEAD.size), HEAD.size + FOOTER_SIZE)
+        footer = self._read(
+            max(0, self.size - len(MAGIC) - FOOTER_SIZE - HEAD.size), HEAD.size + FOOTER_SIZE
+        )
         if len(footer) < HEAD.size + FOOTER_SIZE or footer[0] != Opcode.FOOTER:
             return
         (place,) = struct.unpack_from("<Q", footer, HEAD.size)
         while len(MAGIC) <= place < self.size and (length := self._length(place)) is not None:
             opcode = self._read(place, 1)[0]
-            if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL) or not self._define(opcode, self._read(place + HEAD.size, length)):
+            if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL) or not self._define(
+                opcode, self._read(place + HEAD.size, length)
+            ):
                 return
             place += HEAD.size + length
 

@@ -52,7 +52,9 @@ def read_recording(path: str | Path) -> pandas.DataFrame:
         return _joined(found, told)
     except (ValueError, TypeError, KeyError, RecursionError, OverflowError, MemoryError) as error:
         text = " ".join(str(error).split())[:200]
-        raise RecordError(f"{path}: its messages are not what a recording of a loop has: {text}") from error
+        raise RecordError(
+            f"{path}: its messages are not what a recording of a loop has: {text}"
+        ) from error
 
 
 def _take(path: Path, found: Found, told: dict[str, dict[str, str]]) -> None:
@@ -63,12 +65,16 @@ def _take(path: Path, found: Found, told: dict[str, dict[str, str]]) -> None:
                 channel = record.channel
                 if COLUMNS in channel.metadata:
                     columns = channel.metadata[COLUMNS]
-                    _, _, times, data = found.setdefault((channel.topic, columns), (channel.topic, columns, [], []))
+                    _, _, times, data = found.setdefault(
+                        (channel.topic, columns), (channel.topic, columns, [], [])
+                    )
                     times.append(record.log_time)
                     data.append(record.data)
             elif isinstance(record, Metadata) and record.name in told:
                 metadata = dict(record.metadata)
-                if record.name == RUN and told[RUN].get(STARTED, metadata.get(STARTED)) != metadata.get(STARTED):
+                if record.name == RUN and told[RUN].get(
+                    STARTED, metadata.get(STARTED)
+                ) != metadata.get(STARTED):
                     return
                 told[record.name] = metadata
 
@@ -80,7 +86,9 @@ def _joined(found: Found, told: dict[str, dict[str, str]]) -> pandas.DataFrame:
         tables.append(table)
         units.update(its_units)
     if not tables:
-        raise ValueError("there is no whole one; a recording.mcap or flight_recording.mcap is expected")
+        raise ValueError(
+            "there is no whole one; a recording.mcap or flight_recording.mcap is expected"
+        )
     frame = pandas.concat(tables, axis=1).sort_index()
     frame = frame.loc[:, ~frame.columns.duplicated()]
     last = [name for name in frame.columns if name not in ("time", *LOOP_NUMBERS)]
@@ -88,22 +96,38 @@ def _joined(found: Found, told: dict[str, dict[str, str]]) -> pandas.DataFrame:
     clocks = [name for name in LOOP_NUMBERS[:2] if name in frame]
     frame = frame[[*first, *last, *clocks]].rename_axis("wall_ns").reset_index()
     frame = frame[[*(name for name in frame.columns if name != "wall_ns"), "wall_ns"]]
-    frame.attrs = {"units": {name: units.get(name, "ns") for name in frame.columns}, "run": told[RUN], "stop": told[STOP]}
+    frame.attrs = {
+        "units": {name: units.get(name, "ns") for name in frame.columns},
+        "run": told[RUN],
+        "stop": told[STOP],
+    }
     return frame
 
 
-def _table(topic: str, columns: str, times: list[int], data: list[bytes]) -> tuple[pandas.DataFrame, dict[str, str]]:
+def _table(
+    topic: str, columns: str, times: list[int], data: list[bytes]
+) -> tuple[pandas.DataFrame, dict[str, str]]:
     raw = json.loads(columns)
-    signals = [Signal(name=str(c["name"]), first=0, size=int(c["size"]), units=tuple(map(str, c["units"]))) for c in raw]
-    if any(s.size < 1 or len(s.units) != s.size for s in signals) or sum(s.size for s in signals) > WIDEST:
+    signals = [
+        Signal(name=str(c["name"]), first=0, size=int(c["size"]), units=tuple(map(str, c["units"])))
+        for c in raw
+    ]
+    if (
+        any(s.size < 1 or len(s.units) != s.size for s in signals)
+        or sum(s.size for s in signals) > WIDEST
+    ):
         raise ValueError("its columns do not fit")
     names = [column for signal in signals for column in signal.columns]
-    units = dict(zip(names, (unit or "" for signal in signals for unit in signal.units), strict=True))
+    units = dict(
+        zip(names, (unit or "" for signal in signals for unit in signal.units), strict=True)
+    )
     before = LOOP_NUMBERS if topic == LOOP else ()
     width = len(before) + len(names)
     if any(len(message) != FIRST + 8 * width for message in data):
         raise ValueError("a message has another length than its columns")
-    words = np.frombuffer(b"".join(message[FIRST:] for message in data), dtype="<i8").reshape(len(data), width)
+    words = np.frombuffer(b"".join(message[FIRST:] for message in data), dtype="<i8").reshape(
+        len(data), width
+    )
     numbers: Array = words.view("<f8")
     found: dict[str, Any] = {}
     for i, name in enumerate((*before, *names)):

@@ -51,7 +51,11 @@ class FrameTimes:
     def _time(self, stamp: float, latest: float, now: float) -> float:
         """[s] `latest`: of the frame before."""
         slack = FOLLOWED * 1e-9
-        possible = [time for time in sorted({stamp - step * 1e-9 for step in self._steps}) if time <= now + slack]
+        possible = [
+            time
+            for time in sorted({stamp - step * 1e-9 for step in self._steps})
+            if time <= now + slack
+        ]
         if not possible:
             return now
         return next((time for time in possible if time >= latest - slack), possible[-1])

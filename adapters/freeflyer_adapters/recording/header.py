@@ -26,7 +26,7 @@ class CanChannel:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunHead:
+class RecordingHeader:
     """`tick` [ns]: from one instant to the next. `loop`: the loop's columns after the signals: states, then counters."""
 
     scenario: str
@@ -42,7 +42,7 @@ class RunHead:
     """Names of the signals that `[record]` chooses."""
     loop: Sequence[str]
     origin: Mapping[str, Any]
-    """See freeflyer.master.provenance.Origin."""
+    """See freeflyer.master.provenance.Provenance."""
     versions: Mapping[str, str]
     records: bool = True
     """Whether the whole run is recorded, or its last seconds only."""
@@ -60,14 +60,20 @@ class RunHead:
         return json.dumps(raw).encode()
 
     @classmethod
-    def from_json(cls, text: bytes) -> RunHead:
+    def from_json(cls, text: bytes) -> RecordingHeader:
         """RecordError for anything that `to_json` has not written."""
         try:
             raw = json.loads(text)
-            signals = [Signal(**{**signal, "units": tuple(signal["units"])}) for signal in raw["signals"]]
+            signals = [
+                Signal(**{**signal, "units": tuple(signal["units"])}) for signal in raw["signals"]
+            ]
             first = 0
             for signal in signals:
-                if type(signal.size) is not int or signal.first != first or len(signal.units) != signal.size:
+                if (
+                    type(signal.size) is not int
+                    or signal.first != first
+                    or len(signal.units) != signal.size
+                ):
                     raise ValueError(f"signal {signal.name} does not fit")
                 first += signal.size
             head = cls(**{
@@ -76,10 +82,24 @@ class RunHead:
                 "chosen": frozenset(raw["chosen"]),
                 "can": [CanChannel(**channel) for channel in raw["can"]],
             })  # fmt: skip
-            texts = (head.scenario, head.title, head.directory, head.can_format, *head.loop, *(s.name for s in signals))
-            if not all(isinstance(text, str) for text in texts) or not isinstance(head.origin, dict):
+            texts = (
+                head.scenario,
+                head.title,
+                head.directory,
+                head.can_format,
+                *head.loop,
+                *(s.name for s in signals),
+            )
+            if not all(isinstance(text, str) for text in texts) or not isinstance(
+                head.origin, dict
+            ):
                 raise ValueError("a text is none")
-            if type(head.tick) is not int or head.tick <= 0 or type(head.started) is not int or not 0 < head.width <= WIDEST:
+            if (
+                type(head.tick) is not int
+                or head.tick <= 0
+                or type(head.started) is not int
+                or not 0 < head.width <= WIDEST
+            ):
                 raise ValueError("its numbers do not fit")
             if head.clock_offset is not None and type(head.clock_offset) is not int:
                 raise ValueError("its numbers do not fit")

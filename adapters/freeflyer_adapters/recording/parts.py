@@ -16,7 +16,7 @@ import numpy as np
 from mcap.records import Metadata
 
 from freeflyer_adapters.recording.damaged_mcap import DamagedMcap, WholeMessage
-from freeflyer_adapters.recording.header import RunHead
+from freeflyer_adapters.recording.header import RecordingHeader
 from freeflyer_adapters.recording.recording_file import (
     CHUNK_SECONDS,
     MESSAGE_OVERHEAD,
@@ -57,7 +57,7 @@ def parts(directory: Path) -> list[Path]:
 class PartedRecording:
     """Rows go in, whole parts come out. Whatever the disk raises goes through."""
 
-    def __init__(self, head: RunHead) -> None:
+    def __init__(self, head: RecordingHeader) -> None:
         self._head, self._signals = head, chosen(head)
         self._directory = Path(head.directory)
         self._directory.mkdir(parents=True, exist_ok=True)
@@ -139,7 +139,9 @@ def save_rest(ring: RingReader, recorder: str, clock_steps: Sequence[str] = ()) 
         file = RecordingFile(stream, head, chosen(head), CHUNK_SECONDS)
         whole = np.array([names == every for names in absent])
         for i in np.flatnonzero([bool(names) and names != every for names in absent]):
-            file.add(rows.where(np.arange(len(rows)) == i), absent[i])  # an instant in the middle of which a chunk ended
+            file.add(
+                rows.where(np.arange(len(rows)) == i), absent[i]
+            )  # an instant in the middle of which a chunk ended
         file.add(rows.where(whole))
         file.finish(stop_of(ring, recorder, clock_steps))
 

@@ -73,7 +73,9 @@ class Recorder:
         for channel in ring.head.can:
             name = f"can_{channel.name}" if several else "can"
             with self._watched(f"the log of CAN channel {channel.channel}"):
-                self._logs.append(CanLog(channel, self._directory / f"{name}.{ring.head.can_format}", self._clock))
+                self._logs.append(
+                    CanLog(channel, self._directory / f"{name}.{ring.head.can_format}", self._clock)
+                )
 
     @contextlib.contextmanager
     def _watched(self, subject: str) -> Iterator[None]:
@@ -161,7 +163,9 @@ def main(path: str) -> int:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     if hasattr(signal, "SIGXFSZ"):
-        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # a file that is too long is an error to be told of
+        signal.signal(
+            signal.SIGXFSZ, signal.SIG_IGN
+        )  # a file that is too long is an error to be told of
     pacing.leave_real_time()
 
     def complain(sentence: str) -> None:

@@ -20,7 +20,7 @@ from freeflyer.foundation.errors import OutputError
 from freeflyer.foundation.output_file import write_whole
 from freeflyer.master.record import Signal
 from freeflyer_adapters.foundation import private_directory
-from freeflyer_adapters.recording.header import RunHead
+from freeflyer_adapters.recording.header import RecordingHeader
 from freeflyer_adapters.recording.ring import RingReader, Rows
 from freeflyer_adapters.recording.topics import topics
 
@@ -50,7 +50,13 @@ def library() -> str:
 class RecordingFile:
     """Rows go in, whole chunks come out. Whatever the stream raises goes through."""
 
-    def __init__(self, stream: BinaryIO, head: RunHead, signals: Sequence[Signal], chunk_seconds: float) -> None:
+    def __init__(
+        self,
+        stream: BinaryIO,
+        head: RecordingHeader,
+        signals: Sequence[Signal],
+        chunk_seconds: float,
+    ) -> None:
         self._topics = topics(head, signals)
         a_row = sum(topic.layout.size + MESSAGE_OVERHEAD for topic in self._topics)
         rows = max(1, round(chunk_seconds * 1e9 / head.tick))
@@ -58,8 +64,15 @@ class RecordingFile:
         self._writer = Writer(stream, chunk_size=a_row * rows - 1, compression=CompressionType.ZSTD)
         self._stream, self._number, self._repeated = stream, 0, -1
         self._writer.start(profile="ros2", library=library())
-        run = {"scenario": head.scenario, "title": head.title, "tick_ns": str(head.tick), STARTED: str(head.started)}
-        self._writer.add_metadata(RUN, {**run, **{f"version of {name}": text for name, text in head.versions.items()}})
+        run = {
+            "scenario": head.scenario,
+            "title": head.title,
+            "tick_ns": str(head.tick),
+            STARTED: str(head.started),
+        }
+        self._writer.add_metadata(
+            RUN, {**run, **{f"version of {name}": text for name, text in head.versions.items()}}
+        )
         origin = json.dumps(head.origin).encode()
         self._writer.add_attachment(head.started, head.started, ORIGIN, "application/json", origin)
         self._channels = []
@@ -69,11 +82,19 @@ class RecordingFile:
             name, text = topic.message, topic.definition.encode()
             if name not in schemas:
                 schemas[name] = self._writer.register_schema(name, "ros2msg", text)
-                Schema(id=schemas[name], name=name, encoding="ros2msg", data=text).write(definitions)
-            channel = self._writer.register_channel(topic.name, "cdr", schemas[name], dict(topic.metadata))
+                Schema(id=schemas[name], name=name, encoding="ros2msg", data=text).write(
+                    definitions
+                )
+            channel = self._writer.register_channel(
+                topic.name, "cdr", schemas[name], dict(topic.metadata)
+            )
             self._channels.append(channel)
             Channel(
-                id=channel, topic=topic.name, message_encoding="cdr", metadata=dict(topic.metadata), schema_id=schemas[name]
+                id=channel,
+                topic=topic.name,
+                message_encoding="cdr",
+                metadata=dict(topic.metadata),
+                schema_id=schemas[name],
             ).write(definitions)
         self._definitions = definitions.end()  # type: ignore[no-untyped-call]
         self._again = max(1, round(DEFINITIONS_EVERY * 1e9 / head.tick))
@@ -110,7 +131,7 @@ class RecordingFile:
         self._stream.flush()
 
 
-def chosen(head: RunHead) -> list[Signal]:
+def chosen(head: RecordingHeader) -> list[Signal]:
     return [signal for signal in head.signals if signal.name in head.chosen]
 
 
@@ -125,7 +146,9 @@ def stop_of(ring: RingReader, recorder: str, clock_steps: Sequence[str] = ()) ->
     return {**stop, CLOCK_STEPS: "\n".join(clock_steps)} if clock_steps else stop
 
 
-def save_flight(ring: RingReader, recorder: str, name: str = FLIGHT, clock_steps: Sequence[str] = ()) -> Path | None:
+def save_flight(
+    ring: RingReader, recorder: str, name: str = FLIGHT, clock_steps: Sequence[str] = ()
+) -> Path | None:
     """The last seconds before the stop, every signal at every instant; None if there was no instant.
 
     Where the run's directory cannot be written, a private one under the temporary directory takes it. OutputError if that cannot
@@ -141,7 +164,12 @@ def save_flight(ring: RingReader, recorder: str, name: str = FLIGHT, clock_steps
 
 
 def write_rows(
-    stream: BinaryIO, ring: RingReader, rows: Rows, signals: Sequence[Signal], recorder: str, clock_steps: Sequence[str] = ()
+    stream: BinaryIO,
+    ring: RingReader,
+    rows: Rows,
+    signals: Sequence[Signal],
+    recorder: str,
+    clock_steps: Sequence[str] = (),
 ) -> None:
     """A whole file of rows that a ring has."""
     file = RecordingFile(stream, ring.head, signals, FLIGHT_SECONDS / 4)

@@ -69,11 +69,15 @@ def recover(path: Path, out: Path | None = None, progress: Progress | None = Non
         saved = save_ring(path)
         return _told(path, saved)
     if suffix not in SUFFIXES:
-        raise RecordError(f"{path} is neither a recording (.mcap) nor a CAN log (.blf) nor a ring (.ring), by its name")
+        raise RecordError(
+            f"{path} is neither a recording (.mcap) nor a CAN log (.blf) nor a ring (.ring), by its name"
+        )
     target = out or path.with_name(f"{path.stem}_recovered{path.suffix}")
     with _opened(path) as file:
         if target.exists() and os.path.samefile(target, path):
-            raise RecordError(f"--out {target} is the damaged file itself, which is not touched; another name is expected")
+            raise RecordError(
+                f"--out {target} is the damaged file itself, which is not touched; another name is expected"
+            )
         found: list[Recovered] = []
         if out is None:
             checked = copy_whole(path, file, None, progress)
@@ -88,7 +92,9 @@ def recover(path: Path, out: Path | None = None, progress: Progress | None = Non
 
         write_whole(target, write)
     done = found[0]
-    return Recovered(source=path, path=target, kept=done.kept, begin=done.begin, end=done.end, lost=done.lost)
+    return Recovered(
+        source=path, path=target, kept=done.kept, begin=done.begin, end=done.end, lost=done.lost
+    )
 
 
 def _refuse_a_strangers(path: Path) -> None:
@@ -100,7 +106,9 @@ def _refuse_a_strangers(path: Path) -> None:
         )
 
 
-def copy_whole(path: Path, file: BinaryIO, output: BinaryIO | None, progress: Progress | None = None) -> Recovered:
+def copy_whole(
+    path: Path, file: BinaryIO, output: BinaryIO | None, progress: Progress | None = None
+) -> Recovered:
     """What is whole in a recording or, by the name, a CAN log, into `output`; without it, only looked at."""
     copy = _copy_frames if path.suffix.lower() == ".blf" else _copy_messages
     return copy(path, file, output, progress)
@@ -138,7 +146,13 @@ def _told(ring: Path, saved: Saved) -> Recovered:
     with _opened(saved.flight) as file:
         copied = _copy_messages(saved.flight, file, None, None)
     return Recovered(
-        source=ring, path=saved.flight, kept=copied.kept, begin=copied.begin, end=copied.end, lost="", rest=saved.rest
+        source=ring,
+        path=saved.flight,
+        kept=copied.kept,
+        begin=copied.begin,
+        end=copied.end,
+        lost="",
+        rest=saved.rest,
     )
 
 
@@ -153,7 +167,9 @@ def _opened(path: Path) -> Iterator[BinaryIO]:
         raise RecordError(f"{path} cannot be read: {error.strerror or error}") from error
 
 
-def _copy_messages(path: Path, file: BinaryIO, stream: BinaryIO | None, progress: Progress | None) -> Recovered:
+def _copy_messages(
+    path: Path, file: BinaryIO, stream: BinaryIO | None, progress: Progress | None
+) -> Recovered:
     """Every whole message, record by record, into a new file; without `stream`, only looked at."""
     source = DamagedMcap(file)
     kept, begin, end, others = 0, LATEST, EARLIEST, 0
@@ -170,13 +186,17 @@ def _copy_messages(path: Path, file: BinaryIO, stream: BinaryIO | None, progress
             output.add(record)
     damage = source.damage
     if not kept and not others and not source.begins_well:
-        raise RecordError(f"{path} is no MCAP recording: it does not begin as one, and has no whole chunk")
+        raise RecordError(
+            f"{path} is no MCAP recording: it does not begin as one, and has no whole chunk"
+        )
     lost = _lost(damage, kept)
     if output is not None:
         output.finish(path, kept, lost)
     span = (begin, end) if kept else (None, None)
     whole = damage.is_whole and not lost and stream is None
-    return Recovered(source=path, path=None if whole else path, kept=kept, begin=span[0], end=span[1], lost=lost)
+    return Recovered(
+        source=path, path=None if whole else path, kept=kept, begin=span[0], end=span[1], lost=lost
+    )
 
 
 def _lost(damage: Damage, kept: int) -> str:
@@ -184,11 +204,15 @@ def _lost(damage: Damage, kept: int) -> str:
     if damage.expected is not None and damage.expected > kept:
         parts.append(f"{damage.expected - kept} of {damage.expected} messages lost")
     if damage.skipped:
-        parts.append(f"{damage.skipped} bytes in {damage.places} place{'s' * (damage.places > 1)} could not be read")
+        parts.append(
+            f"{damage.skipped} bytes in {damage.places} place{'s' * (damage.places > 1)} could not be read"
+        )
     if damage.undefined:
         parts.append(f"{damage.undefined} messages lost whose definition is nowhere in the file")
     if damage.exhausted:
-        parts.append("reading was given up: the file asks for more memory or time than one of its size may")
+        parts.append(
+            "reading was given up: the file asks for more memory or time than one of its size may"
+        )
     if not parts and not damage.is_whole:
         parts.append("the end was missing: index and summary are new")
     return ", ".join(parts)
@@ -206,7 +230,9 @@ class _Output:
         if isinstance(record, Metadata):
             self._writer.add_metadata(record.name, record.metadata)
         elif isinstance(record, Attachment):
-            self._writer.add_attachment(record.create_time, record.log_time, record.name, record.media_type, record.data)
+            self._writer.add_attachment(
+                record.create_time, record.log_time, record.name, record.media_type, record.data
+            )
         else:
             channel, schema = record.channel, record.schema
             if channel.id not in self._channels:
@@ -214,19 +240,32 @@ class _Output:
                     number = self._writer.register_schema(schema.name, schema.encoding, schema.data)
                     self._schemas[schema.id] = number
                 self._channels[channel.id] = self._writer.register_channel(
-                    channel.topic, channel.message_encoding, self._schemas[channel.schema_id], channel.metadata
+                    channel.topic,
+                    channel.message_encoding,
+                    self._schemas[channel.schema_id],
+                    channel.metadata,
                 )
             self._writer.add_message(
-                self._channels[channel.id], record.log_time, record.data, record.publish_time, record.sequence
+                self._channels[channel.id],
+                record.log_time,
+                record.data,
+                record.publish_time,
+                record.sequence,
             )
 
     def finish(self, source: Path, kept: int, lost: str) -> None:
-        self._writer.add_metadata(RECOVERED, {"from": source.name, "kept": str(kept), "lost": lost or "nothing"})
+        self._writer.add_metadata(
+            RECOVERED, {"from": source.name, "kept": str(kept), "lost": lost or "nothing"}
+        )
         self._writer.finish()  # type: ignore[no-untyped-call]
         self._stream.flush()
 
 
-def _copy_frames(path: Path, file: BinaryIO, stream: BinaryIO | None, progress: Progress | None) -> Recovered:
+def _copy_frames(
+    path: Path, file: BinaryIO, stream: BinaryIO | None, progress: Progress | None
+) -> Recovered:
     kept, begin, end, lost, whole = copy_frames(path, file, stream)
     is_there = whole and stream is None
-    return Recovered(source=path, path=None if is_there else path, kept=kept, begin=begin, end=end, lost=lost)
+    return Recovered(
+        source=path, path=None if is_there else path, kept=kept, begin=begin, end=end, lost=lost
+    )

@@ -34,7 +34,9 @@ def rescue(directory: Path | None = None) -> Iterator[str]:
             yield f"the last seconds of an earlier run in {path} could not be saved: {error}"
         else:
             if saved.flight is not None:
-                rest = f", the end of its recording in {saved.rest}" if saved.rest is not None else ""
+                rest = (
+                    f", the end of its recording in {saved.rest}" if saved.rest is not None else ""
+                )
                 yield f"an earlier run died without a word; its last seconds are in {saved.flight}{rest}"
 
 
@@ -43,7 +45,9 @@ def save_ring(path: Path) -> Saved:
     gone then. RecordError if somebody still works on it, or it is none.
     """
     if not is_left_behind(path):
-        raise RecordError(f"the loop of ring {path} is still running, and saves its last seconds itself when it ends")
+        raise RecordError(
+            f"the loop of ring {path} is still running, and saves its last seconds itself when it ends"
+        )
     ring = RingReader(path)
     try:
         started = time.strftime("%Y%m%dT%H%M%S", time.localtime(ring.head.started * 1e-9))
@@ -76,7 +80,10 @@ def set_aside(directory: Path, channels: Sequence[CanChannel], can_format: str) 
         for path in found:
             number = "" if path == first else f"_{number_of(path)}"
             path.rename(first.with_name(f"{first.stem}_{stamp}{number}{first.suffix}"))
-        for name in (f"can.{can_format}", *(f"can_{channel.name}.{can_format}" for channel in channels)):
+        for name in (
+            f"can.{can_format}",
+            *(f"can_{channel.name}.{can_format}" for channel in channels),
+        ):
             path = directory / name
             if path.exists():
                 path.rename(path.with_name(f"{path.stem}_{stamp}{path.suffix}"))

@@ -28,9 +28,8 @@ from numpy.typing import NDArray
 
 from freeflyer.fmi.component import Array
 from freeflyer.foundation.errors import RecordError
-from freeflyer_adapters.foundation import environment as outside
-from freeflyer_adapters.foundation import private_directory
-from freeflyer_adapters.recording.header import RunHead
+from freeflyer_adapters.foundation import environment, private_directory
+from freeflyer_adapters.recording.header import RecordingHeader
 from freeflyer_adapters.recording.wall_clock import offset_of
 
 MAGIC = b"FFRING1\n"
@@ -64,7 +63,9 @@ class Rows:
 
     def split(self, count: int) -> tuple[Rows, Rows]:
         """The first ones, and the others."""
-        return Rows(self.times[:count], self.values[:count]), Rows(self.times[count:], self.values[count:])
+        return Rows(self.times[:count], self.values[:count]), Rows(
+            self.times[count:], self.values[count:]
+        )
 
     @staticmethod
     def none(width: int) -> Rows:
@@ -73,7 +74,9 @@ class Rows:
 
 def folder() -> Path:
     """Where rings are: private to the user. RecordError if that cannot be had."""
-    chosen = os.environ.get("XDG_RUNTIME_DIR") or ("/dev/shm" if os.access("/dev/shm", os.W_OK) else tempfile.gettempdir())
+    chosen = os.environ.get("XDG_RUNTIME_DIR") or (
+        "/dev/shm" if os.access("/dev/shm", os.W_OK) else tempfile.gettempdir()
+    )
     path = Path(chosen) / f"freeflyer-rings-{os.getuid()}"
     if refused := private_directory.made(path):
         raise RecordError(f"the directory of rings {refused}")
@@ -83,7 +86,7 @@ def folder() -> Path:
 class RingWriter:
     """The loop's side."""
 
-    def __init__(self, head: RunHead, directory: Path | None = None) -> None:
+    def __init__(self, head: RecordingHeader, directory: Path | None = None) -> None:
         """RecordError if there is no room: the memory is all there from the begin, so that no write can fail."""
         text = head.to_json()
         self.width = head.width
@@ -91,7 +94,9 @@ class RingWriter:
         self.rows = max(64, min(round(SECONDS * 1e9 / head.tick), LARGEST // row_bytes))
         first = PAGE + -(-len(text) // PAGE) * PAGE
         size = first + self.rows * row_bytes
-        handle, name = tempfile.mkstemp(prefix=f"{os.getpid()}-", suffix=".ring", dir=directory or folder())
+        handle, name = tempfile.mkstemp(
+            prefix=f"{os.getpid()}-", suffix=".ring", dir=directory or folder()
+        )
         self.path = Path(name)
         try:
             fcntl.flock(handle, fcntl.LOCK_SH)
@@ -100,7 +105,9 @@ class RingWriter:
             else:  # macOS
                 for _ in range(-(-size // 2**20)):
                     os.write(handle, bytes(2**20))
-            self._memory = mmap.mmap(handle, size, flags=mmap.MAP_SHARED | getattr(mmap, "MAP_POPULATE", 0))
+            self._memory = mmap.mmap(
+                handle, size, flags=mmap.MAP_SHARED | getattr(mmap, "MAP_POPULATE", 0)
+            )
         except OSError as error:
             os.close(handle)
             self.path.unlink(missing_ok=True)
@@ -113,8 +120,10 @@ class RingWriter:
         self._words, self._values = words, words.view("<f8")[:, TIMES:-1]
         self._written = np.frombuffer(self._memory, dtype="<u8", count=1, offset=WRITTEN_AT)
         self._count = 0
-        self._outside = outside.present()
-        self._offset = offset_of(self._outside) if head.clock_offset is None else head.clock_offset
+        self._environment = environment.present()
+        self._offset = (
+            offset_of(self._environment) if head.clock_offset is None else head.clock_offset
+        )
         # The magic last: a file without it is no ring yet.
         self._memory[: FIXED.size] = FIXED.pack(MAGIC, self.rows, self.width, len(text), first)
 
@@ -123,7 +132,7 @@ class RingWriter:
         count = self._count
         row = self._words[count % self.rows]
         row[0] = row[-1] = 0
-        row[2] = now = self._outside.monotonic_ns()
+        row[2] = now = self._environment.monotonic_ns()
         row[1] = now + self._offset
         row[3] = k
         self._values[count % self.rows] = line
@@ -173,16 +182,29 @@ class RingReader:
         magic, rows, width, length, first = FIXED.unpack_from(self._memory, 0)
         if magic != MAGIC:
             raise RecordError(f"{self.path} is no ring of a loop: it begins with {magic!r}")
-        fits = PAGE + length <= first and first % 8 == 0 and rows and first + rows * 8 * (TIMES + width + 1) <= size
+        fits = (
+            PAGE + length <= first
+            and first % 8 == 0
+            and rows
+            and first + rows * 8 * (TIMES + width + 1) <= size
+        )
         if not fits:
-            raise RecordError(f"{self.path} is a damaged ring: {rows} rows of {width} values do not fit into {size} bytes")
-        self.head = RunHead.from_json(self._memory[PAGE : PAGE + length])
+            raise RecordError(
+                f"{self.path} is a damaged ring: {rows} rows of {width} values do not fit into {size} bytes"
+            )
+        self.head = RecordingHeader.from_json(self._memory[PAGE : PAGE + length])
         if self.head.width != width:
-            raise RecordError(f"{self.path} is a damaged ring: its rows have {width} values, its head {self.head.width}")
+            raise RecordError(
+                f"{self.path} is a damaged ring: its rows have {width} values, its head {self.head.width}"
+            )
         if self.written > MOST_WRITTEN:
-            raise RecordError(f"{self.path} is a damaged ring: nobody has written {self.written} rows")
+            raise RecordError(
+                f"{self.path} is a damaged ring: nobody has written {self.written} rows"
+            )
         self.rows = rows
-        words = np.frombuffer(self._memory, dtype="<i8", offset=first, count=rows * (TIMES + width + 1))
+        words = np.frombuffer(
+            self._memory, dtype="<i8", offset=first, count=rows * (TIMES + width + 1)
+        )
         self._words = words.reshape(rows, -1)
         self.next = 0
         """The number of the first row not taken yet."""
@@ -198,7 +220,11 @@ class RingReader:
         """Why the loop ended, in its own words; None if it has said nothing."""
         (length,) = WRITTEN.unpack_from(self._memory, REASON_AT)
         place = REASON_AT + 8
-        return self._memory[place : place + length].decode(errors="replace") if 0 < length <= LONGEST_REASON else None
+        return (
+            self._memory[place : place + length].decode(errors="replace")
+            if 0 < length <= LONGEST_REASON
+            else None
+        )
 
     def take(self, most: int) -> Rows:
         """The next whole rows, oldest first; what was written over meanwhile is counted."""
@@ -214,7 +240,9 @@ class RingReader:
         numbers = np.arange(self.next, last)
         taken = self._words[numbers % self.rows]  # a copy
         again = self._words[numbers % self.rows, 0]
-        whole = (taken[:, 0] == numbers + 1) & (taken[:, -1] == numbers + 1) & (again == numbers + 1)
+        whole = (
+            (taken[:, 0] == numbers + 1) & (taken[:, -1] == numbers + 1) & (again == numbers + 1)
+        )
         whole &= (taken[:, 1:TIMES] >= 0).all(axis=1)  # a file has no negative times
         self.lost += int((~whole).sum())
         self.next = last

@@ -49,13 +49,20 @@ def full_text(definition: str) -> str:
             if kind and kind not in PLAIN and kind not in found:
                 found[kind] = DEFINITIONS[kind]
                 waiting.append(DEFINITIONS[kind])
-    return "".join([definition + "\n", *(f"{SEPARATOR}\nMSG: {kind}\n{text}\n" for kind, text in found.items())])
+    return "".join(
+        [
+            definition + "\n",
+            *(f"{SEPARATOR}\nMSG: {kind}\n{text}\n" for kind, text in found.items()),
+        ]
+    )
 
 
 def message_name(text: str) -> str:
     """A component's name as ROS names messages: ArmDrive of arm_drive."""
     words = re.findall(r"[A-Za-z0-9]+", text)
-    return "M" * (not words or not words[0][0].isalpha()) + "".join(word[0].upper() + word[1:] for word in words)
+    return "M" * (not words or not words[0][0].isalpha()) + "".join(
+        word[0].upper() + word[1:] for word in words
+    )
 
 
 def field_names(texts: Sequence[str]) -> list[str]:

@@ -29,10 +29,16 @@ from freeflyer.fmi.component import Array
 from freeflyer.master.graph import split
 from freeflyer.master.record import Signal
 from freeflyer_adapters.device.device import STATE, LifeCycle
-from freeflyer_adapters.recording.header import RunHead
+from freeflyer_adapters.recording.header import RecordingHeader
 from freeflyer_adapters.recording.layout import Layout, Numbers
 from freeflyer_adapters.recording.ring import Rows
-from freeflyer_adapters.recording.ros_definitions import DEFINITIONS, PACKAGE, field_names, full_text, message_name
+from freeflyer_adapters.recording.ros_definitions import (
+    DEFINITIONS,
+    PACKAGE,
+    field_names,
+    full_text,
+    message_name,
+)
 
 INERTIAL, BASE = "inertial", "base"
 COLUMNS = "freeflyer.columns"
@@ -51,7 +57,7 @@ class Topic:
     metadata: Mapping[str, str] = field(default_factory=dict)
 
 
-def topics(head: RunHead, signals: Sequence[Signal]) -> list[Topic]:
+def topics(head: RecordingHeader, signals: Sequence[Signal]) -> list[Topic]:
     """Of the chosen signals of a run; the loop's own topic is always among them."""
     by_component: dict[str, dict[str, Signal]] = {}
     for signal in signals:
@@ -77,7 +83,7 @@ def _columns(signal: Signal) -> Numbers:
 # Everything, as it is
 
 
-def _loop(head: RunHead) -> Topic:
+def _loop(head: RecordingHeader) -> Topic:
     layout = Layout("")
     layout.numbers(2, lambda rows: rows.times[:, 1:3])
     layout.numbers(1, lambda rows: rows.times[:, 2:3] * head.tick / 1e9)
@@ -90,23 +96,40 @@ def _loop(head: RunHead) -> Topic:
         "int64 instant  # its number",
         "float64 time  # [s] of the scenario",
     ]
-    for name, text in zip(field_names(["monotonic", "instant", "time", *head.loop])[3:], head.loop, strict=True):
+    for name, text in zip(
+        field_names(["monotonic", "instant", "time", *head.loop])[3:], head.loop, strict=True
+    ):
         lines.append(f"float64 {name}  # {states}" if text.endswith(STATE) else f"float64 {name}")
     columns = json.dumps([{"name": name, "size": 1, "units": [""]} for name in head.loop])
-    return Topic(LOOP, f"{PACKAGE}/msg/Loop", full_text("\n".join(lines)), layout, {COLUMNS: columns})
+    return Topic(
+        LOOP, f"{PACKAGE}/msg/Loop", full_text("\n".join(lines)), layout, {COLUMNS: columns}
+    )
 
 
 def _everything(component: str, variables: Mapping[str, Signal]) -> Topic:
     layout = Layout("")
     lines = ["std_msgs/Header header"]
-    for name, (variable, signal) in zip(field_names(list(variables)), variables.items(), strict=True):
+    for name, (variable, signal) in zip(
+        field_names(list(variables)), variables.items(), strict=True
+    ):
         layout.numbers(signal.size, _columns(signal))
         units = list(dict.fromkeys(unit or "1" for unit in signal.units))
         note = f"  # {variable} [{', '.join(units)}]".replace("\n", " ")
-        lines.append((f"float64 {name}" if signal.size == 1 else f"float64[{signal.size}] {name}") + note)
-    columns = [{"name": s.name, "size": s.size, "units": [unit or "" for unit in s.units]} for s in variables.values()]
+        lines.append(
+            (f"float64 {name}" if signal.size == 1 else f"float64[{signal.size}] {name}") + note
+        )
+    columns = [
+        {"name": s.name, "size": s.size, "units": [unit or "" for unit in s.units]}
+        for s in variables.values()
+    ]
     message = f"{PACKAGE}/msg/{message_name(component)}"
-    return Topic(_place(component), message, full_text("\n".join(lines)), layout, {COLUMNS: json.dumps(columns)})
+    return Topic(
+        _place(component),
+        message,
+        full_text("\n".join(lines)),
+        layout,
+        {COLUMNS: json.dumps(columns)},
+    )
 
 
 # What ROS has messages for
@@ -126,7 +149,11 @@ def _known(component: str, variables: Mapping[str, Signal]) -> list[Topic]:
             ("wrench", ("N",) * 3 + ("N.m",) * 3, _six("Wrench")),
         ):
             signal = variables[variable]
-            if variable in done or not variable.endswith(ending) or (units is not None and not _has(signal, units)):
+            if (
+                variable in done
+                or not variable.endswith(ending)
+                or (units is not None and not _has(signal, units))
+            ):
                 continue
             prefix = variable.removesuffix(ending)
             if prefix and not prefix.endswith("_"):
@@ -145,10 +172,17 @@ def _has(signal: Signal | None, units: Sequence[str]) -> bool:
 
 def _topic(component: str, prefix: str, ending: str, kind: str, layout: Layout) -> Topic:
     package, name = kind.split("/")
-    return Topic(_place(component, prefix.strip("_"), ending), f"{package}/msg/{name}", full_text(DEFINITIONS[kind]), layout)
+    return Topic(
+        _place(component, prefix.strip("_"), ending),
+        f"{package}/msg/{name}",
+        full_text(DEFINITIONS[kind]),
+        layout,
+    )
 
 
-def _joints(component: str, prefix: str, variables: Mapping[str, Signal]) -> tuple[Topic | None, set[str]]:
+def _joints(
+    component: str, prefix: str, variables: Mapping[str, Signal]
+) -> tuple[Topic | None, set[str]]:
     names = [f"{prefix}joint_{part}" for part in ("position", "velocity", "torque")]
     parts = [variables.get(name) for name in names]
     size = max(part.size for part in parts if part is not None)
@@ -163,7 +197,9 @@ def _joints(component: str, prefix: str, variables: Mapping[str, Signal]) -> tup
     return _topic(component, prefix, "joint_states", "sensor_msgs/JointState", layout), used
 
 
-def _pose(component: str, prefix: str, variables: Mapping[str, Signal]) -> tuple[Topic | None, set[str]]:
+def _pose(
+    component: str, prefix: str, variables: Mapping[str, Signal]
+) -> tuple[Topic | None, set[str]]:
     names = [f"{prefix}{part}" for part in ("position", "orientation", "velocity")]
     position, orientation, velocity = (variables.get(name) for name in names)
     if position is None or orientation is None or not _has(position, ("m",) * 3):
@@ -190,10 +226,14 @@ Made = Callable[[str, str, Mapping[str, Signal]], tuple[Topic | None, set[str]]]
 def _six(kind: str) -> Made:
     ending = {"Twist": "velocity", "Accel": "acceleration", "Wrench": "wrench"}[kind]
 
-    def made(component: str, prefix: str, variables: Mapping[str, Signal]) -> tuple[Topic | None, set[str]]:
+    def made(
+        component: str, prefix: str, variables: Mapping[str, Signal]
+    ) -> tuple[Topic | None, set[str]]:
         layout = Layout(INERTIAL)
         layout.numbers(6, _columns(variables[prefix + ending]))
-        return _topic(component, prefix, kind.lower(), f"geometry_msgs/{kind}Stamped", layout), {prefix + ending}
+        return _topic(component, prefix, kind.lower(), f"geometry_msgs/{kind}Stamped", layout), {
+            prefix + ending
+        }
 
     return made
 

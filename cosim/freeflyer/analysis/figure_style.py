@@ -24,13 +24,20 @@ STYLE: Any = {
     "figure.constrained_layout.use": True,
 }
 # Distinguishable in grey print by their dashes, and for the colour-blind by these colours.
-LINES = ({"color": "#0072B2", "ls": "-"}, {"color": "#D55E00", "ls": "--"}, {"color": "#009E73", "ls": "-."})
+LINES = (
+    {"color": "#0072B2", "ls": "-"},
+    {"color": "#D55E00", "ls": "--"},
+    {"color": "#009E73", "ls": "-."},
+)
 
 
 def save(figure: Any, path: Path) -> None:
     """PNG for the screen and, beside it, PDF for print."""
-    write_whole(path.with_suffix(".png"), lambda partial: figure.savefig(partial, format="png", dpi=200))
     write_whole(
-        path.with_suffix(".pdf"), lambda partial: figure.savefig(partial, format="pdf", metadata={"CreationDate": None})
+        path.with_suffix(".png"), lambda partial: figure.savefig(partial, format="png", dpi=200)
+    )
+    write_whole(
+        path.with_suffix(".pdf"),
+        lambda partial: figure.savefig(partial, format="pdf", metadata={"CreationDate": None}),
     )
     plt.close(figure)

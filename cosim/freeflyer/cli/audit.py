@@ -38,7 +38,10 @@ ENTRIES = (
 class AuditCommand:
     def configure(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
-            "record", type=_path, metavar="RECORD", help="directory that `freeflyer run` wrote, or its record.parquet"
+            "record",
+            type=_path,
+            metavar="RECORD",
+            help="directory that `freeflyer run` wrote, or its record.parquet",
         )
         parser.add_argument("--out", type=_path, metavar="DIR", help="default: beside the record")
 
@@ -54,7 +57,10 @@ class AuditCommand:
         console.print(observers(audit))
         for note in audit.notes:
             console.print(f"Note: {note}", soft_wrap=True)
-        console.print(f"Audit in {directory}: energy_audit.png, energy_audit.pdf, energy_audit.json", soft_wrap=True)
+        console.print(
+            f"Audit in {directory}: energy_audit.png, energy_audit.pdf, energy_audit.json",
+            soft_wrap=True,
+        )
         return DONE
 
 
@@ -73,8 +79,10 @@ def read(path: Path) -> Record:
         record = Record.read(file)
     except (OSError, pa.ArrowException, ValueError, TypeError, LookupError) as error:
         reason = getattr(error, "strerror", None) or " ".join(str(error).split())
-        raise RecordError(f"{file} cannot be read as a record of `freeflyer run`: {reason}") from error
-    if record.origin is None:
+        raise RecordError(
+            f"{file} cannot be read as a record of `freeflyer run`: {reason}"
+        ) from error
+    if record.provenance is None:
         raise RecordError(
             f"{file} does not say which system it came from; a record that this version of `freeflyer run` has written is expected"
         )
@@ -96,7 +104,7 @@ def numbers(audit: Audit) -> dict[str, Any]:
     loop, balance = audit.loop, audit.balance
     ports = {"B": audit.base, "M": audit.manipulator}
     return {
-        "scenario": loop.origin.scenario,
+        "scenario": loop.provenance.scenario,
         "observer": loop.observer,
         "from_s": float(audit.time[0]),
         "to_s": float(audit.time[-1]),
@@ -154,14 +162,16 @@ def table(audit: Audit) -> Table:
     """What was given to the robot, port by port; each column adds up."""
     loop, balance = audit.loop, audit.balance
     shown = Table(
-        title=f"Energy given to the robot [J]: {loop.origin.scenario}, {audit.time[0]:g} s to {audit.time[-1]:g} s",
+        title=f"Energy given to the robot [J]: {loop.provenance.scenario}, {audit.time[0]:g} s to {audit.time[-1]:g} s",
         title_justify="left",
     )
     for header in ("", "port B", "port M", "both"):
         shown.add_column(header, justify="right" if header else "left")
 
     def row(name: str, at_base: float | None, at_hand: float | None, both: float) -> None:
-        shown.add_row(name, *("" if value is None else f"{value:.4g}" for value in (at_base, at_hand, both)))
+        shown.add_row(
+            name, *("" if value is None else f"{value:.4g}" for value in (at_base, at_hand, both))
+        )
 
     for _, words, field, sign in ENTRIES:
         at_base, at_hand = _signed(audit.base, field, sign), _signed(audit.manipulator, field, sign)
@@ -173,14 +183,27 @@ def table(audit: Audit) -> Table:
         if np.any(balance.others):
             row("work of others on the robot", None, None, _last(balance.others))
         row("kinetic energy, change", None, None, _last(balance.kinetic))
-        row("residual of the ports, largest", None, None, float(np.abs(balance.residual_of_ports).max()))
-        row("residual of what is held (F_b, tau), largest", None, None, float(np.abs(balance.residual_of_held).max()))
+        row(
+            "residual of the ports, largest",
+            None,
+            None,
+            float(np.abs(balance.residual_of_ports).max()),
+        )
+        row(
+            "residual of what is held (F_b, tau), largest",
+            None,
+            None,
+            float(np.abs(balance.residual_of_held).max()),
+        )
         row("moved by (F_b, tau), sum of magnitudes", None, None, balance.moved)
     return shown
 
 
 def observers(audit: Audit) -> Table:
-    shown = Table(title=f"What the observers believed [J]: {audit.loop.observer!r}, E(0) included", title_justify="left")
+    shown = Table(
+        title=f"What the observers believed [J]: {audit.loop.observer!r}, E(0) included",
+        title_justify="left",
+    )
     for header in ("", "port B", "port M"):
         shown.add_column(header, justify="right" if header else "left")
     beliefs = [_belief(audit, port) for port in (audit.base, audit.manipulator)]
@@ -192,5 +215,8 @@ def observers(audit: Audit) -> Table:
         ("sum's largest distance from the truth", "largest_gap_of_sum_j"),
     ):
         shown.add_row(words, *(f"{belief[key]:.4g}" for belief in beliefs))
-    shown.add_row("the least is that of, at", *(f"{belief['least_of']}, {belief['least_at_s']:g} s" for belief in beliefs))
+    shown.add_row(
+        "the least is that of, at",
+        *(f"{belief['least_of']}, {belief['least_at_s']:g} s" for belief in beliefs),
+    )
     return shown

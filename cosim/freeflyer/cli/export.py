@@ -16,8 +16,16 @@ from freeflyer.ssp import write as ssp_write
 class ExportCommand:
     def configure(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("scenario", metavar="SCENARIO", help=SCENARIO_HELP)
-        parser.add_argument("--set", action="append", default=[], metavar="COMPONENT.PARAMETER=VALUE", dest="overrides")
-        parser.add_argument("--fmi", type=int, choices=(2, 3), help="2: SSP 1.0 (default); 3: SSP 2.0")
+        parser.add_argument(
+            "--set",
+            action="append",
+            default=[],
+            metavar="COMPONENT.PARAMETER=VALUE",
+            dest="overrides",
+        )
+        parser.add_argument(
+            "--fmi", type=int, choices=(2, 3), help="2: SSP 1.0 (default); 3: SSP 2.0"
+        )
         parser.add_argument("--out", type=Path, required=True, metavar="FILE.ssp")
 
     def execute(self, arguments: argparse.Namespace, console: Console) -> int:

@@ -97,7 +97,9 @@ def call(arguments: Sequence[str]) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-    parser = Parser(prog="freeflyer", description="Multi-rate co-simulation of a free-flying space robot.")
+    parser = Parser(
+        prog="freeflyer", description="Multi-rate co-simulation of a free-flying space robot."
+    )
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     name = arguments[0] if arguments else ""
@@ -179,7 +181,9 @@ def _one_sentence(name: str) -> Iterator[None]:
     except Exception as error:
         if name in COMMANDS or isinstance(error, CosimError):
             raise
-        raise CosimError(f"command {name} of {plugins(GROUP)[name].value} failed: {type(error).__name__}: {error}") from error
+        raise CosimError(
+            f"command {name} of {plugins(GROUP)[name].value} failed: {type(error).__name__}: {error}"
+        ) from error
 
 
 def _interrupt(number: int, frame: object) -> None:

@@ -24,7 +24,13 @@ from freeflyer.scenario import scenario
 class PredictCommand:
     def configure(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("scenario", metavar="SCENARIO", help=SCENARIO_HELP)
-        parser.add_argument("--set", action="append", default=[], metavar="COMPONENT.PARAMETER=VALUE", dest="overrides")
+        parser.add_argument(
+            "--set",
+            action="append",
+            default=[],
+            metavar="COMPONENT.PARAMETER=VALUE",
+            dest="overrides",
+        )
         parser.add_argument(
             "--longest",
             type=float,
@@ -32,12 +38,21 @@ class PredictCommand:
             help=f"scan the period up to here (default: {LONGEST:g}, or the scenario's own period if that is longer)",
         )
         parser.add_argument(
-            "--period", metavar="COMPONENT", help="the controller whose period is scanned (default: the one with the longest)"
+            "--period",
+            metavar="COMPONENT",
+            help="the controller whose period is scanned (default: the one with the longest)",
         )
         parser.add_argument(
-            "--along-trajectory", action="store_true", help="also along the scenario's motion, and not only where it starts"
+            "--along-trajectory",
+            action="store_true",
+            help="also along the scenario's motion, and not only where it starts",
         )
-        parser.add_argument("--out", type=folder, metavar="DIR", help="also write prediction.json and prediction.png there")
+        parser.add_argument(
+            "--out",
+            type=folder,
+            metavar="DIR",
+            help="also write prediction.json and prediction.png there",
+        )
 
     def execute(self, arguments: argparse.Namespace, console: Console) -> int:
         chosen = scenario.load(arguments.scenario, arguments.overrides)
@@ -54,7 +69,9 @@ class PredictCommand:
                 _print_along(along, console)
         if arguments.out:
             _write(prediction, along, arguments.out)
-            console.print(f"Results in {arguments.out}: prediction.json, prediction.png", soft_wrap=True)
+            console.print(
+                f"Results in {arguments.out}: prediction.json, prediction.png", soft_wrap=True
+            )
         return DONE
 
 
@@ -71,12 +88,18 @@ def _print_set_point(prediction: Prediction, console: Console) -> None:
         f"{milliseconds(prediction.longest_s)}; at the set point, passivity controllers off"
     )
     if prediction.boundary is None:
-        say(f"Largest stable T_b: {milliseconds(prediction.largest_stable_s)} or more: every period scanned is stable")
+        say(
+            f"Largest stable T_b: {milliseconds(prediction.largest_stable_s)} or more: every period scanned is stable"
+        )
     elif prediction.largest_stable_s == 0.0:
-        say("Largest stable T_b: none, the loop is unstable at the fast controllers' period already")
+        say(
+            "Largest stable T_b: none, the loop is unstable at the fast controllers' period already"
+        )
     else:
         say(f"Largest stable T_b: {milliseconds(prediction.largest_stable_s)}")
-    beyond = [interval for interval in prediction.stable_s if interval[0] > prediction.largest_stable_s]
+    beyond = [
+        interval for interval in prediction.stable_s if interval[0] > prediction.largest_stable_s
+    ]
     for first, last in beyond:
         say(f"Stable again: {milliseconds(first)} to {milliseconds(last)}")
     if prediction.boundary and prediction.limit:
@@ -102,14 +125,14 @@ def _grows(mode: Mode) -> str:
         if rate < 0.0
         else "stays"
     )
-    return (
-        f"{milliseconds(mode.period)} {'unstable' if abs(z) >= 1.0 else 'stable'}: multiplier {value}, {rate:+.3g} 1/s ({pace})"
-    )
+    return f"{milliseconds(mode.period)} {'unstable' if abs(z) >= 1.0 else 'stable'}: multiplier {value}, {rate:+.3g} 1/s ({pace})"
 
 
 def _along(here: SetPoint, prediction: Prediction, console: Console) -> AlongTrajectory:
     columns = (TextColumn("{task.description}", markup=False), BarColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+    with Progress(
+        *columns, console=console, transient=True, disable=not console.is_terminal
+    ) as bar:
         task = bar.add_task("along the trajectory", total=1.0)
         return along_trajectory(
             here.model,

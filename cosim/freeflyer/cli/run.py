@@ -28,7 +28,9 @@ def opened(name: str, overrides: Sequence[str], step: float | None) -> Iterator[
     """A scenario by name, TOML file or SSP file; the FMUs of an SSP file are unpacked for as long."""
     if not name.lower().endswith(".ssp"):
         if step is not None:
-            raise ScenarioError("--step belongs to an .ssp file; in a scenario every component has its step_s")
+            raise ScenarioError(
+                "--step belongs to an .ssp file; in a scenario every component has its step_s"
+            )
         yield scenario.load(name, overrides)
         return
     if step is not None and not 0.0 < step < float("inf"):
@@ -41,16 +43,27 @@ def opened(name: str, overrides: Sequence[str], step: float | None) -> Iterator[
 
 class RunCommand:
     def configure(self, parser: argparse.ArgumentParser) -> None:
-        parser.add_argument("scenario", metavar="SCENARIO", help=f"{SCENARIO_HELP}, or an .ssp file")
+        parser.add_argument(
+            "scenario", metavar="SCENARIO", help=f"{SCENARIO_HELP}, or an .ssp file"
+        )
         parser.add_argument(
             "--step",
             type=float,
             metavar="SECONDS",
             help="of an .ssp file: communication step of components that have none there",
         )
-        parser.add_argument("--set", action="append", default=[], metavar="COMPONENT.PARAMETER=VALUE", dest="overrides")
         parser.add_argument(
-            "--fmi", type=int, choices=(2, 3), help="FMI version of the shipped FMUs (default: the scenario's, else 2)"
+            "--set",
+            action="append",
+            default=[],
+            metavar="COMPONENT.PARAMETER=VALUE",
+            dest="overrides",
+        )
+        parser.add_argument(
+            "--fmi",
+            type=int,
+            choices=(2, 3),
+            help="FMI version of the shipped FMUs (default: the scenario's, else 2)",
         )
         parser.add_argument(
             "--master",
@@ -58,7 +71,9 @@ class RunCommand:
             default="core",
             help="who steps the FMUs, with the same numbers: native code (default), or FMPy from Python",
         )
-        parser.add_argument("--out", type=folder, metavar="DIR", help="default: freeflyer_out/SCENARIO")
+        parser.add_argument(
+            "--out", type=folder, metavar="DIR", help="default: freeflyer_out/SCENARIO"
+        )
 
     def execute(self, arguments: argparse.Namespace, console: Console) -> int:
         if arguments.fmi is not None and arguments.scenario.lower().endswith(".ssp"):
@@ -67,7 +82,12 @@ class RunCommand:
             directory = arguments.out or Path("freeflyer_out") / chosen.name
             check_writable(directory)
             with experiment.progress_bar(console, [chosen]) as reports:
-                result = experiment.run(chosen, fmi=arguments.fmi, progress=reports[chosen.name], engine=arguments.master)
+                result = experiment.run(
+                    chosen,
+                    fmi=arguments.fmi,
+                    progress=reports[chosen.name],
+                    engine=arguments.master,
+                )
         experiment.write(result, directory)
         console.print(result_table(result))
         console.print(f"Results in {directory}: record.parquet, summary.json", soft_wrap=True)
@@ -82,10 +102,16 @@ def result_table(result: Result) -> Table:
     for name in result.errors:
         label, _, unit = name.rpartition("_error_")
         values = result.summary[name]
-        table.add_row(f"{label.replace('_', ' ')} error [{unit}]", shown(values["max"]), shown(values["last_10_s"]))
+        table.add_row(
+            f"{label.replace('_', ' ')} error [{unit}]",
+            shown(values["max"]),
+            shown(values["last_10_s"]),
+        )
     for name, energy in result.summary["observed_energy_j"].items():
         table.add_row(f"{name} observed energy, least [J]", shown(energy["min"]), "")
-    table.add_row("simulated [s] / wall [s]", f"{result.outcome.simulated:g}", f"{result.outcome.wall:.2f}")
+    table.add_row(
+        "simulated [s] / wall [s]", f"{result.outcome.simulated:g}", f"{result.outcome.wall:.2f}"
+    )
     return table
 
 
@@ -97,14 +123,20 @@ def verdict(result: Result) -> int:
     """Say how the run ended, where that is not as wished; give the exit code."""
     outcome = result.outcome
     if outcome.interrupted:
-        return complain(f"interrupted at {outcome.simulated:g} s; what was simulated is saved", STOPPED)
+        return complain(
+            f"interrupted at {outcome.simulated:g} s; what was simulated is saved", STOPPED
+        )
     if outcome.failed:
-        return complain(f"the run stopped at {outcome.simulated:g} s: {outcome.cause}; it is saved until there", STOPPED)
+        return complain(
+            f"the run stopped at {outcome.simulated:g} s: {outcome.cause}; it is saved until there",
+            STOPPED,
+        )
     if outcome.diverged and result.as_expected:
         print(f"Diverged at {outcome.simulated:g} s, as this scenario expects ({outcome.cause})")
     elif outcome.diverged:
         return complain(
-            f"the run diverged at {outcome.simulated:g} s and stopped: {outcome.cause}; it is saved until there", STOPPED
+            f"the run diverged at {outcome.simulated:g} s and stopped: {outcome.cause}; it is saved until there",
+            STOPPED,
         )
     elif not result.as_expected:
         return complain("this scenario expects to diverge, but the run completed", STOPPED)

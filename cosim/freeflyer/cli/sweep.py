@@ -25,19 +25,39 @@ if TYPE_CHECKING:
 
 class SweepCommand:
     def configure(self, parser: argparse.ArgumentParser) -> None:
-        parser.add_argument("sweep", metavar="SWEEP", help=f"{', '.join(sweep_file.shipped())}, or a .toml file")
         parser.add_argument(
-            "--set", action="append", default=[], metavar="COMPONENT.PARAMETER=VALUE", dest="overrides", help="for every run"
+            "sweep", metavar="SWEEP", help=f"{', '.join(sweep_file.shipped())}, or a .toml file"
         )
         parser.add_argument(
-            "--fmi", type=int, choices=(2, 3), help="FMI version of the shipped FMUs (default: the scenario's, else 2)"
+            "--set",
+            action="append",
+            default=[],
+            metavar="COMPONENT.PARAMETER=VALUE",
+            dest="overrides",
+            help="for every run",
         )
         parser.add_argument(
-            "--scheduler", metavar="ADDRESS", help="a Dask scheduler, tcp://HOST:PORT (default: workers of this machine)"
+            "--fmi",
+            type=int,
+            choices=(2, 3),
+            help="FMI version of the shipped FMUs (default: the scenario's, else 2)",
         )
-        parser.add_argument("--workers", type=int, metavar="N", help="workers of this machine (default: one for each core)")
         parser.add_argument(
-            "--out", type=folder, metavar="DIR", help="default: freeflyer_out/SWEEP; an unfinished sweep there goes on"
+            "--scheduler",
+            metavar="ADDRESS",
+            help="a Dask scheduler, tcp://HOST:PORT (default: workers of this machine)",
+        )
+        parser.add_argument(
+            "--workers",
+            type=int,
+            metavar="N",
+            help="workers of this machine (default: one for each core)",
+        )
+        parser.add_argument(
+            "--out",
+            type=folder,
+            metavar="DIR",
+            help="default: freeflyer_out/SWEEP; an unfinished sweep there goes on",
         )
 
     def execute(self, arguments: argparse.Namespace, console: Console) -> int:
@@ -59,17 +79,23 @@ class SweepCommand:
         results = Results(directory, plan)
         with results.opened():
             if results.runs:
-                console.print(f"{len(results.runs)} of {len(plan)} runs are in {directory} already", soft_wrap=True)
+                console.print(
+                    f"{len(results.runs)} of {len(plan)} runs are in {directory} already",
+                    soft_wrap=True,
+                )
             ended = compute(plan, results, arguments.scheduler, arguments.workers, console)
             if ended is not None and ended.interrupted:
                 return complain(
-                    f"interrupted after {len(results.runs)} of {len(plan)} runs; the same command goes on from there", STOPPED
+                    f"interrupted after {len(results.runs)} of {len(plan)} runs; the same command goes on from there",
+                    STOPPED,
                 )
             report(plan, results, console)
         return DONE
 
 
-def compute(plan: Plan, results: Results, scheduler: str | None, workers: int | None, console: Console) -> Ended | None:
+def compute(
+    plan: Plan, results: Results, scheduler: str | None, workers: int | None, console: Console
+) -> Ended | None:
     """What is not finished yet, with a bar where somebody watches; None if nothing is left to do."""
     if len(results.runs) == len(plan):
         return None
@@ -88,7 +114,9 @@ def compute(plan: Plan, results: Results, scheduler: str | None, workers: int | 
         Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar,
     ):
         task = bar.add_task(plan.sweep.name, total=len(plan), completed=len(results.runs))
-        return sweep.run(plan, results, client, lambda finished: bar.update(task, completed=finished))
+        return sweep.run(
+            plan, results, client, lambda finished: bar.update(task, completed=finished)
+        )
 
 
 def report(plan: Plan, results: Results, console: Console) -> None:
@@ -121,7 +149,10 @@ def report(plan: Plan, results: Results, console: Console) -> None:
 
         figure = plan.sweep.map
         lines = predicted(plan, figure, console) if figure.predict else None
-        save(stability_map.draw(table, figure.x, figure.y, plan.units, lines), results.directory / "stability_map")
+        save(
+            stability_map.draw(table, figure.x, figure.y, plan.units, lines),
+            results.directory / "stability_map",
+        )
         written += ["stability_map.png", "stability_map.pdf"]
     console.print(f"Results in {results.directory}: {', '.join(written)}", soft_wrap=True)
 
@@ -131,7 +162,9 @@ def predicted(plan: Plan, figure: Map, console: Console) -> Mapping[str, tuple[A
     from freeflyer.analysis.sweep import boundary
 
     columns = (TextColumn("predicted boundary"), BarColumn(), MofNCompleteColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+    with Progress(
+        *columns, console=console, transient=True, disable=not console.is_terminal
+    ) as bar:
         task = bar.add_task("", total=boundary.points(plan, figure))
 
         def done(refused: str | None) -> None:

@@ -63,14 +63,24 @@ def opened(path: Path) -> Iterator[Archive]:
         except OSError as error:
             if error.errno != errno.EINVAL or error.filename is not None:
                 raise
-            raise ArchiveError("it is no usable zip archive (an entry lies outside of it)") from error
+            raise ArchiveError(
+                "it is no usable zip archive (an entry lies outside of it)"
+            ) from error
         except _DAMAGE as error:
             raise ArchiveError(
                 f"it is no usable zip archive ({' '.join(str(error).split()) or type(error).__name__})"
             ) from error
 
 
-_DAMAGE = (zipfile.BadZipFile, zlib.error, struct.error, EOFError, NotImplementedError, UnicodeError, OverflowError)
+_DAMAGE = (
+    zipfile.BadZipFile,
+    zlib.error,
+    struct.error,
+    EOFError,
+    NotImplementedError,
+    UnicodeError,
+    OverflowError,
+)
 
 
 class Archive:
@@ -88,7 +98,9 @@ class Archive:
         """An entry's content; KeyError if there is none of this name."""
         entry = self._archive.getinfo(name)
         if entry.file_size > largest:
-            raise ArchiveError(f"its entry {name!r} has {size(entry.file_size)}; {size(largest)} are allowed")
+            raise ArchiveError(
+                f"its entry {name!r} has {size(entry.file_size)}; {size(largest)} are allowed"
+            )
         return self._archive.read(entry)  # no more than file_size bytes, whatever is packed
 
     def xml(self, name: str) -> tuple[Element, bytes]:
@@ -127,7 +139,9 @@ class Archive:
                 self.extract(entry.filename, target)
 
 
-def _checked(entries: list[zipfile.ZipInfo], packed: int) -> Mapping[tuple[str, ...], zipfile.ZipInfo]:
+def _checked(
+    entries: list[zipfile.ZipInfo], packed: int
+) -> Mapping[tuple[str, ...], zipfile.ZipInfo]:
     """The entries by the parts of their names; ArchiveError unless all are harmless."""
     if len(entries) > MOST_ENTRIES:
         raise ArchiveError(f"it has {len(entries)} entries; {MOST_ENTRIES} are allowed")
@@ -149,7 +163,9 @@ def _checked(entries: list[zipfile.ZipInfo], packed: int) -> Mapping[tuple[str, 
         # As file systems that know neither case nor one of several spellings of an accent take it.
         alike = tuple(unicodedata.normalize("NFC", part).casefold() for part in place)
         if alike in spelled:
-            raise ArchiveError(f"its entries {spelled[alike]!r} and {entry.filename!r} would be one file")
+            raise ArchiveError(
+                f"its entries {spelled[alike]!r} and {entry.filename!r} would be one file"
+            )
         spelled[alike] = entry.filename
         found[place] = entry
     for alike, name in spelled.items():
@@ -166,7 +182,9 @@ def _trusted(text: str) -> int:
     except ValueError:
         gibibytes = math.nan
     if not 0.0 < gibibytes < 1e9:
-        raise ArchiveError(f"{LARGEST_VARIABLE} is {text!r}; a number of GiB above zero is expected")
+        raise ArchiveError(
+            f"{LARGEST_VARIABLE} is {text!r}; a number of GiB above zero is expected"
+        )
     return int(gibibytes * (1 << 30))
 
 
@@ -176,8 +194,16 @@ def _place(entry: zipfile.ZipInfo) -> tuple[str, ...]:
     path = PurePosixPath(name.replace("\\", "/"))
     if path.is_absolute() or ".." in path.parts or (len(name) > 1 and name[1] == ":"):
         raise ArchiveError(f"its entry {name[:200]!r} points outside the archive")
-    if "\\" in name or ":" in name or any(ord(letter) < 32 for letter in name) or not path.parts or len(name) > LONGEST_NAME:
-        raise ArchiveError(f"its entry {name[:200]!r} has a name that is none of a file on every system")
+    if (
+        "\\" in name
+        or ":" in name
+        or any(ord(letter) < 32 for letter in name)
+        or not path.parts
+        or len(name) > LONGEST_NAME
+    ):
+        raise ArchiveError(
+            f"its entry {name[:200]!r} has a name that is none of a file on every system"
+        )
     kind = stat.S_IFMT(entry.external_attr >> 16)
     if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
         what = "a symbolic link" if kind == stat.S_IFLNK else "neither a file nor a folder"

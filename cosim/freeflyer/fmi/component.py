@@ -38,12 +38,22 @@ class Port:
     sampled: bool = False
 
     def __post_init__(self) -> None:
-        causalities = ("parameter", "input", "output", "local", "independent", "calculatedParameter", "structuralParameter")
+        causalities = (
+            "parameter",
+            "input",
+            "output",
+            "local",
+            "independent",
+            "calculatedParameter",
+            "structuralParameter",
+        )
         if self.causality not in causalities:
             raise ComponentError(
                 f"port {self.name}: causality is {self.causality!r}; one of {', '.join(causalities)} is expected"
             )
-        if len(self.units) != self.size or (self.start is not None and len(self.start) != self.size):
+        if len(self.units) != self.size or (
+            self.start is not None and len(self.start) != self.size
+        ):
             starts = "no" if self.start is None else len(self.start)
             raise ComponentError(
                 f"port {self.name}: size is {self.size}, but it has {len(self.units)} units and {starts} start values"
@@ -110,8 +120,13 @@ class PythonComponent:
                     units.unit(str(unit))
                 except ValueError as error:
                     raise ComponentError(f"component {name}: port {port.name}: {error}") from error
-        starts = {port.name: port.start if port.start is not None else np.zeros(port.size) for port in ports}
-        self.values: dict[str, Array] = _InPlace((key, np.array(start, dtype=float)) for key, start in starts.items())
+        starts = {
+            port.name: port.start if port.start is not None else np.zeros(port.size)
+            for port in ports
+        }
+        self.values: dict[str, Array] = _InPlace(
+            (key, np.array(start, dtype=float)) for key, start in starts.items()
+        )
 
     @property
     def ports(self) -> Mapping[str, Port]:
@@ -128,7 +143,9 @@ class PythonComponent:
         self._start = start
         for name, value in values.items():
             if not np.isfinite(value).all():
-                raise ComponentError(f"{self.name}.{name} cannot be set to {value}: finite numbers are expected")
+                raise ComponentError(
+                    f"{self.name}.{name} cannot be set to {value}: finite numbers are expected"
+                )
             self.values[name][:] = value
 
     def exit_initialization(self) -> None:
@@ -164,7 +181,10 @@ class PythonComponent:
         self.advance(time, size)
         for name, port in self._ports.items():
             if port.causality == "output" and not np.isfinite(self.values[name]).all():
-                raise StepFailed(self.name, f"its output {name} is {self.values[name]}; finite numbers are expected")
+                raise StepFailed(
+                    self.name,
+                    f"its output {name} is {self.values[name]}; finite numbers are expected",
+                )
 
     def close(self) -> None:
         pass

@@ -23,14 +23,24 @@ from numpy.typing import NDArray
 
 from freeflyer.fmi import unpacked
 from freeflyer.fmi.component import Array, Port
-from freeflyer.fmi.fmu_description import OWN_TOOL, REAL, describe_fmu, ports_in, sentence, terminals_of
+from freeflyer.fmi.fmu_description import (
+    OWN_TOOL,
+    REAL,
+    describe_fmu,
+    ports_in,
+    sentence,
+    terminals_of,
+)
 from freeflyer.foundation.errors import ComponentError, StepFailed
 
 ASKED_TO_END = "the FMU asks for the end of the simulation"
 DISCARD = 2
 FATAL = 4
 """The status, in FMI 2.0 and 3.0, after which no function of the FMU may be called any more."""
-CALLS = {2: ("fmi2SetReal", "fmi2DoStep", "fmi2GetReal"), 3: ("fmi3SetFloat64", "fmi3DoStep", "fmi3GetFloat64")}
+CALLS = {
+    2: ("fmi2SetReal", "fmi2DoStep", "fmi2GetReal"),
+    3: ("fmi3SetFloat64", "fmi3DoStep", "fmi3GetFloat64"),
+}
 """What a step consists of, by FMI version: hand over inputs, step, read outputs."""
 REQUIREMENT = "logRequirement"
 """Log category by which our FMUs say that the run has left what their equations hold for."""
@@ -48,7 +58,9 @@ def _listen(component: FmuComponent) -> int:
     return number
 
 
-def _route(environment: int | None, name: object, status: int, category: object, message: bytes | None) -> None:
+def _route(
+    environment: int | None, name: object, status: int, category: object, message: bytes | None
+) -> None:
     if environment in _listeners:
         _listeners[environment].note(category, message)
 
@@ -86,7 +98,9 @@ class FmuComponent:
         self._ports, self._variables = ports_in(path)
         self.terminals = terminals_of(path)
         interface = self._interface()
-        self.variable_step = bool(getattr(interface, "canHandleVariableCommunicationStepSize", True))
+        self.variable_step = bool(
+            getattr(interface, "canHandleVariableCommunicationStepSize", True)
+        )
         self._messages: deque[str] = deque(maxlen=5)
         self._moment: Callable[[], int] = lambda: 0
         self._noted_at = 0
@@ -97,7 +111,9 @@ class FmuComponent:
         self._check_binary(interface.modelIdentifier)
         self._directory = self._unpack()
         try:
-            with contextlib.chdir(Path.cwd()):  # FMPy stays in the library's folder when loading fails
+            with contextlib.chdir(
+                Path.cwd()
+            ):  # FMPy stays in the library's folder when loading fails
                 self._slave = self._instantiate(interface.modelIdentifier)
         except BaseException:
             _forget_paths(self._directory)
@@ -128,7 +144,13 @@ class FmuComponent:
         with zipfile.ZipFile(self.path) as archive:
             names = archive.namelist()
         if wanted not in names:
-            found = sorted({name.split("/")[1] for name in names if name.startswith("binaries/") and name.count("/") > 1})
+            found = sorted(
+                {
+                    name.split("/")[1]
+                    for name in names
+                    if name.startswith("binaries/") and name.count("/") > 1
+                }
+            )
             if folder in found:
                 raise ComponentError(
                     f"FMU {self.path} has no library {identifier}{fmpy.sharedLibraryExtension} in binaries/{folder}"
@@ -142,7 +164,9 @@ class FmuComponent:
             return unpacked.take(self.path)
         except OSError as error:
             where = error.filename or tempfile.gettempdir()
-            raise ComponentError(f"FMU {self.path} cannot be unpacked into {where}: {error.strerror}") from error
+            raise ComponentError(
+                f"FMU {self.path} cannot be unpacked into {where}: {error.strerror}"
+            ) from error
 
     def _arguments(self, identifier: str) -> dict[str, Any]:
         return {
@@ -169,7 +193,9 @@ class FmuComponent:
         return slave
 
     def _forget_python(self) -> None:
-        if self.description.generationTool != OWN_TOOL:  # ours have none, and looking through all modules takes 1 ms
+        if (
+            self.description.generationTool != OWN_TOOL
+        ):  # ours have none, and looking through all modules takes 1 ms
             _forget_modules(self._directory)
 
     def _callbacks(self) -> Any:
@@ -183,7 +209,9 @@ class FmuComponent:
             addLoggerProxy(ctypes.byref(callbacks))
         return callbacks
 
-    def _log(self, environment: object, status: int, category: object, message: bytes | None) -> None:
+    def _log(
+        self, environment: object, status: int, category: object, message: bytes | None
+    ) -> None:
         self.note(category, message)
 
     def note(self, category: object, message: bytes | None) -> None:
@@ -224,7 +252,9 @@ class FmuComponent:
         try:
             self._slave.exitInitializationMode()
         except (FMICallException, OSError) as error:
-            raise ComponentError(f"component {self.name} cannot be initialised: {self._why(error)}") from error
+            raise ComponentError(
+                f"component {self.name} cannot be initialised: {self._why(error)}"
+            ) from error
 
     def _set(self, name: str, value: Array) -> None:
         variables = self._variables[name]
@@ -244,7 +274,9 @@ class FmuComponent:
         elif kind == "Int32":
             self._slave.setInt32(references, [int(x) for x in numbers])
         else:
-            raise ComponentError(f"component {self.name}: variable {name} is of type {kind}, which cannot be set here")
+            raise ComponentError(
+                f"component {self.name}: variable {name} is of type {kind}, which cannot be set here"
+            )
 
     # Called from C (cosim/freeflyer/master/native.py)
 
@@ -288,7 +320,9 @@ class FmuComponent:
     def _bound(self, names: Sequence[str], buffer: Array) -> tuple[Any, int, Any, int]:
         """References and a pointer into the buffer, made once; the arrays are kept alive with the component."""
         variables = self._reals(names)
-        references = (ctypes.c_uint32 * len(variables))(*(variable.valueReference for variable in variables))
+        references = (ctypes.c_uint32 * len(variables))(
+            *(variable.valueReference for variable in variables)
+        )
         pointer = buffer.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
         self._buffers.append((references, buffer))
         return references, len(variables), pointer, buffer.size
@@ -298,14 +332,18 @@ class FmuComponent:
         slave, instance = self._slave, self._slave.component
         if self.version == 2:
             return self._guarded(lambda: slave.fmi2SetReal(instance, references, count, pointer))
-        return self._guarded(lambda: slave.fmi3SetFloat64(instance, references, count, pointer, size))
+        return self._guarded(
+            lambda: slave.fmi3SetFloat64(instance, references, count, pointer, size)
+        )
 
     def bind_outputs(self, names: Sequence[str], buffer: Array) -> Callable[[], None]:
         references, count, pointer, size = self._bound(names, buffer)
         slave, instance = self._slave, self._slave.component
         if self.version == 2:
             return self._guarded(lambda: slave.fmi2GetReal(instance, references, count, pointer))
-        return self._guarded(lambda: slave.fmi3GetFloat64(instance, references, count, pointer, size))
+        return self._guarded(
+            lambda: slave.fmi3GetFloat64(instance, references, count, pointer, size)
+        )
 
     def _guarded(self, call: Callable[[], object]) -> Callable[[], None]:
         def guarded() -> None:

@@ -60,7 +60,9 @@ def _once_a_file(read: Callable[[Path], Read]) -> Callable[[Path], Read]:
 def opened(path: Path) -> Iterator[Archive]:
     """The FMU's archive, checked; ComponentError with one sentence for whatever is wrong with it, then or while it is read."""
     if not path.is_file():
-        raise ComponentError(f"FMU {path} " + ("is not a file" if path.exists() else "does not exist"))
+        raise ComponentError(
+            f"FMU {path} " + ("is not a file" if path.exists() else "does not exist")
+        )
     if not zipfile.is_zipfile(path):
         raise ComponentError(f"{path} is not an FMU: it is no zip archive")
     try:
@@ -83,14 +85,18 @@ def describe_fmu(path: Path) -> ModelDescription:
             root, text = found.xml(DESCRIPTION)
         version = root.get("fmiVersion", "unknown")
         if not version.startswith(("2.", "3.")):
-            raise ComponentError(f"FMU {path} is of FMI version {version}; FMI 2.0 and FMI 3.0 are supported")
+            raise ComponentError(
+                f"FMU {path} is of FMI version {version}; FMI 2.0 and FMI 3.0 are supported"
+            )
         return read_model_description(_alone(text))
     except OSError as error:
         raise ComponentError(f"FMU {path} cannot be read: {error.strerror}") from error
     except ComponentError:
         raise
     except Exception as error:  # FMPy raises plain Exception for an invalid description
-        raise ComponentError(f"FMU {path} has an invalid {DESCRIPTION}: {sentence(error)}") from error
+        raise ComponentError(
+            f"FMU {path} has an invalid {DESCRIPTION}: {sentence(error)}"
+        ) from error
 
 
 def _alone(text: bytes) -> io.BytesIO:
@@ -135,7 +141,9 @@ def ports_in(path: Path) -> tuple[dict[str, Port], dict[str, list[ModelVariable]
     try:
         return ports_of(describe_fmu(path), annotated_units(path))
     except (ValueError, OverflowError) as error:
-        raise ComponentError(f"FMU {path} has an invalid {DESCRIPTION}: {sentence(error)}") from error
+        raise ComponentError(
+            f"FMU {path} has an invalid {DESCRIPTION}: {sentence(error)}"
+        ) from error
 
 
 def ports_of(
@@ -150,7 +158,9 @@ def ports_of(
         match = ELEMENT.match(variable.name)
         groups.setdefault(match["name"] if match else variable.name, []).append(variable)
     unknown = {id(item.variable): item for item in description.outputs}
-    inputs = {id(variable) for variable in description.modelVariables if variable.causality == "input"}
+    inputs = {
+        id(variable) for variable in description.modelVariables if variable.causality == "input"
+    }
     owner = {id(variable): name for name, group in groups.items() for variable in group}
     every_input = frozenset(owner[identity] for identity in inputs)
     ports = {}
@@ -159,9 +169,13 @@ def ports_of(
         sizes = [_size(variable) for variable in group]
         units: list[str | None] = []
         for variable, size in zip(group, sizes, strict=True):
-            units += [variable.unit or (variable.declaredType.unit if variable.declaredType else None)] * size
+            units += [
+                variable.unit or (variable.declaredType.unit if variable.declaredType else None)
+            ] * size
         units = list(annotated.get(name, units))
-        items = first.declaredType.items if first.type == "Enumeration" and first.declaredType else []
+        items = (
+            first.declaredType.items if first.type == "Enumeration" and first.declaredType else []
+        )
         direct: set[str] = set()
         for variable in group:
             item = unknown.get(id(variable))

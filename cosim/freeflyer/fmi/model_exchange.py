@@ -28,12 +28,16 @@ class ModelExchangeComponent(FmuComponent):
         super().__init__(name, path)
         if self.description.numberOfEventIndicators:
             self.close()
-            raise ComponentError(f"FMU {path} has event indicators; only model exchange without events is supported")
+            raise ComponentError(
+                f"FMU {path} has event indicators; only model exchange without events is supported"
+            )
 
     def _interface(self) -> Any:
         interface = self.description.modelExchange
         if interface is None:
-            raise ComponentError(f"FMU {self.path} of component {self.name} offers no model exchange")
+            raise ComponentError(
+                f"FMU {self.path} of component {self.name} offers no model exchange"
+            )
         return interface
 
     def exit_initialization(self) -> None:
@@ -41,14 +45,20 @@ class ModelExchangeComponent(FmuComponent):
         model = self._slave
         needed = True
         while needed:
-            needed, *_, event, when = model.newDiscreteStates() if self.version == 2 else model.updateDiscreteStates()
+            needed, *_, event, when = (
+                model.newDiscreteStates() if self.version == 2 else model.updateDiscreteStates()
+            )
         if event:
             raise ComponentError(
                 f"FMU {self.path} of component {self.name} has a time event at {when:g} s; only model exchange without events is "
                 f"supported"
             )
         model.enterContinuousTimeMode()
-        states = len(self.description.derivatives) if self.version == 2 else model.getNumberOfContinuousStates()
+        states = (
+            len(self.description.derivatives)
+            if self.version == 2
+            else model.getNumberOfContinuousStates()
+        )
         self._x = np.zeros(states)
         self._dx = np.zeros_like(self._x)
         if states:
@@ -88,7 +98,9 @@ class ModelExchangeComponent(FmuComponent):
             while solver.status == "running":
                 solver.step()
             if solver.status != "finished":
-                raise StepFailed(self.name, f"the integration did not come from {time:g} s to {end:g} s")
+                raise StepFailed(
+                    self.name, f"the integration did not come from {time:g} s to {end:g} s"
+                )
             # A fresh solver begins each step: let it begin where the last one had got to, not by feeling its way.
             self._first_step = max(solver.h_abs, 1e-6)
             self._x = solver.y

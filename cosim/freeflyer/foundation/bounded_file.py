@@ -12,7 +12,9 @@ def content(path: Path, largest: int) -> bytes:
     """At most `largest` bytes. OSError, with the reason in `strerror`, for what is no regular file, or larger."""
     try:
         # A FIFO that nobody writes to, or a terminal, must not hold us.
-        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0))
+        descriptor = os.open(
+            path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
+        )
     except ValueError as error:  # a name with a NUL
         raise OSError(errno.EINVAL, "no file can have this name") from error
     with open(descriptor, "rb") as file:

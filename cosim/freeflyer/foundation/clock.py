@@ -13,7 +13,9 @@ def nanoseconds(seconds: float, subject: str) -> int:
     """The exact number of nanoseconds of a decimal number of seconds, which must be positive and whole."""
     exact = Decimal(repr(float(seconds))) * SECOND if abs(seconds) < 9e9 else Decimal(0)
     if exact != int(exact) or exact <= 0:
-        raise ScenarioError(f"{subject} is {seconds!r} s; a positive whole number of nanoseconds is expected")
+        raise ScenarioError(
+            f"{subject} is {seconds!r} s; a positive whole number of nanoseconds is expected"
+        )
     return int(exact)
 
 

@@ -8,7 +8,9 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+ENDING = tuple(
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
+)
 """Signals that end a run in order; one that is ignored (nohup) stays so."""
 _noted: list[list[float]] = []
 """The list of the outermost `interrupts`, while there is one."""
@@ -34,7 +36,11 @@ def interrupts() -> Iterator[list[float]]:
         if seen[-1] - seen[0] > 2.0:
             raise KeyboardInterrupt
 
-    before = {number: signal.signal(number, note) for number in ENDING if signal.getsignal(number) is not signal.SIG_IGN}
+    before = {
+        number: signal.signal(number, note)
+        for number in ENDING
+        if signal.getsignal(number) is not signal.SIG_IGN
+    }
     _noted.append(seen)
     try:
         yield seen

@@ -21,7 +21,9 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
     except OSError as error:
         raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
     finally:
-        with contextlib.suppress(OSError):  # nothing half-written stays, whatever interrupted the writing
+        with contextlib.suppress(
+            OSError
+        ):  # nothing half-written stays, whatever interrupted the writing
             partial.unlink(missing_ok=True)
 
 
@@ -37,7 +39,9 @@ def check_writable(directory: Path) -> None:
         probe.write_bytes(b"")
         probe.unlink()
     except OSError as error:
-        failure = OutputError(f"output directory {directory} cannot be written: {error.strerror or error}")
+        failure = OutputError(
+            f"output directory {directory} cannot be written: {error.strerror or error}"
+        )
         failure.exit_code = BAD_INPUT
         raise failure from error
 

@@ -35,4 +35,8 @@ def load(point: EntryPoint) -> Any:
 def renamed(error: BaseException) -> str:
     """The remedy for an import that failed because it uses a name of 0.1.0; empty for any other error."""
     old = (error.name or "").partition(".")[0] if isinstance(error, ImportError) else ""
-    return f"; since 0.2.0 {old} is {RENAMED[old]}: see the table in CHANGELOG.md" if old in RENAMED else ""
+    return (
+        f"; since 0.2.0 {old} is {RENAMED[old]}: see the table in CHANGELOG.md"
+        if old in RENAMED
+        else ""
+    )

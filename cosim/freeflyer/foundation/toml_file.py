@@ -36,7 +36,10 @@ def read(path: Path) -> dict[str, Any]:
 def parsed(text: str) -> dict[str, Any]:
     """ValueError if it is no TOML that can be used."""
     for number, line in enumerate(text.split("\n"), 1):
-        if line.count(".") > MOST_PARTS and line.count(".") - len(_NUMBER_OF_A_LIST.findall(line)) > MOST_PARTS:
+        if (
+            line.count(".") > MOST_PARTS
+            and line.count(".") - len(_NUMBER_OF_A_LIST.findall(line)) > MOST_PARTS
+        ):
             raise ValueError(f"a name of more than {MOST_PARTS} parts (at line {number})")
     try:
         tables = tomllib.loads(text)

@@ -11,8 +11,12 @@ DIMENSIONLESS = "1"
 LONGEST = 80
 """Characters of a unit; pint's time grows with their square."""
 _POWER = r"(?:\*\*|\^)"
-_EXPONENT = r"\s*(?:[-+]?\d{1,2}(?:\.\d{1,3})?(?![\d.eE_])|\(\s*[-+]?\d{1,2}\s*(?:/\s*\d{1,2}\s*)?\))"
-_ENDLESS = re.compile(rf"{_POWER}(?!{_EXPONENT})|{_POWER}{_EXPONENT}\s*{_POWER}|(?:\)\s*{_POWER}.*){{3}}", re.DOTALL)
+_EXPONENT = (
+    r"\s*(?:[-+]?\d{1,2}(?:\.\d{1,3})?(?![\d.eE_])|\(\s*[-+]?\d{1,2}\s*(?:/\s*\d{1,2}\s*)?\))"
+)
+_ENDLESS = re.compile(
+    rf"{_POWER}(?!{_EXPONENT})|{_POWER}{_EXPONENT}\s*{_POWER}|(?:\)\s*{_POWER}.*){{3}}", re.DOTALL
+)
 """Powers that pint, which computes with whole numbers, could be at for ever: 9**99999999, 9**9**9, ((9**9)**9)**9."""
 _SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹", "0123456789")
 
@@ -46,7 +50,9 @@ def factor(source: str, target: str) -> float:
     except DimensionalityError as error:
         raise ValueError(f"unit {source!r} cannot be converted to {target!r}") from error
     short = float(f"{found:.12g}")
-    return short if abs(short - found) <= 1e-15 * abs(found) else found  # 1e-6 comes as 9.999999999999999e-07
+    return (
+        short if abs(short - found) <= 1e-15 * abs(found) else found
+    )  # 1e-6 comes as 9.999999999999999e-07
 
 
 def converted(value: float, by: float) -> float:

@@ -50,7 +50,11 @@ class Graph:
     then: tuple[str, ...]
 
     def inputs_of(self, component: str) -> list[Connection]:
-        return [connection for connection in self.connections if split(connection.target)[0] == component]
+        return [
+            connection
+            for connection in self.connections
+            if split(connection.target)[0] == component
+        ]
 
 
 def split(signal: str) -> tuple[str, str]:
@@ -62,14 +66,20 @@ def port(components: Mapping[str, Component], signal: str, subject: str) -> Port
     """The port that COMPONENT.VARIABLE names; GraphError, with the nearest name, if there is none."""
     component, variable = split(signal)
     if component not in components:
-        raise GraphError(f"{subject}: there is no component {component!r}{did_you_mean(component, components)}")
+        raise GraphError(
+            f"{subject}: there is no component {component!r}{did_you_mean(component, components)}"
+        )
     ports = components[component].ports
     if variable not in ports:
-        raise GraphError(f"{subject}: component {component!r} has no variable {variable!r}{did_you_mean(variable, ports)}")
+        raise GraphError(
+            f"{subject}: component {component!r} has no variable {variable!r}{did_you_mean(variable, ports)}"
+        )
     return ports[variable]
 
 
-def expand(components: Mapping[str, Component], connections: Sequence[Connection]) -> list[Connection]:
+def expand(
+    components: Mapping[str, Component], connections: Sequence[Connection]
+) -> list[Connection]:
     """Connections of terminals -> those of their members: output to input, where both terminals have the member. GraphError if
     there is no such terminal, or nothing that fits.
     """
@@ -84,7 +94,10 @@ def expand(components: Mapping[str, Component], connections: Sequence[Connection
 
 def _members(components: Mapping[str, Component], connection: Connection) -> list[Connection]:
     subject, found = f"connection {connection}", []
-    ends = [(split(end)[0], _terminal(components, end, subject)) for end in (connection.source, connection.target)]
+    ends = [
+        (split(end)[0], _terminal(components, end, subject))
+        for end in (connection.source, connection.target)
+    ]
     for (source, ours), (target, theirs) in (ends, ends[::-1]):
         for member in ours.keys() & theirs.keys():
             output, entry = f"{source}.{ours[member]}", f"{target}.{theirs[member]}"
@@ -99,10 +112,14 @@ def _members(components: Mapping[str, Component], connection: Connection) -> lis
 def _terminal(components: Mapping[str, Component], end: str, subject: str) -> Mapping[str, str]:
     component, name = split(end)
     if component not in components:
-        raise GraphError(f"{subject}: there is no component {component!r}{did_you_mean(component, components)}")
+        raise GraphError(
+            f"{subject}: there is no component {component!r}{did_you_mean(component, components)}"
+        )
     terminals: Mapping[str, Mapping[str, str]] = getattr(components[component], "terminals", {})
     if name not in terminals:
-        raise GraphError(f"{subject}: component {component!r} has no terminal {name!r}{did_you_mean(name, terminals)}")
+        raise GraphError(
+            f"{subject}: component {component!r} has no terminal {name!r}{did_you_mean(name, terminals)}"
+        )
     return terminals[name]
 
 
@@ -137,11 +154,18 @@ def build(
 
 def _check(components: Mapping[str, Component], connection: Connection) -> None:
     subject = f"connection {connection}"
-    source, target = port(components, connection.source, subject), port(components, connection.target, subject)
+    source, target = (
+        port(components, connection.source, subject),
+        port(components, connection.target, subject),
+    )
     if source.causality != "output":
-        raise GraphError(f"{subject}: {connection.source} is of causality {source.causality}; an output is expected")
+        raise GraphError(
+            f"{subject}: {connection.source} is of causality {source.causality}; an output is expected"
+        )
     if target.causality != "input":
-        raise GraphError(f"{subject}: {connection.target} is of causality {target.causality}; an input is expected")
+        raise GraphError(
+            f"{subject}: {connection.target} is of causality {target.causality}; an input is expected"
+        )
     if source.size != target.size:
         raise GraphError(f"{subject}: sizes differ: {source.size} and {target.size}")
     for index, (given, wanted) in enumerate(zip(source.units, target.units, strict=True)):
@@ -151,14 +175,20 @@ def _check(components: Mapping[str, Component], connection: Connection) -> None:
 
 
 def _order(
-    components: Mapping[str, Component], connections: Sequence[Connection], samples: Mapping[str, bool]
+    components: Mapping[str, Component],
+    connections: Sequence[Connection],
+    samples: Mapping[str, bool],
 ) -> tuple[str, ...]:
     """Components whose outputs in use belong to the begin of a step, each after those whose outputs it uses."""
     used: dict[str, set[str]] = {name: set() for name in components}
     for connection in connections:
         source, variable = split(connection.source)
         used[source].add(variable)
-    early = {name for name, component in components.items() if _is_early(name, component, used[name], samples.get(name))}
+    early = {
+        name
+        for name, component in components.items()
+        if _is_early(name, component, used[name], samples.get(name))
+    }
     sorter: TopologicalSorter[str] = TopologicalSorter()
     for name in components:  # those that wait for nobody come in the scenario's order
         sorter.add(name)
@@ -181,7 +211,11 @@ def _is_early(name: str, component: Component, used: set[str], samples: bool | N
     """A component whose outputs nobody uses (a monitor) counts by what it has; one with both kinds in use must be declared."""
     if samples is not None:
         return samples
-    outputs = [port for port in component.ports.values() if port.causality == "output" and (not used or port.name in used)]
+    outputs = [
+        port
+        for port in component.ports.values()
+        if port.causality == "output" and (not used or port.name in used)
+    ]
     prompt = [port.name for port in outputs if port.prompt]
     settled = [port.name for port in outputs if not port.prompt]
     if prompt and settled and used:

@@ -35,7 +35,9 @@ def check(limit: Limit, components: Mapping[str, Component]) -> None:
         raise GraphError(f"limit: {limit.signal} is not a real output")
     if limit.elements and limit.elements[1] > found.size:
         first, last = limit.elements
-        raise GraphError(f"limit on {limit.signal}: elements {first} to {last} are watched, but it has {found.size}")
+        raise GraphError(
+            f"limit on {limit.signal}: elements {first} to {last} are watched, but it has {found.size}"
+        )
 
 
 class Watch:
@@ -44,7 +46,9 @@ class Watch:
     def __init__(self, limit: Limit, signal: Array, tick: int) -> None:
         first, last = limit.elements or (1, signal.size)
         self.limit, self.view = limit, signal[first - 1 : last]
-        self._square = limit.bound * limit.bound  # infinite, where a power would be an OverflowError
+        self._square = (
+            limit.bound * limit.bound
+        )  # infinite, where a power would be an OverflowError
         self._patience = limit.lasting // tick
         self._passed = 0
 
@@ -54,7 +58,11 @@ class Watch:
         if not self._patience:
             return cause
         self._passed = self._passed + 1 if cause else 0
-        return f"{cause}, for {seconds(self.limit.lasting):g} s" if self._passed > self._patience else None
+        return (
+            f"{cause}, for {seconds(self.limit.lasting):g} s"
+            if self._passed > self._patience
+            else None
+        )
 
     def _above(self) -> str | None:
         # The Euclidean norm bounds the largest element: one product decides the common case; NaN fails it.

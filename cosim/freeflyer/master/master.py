@@ -47,7 +47,11 @@ class Outcome:
     interrupted: bool = False
 
     def stopped_by(self, error: StepFailed) -> None:
-        self.diverged, self.failed, self.cause = error.left_validity, not error.left_validity, str(error)
+        self.diverged, self.failed, self.cause = (
+            error.left_validity,
+            not error.left_validity,
+            str(error),
+        )
 
 
 Progress = Callable[[float], None]
@@ -78,7 +82,9 @@ class Master:
             watched.check(limit, graph.components)
         self.graph, self.schedule = graph, schedule
         self.slaves = Slaves(graph, schedule.ratios, [limit.signal for limit in limits])
-        self.watches = [Watch(limit, self.slaves.value(limit.signal), schedule.tick) for limit in limits]
+        self.watches = [
+            Watch(limit, self.slaves.value(limit.signal), schedule.tick) for limit in limits
+        ]
         signals, self.columns = self.slaves.signals(graph, recorded)
         self.record = Record(signals, schedule.ticks // schedule.record_ratio + 2)
 
@@ -99,7 +105,9 @@ class Master:
             except CosimError:
                 raise
             except Exception as error:
-                raise ComponentError(f"component {name} cannot be initialised: {told(error)}") from error
+                raise ComponentError(
+                    f"component {name} cannot be initialised: {message_of(error)}"
+                ) from error
             ready.add(name)
 
     def value(self, signal: str) -> Array:
@@ -161,7 +169,12 @@ class Master:
         self.finish(outcome, k, whole=whole)
 
     def outcome(self) -> Outcome:
-        return Outcome(record=self.record, simulated=0.0, wall=0.0, steps=dict.fromkeys(self.graph.components, 0))
+        return Outcome(
+            record=self.record,
+            simulated=0.0,
+            wall=0.0,
+            steps=dict.fromkeys(self.graph.components, 0),
+        )
 
     def refuse_at_start(self, k: int, error: StepFailed) -> None:
         """What fails before anything has moved is no result. Raises ComponentError."""
@@ -211,7 +224,9 @@ class Master:
     def _step(self, slave: Slave, k: int, outcome: Outcome) -> None:
         name = slave.component.name
         try:
-            slave.component.step(seconds(k * self.schedule.tick), seconds(self.schedule.size(name, k)))
+            slave.component.step(
+                seconds(k * self.schedule.tick), seconds(self.schedule.size(name, k))
+            )
         except StepFailed:
             raise
         except Exception as error:  # a component written by others fails in its own ways; the run is kept all the same
@@ -220,12 +235,16 @@ class Master:
 
 
 def failure(name: str, error: Exception) -> StepFailed:
-    return StepFailed(name, told(error), left_validity=bool(getattr(error, "left_validity", False)))
+    return StepFailed(
+        name, message_of(error), left_validity=bool(getattr(error, "left_validity", False))
+    )
 
 
-def told(error: Exception) -> str:
+def message_of(error: Exception) -> str:
     """One sentence for an exception of somebody else's component: its own if it knows of us, else with kind and place."""
     if hasattr(error, "left_validity"):
         return " ".join(str(error).split())
     place = traceback.extract_tb(error.__traceback__)[-1]
-    return " ".join(f"{type(error).__name__}: {error} ({place.filename}, line {place.lineno}){renamed(error)}".split())
+    return " ".join(
+        f"{type(error).__name__}: {error} ({place.filename}, line {place.lineno}){renamed(error)}".split()
+    )

@@ -87,7 +87,9 @@ class Run:
                     progress(seconds(core.at * core.tick))
         outcome.wall = time.perf_counter() - begin
         master.record.rows = core.rows
-        outcome.steps = {slave.component.name: int(core.slave[i].steps) for i, slave in enumerate(self._order)}
+        outcome.steps = {
+            slave.component.name: int(core.slave[i].steps) for i, slave in enumerate(self._order)
+        }
         outcome.steps = {name: outcome.steps[name] for name in master.graph.components}
         outcome.interrupted = bool(core.cancel) and core.at < core.ticks
         if ended == end.PASSED:
@@ -118,7 +120,9 @@ class Run:
                 slave.component.step(moment, size)
             else:
                 (slave.write if operation == SET else slave.read)()
-        except BaseException as error:  # nothing can be thrown through C: it is thrown, or told, when C has come back
+        except (
+            BaseException
+        ) as error:  # nothing can be thrown through C: it is thrown, or told, when C has come back
             self._failure = error
             return 1
         return 0
@@ -151,16 +155,28 @@ class Run:
         core.call = self._keep(self._ffi.callback("Call", self._called))
         core.delays = len(slaves.delayed)
         core.before, core.now = (
-            self._pointers(self._addresses(array, slaves.delayed)) for array in (slaves.before, slaves.now)
+            self._pointers(self._addresses(array, slaves.delayed))
+            for array in (slaves.before, slaves.now)
         )
         core.limit = self._new("Limit[]", len(master.watches))
         core.limits = len(master.watches)
         for place, watch in enumerate(master.watches):
             limit = core.limit[place]
             limit.value, limit.count = self._doubles(watch.view), watch.view.size
-            limit.bound, limit.minimum, limit.euclidean = watch.limit.bound, watch.limit.is_minimum, watch.limit.euclidean
-        core.tick, core.ticks, core.record_ratio = schedule.tick, schedule.ticks, schedule.record_ratio
-        core.columns, core.recorded = len(master.columns), self._pointers(self._addresses(slaves.now, master.columns))
+            limit.bound, limit.minimum, limit.euclidean = (
+                watch.limit.bound,
+                watch.limit.is_minimum,
+                watch.limit.euclidean,
+            )
+        core.tick, core.ticks, core.record_ratio = (
+            schedule.tick,
+            schedule.ticks,
+            schedule.record_ratio,
+        )
+        core.columns, core.recorded = (
+            len(master.columns),
+            self._pointers(self._addresses(slaves.now, master.columns)),
+        )
         times, rows = master.record.storage
         core.row_time, core.row = self._doubles(times), self._doubles(rows)
 
@@ -168,12 +184,22 @@ class Run:
         component, slaves = slave.component, self.master.slaves
         native.ratio, native.wires = slave.ratio, slave.buffer.size
         targets = [self._addresses(slave.buffer, wire.into) for wire in slave.wires]
-        sources = [self._addresses(slaves.before if wire.delayed else slaves.now, wire.places) for wire in slave.wires]
+        sources = [
+            self._addresses(slaves.before if wire.delayed else slaves.now, wire.places)
+            for wire in slave.wires
+        ]
         native.target, native.source = self._pointers(*targets), self._pointers(*sources)
-        native.input_value, native.output_value = self._doubles(slave.buffer), self._doubles(slave.view)
+        native.input_value, native.output_value = (
+            self._doubles(slave.buffer),
+            self._doubles(slave.view),
+        )
         native.inputs.values, native.outputs.values = slave.buffer.size, slave.view.size
-        native.used.values = sum(component.ports[variable].size for variable in slave.outputs[: slave.used])
-        if type(component) is FmuComponent:  # no other knows how to be stepped by its functions alone
+        native.used.values = sum(
+            component.ports[variable].size for variable in slave.outputs[: slave.used]
+        )
+        if (
+            type(component) is FmuComponent
+        ):  # no other knows how to be stepped by its functions alone
             self._fill_fmu(native, slave, component)
 
     def _fill_fmu(self, native: Any, slave: Slave, component: FmuComponent) -> None:
@@ -183,7 +209,9 @@ class Run:
             kind = f"{call.capitalize()}{version} *"
             setattr(native, f"{call}{version}", self._ffi.cast(kind, component.address(function)))
         inputs, outputs = component.references(slave.targets), component.references(slave.outputs)
-        native.input, native.output = (self._keep(self._ffi.from_buffer("uint32_t[]", array)) for array in (inputs, outputs))
+        native.input, native.output = (
+            self._keep(self._ffi.from_buffer("uint32_t[]", array)) for array in (inputs, outputs)
+        )
         native.inputs.references, native.outputs.references = inputs.size, outputs.size
         native.used.references = component.references(slave.outputs[: slave.used]).size
         core = self._core

@@ -12,7 +12,7 @@ KEY = b"freeflyer.origin"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Origin:
+class Provenance:
     scenario: str
     exchange: str
     steps: Mapping[str, int]
@@ -26,13 +26,19 @@ class Origin:
         return json.dumps(asdict(self))
 
     @classmethod
-    def from_json(cls, text: bytes | str) -> Origin:
+    def from_json(cls, text: bytes | str) -> Provenance:
         """ValueError for anything that `to_json` has not written."""
         try:
             raw = json.loads(text)
         except RecursionError as error:
             raise ValueError("its JSON is nested too deeply") from error
-        kinds: dict[str, type] = {"scenario": str, "exchange": str, "steps": dict, "parameters": dict, "sources": dict}
+        kinds: dict[str, type] = {
+            "scenario": str,
+            "exchange": str,
+            "steps": dict,
+            "parameters": dict,
+            "sources": dict,
+        }
         if not isinstance(raw, dict) or raw.keys() != kinds.keys():
             raise ValueError(f"{', '.join(kinds)} are expected in it")
         for key, kind in kinds.items():

@@ -1,7 +1,7 @@
 """What a run leaves behind: time and every recorded signal, one column per element, as Parquet.
 
 `pandas.read_parquet(path)` loads it in one line; the units are in `.attrs["units"]` of the frame, and in the file's schema. There,
-too, is the record's `origin`, under the key freeflyer.origin, where the run was one of a scenario.
+too, is the record's `provenance`, under the key freeflyer.origin, where the run was one of a scenario.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import pyarrow.parquet as parquet
 from freeflyer.fmi.component import Array
 from freeflyer.foundation.errors import CosimError
 from freeflyer.foundation.output_file import write_whole
-from freeflyer.master.provenance import KEY, Origin
+from freeflyer.master.provenance import KEY, Provenance
 
 MOST_NUMBERS = 1 << 30
 """Of a record that is read; as doubles, they are 8 GiB."""
@@ -35,7 +35,9 @@ class Signal:
 
     @property
     def columns(self) -> list[str]:
-        return [self.name] if self.size == 1 else [f"{self.name}[{i + 1}]" for i in range(self.size)]
+        return (
+            [self.name] if self.size == 1 else [f"{self.name}[{i + 1}]" for i in range(self.size)]
+        )
 
 
 class Record:
@@ -54,7 +56,7 @@ class Record:
                 f"([record] every_s) or stop earlier"
             ) from error
         self.rows = 0
-        self.origin: Origin | None = None
+        self.provenance: Provenance | None = None
 
     def append(self, time: float, values: Array) -> None:
         self._time[self.rows] = time
@@ -96,15 +98,22 @@ class Record:
         """
         with parquet.ParquetFile(path) as file:
             rows, columns = file.metadata.num_rows, file.metadata.num_columns
-            if not 0 < columns * max(rows, 1) <= MOST_NUMBERS:  # a few bytes of Parquet can stand for any number of rows
-                raise ValueError(f"it has {rows} rows of {columns} columns; {MOST_NUMBERS} numbers at most are expected")
+            if (
+                not 0 < columns * max(rows, 1) <= MOST_NUMBERS
+            ):  # a few bytes of Parquet can stand for any number of rows
+                raise ValueError(
+                    f"it has {rows} rows of {columns} columns; {MOST_NUMBERS} numbers at most are expected"
+                )
             table = file.read()
         elements: dict[str, list[str]] = {}
         for column in table.column_names[1:]:
             elements.setdefault(column.partition("[")[0], []).append(column)
         signals, first = [], 0
         for name, columns in elements.items():
-            units = tuple((table.field(column).metadata or {}).get(b"unit", b"").decode() or None for column in columns)
+            units = tuple(
+                (table.field(column).metadata or {}).get(b"unit", b"").decode() or None
+                for column in columns
+            )
             signals.append(Signal(name=name, first=first, size=len(columns), units=units))
             first += len(columns)
         record = cls(signals, table.num_rows)
@@ -112,8 +121,8 @@ class Record:
         for place, column in enumerate(c for columns in elements.values() for c in columns):
             record._values[:, place] = table.column(column).to_numpy()
         record.rows = table.num_rows
-        origin = (table.schema.metadata or {}).get(KEY)
-        record.origin = None if origin is None else Origin.from_json(origin)
+        stored = (table.schema.metadata or {}).get(KEY)
+        record.provenance = None if stored is None else Provenance.from_json(stored)
         return record
 
     def write(self, path: Path) -> None:
@@ -126,12 +135,14 @@ class Record:
         fields = [pa.field(name, pa.float64(), metadata={"unit": units[name]}) for name in columns]
         # pandas keeps DataFrame.attrs under this key of the schema.
         metadata: dict[str | bytes, str] = {"PANDAS_ATTRS": json.dumps({"units": units})}
-        if self.origin is not None:
-            metadata[KEY] = self.origin.to_json()
+        if self.provenance is not None:
+            metadata[KEY] = self.provenance.to_json()
         schema = pa.schema(fields, metadata=metadata)
         # By its buffer: `pa.array` of an array imports pandas first.
         arrays = [
-            pa.Array.from_buffers(pa.float64(), len(values), [None, pa.py_buffer(np.ascontiguousarray(values))])
+            pa.Array.from_buffers(
+                pa.float64(), len(values), [None, pa.py_buffer(np.ascontiguousarray(values))]
+            )
             for values in columns.values()
         ]
         table = pa.table(arrays, schema=schema)

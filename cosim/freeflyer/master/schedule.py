@@ -27,7 +27,9 @@ class Schedule:
         return min(self.ratios[component] * self.tick, self.stop - k * self.tick)
 
 
-def build(steps: Mapping[str, int], stop: int, record_every: int, variable_step: Mapping[str, bool]) -> Schedule:
+def build(
+    steps: Mapping[str, int], stop: int, record_every: int, variable_step: Mapping[str, bool]
+) -> Schedule:
     """Raises GraphError for a step that is no multiple of the smallest, and says which would fit."""
     tick = min(steps.values())
     for name, step in steps.items():
@@ -40,7 +42,10 @@ def build(steps: Mapping[str, int], stop: int, record_every: int, variable_step:
     _multiple(stop, tick, "the stop time", "the smallest step")
     _multiple(record_every, tick, "the recording interval", "the smallest step")
     return Schedule(
-        tick=tick, ratios={name: step // tick for name, step in steps.items()}, stop=stop, record_ratio=record_every // tick
+        tick=tick,
+        ratios={name: step // tick for name, step in steps.items()},
+        stop=stop,
+        record_ratio=record_every // tick,
     )
 
 
@@ -48,4 +53,6 @@ def _multiple(value: int, of: int, subject: str, what: str) -> None:
     if value % of:
         below, above = value - value % of, value - value % of + of
         fits = f"{shown(below)} or {shown(above)}" if below else shown(above)
-        raise GraphError(f"{subject} of {shown(value)} is no multiple of {what}, {shown(of)}; {fits} would fit")
+        raise GraphError(
+            f"{subject} of {shown(value)} is no multiple of {what}, {shown(of)}; {fits} would fit"
+        )

@@ -47,13 +47,19 @@ class Slave:
         self.targets, self.wires = targets, wires
         self.outputs, self.used, self.view = outputs, used, now[own]
         # Every input begins with its own start value.
-        starts = [np.array(component.ports[target].start or [0.0] * component.ports[target].size) for target in targets]
+        starts = [
+            np.array(component.ports[target].start or [0.0] * component.ports[target].size)
+            for target in targets
+        ]
         self.buffer = np.concatenate([np.zeros(0), *starts])
         self._now, self._before = now, before
         self._prompt, self._delayed = (
             tuple(
                 np.concatenate(
-                    [np.zeros(0, dtype=np.int64), *(getattr(wire, end) for wire in wires if wire.delayed == delayed)]
+                    [
+                        np.zeros(0, dtype=np.int64),
+                        *(getattr(wire, end) for wire in wires if wire.delayed == delayed),
+                    ]
                 )
                 for end in ("into", "places")
             )
@@ -93,9 +99,13 @@ class Slave:
 class Slaves:
     """All of them, by name. `now` is the flat vector of all outputs, `before` its state before the present instant."""
 
-    def __init__(self, graph: Graph, ratios: Mapping[str, int], watched: Sequence[str] = ()) -> None:
+    def __init__(
+        self, graph: Graph, ratios: Mapping[str, int], watched: Sequence[str] = ()
+    ) -> None:
         used = {connection.source for connection in graph.connections} | set(watched)
-        outputs = {name: _outputs(name, component, used) for name, component in graph.components.items()}
+        outputs = {
+            name: _outputs(name, component, used) for name, component in graph.components.items()
+        }
         self.places: dict[str, slice] = {}
         width = 0
         for name, component in graph.components.items():
@@ -105,8 +115,15 @@ class Slaves:
                 width += size
         self.now, self.before = np.zeros(width), np.zeros(width)
         delayed = [connection.source for connection in graph.connections if connection.delayed]
-        self.delayed = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *(self._range(signal) for signal in delayed)]))
-        self._by_name = {name: self._bind(graph, name, outputs[name], ratios[name], used) for name in graph.components}
+        self.delayed = np.unique(
+            np.concatenate(
+                [np.zeros(0, dtype=np.int64), *(self._range(signal) for signal in delayed)]
+            )
+        )
+        self._by_name = {
+            name: self._bind(graph, name, outputs[name], ratios[name], used)
+            for name in graph.components
+        }
 
     def __getitem__(self, name: str) -> Slave:
         return self._by_name[name]
@@ -127,7 +144,9 @@ class Slaves:
             for variable, port in component.ports.items():
                 signal = f"{name}.{variable}"
                 if signal in self.places and recorded(signal):
-                    signals.append(Signal(name=signal, first=first, size=port.size, units=port.units))
+                    signals.append(
+                        Signal(name=signal, first=first, size=port.size, units=port.units)
+                    )
                     columns.append(self._range(signal))
                     first += port.size
         return signals, np.concatenate(columns)
@@ -136,14 +155,23 @@ class Slaves:
         place = self.places[signal]
         return np.arange(place.start, place.stop)
 
-    def _bind(self, graph: Graph, name: str, outputs: Sequence[str], ratio: int, used: set[str]) -> Slave:
+    def _bind(
+        self, graph: Graph, name: str, outputs: Sequence[str], ratio: int, used: set[str]
+    ) -> Slave:
         component, connections = graph.components[name], graph.inputs_of(name)
         targets = [split(connection.target)[1] for connection in connections]
         wires, first = [], 0
         for connection, target in zip(connections, targets, strict=True):
             last = first + component.ports[target].size
             source = split(connection.source)[0]
-            wires.append(Wires(source, connection.delayed, np.arange(first, last), self._range(connection.source)))
+            wires.append(
+                Wires(
+                    source,
+                    connection.delayed,
+                    np.arange(first, last),
+                    self._range(connection.source),
+                )
+            )
             first = last
         own = [self.places[f"{name}.{variable}"] for variable in outputs]
         part = slice(own[0].start, own[-1].stop) if own else slice(0, 0)
@@ -153,7 +181,9 @@ class Slaves:
 
 def _outputs(name: str, component: Component, used: set[str]) -> list[str]:
     """Those in use first, so that they can be read alone."""
-    found = [port.name for port in component.ports.values() if port.causality == "output" and port.real]
+    found = [
+        port.name for port in component.ports.values() if port.causality == "output" and port.real
+    ]
     return sorted(found, key=lambda variable: f"{name}.{variable}" not in used)
 
 

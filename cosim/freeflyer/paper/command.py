@@ -12,8 +12,16 @@ from freeflyer.foundation.output_file import folder
 
 class ReproduceCommand:
     def configure(self, parser: argparse.ArgumentParser) -> None:
-        parser.add_argument("--out", type=folder, default=Path("freeflyer_out") / "reproduce", metavar="DIR")
-        parser.add_argument("--fmi", type=int, choices=(2, 3), default=2, help="FMI version of the FMUs (default: 2)")
+        parser.add_argument(
+            "--out", type=folder, default=Path("freeflyer_out") / "reproduce", metavar="DIR"
+        )
+        parser.add_argument(
+            "--fmi",
+            type=int,
+            choices=(2, 3),
+            default=2,
+            help="FMI version of the FMUs (default: 2)",
+        )
         parser.add_argument(
             "--real-time",
             action="store_true",
@@ -23,4 +31,6 @@ class ReproduceCommand:
     def execute(self, arguments: argparse.Namespace, console: Console) -> int:
         from freeflyer.paper import reproduce
 
-        return reproduce.reproduce(arguments.out, arguments.fmi, console, in_real_time=arguments.real_time)
+        return reproduce.reproduce(
+            arguments.out, arguments.fmi, console, in_real_time=arguments.real_time
+        )

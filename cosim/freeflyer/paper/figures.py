@@ -28,10 +28,19 @@ def panel(axes: Any, time: Array, values: Array, names: Sequence[str], label: st
         axes.plot(time, column, label=name, **line)
     axes.set_ylabel(label)
     # Above the axes, so that it hides nothing.
-    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=3, frameon=False, handlelength=1.8, columnspacing=1.0)
+    axes.legend(
+        loc="lower right",
+        bbox_to_anchor=(1.0, 0.97),
+        ncols=3,
+        frameon=False,
+        handlelength=1.8,
+        columnspacing=1.0,
+    )
 
 
-def two_by_two(time: Array, rows: Sequence[tuple[str, Sequence[tuple[Array, Sequence[str], str]]]]) -> Any:
+def two_by_two(
+    time: Array, rows: Sequence[tuple[str, Sequence[tuple[Array, Sequence[str], str]]]]
+) -> Any:
     """Two rows (manipulator, base), two columns (translation, rotation)."""
     figure, grid = plt.subplots(2, 2, figsize=(7.0, 3.9), sharex=True)
     for axes_row, (title, panels) in zip(grid, rows, strict=True):
@@ -55,7 +64,9 @@ def overview(cases: Sequence[tuple[str, Array, Mapping[str, Array]]]) -> Any:
             axes.semilogy(time, errors[name], label=case, **line)
         axes.set_ylabel(label)
         axes.set_xlabel("time [s]")
-        axes.set_ylim(bottom=1e-8 if name.endswith("_m") else 1e-6, top=1.0 if name.endswith("_m") else 1e3)
+        axes.set_ylim(
+            bottom=1e-8 if name.endswith("_m") else 1e-6, top=1.0 if name.endswith("_m") else 1e3
+        )
     grid[0].legend(loc="upper right")
     return figure
 
@@ -66,7 +77,9 @@ def trajectory(record: Record) -> Any:
     time = record.time
     position = record["reference_trajectory.position"]
     start = Rotation.from_quat(record["reference_trajectory.orientation"][0])
-    angles = (Rotation.from_quat(record["reference_trajectory.orientation"]) * start.inv()).as_rotvec(degrees=True)
+    angles = (
+        Rotation.from_quat(record["reference_trajectory.orientation"]) * start.inv()
+    ).as_rotvec(degrees=True)
     top.plot(time, position[:, 0], **LINES[0])
     top.set_ylabel(r"$x_{md}$ [m]")
     bottom.plot(time, angles[:, 1], **LINES[1])
@@ -92,7 +105,11 @@ def errors(record: Record, plant: str = "free_flyer") -> Any:
                 "end-effector",
                 [
                     (record[hand[0]] - record[desired[0]], XYZ, r"$\Delta p_m$ [m]"),
-                    (orientation_error_angles(record[hand[1]], record[desired[1]]), YPR, r"$\Delta\Phi_m$ [deg]"),
+                    (
+                        orientation_error_angles(record[hand[1]], record[desired[1]]),
+                        YPR,
+                        r"$\Delta\Phi_m$ [deg]",
+                    ),
                 ],
             ),
             (
@@ -106,12 +123,17 @@ def errors(record: Record, plant: str = "free_flyer") -> Any:
     )
 
 
-def _both(record: Record, manipulator: str, base: str, labels: Sequence[str], units: Sequence[str]) -> Any:
+def _both(
+    record: Record, manipulator: str, base: str, labels: Sequence[str], units: Sequence[str]
+) -> Any:
     def half(signal: str, first: int) -> Array:
         return np.asarray(record[signal][:, first : first + 3])
 
     rows = []
-    for title, signal, label in (("manipulator", manipulator, labels[0]), ("base", base, labels[1])):
+    for title, signal, label in (
+        ("manipulator", manipulator, labels[0]),
+        ("base", base, labels[1]),
+    ):
         panels = [
             (half(signal, 0), XYZ, f"{label} {units[0]}"),
             (half(signal, 3), tuple(f"about {axis}" for axis in XYZ), f"{label} {units[1]}"),
@@ -133,23 +155,42 @@ def energies(record: Record) -> Any:
 
 def facility_manipulator(record: Record) -> Any:
     """Fig. 11: tracking error of the end-effector (top), force F'_m of the manipulator (bottom)."""
-    position = record["hand_kinematics.end_effector_position"] - record["reference_trajectory.position"]
+    position = (
+        record["hand_kinematics.end_effector_position"] - record["reference_trajectory.position"]
+    )
     orientation = record["hand_kinematics.end_effector_orientation"]
     angles = orientation_error_angles(orientation, record["reference_trajectory.orientation"])
-    return _error_and_force(record, "m", position, angles, record["manipulator_controller.end_effector_wrench"])
+    return _error_and_force(
+        record, "m", position, angles, record["manipulator_controller.end_effector_wrench"]
+    )
 
 
 def facility_base(record: Record) -> Any:
     """Fig. 12: regulation error of the base (top), force F'_b on the base (bottom). The base starts at its set point."""
-    position, orientation = record["base_robot.base_position"], record["base_robot.base_orientation"]
-    angles = orientation_error_angles(orientation, np.broadcast_to(orientation[0], orientation.shape))
-    return _error_and_force(record, "b", position - position[0], angles, record["base_controller.base_wrench"])
+    position, orientation = (
+        record["base_robot.base_position"],
+        record["base_robot.base_orientation"],
+    )
+    angles = orientation_error_angles(
+        orientation, np.broadcast_to(orientation[0], orientation.shape)
+    )
+    return _error_and_force(
+        record, "b", position - position[0], angles, record["base_controller.base_wrench"]
+    )
 
 
-def _error_and_force(record: Record, which: str, position: Array, angles: Array, wrench: Array) -> Any:
+def _error_and_force(
+    record: Record, which: str, position: Array, angles: Array, wrench: Array
+) -> Any:
     about = tuple(f"about {axis}" for axis in XYZ)
-    errors_row = [(position, XYZ, rf"$\Delta p_{which}$ [m]"), (angles, YPR, rf"$\Delta\Phi_{which}$ [deg]")]
-    forces_row = [(wrench[:, :3], XYZ, f"$f'_{which}$ [N]"), (wrench[:, 3:], about, rf"$\tau'_{which}$ [N m]")]
+    errors_row = [
+        (position, XYZ, rf"$\Delta p_{which}$ [m]"),
+        (angles, YPR, rf"$\Delta\Phi_{which}$ [deg]"),
+    ]
+    forces_row = [
+        (wrench[:, :3], XYZ, f"$f'_{which}$ [N]"),
+        (wrench[:, 3:], about, rf"$\tau'_{which}$ [N m]"),
+    ]
     return two_by_two(record.time, [("error", errors_row), ("force", forces_row)])
 
 

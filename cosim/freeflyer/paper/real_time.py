@@ -42,7 +42,9 @@ def run(scenario: Scenario, directory: Path, settings: Sequence[str] = ()) -> Re
             (directory / name).unlink()
     with _facility([*COMMAND, "facility", *arguments, "--out", str(directory)]):
         loop = subprocess.run(
-            [*COMMAND, "hil", *arguments, "--no-view", "--out", str(directory)], capture_output=True, text=True
+            [*COMMAND, "hil", *arguments, "--no-view", "--out", str(directory)],
+            capture_output=True,
+            text=True,
         )
     if loop.returncode not in (DONE, STOPPED):
         raise OutputError(f"the loop of {scenario.name} did not run: {loop.stderr.strip()}")
@@ -50,7 +52,9 @@ def run(scenario: Scenario, directory: Path, settings: Sequence[str] = ()) -> Re
         summary = json.loads((directory / "summary.json").read_text())
         record = Record.read(directory / "record.parquet")
     except OSError as error:
-        raise OutputError(f"the loop of {scenario.name} left no result: {loop.stderr.strip() or error}") from error
+        raise OutputError(
+            f"the loop of {scenario.name} left no result: {loop.stderr.strip() or error}"
+        ) from error
     outcome = Outcome(
         record=record,
         **{key: summary[f"{key}_s"] for key in ("simulated", "wall")},
@@ -61,7 +65,9 @@ def run(scenario: Scenario, directory: Path, settings: Sequence[str] = ()) -> Re
 
 @contextlib.contextmanager
 def _facility(command: list[str]) -> Iterator[None]:
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    ) as process:
         assert process.stdout is not None
         try:
             said = ""

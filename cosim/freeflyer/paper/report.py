@@ -41,10 +41,18 @@ ASSUMPTIONS = (
 )
 
 
-def write(path: Path, statements: Sequence[Statement], figures: Sequence[Figure], results: Mapping[str, Result]) -> None:
+def write(
+    path: Path,
+    statements: Sequence[Statement],
+    figures: Sequence[Figure],
+    results: Mapping[str, Result],
+) -> None:
     """Raises OutputError."""
     environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(Path(__file__).parent), autoescape=True, trim_blocks=True, lstrip_blocks=True
+        loader=jinja2.FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
     page = environment.get_template("report.html.jinja").render(
         statements=statements,

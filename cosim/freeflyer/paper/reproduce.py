@@ -40,18 +40,26 @@ def reproduce(directory: Path, fmi: int, console: Console, *, in_real_time: bool
             experiment.write(results[case.name], directory / case.name)
             if results[case.name].outcome.interrupted:
                 break
-    loops = run_in_real_time(directory, console) if in_real_time and len(results) == len(CASES) else {}
+    loops = (
+        run_in_real_time(directory, console) if in_real_time and len(results) == len(CASES) else {}
+    )
     summaries = {name: result.summary for name, result in {**results, **loops}.items()}
     write_text(directory / "summary.json", json.dumps({"cases": summaries}, indent=2) + "\n")
     if len(results) < len(CASES) or any(result.outcome.interrupted for result in results.values()):
-        console.print(f"Interrupted; the cases {', '.join(results)} are saved in {directory}, without figures", soft_wrap=True)
+        console.print(
+            f"Interrupted; the cases {', '.join(results)} are saved in {directory}, without figures",
+            soft_wrap=True,
+        )
         return STOPPED
     stated = statements(results) + real_time_statements(results, loops)
     drawn = draw(results, directory) + draw_real_time(loops, directory)
     report.write(directory / "report.html", stated, drawn, {**results, **loops})
     console.print(table(stated))
     console.print(ASSUMPTIONS, style="dim")
-    console.print(f"Report: {directory / 'report.html'}; figures, records and summary.json beside it", soft_wrap=True)
+    console.print(
+        f"Report: {directory / 'report.html'}; figures, records and summary.json beside it",
+        soft_wrap=True,
+    )
     surprises = [name for name, result in {**results, **loops}.items() if not result.as_expected]
     if surprises:
         console.print(f"Not as expected: {', '.join(surprises)}")
@@ -84,8 +92,18 @@ def draw_real_time(loops: Mapping[str, Result], directory: Path) -> list[Figure]
     passive, without = (result.outcome.record for result in loops.values())
     bytes_ = "In real time against the virtual facility over CAN FD and Zenoh (its drives, noise and delay: assumed)"
     drawings = [
-        ("11", figures.facility_manipulator, passive, "tracking error of the hand (top), force of the manipulator (bottom)"),
-        ("12", figures.facility_base, passive, "regulation error of the base (top), force on the base (bottom)"),
+        (
+            "11",
+            figures.facility_manipulator,
+            passive,
+            "tracking error of the hand (top), force of the manipulator (bottom)",
+        ),
+        (
+            "12",
+            figures.facility_base,
+            passive,
+            "regulation error of the base (top), force on the base (bottom)",
+        ),
         (
             "13",
             figures.energies,
@@ -104,7 +122,11 @@ def draw_real_time(loops: Mapping[str, Result], directory: Path) -> list[Figure]
         for number, drawing, record, caption in drawings:
             path = directory / f"fig{number}_real_time.png"
             save(drawing(record), path)
-            drawn.append(Figure(number=f"Fig. {number} (real time)", caption=f"{bytes_}: {caption}.", path=path))
+            drawn.append(
+                Figure(
+                    number=f"Fig. {number} (real time)", caption=f"{bytes_}: {caption}.", path=path
+                )
+            )
     return drawn
 
 
@@ -129,18 +151,25 @@ def draw(results: Mapping[str, Result], directory: Path) -> list[Figure]:
     ]  # fmt: skip
     labels = ("both controllers at 1 ms", "base at 0.3 s, no PC", "base at 0.3 s, with PC")
     lines = [
-        (label, results[name].outcome.record.time, results[name].errors) for label, name in zip(labels, CASES[:3], strict=True)
+        (label, results[name].outcome.record.time, results[name].errors)
+        for label, name in zip(labels, CASES[:3], strict=True)
     ]
     overview = directory / "overview.png"
     drawn = [
-        Figure(number="Overview", caption="Errors of the three cases of the paper's simulation, on one scale.", path=overview)
+        Figure(
+            number="Overview",
+            caption="Errors of the three cases of the paper's simulation, on one scale.",
+            path=overview,
+        )
     ]
     with rc_context(STYLE):
         save(figures.overview(lines), overview)
         for number, drawing, record, caption in drawings:
             exact = number.endswith("time)")
             figure = figures.errors(record, "continuous_loop") if exact else drawing(record)
-            path = directory / ("fig03_continuous_time.png" if exact else f"fig{int(number):02d}.png")
+            path = directory / (
+                "fig03_continuous_time.png" if exact else f"fig{int(number):02d}.png"
+            )
             save(figure, path)
             drawn.append(Figure(number=f"Fig. {number}", caption=caption, path=path))
     for name, record in (("multirate_unstable", unstable), ("multirate_passive", passive)):
@@ -152,7 +181,11 @@ def draw(results: Mapping[str, Result], directory: Path) -> list[Figure]:
 
 
 def table(stated: list[Statement]) -> Table:
-    shown = Table(title="The paper's statements beside what was measured", title_justify="left", show_lines=True)
+    shown = Table(
+        title="The paper's statements beside what was measured",
+        title_justify="left",
+        show_lines=True,
+    )
     for header in ("where", "the paper says", "measured", ""):
         shown.add_column(header, overflow="fold")
     for s in stated:

@@ -11,7 +11,14 @@ from freeflyer.paper.report import Statement, Verdict
 from freeflyer.scenario import metrics
 from freeflyer.scenario.experiment import Result
 
-CASES = ("continuous", "multirate_unstable", "multirate_passive", "overdamped_base", "facility", "facility_without_pc")
+CASES = (
+    "continuous",
+    "multirate_unstable",
+    "multirate_passive",
+    "overdamped_base",
+    "facility",
+    "facility_without_pc",
+)
 
 
 def statements(results: Mapping[str, Result]) -> list[Statement]:
@@ -24,7 +31,9 @@ def statements(results: Mapping[str, Result]) -> list[Statement]:
             paper="in continuous time both errors converge; tracking error of the order of 1e-4 m",
             measured=f"sampled at 1 ms: hand at most {late(continuous, 'end_effector_position_error_m')} m in the last 10 s, "
             f"base {late(continuous, 'base_position_error_m')} m; continuous time (DOP853): hand {exact[0]:.1e} m, base {exact[1]:.1e} m",
-            verdict="in part" if not continuous.outcome.diverged and max(*exact, late_hand(continuous)) < 1e-4 else "differs",
+            verdict="in part"
+            if not continuous.outcome.diverged and max(*exact, late_hand(continuous)) < 1e-4
+            else "differs",
             remark="both stay far below the paper's 1e-4 m (no noise, and the controllers' model is exact here); the run starts "
             "without error: that errors converge is shown by V of (10), which falls from random errors (tests/laws)",
         ),
@@ -40,14 +49,21 @@ def statements(results: Mapping[str, Result]) -> list[Statement]:
             where="Fig. 7",
             paper="without PC the observed energies of manipulator and base have a negative trend",
             measured=f"least: manipulator {least(unstable, 'manipulator')} J, base {least(unstable, 'base')} J",
-            verdict=judged(all(unstable.summary["observed_energy_j"][port]["min"] < 0.0 for port in ("manipulator", "base"))),
+            verdict=judged(
+                all(
+                    unstable.summary["observed_energy_j"][port]["min"] < 0.0
+                    for port in ("manipulator", "base")
+                )
+            ),
             remark="the base's falls from the beginning, the manipulator's only as the loop breaks up",
         ),
         Statement(
             where="Fig. 8",
             paper="the passivity controllers correct both ports",
             measured=f"largest: manipulator {largest(passive, 'manipulator_controller')}, base {largest(passive, 'base_controller')}",
-            verdict=judged(acts(passive, "manipulator_controller"), acts(passive, "base_controller")),
+            verdict=judged(
+                acts(passive, "manipulator_controller"), acts(passive, "base_controller")
+            ),
             remark=""
             if acts(passive, "manipulator_controller")
             else "the base's correction keeps port M passive too: E_m(0) covers "
@@ -70,7 +86,9 @@ def statements(results: Mapping[str, Result]) -> list[Statement]:
             paper="with PC all activity is removed and the errors converge",
             measured=f"last 10 s: hand {late(passive, 'end_effector_position_error_m')} m, base {late(passive, 'base_position_error_m')} m "
             f"and {late(passive, 'base_orientation_error_deg')} deg; at 10 to 20 s: base {between(passive, 10.0, 20.0):.1e} m",
-            verdict=judged(not passive.outcome.diverged, late_value(passive) <= between(passive, 10.0, 20.0)),
+            verdict=judged(
+                not passive.outcome.diverged, late_value(passive) <= between(passive, 10.0, 20.0)
+            ),
             remark="bounded, where the same loop without PC diverges; the base's z error still grows at 100 s (it uses up energy that "
             "port B has absorbed before), and in longer runs comes to rest at 1 mm: docs/reference_results.md",
         ),
@@ -91,7 +109,8 @@ def statements(results: Mapping[str, Result]) -> list[Statement]:
             measured=f"largest in the last 10 s: {late_value(facility):.4f} m and "
             f"{facility.summary['base_orientation_error_deg']['last_10_s']:.2f} deg",
             verdict=judged(
-                late_value(facility) <= 0.012 and facility.summary["base_orientation_error_deg"]["last_10_s"] <= 2.0
+                late_value(facility) <= 0.012
+                and facility.summary["base_orientation_error_deg"]["last_10_s"] <= 2.0
             ),
             remark="of the same size and, as the paper says, from residual forces of the manipulator: friction and gravity compensation",
         ),
@@ -115,16 +134,33 @@ def statements(results: Mapping[str, Result]) -> list[Statement]:
     ]
 
 
-def real_time_statements(results: Mapping[str, Result], loops: Mapping[str, Result]) -> list[Statement]:
+def real_time_statements(
+    results: Mapping[str, Result], loops: Mapping[str, Result]
+) -> list[Statement]:
     if not loops:
         return []
     loop, without = loops.values()
-    hand = {key: loop.summary[f"end_effector_{key}"]["max"] for key in ("position_error_m", "orientation_error_deg")}
-    base = {key: loop.summary[f"base_{key}"]["last_10_s"] for key in ("position_error_m", "orientation_error_deg")}
+    hand = {
+        key: loop.summary[f"end_effector_{key}"]["max"]
+        for key in ("position_error_m", "orientation_error_deg")
+    }
+    base = {
+        key: loop.summary[f"base_{key}"]["last_10_s"]
+        for key in ("position_error_m", "orientation_error_deg")
+    }
     times = loop.summary["real_time"]["times"]
-    answer = next((t for name, t in times.items() if "answer" in name), {"p50_us": 0.0, "p99_us": 0.0})
-    lost = sum(int(counts.get("cycles_lost", 0)) for counts in loop.summary["real_time"]["devices"].values())
-    ended = "" if loop.as_expected else f"; it stopped at {loop.outcome.simulated:.1f} s: {loop.outcome.cause}"
+    answer = next(
+        (t for name, t in times.items() if "answer" in name), {"p50_us": 0.0, "p99_us": 0.0}
+    )
+    lost = sum(
+        int(counts.get("cycles_lost", 0))
+        for counts in loop.summary["real_time"]["devices"].values()
+    )
+    ended = (
+        ""
+        if loop.as_expected
+        else f"; it stopped at {loop.outcome.simulated:.1f} s: {loop.outcome.cause}"
+    )
     inside = results["facility"].summary["end_effector_position_error_m"]["max"]
     return [
         Statement(
@@ -210,5 +246,9 @@ def continuous_time_errors(result: Result) -> tuple[float, float]:
     """Largest position error of hand and base [m] in the last 10 s of the loop in continuous time."""
     record = result.outcome.record
     last = record.time >= result.outcome.simulated - metrics.LAST
-    hand = metrics.position_error(record["continuous_loop.end_effector_position"], record["continuous_loop.desired_position"])
-    return float(hand[last].max()), float(np.linalg.norm(record["continuous_loop.base_position"][last], axis=1).max())
+    hand = metrics.position_error(
+        record["continuous_loop.end_effector_position"], record["continuous_loop.desired_position"]
+    )
+    return float(hand[last].max()), float(
+        np.linalg.norm(record["continuous_loop.base_position"][last], axis=1).max()
+    )

@@ -35,13 +35,17 @@ def find_fmu(name: str, options: Mapping[str, Any], directory: Path) -> Path:
         return directory / fmu
     known: list[str] = []
     # Ours first: a package of others that is broken does not keep a shipped FMU from being found.
-    for point in sorted(plugins("freeflyer.fmus").values(), key=lambda point: point.name != "default"):
+    for point in sorted(
+        plugins("freeflyer.fmus").values(), key=lambda point: point.name != "default"
+    ):
         folder = Path(load(point)()) / f"fmi{version}"
         path = folder / f"{fmu}.fmu"
         if path.is_file():
             return path
         known += [found.stem for found in folder.glob("*.fmu")]
-    raise ComponentError(f"component {name}: no FMU {fmu!r} is shipped for FMI {version}{did_you_mean(fmu, sorted(known))}")
+    raise ComponentError(
+        f"component {name}: no FMU {fmu!r} is shipped for FMI {version}{did_you_mean(fmu, sorted(known))}"
+    )
 
 
 def _known_options(name: str, options: Mapping[str, Any], known: tuple[str, ...]) -> None:
@@ -57,7 +61,9 @@ def fmu_component(name: str, options: Mapping[str, Any], directory: Path) -> Com
 
 
 def model_exchange_component(name: str, options: Mapping[str, Any], directory: Path) -> Component:
-    from freeflyer.fmi.model_exchange import ModelExchangeComponent  # SciPy's integrators are for these alone
+    from freeflyer.fmi.model_exchange import (
+        ModelExchangeComponent,
+    )  # SciPy's integrators are for these alone
 
     return ModelExchangeComponent(name, find_fmu(name, options, directory))
 
@@ -67,7 +73,9 @@ def python_component(name: str, options: Mapping[str, Any], directory: Path) -> 
     _known_options(name, options, ("object",))
     where, colon, attribute = str(options.get("object", "")).partition(":")
     if not colon:
-        raise ComponentError(f"component {name}: object = 'FILE.py:CALLABLE' or 'MODULE:CALLABLE' is expected")
+        raise ComponentError(
+            f"component {name}: object = 'FILE.py:CALLABLE' or 'MODULE:CALLABLE' is expected"
+        )
     try:
         if where.endswith(".py"):
             path = directory / where
@@ -86,14 +94,18 @@ def python_component(name: str, options: Mapping[str, Any], directory: Path) -> 
             f"component {name}: {where}:{attribute} cannot be used: {type(error).__name__}: {error}{renamed(error)}"
         ) from error
     if not hasattr(made, "ports") or not hasattr(made, "step"):
-        raise ComponentError(f"component {name}: {where}:{attribute} gave a {type(made).__name__}; a component is expected")
+        raise ComponentError(
+            f"component {name}: {where}:{attribute} gave a {type(made).__name__}; a component is expected"
+        )
     return made
 
 
 def make(spec: ComponentSpec, directory: Path, fmi: int | None) -> Component:
     points = plugins("freeflyer.components")
     if spec.kind not in points:
-        raise ComponentError(f"component {spec.name}: there is no kind {spec.kind!r}{did_you_mean(spec.kind, points)}")
+        raise ComponentError(
+            f"component {spec.name}: there is no kind {spec.kind!r}{did_you_mean(spec.kind, points)}"
+        )
     factory: Factory = load(points[spec.kind])
     options = dict(spec.options)
     if fmi is not None and spec.kind in ("fmu", "model_exchange"):
@@ -104,7 +116,9 @@ def make(spec: ComponentSpec, directory: Path, fmi: int | None) -> Component:
         raise
     except Exception as error:  # a component kind of another package has errors of its own
         text = " ".join(str(error).split())
-        raise ComponentError(text if text.startswith("component ") else f"component {spec.name}: {text}") from error
+        raise ComponentError(
+            text if text.startswith("component ") else f"component {spec.name}: {text}"
+        ) from error
 
 
 def _refuse_driven(wiring: graph.Graph, values: Values) -> None:
@@ -112,7 +126,9 @@ def _refuse_driven(wiring: graph.Graph, values: Values) -> None:
     for connection in wiring.connections:
         component, variable = graph.split(connection.target)
         if variable in values.get(component, {}):
-            raise ScenarioError(f"{connection.target} cannot be set: it is driven by the connection from {connection.source}")
+            raise ScenarioError(
+                f"{connection.target} cannot be set: it is driven by the connection from {connection.source}"
+            )
 
 
 def _recorded(scenario: Scenario, components: Mapping[str, Component]) -> Callable[[str], bool]:
@@ -123,12 +139,18 @@ def _recorded(scenario: Scenario, components: Mapping[str, Component]) -> Callab
         for port in component.ports.values()
         if port.causality == "output" and port.real
     }
-    chosen = {signal for measure in scenario.errors.values() for signal in (measure.actual, measure.desired)}
+    chosen = {
+        signal
+        for measure in scenario.errors.values()
+        for signal in (measure.actual, measure.desired)
+    }
     chosen |= set(scenario.observed_energy.values())
     for pattern in scenario.record_signals:
         found = fnmatch.filter(outputs, pattern)
         if not found:
-            raise ScenarioError(f"[record] signals: no output fits {pattern!r}{did_you_mean(pattern, outputs)}")
+            raise ScenarioError(
+                f"[record] signals: no output fits {pattern!r}{did_you_mean(pattern, outputs)}"
+            )
         chosen |= set(found)
     return chosen.__contains__
 
@@ -151,14 +173,18 @@ def loaded(scenario: Scenario, fmi: int | None = None) -> Iterator[System]:
         for spec in scenario.components:
             components[spec.name] = make(spec, scenario.directory, fmi)
         values = parameters.resolve(scenario, components)
-        samples = {spec.name: spec.samples for spec in scenario.components if spec.samples is not None}
+        samples = {
+            spec.name: spec.samples for spec in scenario.components if spec.samples is not None
+        }
         wiring = graph.build(components, scenario.connections, samples, scenario.exchange)
         _refuse_driven(wiring, values)
         steps = parameters.steps(scenario, components, values)
         yield System(components=components, values=values, steps=steps, wiring=wiring)
     finally:
         for component in components.values():
-            with suppress(Exception):  # one that cannot be closed must not keep the others, or the results, from theirs
+            with suppress(
+                Exception
+            ):  # one that cannot be closed must not keep the others, or the results, from theirs
                 component.close()
 
 
@@ -166,8 +192,12 @@ def loaded(scenario: Scenario, fmi: int | None = None) -> Iterator[System]:
 def assembled(scenario: Scenario, fmi: int | None = None) -> Iterator[tuple[Master, Values]]:
     """A master with everything loaded, checked and initialised; components are closed at the end. Raises CosimError."""
     with loaded(scenario, fmi) as system:
-        variable_step = {name: component.variable_step for name, component in system.components.items()}
+        variable_step = {
+            name: component.variable_step for name, component in system.components.items()
+        }
         plan = schedule.build(system.steps, scenario.stop, scenario.record_every, variable_step)
-        master = Master(system.wiring, plan, scenario.limits, _recorded(scenario, system.components))
+        master = Master(
+            system.wiring, plan, scenario.limits, _recorded(scenario, system.components)
+        )
         master.initialise(system.values)
         yield master, system.values

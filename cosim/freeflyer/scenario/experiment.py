@@ -19,7 +19,7 @@ from freeflyer.foundation.output_file import write_text
 from freeflyer.master import native
 from freeflyer.master.master import Master, Outcome
 from freeflyer.master.master import Progress as Report
-from freeflyer.master.provenance import Origin
+from freeflyer.master.provenance import Provenance
 from freeflyer.scenario import metrics
 from freeflyer.scenario.assemble import assembled
 from freeflyer.scenario.parameters import Values, current
@@ -46,22 +46,28 @@ Engine = Literal["core", "python"]
 """Who executes the schedule: C (see cosim/freeflyer/master/native.py), or Python through FMPy; with the same numbers."""
 
 
-def run(scenario: Scenario, *, fmi: int | None = None, progress: Report | None = None, engine: Engine = "core") -> Result:
+def run(
+    scenario: Scenario,
+    *,
+    fmi: int | None = None,
+    progress: Report | None = None,
+    engine: Engine = "core",
+) -> Result:
     """Load, check, simulate, measure. Raises CosimError before the run; afterwards everything is in the result."""
     with assembled(scenario, fmi) as (master, values):
         metrics.check(scenario, master.graph.components)
         with interrupts():  # what was simulated is measured too, whenever a Ctrl-C comes
             outcome = native.run(master, progress) if engine == "core" else master.run(progress)
-            outcome.record.origin = origin(scenario, master, values)
+            outcome.record.provenance = provenance(scenario, master, values)
             series = metrics.errors(scenario, outcome.record, master.graph.components, values)
             summary = metrics.summary(scenario, outcome, series)
     return Result(scenario=scenario, outcome=outcome, errors=series, summary=summary)
 
 
-def origin(scenario: Scenario, master: Master, values: Values) -> Origin:
+def provenance(scenario: Scenario, master: Master, values: Values) -> Provenance:
     """What the master's record comes from: parameters as they were given, or as the components have them by default."""
     components, schedule = master.graph.components, master.schedule
-    return Origin(
+    return Provenance(
         scenario=scenario.name,
         exchange=scenario.exchange,
         steps={name: ratio * schedule.tick for name, ratio in schedule.ratios.items()},
@@ -102,7 +108,9 @@ def progress_bar(console: Console, scenarios: Sequence[Scenario]) -> Iterator[di
         TextColumn("{task.completed:.0f} of {task.total:.0f} s"),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+    with Progress(
+        *columns, console=console, transient=True, disable=not console.is_terminal
+    ) as bar:
         reports: dict[str, Report] = {}
         for scenario in scenarios:
             task = bar.add_task(scenario.name, total=seconds(scenario.stop))

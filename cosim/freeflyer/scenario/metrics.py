@@ -36,7 +36,9 @@ def orientation_error(actual: Array, desired: Array) -> Array:
     return np.asarray(np.degrees(4.0 * np.arcsin(0.5 * np.linalg.norm(actual - nearer, axis=1))))
 
 
-def signal_or_parameter(signal: str, record: Record, components: Mapping[str, Component], values: Values) -> Array:
+def signal_or_parameter(
+    signal: str, record: Record, components: Mapping[str, Component], values: Values
+) -> Array:
     """(rows, size) of a recorded output, or a parameter repeated for every row."""
     if signal in record:
         return np.atleast_2d(record[signal].T).T
@@ -48,11 +50,16 @@ def signal_or_parameter(signal: str, record: Record, components: Mapping[str, Co
 def check(scenario: Scenario, components: Mapping[str, Component]) -> None:
     """What will be measured exists and fits, known before the run rather than after it. Raises CosimError."""
     for name, measure in scenario.errors.items():
-        actual, desired = (port(components, signal, f"errors.{name}") for signal in (measure.actual, measure.desired))
+        actual, desired = (
+            port(components, signal, f"errors.{name}")
+            for signal in (measure.actual, measure.desired)
+        )
         size = 4 if name.endswith("orientation") else 3
         for signal, found in ((measure.actual, actual), (measure.desired, desired)):
             if found.size != size:
-                raise ScenarioError(f"errors.{name}: {signal} has {found.size} elements; {size} are expected")
+                raise ScenarioError(
+                    f"errors.{name}: {signal} has {found.size} elements; {size} are expected"
+                )
             if not found.real or not (found.causality == "output" or found.start is not None):
                 raise ScenarioError(f"errors.{name}: {signal} is neither an output nor a parameter")
     for name, signal in scenario.observed_energy.items():
@@ -60,11 +67,16 @@ def check(scenario: Scenario, components: Mapping[str, Component]) -> None:
             raise ScenarioError(f"observed_energy.{name}: {signal} is not an output")
 
 
-def errors(scenario: Scenario, record: Record, components: Mapping[str, Component], values: Values) -> dict[str, Array]:
+def errors(
+    scenario: Scenario, record: Record, components: Mapping[str, Component], values: Values
+) -> dict[str, Array]:
     """Every error of the scenario over time, under its name in summary.json."""
     series = {}
     for name, measure in scenario.errors.items():
-        actual, desired = (signal_or_parameter(s, record, components, values) for s in (measure.actual, measure.desired))
+        actual, desired = (
+            signal_or_parameter(s, record, components, values)
+            for s in (measure.actual, measure.desired)
+        )
         if name.endswith("position"):
             series[f"{name}_error_m"] = position_error(actual, desired)
         else:
@@ -89,7 +101,10 @@ def summary(scenario: Scenario, outcome: Outcome, series: Mapping[str, Array]) -
         "simulated_s": outcome.simulated,
         "wall_s": outcome.wall,
         "steps": outcome.steps,
-        **{name: {"max": finite_maximum(values), "last_10_s": finite_maximum(values[last])} for name, values in series.items()},
+        **{
+            name: {"max": finite_maximum(values), "last_10_s": finite_maximum(values[last])}
+            for name, values in series.items()
+        },
         "observed_energy_j": energies,
         "versions": dict(versions()),
     }

@@ -26,24 +26,41 @@ def resolve(scenario: Scenario, components: Mapping[str, Component]) -> Values:
     used: set[str] = set()
     for spec in scenario.components:
         ports = components[spec.name].ports
-        common = {name: value for name, value in scenario.robot.items() if name in ports and ports[name].settable}
+        common = {
+            name: value
+            for name, value in scenario.robot.items()
+            if name in ports and ports[name].settable
+        }
         used |= set(common)
         raw[spec.name] = {**common, **spec.parameters}
     for name in scenario.robot:
         if name not in used:
             every = {
-                parameter for component in components.values() for parameter, port in component.ports.items() if port.settable
+                parameter
+                for component in components.values()
+                for parameter, port in component.ports.items()
+                if port.settable
             }
-            raise ScenarioError(f"[robot]: no component has a parameter {name!r}{did_you_mean(name, every)}")
+            raise ScenarioError(
+                f"[robot]: no component has a parameter {name!r}{did_you_mean(name, every)}"
+            )
     return {
-        spec.name: {name: _value(raw, components, spec.name, name, value, ()) for name, value in raw[spec.name].items()}
+        spec.name: {
+            name: _value(raw, components, spec.name, name, value, ())
+            for name, value in raw[spec.name].items()
+        }
         for spec in scenario.components
     }
 
 
-def steps(scenario: Scenario, components: Mapping[str, Component], values: Values) -> dict[str, int]:
+def steps(
+    scenario: Scenario, components: Mapping[str, Component], values: Values
+) -> dict[str, int]:
     """Communication steps in ns; "=PARAMETER" takes the component's own parameter."""
-    return {spec.name: _step(spec, components[spec.name], values[spec.name]) for spec in scenario.components}
+    return {
+        spec.name: _step(spec, components[spec.name], values[spec.name])
+        for spec in scenario.components
+    }
 
 
 def _step(spec: ComponentSpec, component: Component, values: Mapping[str, Array]) -> int:
@@ -59,7 +76,9 @@ def _step(spec: ComponentSpec, component: Component, values: Mapping[str, Array]
     return nanoseconds(float(value), f"component {spec.name}: parameter {name}")
 
 
-def current(components: Mapping[str, Component], values: Values, component: str, parameter: str) -> Array:
+def current(
+    components: Mapping[str, Component], values: Values, component: str, parameter: str
+) -> Array:
     """The value a parameter will have: the given one, or the start value of its port."""
     if parameter in values.get(component, {}):
         return values[component][parameter]
@@ -90,13 +109,17 @@ def _value(
         raise ScenarioError(f"{subject} cannot be set: it is a computed {port.causality}")
     if isinstance(value, str) and value.startswith("="):
         if subject in seen:
-            raise ScenarioError(f"{subject}: its value refers back to itself, by way of {' -> '.join(seen)}")
+            raise ScenarioError(
+                f"{subject}: its value refers back to itself, by way of {' -> '.join(seen)}"
+            )
         other, _, parameter = value[1:].partition(".")
         given = raw.get(other, {}).get(parameter)
         if given is None and other in components and parameter in components[other].ports:
             start = components[other].ports[parameter].start
             given = list(start) if start is not None else None
-        result = _sized(_value(raw, components, other, parameter, given, (*seen, subject)), port, subject)
+        result = _sized(
+            _value(raw, components, other, parameter, given, (*seen, subject)), port, subject
+        )
         for there, here in zip(components[other].ports[parameter].units, port.units, strict=False):
             if not same(there, here):
                 raise ScenarioError(f"{subject} = {value!r}: units differ: {here} and {there}")
@@ -109,7 +132,9 @@ def _numbers(value: Any, port: Port, subject: str) -> Array:
     if isinstance(value, dict):
         unknown = [key for key in value if key not in ("value", "unit")]
         if unknown or "value" not in value or "unit" not in value:
-            raise ScenarioError(f"{subject} is {value!r}; {{ value = ..., unit = ... }} is expected")
+            raise ScenarioError(
+                f"{subject} is {value!r}; {{ value = ..., unit = ... }} is expected"
+            )
         scale = np.array([_factor(value["unit"], unit, subject) for unit in port.units])
         value = value["value"]
     if isinstance(value, str):
@@ -125,7 +150,9 @@ def _numbers(value: Any, port: Port, subject: str) -> Array:
         if not abs(item) <= 1e300:
             raise ScenarioError(f"{subject} is {value!r}; finite numbers are expected")
     numbers = np.array([float(item) for item in items])
-    if port.choices and not all(1 <= number <= len(port.choices) and number == int(number) for number in numbers):
+    if port.choices and not all(
+        1 <= number <= len(port.choices) and number == int(number) for number in numbers
+    ):
         raise ScenarioError(f"{subject} is {value!r}; {_expected(port)} is expected")
     scales = scale if numbers.size == scale.size else np.full(numbers.size, scale[0])
     return np.array([converted(number, by) for number, by in zip(numbers, scales, strict=True)])
@@ -135,7 +162,9 @@ def _factor(unit: object, target: str | None, subject: str) -> float:
     try:
         return factor(str(unit), target or DIMENSIONLESS)
     except ValueError as error:
-        raise ScenarioError(f"{subject}: {error}; {target or 'a number without unit'} is expected") from error
+        raise ScenarioError(
+            f"{subject}: {error}; {target or 'a number without unit'} is expected"
+        ) from error
 
 
 def _sized(numbers: Array, port: Port, subject: str) -> Array:

@@ -23,21 +23,34 @@ def merged(base: Raw, change: Raw) -> Raw:
         if isinstance(result.get(key), list):
             result[key] = [kept for text in result[key] for kept in _without(text, _driven(change))]
     for key, value in change.items():
-        if key in ("connections", "delayed") and isinstance(value, list) and isinstance(result.get(key), list):
+        if (
+            key in ("connections", "delayed")
+            and isinstance(value, list)
+            and isinstance(result.get(key), list)
+        ):
             result[key] = [*result[key], *value]
             continue
         if key == "devices" and isinstance(value, dict) and isinstance(result.get(key), dict):
             # A device of another kind has nothing in common with the one it replaces, but its place in the order.
-            kept = {name: {} if _other_kind(table, value.get(name)) else table for name, table in result[key].items()}
+            kept = {
+                name: {} if _other_kind(table, value.get(name)) else table
+                for name, table in result[key].items()
+            }
             result[key] = merged(kept, value)
             continue
-        both_tables = isinstance(value, dict) and isinstance(result.get(key), dict) and "value" not in value
+        both_tables = (
+            isinstance(value, dict) and isinstance(result.get(key), dict) and "value" not in value
+        )
         result[key] = merged(result[key], value) if both_tables else value
     return result
 
 
 def _other_kind(table: object, change: object) -> bool:
-    return isinstance(table, dict) and isinstance(change, dict) and change.get("kind", table.get("kind")) != table.get("kind")
+    return (
+        isinstance(table, dict)
+        and isinstance(change, dict)
+        and change.get("kind", table.get("kind")) != table.get("kind")
+    )
 
 
 def _left_out(base: Raw, names: Any) -> Raw:
@@ -47,7 +60,9 @@ def _left_out(base: Raw, names: Any) -> Raw:
         raise ScenarioError(f"without is {names!r}; a list of components' names is expected")
     for name in names:
         if name not in known:
-            raise ScenarioError(f"without: there is no component {name!r}{did_you_mean(name, known)}")
+            raise ScenarioError(
+                f"without: there is no component {name!r}{did_you_mean(name, known)}"
+            )
     result = dict(base)
     for key in ("components", "devices"):
         if isinstance(base.get(key), dict):
@@ -62,13 +77,26 @@ def _apart_from(text: str, names: Sequence[str]) -> list[str]:
     """A connection's text without what comes from the components in `names` or goes to them."""
     arrow = "<->" if "<->" in text else "->"
     source, _, targets = text.partition(arrow)
-    left = [target.strip() for target in targets.split(",") if target.strip().partition(".")[0] not in names]
-    return [f"{source.strip()} {arrow} {', '.join(left)}"] if left and source.strip().partition(".")[0] not in names else []
+    left = [
+        target.strip()
+        for target in targets.split(",")
+        if target.strip().partition(".")[0] not in names
+    ]
+    return (
+        [f"{source.strip()} {arrow} {', '.join(left)}"]
+        if left and source.strip().partition(".")[0] not in names
+        else []
+    )
 
 
 def _driven(raw: Raw) -> set[str]:
     """The inputs that a file's own connections drive."""
-    texts = [text for key in ("connections", "delayed") if isinstance(raw.get(key), list) for text in raw[key]]
+    texts = [
+        text
+        for key in ("connections", "delayed")
+        if isinstance(raw.get(key), list)
+        for text in raw[key]
+    ]
     texts = [text for text in texts if "<->" not in str(text)]
     return {target.strip() for text in texts for target in str(text).partition("->")[2].split(",")}
 
@@ -99,12 +127,16 @@ def assign(raw: Raw, target: str, value: Any, where: str) -> None:
         raw[target] = value
         return
     if value is None or not dot or not component or not parameter:
-        raise ScenarioError(f"{where}: COMPONENT.PARAMETER=VALUE is expected, for example base_controller.period=0.1")
+        raise ScenarioError(
+            f"{where}: COMPONENT.PARAMETER=VALUE is expected, for example base_controller.period=0.1"
+        )
     if component == "robot" and component not in components:
         _assign_in_table(raw, where, [component, parameter], value)
         return
     if component not in components:
-        raise ScenarioError(f"{where}: there is no component {component!r}{did_you_mean(component, components)}")
+        raise ScenarioError(
+            f"{where}: there is no component {component!r}{did_you_mean(component, components)}"
+        )
     table = _inner(components, component, where)
     if parameter == "step_s":
         table["step_s"] = value
@@ -122,7 +154,9 @@ def _inner(table: Raw, key: str, where: str) -> Raw:
 def _assign_in_table(raw: Raw, where: str, keys: Sequence[str], value: Any) -> None:
     """devices.NAME.KEY, facility.KEY and so on; a key may have further parts."""
     devices = raw.get("devices", {})
-    if keys[0] == "devices" and (len(keys) < 3 or not isinstance(devices, dict) or keys[1] not in devices):
+    if keys[0] == "devices" and (
+        len(keys) < 3 or not isinstance(devices, dict) or keys[1] not in devices
+    ):
         names = ", ".join(devices) if isinstance(devices, dict) and devices else "(none)"
         raise ScenarioError(f"{where}: devices.NAME.KEY=VALUE is expected, NAME one of: {names}")
     if not all(keys) or not 2 <= len(keys) <= toml_file.DEEPEST:

@@ -88,7 +88,9 @@ def load(name: str, overrides: Sequence[str] = ()) -> Scenario:
     return from_tables(*tables(name, overrides))
 
 
-def tables(name: str, overrides: Sequence[str] = (), beside: Path | None = None) -> tuple[Raw, Path]:
+def tables(
+    name: str, overrides: Sequence[str] = (), beside: Path | None = None
+) -> tuple[Raw, Path]:
     """The same, merged and overridden but not checked yet, and the file it is from; `beside` is a folder to look in first."""
     path = find(name, beside)
     raw = _read(path, ())
@@ -113,16 +115,24 @@ def find(name: str, beside: Path | None = None) -> Path:
     except (OSError, ValueError):
         pass  # a name that no file can have
     if name.lower().endswith(".ssp"):
-        raise ScenarioError(f"{name} is an SSP file; a scenario is expected here (`freeflyer run` takes both)")
+        raise ScenarioError(
+            f"{name} is an SSP file; a scenario is expected here (`freeflyer run` takes both)"
+        )
     if name.endswith(".toml"):
         there = any(map(os.path.lexists, candidates))
-        raise ScenarioError(f"scenario file {name} " + ("is no regular file" if there else "does not exist"))
-    raise ScenarioError(f"there is no scenario {name!r}: neither a shipped one nor a .toml file{did_you_mean(name, shipped())}")
+        raise ScenarioError(
+            f"scenario file {name} " + ("is no regular file" if there else "does not exist")
+        )
+    raise ScenarioError(
+        f"there is no scenario {name!r}: neither a shipped one nor a .toml file{did_you_mean(name, shipped())}"
+    )
 
 
 def _read(path: Path, seen: tuple[Path, ...]) -> Raw:
     if path in seen:
-        raise ScenarioError(f"scenario {path} extends itself, by way of {' -> '.join(p.name for p in seen)}")
+        raise ScenarioError(
+            f"scenario {path} extends itself, by way of {' -> '.join(p.name for p in seen)}"
+        )
     try:
         raw = toml_file.read(path)
     except OSError as error:
@@ -133,7 +143,9 @@ def _read(path: Path, seen: tuple[Path, ...]) -> Raw:
     if parent is None:
         return raw
     if not isinstance(parent, str):
-        raise ScenarioError(f"scenario {path}: 'extends' must be the name of a scenario, got {parent!r}")
+        raise ScenarioError(
+            f"scenario {path}: 'extends' must be the name of a scenario, got {parent!r}"
+        )
     return merged(_read(find(parent, path.parent), (*seen, path)), raw)
 
 
@@ -175,16 +187,25 @@ class _Reader:
         record = self.table(raw, "record")
         self.known(record, ("every_s", "signals"), "[record]")
         signals = record.get("signals", ["*"])
-        if not isinstance(signals, list) or not all(isinstance(pattern, str) for pattern in signals):
+        if not isinstance(signals, list) or not all(
+            isinstance(pattern, str) for pattern in signals
+        ):
             raise self.fail(
                 f"[record] signals is {signals!r}; a list of 'COMPONENT.VARIABLE' with wildcards * and ? is expected"
             )
-        components = tuple(self.component(name, raw["components"][name]) for name in self.table(raw, "components"))
+        components = tuple(
+            self.component(name, raw["components"][name]) for name in self.table(raw, "components")
+        )
         if not components:
             raise self.fail("it has no components; at least one [components.NAME] is expected")
-        devices = tuple(self.device(name, device, raw["components"]) for name, device in self.table(raw, "devices").items())
+        devices = tuple(
+            self.device(name, device, raw["components"])
+            for name, device in self.table(raw, "devices").items()
+        )
         energies = self.table(raw, "observed_energy")
-        errors = {name: self.measure(name, pair) for name, pair in self.table(raw, "errors").items()}
+        errors = {
+            name: self.measure(name, pair) for name, pair in self.table(raw, "errors").items()
+        }
         return Scenario(
             name=self.path.stem,
             title=self.text(raw, "title", self.path.stem),
@@ -199,7 +220,8 @@ class _Reader:
             components=components,
             devices=devices,
             facility=self.table(raw, "facility"),
-            connections=tuple(self.connections(raw, "connections", False)) + tuple(self.connections(raw, "delayed", True)),
+            connections=tuple(self.connections(raw, "connections", False))
+            + tuple(self.connections(raw, "delayed", True)),
             limits=tuple(self.limit(item) for item in self.array(raw, "limits")),
             errors=errors,
             observed_energy={name: self.text(energies, name, "") for name in energies},
@@ -210,7 +232,9 @@ class _Reader:
         if not isinstance(raw, dict):
             raise self.fail(f"components.{name} is {raw!r}; a table is expected")
         if not name.isidentifier():
-            raise self.fail(f"component {name!r}: a name of letters, digits and underscores is expected")
+            raise self.fail(
+                f"component {name!r}: a name of letters, digits and underscores is expected"
+            )
         rest = dict(raw)
         kind = rest.pop("kind", "fmu")
         parameters = rest.pop("parameters", {})
@@ -222,17 +246,32 @@ class _Reader:
         step = rest.pop("step_s")
         if not isinstance(kind, str) or not isinstance(parameters, dict):
             raise self.fail(f"component {name}: 'kind' must be a name and 'parameters' a table")
-        if isinstance(step, dict) and isinstance(step.get("unit"), str) and isinstance(step.get("value"), int | float):
+        if (
+            isinstance(step, dict)
+            and isinstance(step.get("unit"), str)
+            and isinstance(step.get("value"), int | float)
+        ):
             try:
                 step = converted(step["value"], factor(step["unit"], "s"))
             except ValueError as error:
                 raise self.fail(f"component {name}: step_s: {error}") from error
         if isinstance(step, str) and step.startswith("="):
-            return ComponentSpec(name=name, kind=kind, step=step, parameters=parameters, options=rest, samples=samples)
+            return ComponentSpec(
+                name=name,
+                kind=kind,
+                step=step,
+                parameters=parameters,
+                options=rest,
+                samples=samples,
+            )
         if isinstance(step, bool) or not isinstance(step, int | float):
-            raise self.fail(f"component {name}: step_s is {step!r}; seconds or '=PARAMETER' are expected")
+            raise self.fail(
+                f"component {name}: step_s is {step!r}; seconds or '=PARAMETER' are expected"
+            )
         exact = nanoseconds(step, f"component {name}: step_s")
-        return ComponentSpec(name=name, kind=kind, step=exact, parameters=parameters, options=rest, samples=samples)
+        return ComponentSpec(
+            name=name, kind=kind, step=exact, parameters=parameters, options=rest, samples=samples
+        )
 
     def device(self, name: str, raw: object, components: Raw) -> ComponentSpec:
         """A device has a kind of its own and the step of the component that it takes the place of."""
@@ -251,22 +290,32 @@ class _Reader:
             if "<->" in text:
                 left, _, right = (part.strip() for part in text.partition("<->"))
                 if "." not in left or "." not in right:
-                    raise self.fail(f"{key}: {text!r}; 'COMPONENT.TERMINAL <-> COMPONENT.TERMINAL' is expected")
+                    raise self.fail(
+                        f"{key}: {text!r}; 'COMPONENT.TERMINAL <-> COMPONENT.TERMINAL' is expected"
+                    )
                 yield Connection(source=left, target=right, delayed=delayed, of_terminals=True)
                 continue
             source, arrow, targets = text.partition("->")
             for target in targets.split(","):
                 if not arrow or "." not in source or "." not in target:
-                    raise self.fail(f"{key}: {text!r}; 'COMPONENT.OUTPUT -> COMPONENT.INPUT, ...' is expected")
+                    raise self.fail(
+                        f"{key}: {text!r}; 'COMPONENT.OUTPUT -> COMPONENT.INPUT, ...' is expected"
+                    )
                 yield Connection(source=source.strip(), target=target.strip(), delayed=delayed)
 
     def limit(self, raw: object) -> Limit:
         if not isinstance(raw, dict):
             raise self.fail(f"limits: {raw!r}; a table is expected")
-        self.known(raw, ("signal", "elements", "norm", "maximum", "minimum", "for_s", "cause"), "[[limits]]")
+        self.known(
+            raw,
+            ("signal", "elements", "norm", "maximum", "minimum", "for_s", "cause"),
+            "[[limits]]",
+        )
         signal, norm = raw.get("signal"), raw.get("norm", "maximum")
         if not isinstance(signal, str) or ("maximum" in raw) == ("minimum" in raw):
-            raise self.fail(f"limits: {raw!r}; a 'signal' and either a 'maximum' or a 'minimum' are expected")
+            raise self.fail(
+                f"limits: {raw!r}; a 'signal' and either a 'maximum' or a 'minimum' are expected"
+            )
         bound = raw.get("maximum", raw.get("minimum"))
         if (
             isinstance(bound, bool)
@@ -274,13 +323,23 @@ class _Reader:
             or math.isnan(bound)
             or ("maximum" in raw and bound <= 0)
         ):
-            raise self.fail(f"limit on {signal}: {bound!r}; a number is expected, greater than zero for a maximum")
+            raise self.fail(
+                f"limit on {signal}: {bound!r}; a number is expected, greater than zero for a maximum"
+            )
         if norm not in ("maximum", "euclidean"):
-            raise self.fail(f"limit on {signal}: norm is {norm!r}; 'maximum' or 'euclidean' is expected")
+            raise self.fail(
+                f"limit on {signal}: norm is {norm!r}; 'maximum' or 'euclidean' is expected"
+            )
         elements = raw.get("elements")
-        whole = isinstance(elements, list) and len(elements) == 2 and all(isinstance(k, int) and k >= 1 for k in elements)
+        whole = (
+            isinstance(elements, list)
+            and len(elements) == 2
+            and all(isinstance(k, int) and k >= 1 for k in elements)
+        )
         if elements is not None and not (whole and elements[0] <= elements[1]):
-            raise self.fail(f"limit on {signal}: elements is {elements!r}; [first, last], counted from 1, is expected")
+            raise self.fail(
+                f"limit on {signal}: elements is {elements!r}; [first, last], counted from 1, is expected"
+            )
         return Limit(
             signal=signal,
             bound=float(bound),
@@ -375,7 +434,9 @@ def literal(value: object) -> str:
             else "[\n" + "".join(f"  {item},\n" for item in items) + "]"
         )
     if isinstance(value, dict):
-        return "{ " + ", ".join(f"{_key(key)} = {literal(item)}" for key, item in value.items()) + " }"
+        return (
+            "{ " + ", ".join(f"{_key(key)} = {literal(item)}" for key, item in value.items()) + " }"
+        )
     if isinstance(value, datetime.date | datetime.time):
         return value.isoformat()
     return repr(value)

@@ -30,7 +30,9 @@ def opened(path: Path, directory: Path) -> Iterator[Package]:
     except ArchiveError as error:
         raise package.fail(str(error)) from error
     except OSError as error:
-        raise package.fail(f"it cannot be unpacked into {directory}: {error.strerror or error}") from error
+        raise package.fail(
+            f"it cannot be unpacked into {directory}: {error.strerror or error}"
+        ) from error
     except RecursionError as error:
         raise package.fail("its systems are nested too deeply") from error
 
@@ -62,12 +64,25 @@ class Package:
         try:
             uri = urlsplit(element.get("source", ""))
         except ValueError as error:
-            raise self.fail(f"{subject} has the source {element.get('source')!r}; a file in the archive is expected") from error
+            raise self.fail(
+                f"{subject} has the source {element.get('source')!r}; a file in the archive is expected"
+            ) from error
         name = unquote(uri.path).removeprefix("./")
-        if uri.scheme or uri.netloc or uri.fragment or not name or name.startswith("/") or ".." in PurePosixPath(name).parts:
-            raise self.fail(f"{subject} has the source {element.get('source')!r}; a file in the archive is expected")
+        if (
+            uri.scheme
+            or uri.netloc
+            or uri.fragment
+            or not name
+            or name.startswith("/")
+            or ".." in PurePosixPath(name).parts
+        ):
+            raise self.fail(
+                f"{subject} has the source {element.get('source')!r}; a file in the archive is expected"
+            )
         if element.get("sourceBase", "SSD") != "SSD":
-            raise self.fail(f"{subject} has a source inside another resource; a file in the archive is expected")
+            raise self.fail(
+                f"{subject} has a source inside another resource; a file in the archive is expected"
+            )
         return name
 
     def unpack(self, name: str) -> Path:

@@ -24,7 +24,15 @@ from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer.foundation.units import DIMENSIONLESS, same
 from freeflyer.scenario.raw_scenario import Raw, override
 from freeflyer.scenario.scenario import Scenario, from_tables
-from freeflyer.ssp.names import ANNOTATION, DESCRIPTION, FMU_TYPE, NAMESPACES, SETTINGS, STEP_ANNOTATION, tag
+from freeflyer.ssp.names import (
+    ANNOTATION,
+    DESCRIPTION,
+    FMU_TYPE,
+    NAMESPACES,
+    SETTINGS,
+    STEP_ANNOTATION,
+    tag,
+)
 from freeflyer.ssp.package import Package, opened
 
 Element = ElementTree.Element
@@ -32,7 +40,9 @@ Node = tuple[tuple[str, ...], str]
 """A connector: the path of the element that has it, and its name."""
 
 
-def read(path: Path, directory: Path, *, step: float | None = None, overrides: Sequence[str] = ()) -> Scenario:
+def read(
+    path: Path, directory: Path, *, step: float | None = None, overrides: Sequence[str] = ()
+) -> Scenario:
     """Unpack the FMUs into `directory`; they must stay there as long as the scenario is used. Raises CosimError.
 
     `step` [s] is for components that have none of their own in the file.
@@ -74,7 +84,9 @@ class _System:
     def tables(self, step: float | None, overrides: Sequence[str]) -> Raw:
         root = self.package.xml(DESCRIPTION, "ssd:SystemStructureDescription")
         if not root.get("version", "").startswith(("1.", "2.")):
-            raise self.fail(f"it is of version {root.get('version')}; SSP 1.0 and 2.0 are supported")
+            raise self.fail(
+                f"it is of version {root.get('version')}; SSP 1.0 and 2.0 are supported"
+            )
         system = root.find("ssd:System", NAMESPACES)
         if system is None:
             raise self.fail(f"{DESCRIPTION} has no System")
@@ -99,7 +111,9 @@ class _System:
             elif element.tag == tag("ssd:Component"):
                 self.parts[place] = self._component(element, place)
             else:
-                raise self.fail(f"{'.'.join(place)} is a {element.tag.partition('}')[2]}; components and systems are supported")
+                raise self.fail(
+                    f"{'.'.join(place)} is a {element.tag.partition('}')[2]}; components and systems are supported"
+                )
             self._kinds(element, place, kinds)
         for connection in system.iterfind("ssd:Connections/ssd:Connection", NAMESPACES):
             self._connection(connection, where, kinds)
@@ -111,17 +125,25 @@ class _System:
     def _component(self, element: Element, place: tuple[str, ...]) -> _Part:
         subject = f"component {'.'.join(place)}"
         if element.get("type", FMU_TYPE) != FMU_TYPE:
-            raise self.fail(f"{subject} is of type {element.get('type')}; FMUs ({FMU_TYPE}) are supported")
+            raise self.fail(
+                f"{subject} is of type {element.get('type')}; FMUs ({FMU_TYPE}) are supported"
+            )
         if element.get("source") is None:
             raise self.fail(f"{subject} has no source; an FMU in the archive is expected")
         path = self.package.unpack(self.package.source(element, subject))
         description = describe_fmu(path)
         wanted = element.get("implementation", "any")
         if wanted == "ScheduledExecution":
-            raise self.fail(f"{subject} is for scheduled execution; co-simulation and model exchange are supported")
+            raise self.fail(
+                f"{subject} is for scheduled execution; co-simulation and model exchange are supported"
+            )
         if wanted not in ("any", "CoSimulation", "ModelExchange"):
-            raise self.fail(f"{subject} has the implementation {wanted!r}; CoSimulation, ModelExchange or any is expected")
-        exchanged = wanted == "ModelExchange" or (wanted == "any" and description.coSimulation is None)
+            raise self.fail(
+                f"{subject} has the implementation {wanted!r}; CoSimulation, ModelExchange or any is expected"
+            )
+        exchanged = wanted == "ModelExchange" or (
+            wanted == "any" and description.coSimulation is None
+        )
         ports, groups = ports_of(description, {})
         part = _Part(
             name=self._free_name(place),
@@ -129,7 +151,11 @@ class _System:
             kind="model_exchange" if exchanged else "fmu",
             description=description,
             ports=ports,
-            owner={variable.name: (name, i) for name, group in groups.items() for i, variable in enumerate(group)},
+            owner={
+                variable.name: (name, i)
+                for name, group in groups.items()
+                for i, variable in enumerate(group)
+            },
             width={name: len(group) for name, group in groups.items()},
         )
         hint = self._annotated(element, STEP_ANNOTATION, "osp:StepSizeHint")
@@ -147,15 +173,21 @@ class _System:
             name += "_"
         return name
 
-    def _connection(self, element: Element, where: tuple[str, ...], kinds: Mapping[Node, str]) -> None:
+    def _connection(
+        self, element: Element, where: tuple[str, ...], kinds: Mapping[Node, str]
+    ) -> None:
         start, end = (self._end(element, side, where) for side in ("start", "end"))
         subject = f"connection {shown(start)} -> {shown(end)}"
         for transformation in element.iterfind("ssc:*", NAMESPACES):
-            if transformation.tag.endswith("Transformation") and not self._identical(transformation):
+            if transformation.tag.endswith("Transformation") and not self._identical(
+                transformation
+            ):
                 raise self.fail(f"{subject} transforms its value, which is not supported")
         for side in ("startIndices", "endIndices"):
             if element.get(side):
-                raise self.fail(f"{subject} is restricted to single elements of an array, which is not supported")
+                raise self.fail(
+                    f"{subject} is restricted to single elements of an array, which is not supported"
+                )
         # `start` and `end` are only names: which way data flows is told by the connectors.
         if self._takes(end, where, kinds) is False or self._takes(start, where, kinds) is True:
             start, end = end, start
@@ -164,26 +196,40 @@ class _System:
 
     def _end(self, element: Element, side: str, where: tuple[str, ...]) -> Node:
         owner = element.get(f"{side}Element")
-        node = ((*where, owner) if owner is not None else where), element.get(f"{side}Connector", "")
+        node = (
+            ((*where, owner) if owner is not None else where),
+            element.get(f"{side}Connector", ""),
+        )
         if node[0] not in self.elements:
             known = sorted(place[-1] for place in self.elements if place)
-            raise self.fail(f"a connection names the element {owner!r}, which does not exist{did_you_mean(owner or '', known)}")
+            raise self.fail(
+                f"a connection names the element {owner!r}, which does not exist{did_you_mean(owner or '', known)}"
+            )
         part = self.parts.get(node[0])
         if part is not None and node[1] not in part.owner:
-            raise self.fail(f"the FMU of component {part.name} has no variable {node[1]!r}{did_you_mean(node[1], part.owner)}")
+            raise self.fail(
+                f"the FMU of component {part.name} has no variable {node[1]!r}{did_you_mean(node[1], part.owner)}"
+            )
         return node
 
     def _takes(self, node: Node, where: tuple[str, ...], kinds: Mapping[Node, str]) -> bool | None:
         """Whether a connection hands a value to this connector (True) or takes one from it (False)."""
         part = self.parts.get(node[0])
         kind = part.ports[part.owner[node[1]][0]].causality if part else kinds.get(node, "")
-        takes = {"input": True, "parameter": True, "output": False, "calculatedParameter": False}.get(kind)
+        takes = {
+            "input": True,
+            "parameter": True,
+            "output": False,
+            "calculatedParameter": False,
+        }.get(kind)
         # The connectors of the enclosing system are seen from inside: its inputs give.
         return takes if takes is None or node[0] != where else not takes
 
     # Parameters
 
-    def _parameters(self, element: Element, place: tuple[str, ...], above: list[tuple[str, Any]]) -> None:
+    def _parameters(
+        self, element: Element, place: tuple[str, ...], above: list[tuple[str, Any]]
+    ) -> None:
         """`above` are values from the levels above, by names relative to this element; they win."""
         values = [*self._bound(element, place), *above]
         part = self.parts.get(place)
@@ -192,14 +238,23 @@ class _System:
         known = (
             part.owner
             if part is not None
-            else {f"{child.get('name', '')}." for child in element.iterfind("ssd:Elements/*", NAMESPACES)}
+            else {
+                f"{child.get('name', '')}."
+                for child in element.iterfind("ssd:Elements/*", NAMESPACES)
+            }
         )
         self.unmatched += [
-            ".".join((*place, key)) for key, _ in values if not (key in known if part else key.startswith(tuple(known)))
+            ".".join((*place, key))
+            for key, _ in values
+            if not (key in known if part else key.startswith(tuple(known)))
         ]
         for child in element.iterfind("ssd:Elements/*", NAMESPACES):
             name = child.get("name", "")
-            below = [(key.removeprefix(f"{name}."), value) for key, value in values if key.startswith(f"{name}.")]
+            below = [
+                (key.removeprefix(f"{name}."), value)
+                for key, value in values
+                if key.startswith(f"{name}.")
+            ]
             self._parameters(child, (*place, name), below)
 
     def _bound(self, element: Element, place: tuple[str, ...]) -> Iterator[tuple[str, Any]]:
@@ -225,14 +280,22 @@ class _System:
             found = self.package.xml(self.package.source(element, subject), "ssm:ParameterMapping")
         targets: dict[str, list[str]] = {}
         for entry in found.iterfind("ssm:MappingEntry", NAMESPACES) if found is not None else ():
-            if any(not self._identical(child) for child in entry if child.tag.endswith("Transformation")):
-                raise self.fail(f"{subject} transforms parameter {entry.get('source')}, which is not supported")
+            if any(
+                not self._identical(child)
+                for child in entry
+                if child.tag.endswith("Transformation")
+            ):
+                raise self.fail(
+                    f"{subject} transforms parameter {entry.get('source')}, which is not supported"
+                )
             targets.setdefault(entry.get("source", ""), []).append(entry.get("target", ""))
         return targets
 
     def _value(self, parameter: Element, subject: str) -> Any:
         """A value as a scenario has it: { value, unit }, a number, a list, a name, a Boolean."""
-        typed = next((child for child in parameter if child.tag.startswith(f"{{{NAMESPACES['ssv']}}}")), None)
+        typed = next(
+            (child for child in parameter if child.tag.startswith(f"{{{NAMESPACES['ssv']}}}")), None
+        )
         if typed is None:
             raise self.fail(f"{subject} has no value")
         kind, text = typed.tag.partition("}")[2], typed.get("value", "")
@@ -244,10 +307,15 @@ class _System:
                 raise self.fail(f"{subject} is {strange[0]!r}; true or false is expected")
             items: list[Any] = [word in ("true", "1") for word in text.split()]
         elif kind in ("String", "Binary", "Clock"):
-            raise self.fail(f"{subject} is of type {kind}; numbers, Booleans and enumerations are supported")
+            raise self.fail(
+                f"{subject} is of type {kind}; numbers, Booleans and enumerations are supported"
+            )
         else:
             try:
-                items = [float(word) if kind in ("Real", "Float64", "Float32") else int(word) for word in text.split()]
+                items = [
+                    float(word) if kind in ("Real", "Float64", "Float32") else int(word)
+                    for word in text.split()
+                ]
             except ValueError:
                 raise self.fail(f"{subject} is {text!r}; {kind} is expected") from None
         value = items[0] if len(items) == 1 else items
@@ -267,10 +335,17 @@ class _System:
                 result[name] = _plain(items[0], port.units[0])
                 continue
             if port.start is None and len(items) < port.size:
-                raise self.fail(f"{part.name}.{name} is set in part, and the FMU has no values for the rest")
-            elements = [_plain(items.get(i, start), port.units[i]) for i, start in enumerate(port.start or [0.0] * port.size)]
+                raise self.fail(
+                    f"{part.name}.{name} is set in part, and the FMU has no values for the rest"
+                )
+            elements = [
+                _plain(items.get(i, start), port.units[i])
+                for i, start in enumerate(port.start or [0.0] * port.size)
+            ]
             if any(isinstance(element, dict) for element in elements):
-                raise self.fail(f"{part.name}.{name} is set in units other than the FMU's own, element by element")
+                raise self.fail(
+                    f"{part.name}.{name} is set in units other than the FMU's own, element by element"
+                )
             result[name] = elements
         return result
 
@@ -280,23 +355,37 @@ class _System:
         experiment = root.find("ssd:DefaultExperiment", NAMESPACES)
         times = experiment.attrib if experiment is not None else {}
         if self._number(times.get("startTime", "0"), "the start time") != 0.0:
-            raise self.fail(f"it starts at {times['startTime']} s; only runs that start at 0 are supported")
+            raise self.fail(
+                f"it starts at {times['startTime']} s; only runs that start at 0 are supported"
+            )
         raw: Raw = {"title": root.get("description") or root.get("name", "")}
         settings = self._annotated(root, ANNOTATION, "freeflyer:Experiment")
         if settings is None:
-            raw["exchange"] = "parallel"  # as other tools that read SSP have it: loops need no order then
+            raw["exchange"] = (
+                "parallel"  # as other tools that read SSP have it: loops need no order then
+            )
         else:
             try:
-                raw |= {key: value for key, value in toml_file.parsed(settings.text or "").items() if key in SETTINGS}
+                raw |= {
+                    key: value
+                    for key, value in toml_file.parsed(settings.text or "").items()
+                    if key in SETTINGS
+                }
             except ValueError as error:
-                raise self.fail(f"its annotation {ANNOTATION} is not valid TOML: {error}") from error
+                raise self.fail(
+                    f"its annotation {ANNOTATION} is not valid TOML: {error}"
+                ) from error
         if "stopTime" in times:
             raw["stop_s"] = self._number(times["stopTime"], "the stop time")
-        if "stop_s" not in raw and not any(text.partition("=")[0].strip() == "stop_s" for text in overrides):
+        if "stop_s" not in raw and not any(
+            text.partition("=")[0].strip() == "stop_s" for text in overrides
+        ):
             raise self.fail("it has no stop time: give one with --set stop_s=SECONDS")
         if step is not None and all(part.step is not None for part in self.parts.values()):
             raise self.fail("--step has no effect: every component has its step in the file")
-        if settings is not None and self.unmatched:  # other tools share parameter sets between components
+        if (
+            settings is not None and self.unmatched
+        ):  # other tools share parameter sets between components
             raise self.fail(f"parameter {self.unmatched[0]} belongs to none of its FMUs")
         common = step or self._common_step(experiment)
         raw["components"] = {part.name: self._table(part, common) for part in self.parts.values()}
@@ -307,7 +396,11 @@ class _System:
 
     def _common_step(self, experiment: Element | None) -> float | None:
         found = (
-            None if experiment is None else self._annotated(experiment, STEP_ANNOTATION, "osp:Algorithm/osp:FixedStepAlgorithm")
+            None
+            if experiment is None
+            else self._annotated(
+                experiment, STEP_ANNOTATION, "osp:Algorithm/osp:FixedStepAlgorithm"
+            )
         )
         if found is not None:
             return self._positive(found, "baseStepSize", "the default experiment")
@@ -318,8 +411,15 @@ class _System:
     def _table(self, part: _Part, common: float | None) -> Raw:
         step = part.step or common
         if step is None:
-            raise self.fail(f"component {part.name} has no communication step, and SSP has no place for one: give --step")
-        table: Raw = {"kind": part.kind, "fmu": str(part.path.resolve()), "step_s": step, "parameters": part.parameters}
+            raise self.fail(
+                f"component {part.name} has no communication step, and SSP has no place for one: give --step"
+            )
+        table: Raw = {
+            "kind": part.kind,
+            "fmu": str(part.path.resolve()),
+            "step_s": step,
+            "parameters": part.parameters,
+        }
         return table if part.samples is None else table | {"samples": part.samples}
 
     def _joined(self) -> tuple[list[str], list[str]]:
@@ -343,14 +443,25 @@ class _System:
                 continue  # an input of the whole system, which nobody drives here
             source, target = self.parts[start[0]], self.parts[end[0]]
             (output, i), (taken, j) = source.owner[start[1]], target.owner[end[1]]
-            pairs.setdefault((f"{source.name}.{output}", f"{target.name}.{taken}"), {})[j] = (i, delayed)
+            pairs.setdefault((f"{source.name}.{output}", f"{target.name}.{taken}"), {})[j] = (
+                i,
+                delayed,
+            )
         prompt: list[str] = []
         delays: list[str] = []
-        width = {f"{part.name}.{name}": count for part in self.parts.values() for name, count in part.width.items()}
+        width = {
+            f"{part.name}.{name}": count
+            for part in self.parts.values()
+            for name, count in part.width.items()
+        }
         for (output, taken), elements in pairs.items():
-            whole = width[output] == width[taken] == len(elements) and all(i == j for j, (i, _) in elements.items())
+            whole = width[output] == width[taken] == len(elements) and all(
+                i == j for j, (i, _) in elements.items()
+            )
             if not whole or len({delayed for _, delayed in elements.values()}) > 1:
-                raise self.fail(f"{output} and {taken} are connected in part or in another order; whole arrays are supported")
+                raise self.fail(
+                    f"{output} and {taken} are connected in part or in another order; whole arrays are supported"
+                )
             (delays if elements[0][1] else prompt).append(f"{output} -> {taken}")
         return prompt, delays
 
@@ -382,7 +493,11 @@ class _System:
         if transformation.tag != tag("ssc:LinearTransformation"):
             return False
         factor = self._number(transformation.get("factor", "1"), "the factor of a transformation")
-        return factor == 1.0 and self._number(transformation.get("offset", "0"), "the offset of a transformation") == 0.0
+        return (
+            factor == 1.0
+            and self._number(transformation.get("offset", "0"), "the offset of a transformation")
+            == 0.0
+        )
 
 
 def shown(node: Node) -> str:
@@ -391,6 +506,8 @@ def shown(node: Node) -> str:
 
 def _plain(value: Any, unit: str | None) -> Any:
     """The bare number where it is in the FMU's own unit already."""
-    if isinstance(value, dict) and (unit is None or value["unit"] == unit or same(value["unit"], unit or DIMENSIONLESS)):
+    if isinstance(value, dict) and (
+        unit is None or value["unit"] == unit or same(value["unit"], unit or DIMENSIONLESS)
+    ):
         return value["value"]
     return value

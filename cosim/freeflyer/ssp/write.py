@@ -48,16 +48,24 @@ def write(scenario: Scenario, system: System, path: Path) -> None:
         files[sources[name]] = component.path.read_bytes()
         given[name] = _changed(component, system.values.get(name, {}))
         if given[name]:
-            files[f"resources/{name}.ssv"] = _text(_parameter_set(scenario.name, component, given[name], version))
-    files[DESCRIPTION] = _text(_description(scenario, system, specs, components, given, sources, version))
+            files[f"resources/{name}.ssv"] = _text(
+                _parameter_set(scenario.name, component, given[name], version)
+            )
+    files[DESCRIPTION] = _text(
+        _description(scenario, system, specs, components, given, sources, version)
+    )
     write_whole(path, lambda partial: _pack(partial, files))
 
 
 def _checked(specs: Mapping[str, ComponentSpec], system: System) -> dict[str, FmuComponent]:
-    found = {name: item for name, item in system.components.items() if isinstance(item, FmuComponent)}
+    found = {
+        name: item for name, item in system.components.items() if isinstance(item, FmuComponent)
+    }
     for name, spec in specs.items():
         if name not in found or spec.kind not in IMPLEMENTATIONS:
-            raise ScenarioError(f"component {name} is of kind {spec.kind!r}; only FMUs can be packed into an SSP file")
+            raise ScenarioError(
+                f"component {name} is of kind {spec.kind!r}; only FMUs can be packed into an SSP file"
+            )
     if len({component.version for component in found.values()}) > 1:
         raise ScenarioError(
             "the components' FMUs are of FMI 2.0 and of FMI 3.0; FMUs of one version are expected in an SSP file"
@@ -71,7 +79,9 @@ def _sources(components: Mapping[str, FmuComponent]) -> dict[str, str]:
     for name, component in components.items():
         if component.path not in places:
             wanted = f"resources/{component.path.name}"
-            places[component.path] = f"resources/{name}.fmu" if wanted in places.values() else wanted
+            places[component.path] = (
+                f"resources/{name}.fmu" if wanted in places.values() else wanted
+            )
     return {name: places[component.path] for name, component in components.items()}
 
 
@@ -80,7 +90,8 @@ def _changed(component: FmuComponent, values: Mapping[str, Array]) -> dict[str, 
     return {
         name: value
         for name, value in values.items()
-        if component.ports[name].start is None or not np.array_equal(value, np.array(component.ports[name].start))
+        if component.ports[name].start is None
+        or not np.array_equal(value, np.array(component.ports[name].start))
     }
 
 
@@ -109,7 +120,14 @@ def _description(
     enumerations: dict[str, tuple[str, ...]] = {}
     for name, component in components.items():
         implementation = IMPLEMENTATIONS[specs[name].kind]
-        element = _add(elements, "ssd:Component", name=name, type=FMU_TYPE, source=sources[name], implementation=implementation)
+        element = _add(
+            elements,
+            "ssd:Component",
+            name=name,
+            type=FMU_TYPE,
+            source=sources[name],
+            implementation=implementation,
+        )
         connectors = Element(tag("ssd:Connectors"))
         for variable, port in _interface(component, given[name]):
             _connector(connectors, name, variable, port)
@@ -122,27 +140,47 @@ def _description(
             bindings = _add(element, "ssd:ParameterBindings")
             _add(bindings, "ssd:ParameterBinding", source=f"resources/{name}.ssv")
         annotations = _add(element, "ssd:Annotations")
-        _add(_annotation(annotations, STEP_ANNOTATION), "osp:StepSizeHint", value=_number(seconds(steps[name])))
+        _add(
+            _annotation(annotations, STEP_ANNOTATION),
+            "osp:StepSizeHint",
+            value=_number(seconds(steps[name])),
+        )
         samples = specs[name].samples
         if samples is not None:
-            _add(_annotation(annotations, ANNOTATION), "freeflyer:Outputs", samples=str(samples).lower())
+            _add(
+                _annotation(annotations, ANNOTATION),
+                "freeflyer:Outputs",
+                samples=str(samples).lower(),
+            )
     _connections(top, system, components)
     if enumerations:
         _enumerations(root, "ssd:Enumerations", enumerations)
     if units:
         _units(root, "ssd:Units", units)
-    experiment = _add(root, "ssd:DefaultExperiment", startTime="0.0", stopTime=_number(seconds(scenario.stop)))
-    algorithm = _add(_annotation(_add(experiment, "ssd:Annotations"), STEP_ANNOTATION), "osp:Algorithm")
+    experiment = _add(
+        root, "ssd:DefaultExperiment", startTime="0.0", stopTime=_number(seconds(scenario.stop))
+    )
+    algorithm = _add(
+        _annotation(_add(experiment, "ssd:Annotations"), STEP_ANNOTATION), "osp:Algorithm"
+    )
     _add(algorithm, "osp:FixedStepAlgorithm", baseStepSize=_number(seconds(min(steps.values()))))
-    settings = {key: value for key, value in tomllib.loads(scenario.source).items() if key in SETTINGS}
-    _add(_annotation(_add(root, "ssd:Annotations"), ANNOTATION), "freeflyer:Experiment").text = to_toml(settings)
+    settings = {
+        key: value for key, value in tomllib.loads(scenario.source).items() if key in SETTINGS
+    }
+    _add(
+        _annotation(_add(root, "ssd:Annotations"), ANNOTATION), "freeflyer:Experiment"
+    ).text = to_toml(settings)
     return root
 
 
-def _interface(component: FmuComponent, given: Mapping[str, Array]) -> Iterable[tuple[ModelVariable, Port]]:
+def _interface(
+    component: FmuComponent, given: Mapping[str, Array]
+) -> Iterable[tuple[ModelVariable, Port]]:
     """Inputs, outputs, and the parameters that have a value here: an FMU's other variables need no connector."""
     for port in component.ports.values():
-        if port.causality in ("input", "output") or (port.name in given and "arameter" in port.causality):
+        if port.causality in ("input", "output") or (
+            port.name in given and "arameter" in port.causality
+        ):
             for variable in component.variables_of(port.name):
                 yield variable, port
 
@@ -177,7 +215,11 @@ def _connections(top: Element, system: System, components: Mapping[str, FmuCompo
     parent = _add(top, "ssd:Connections")
     for connection in system.wiring.connections:
         (source, output), (target, taken) = split(connection.source), split(connection.target)
-        ends = zip(components[source].variables_of(output), components[target].variables_of(taken), strict=True)
+        ends = zip(
+            components[source].variables_of(output),
+            components[target].variables_of(taken),
+            strict=True,
+        )
         for start, end in ends:
             element = _add(
                 parent,
@@ -194,7 +236,9 @@ def _connections(top: Element, system: System, components: Mapping[str, FmuCompo
 # Parameters, units, enumerations
 
 
-def _parameter_set(name: str, component: FmuComponent, given: Mapping[str, Array], version: str) -> Element:
+def _parameter_set(
+    name: str, component: FmuComponent, given: Mapping[str, Array], version: str
+) -> Element:
     root = Element(tag("ssv:ParameterSet"), version=version, name=name)
     parameters = _add(root, "ssv:Parameters")
     units: dict[str, dict[str, str]] = {}
@@ -204,7 +248,11 @@ def _parameter_set(name: str, component: FmuComponent, given: Mapping[str, Array
         for variable in component.variables_of(key):
             count = int(np.prod(variable.shape or (1,)))
             parameter = _add(parameters, "ssv:Parameter", name=variable.name)
-            typed = _add(parameter, f"ssv:{variable.type}", value=_value(port, variable, value[first : first + count]))
+            typed = _add(
+                parameter,
+                f"ssv:{variable.type}",
+                value=_value(port, variable, value[first : first + count]),
+            )
             unit = _unit_name(variable, port)
             if unit:
                 typed.set("unit", unit)
@@ -229,19 +277,29 @@ def _value(port: Port, variable: ModelVariable, numbers: Array) -> str:
     return " ".join(_number(number) if port.real else str(int(number)) for number in numbers)
 
 
-def _unit(component: FmuComponent, name: str | None, known: Mapping[str, Mapping[str, str]]) -> dict[str, dict[str, str]]:
+def _unit(
+    component: FmuComponent, name: str | None, known: Mapping[str, Mapping[str, str]]
+) -> dict[str, dict[str, str]]:
     """The FMU's own definition of a unit; one whose dimensions it does not tell is refused, for SSP demands them."""
     if name is None:
         return {}
-    base = next((unit.baseUnit for unit in component.description.unitDefinitions if unit.name == name), None)
+    base = next(
+        (unit.baseUnit for unit in component.description.unitDefinitions if unit.name == name), None
+    )
     if base is None:
-        raise ComponentError(f"FMU {component.path} uses the unit {name!r} and does not say what it is in SI base units")
+        raise ComponentError(
+            f"FMU {component.path} uses the unit {name!r} and does not say what it is in SI base units"
+        )
     found = {key: str(getattr(base, key)) for key in BASE_UNITS if getattr(base, key)}
     found |= {
-        key: _number(getattr(base, key)) for key, usual in (("factor", 1.0), ("offset", 0.0)) if getattr(base, key) != usual
+        key: _number(getattr(base, key))
+        for key, usual in (("factor", 1.0), ("offset", 0.0))
+        if getattr(base, key) != usual
     }
     if known.get(name, found) != found:
-        raise ComponentError(f"FMU {component.path} means something else by the unit {name!r} than another FMU of the system")
+        raise ComponentError(
+            f"FMU {component.path} means something else by the unit {name!r} than another FMU of the system"
+        )
     return {name: found}
 
 

@@ -10,7 +10,13 @@ import numpy as np
 
 from freeflyer_fmus.blocks.block import ACCELERATION, TWIST, Block
 from freeflyer_fmus.blocks.facility_parameters import gravity_model, gravity_parameters
-from freeflyer_fmus.blocks.robot_parameters import IDENTITY, joint_limits, joint_units, mass_parameters, require_quaternions
+from freeflyer_fmus.blocks.robot_parameters import (
+    IDENTITY,
+    joint_limits,
+    joint_units,
+    mass_parameters,
+    require_quaternions,
+)
 from freeflyer_fmus.equations import noise
 from freeflyer_fmus.equations.dynamics import arm_on_moving_base
 from freeflyer_fmus.equations.mechanism import State
@@ -23,34 +29,96 @@ SMOOTHING = 1e-2
 
 def arm_drive(robot: Robot) -> Block:
     n = robot.joint_count
-    rad, rad_s, torque_unit = joint_units(robot, "rad", "m"), joint_units(robot, "rad/s", "m/s"), joint_units(robot, "N.m", "N")
-    block = Block("arm_drive", "Torque-controlled arm on a moving base in 1 g, with friction, ripple, noise and quantisation")
+    rad, rad_s, torque_unit = (
+        joint_units(robot, "rad", "m"),
+        joint_units(robot, "rad/s", "m/s"),
+        joint_units(robot, "N.m", "N"),
+    )
+    block = Block(
+        "arm_drive",
+        "Torque-controlled arm on a moving base in 1 g, with friction, ripple, noise and quantisation",
+    )
     T = block.sampled_every("period", 1e-3, "Cycle of the arm")
     mechanism = mass_parameters(block, robot)
     gravity, compensation = gravity_parameters(block)
     coulomb = block.parameter(
-        "coulomb_friction", [0.1] * n, torque_unit, "Coulomb friction left by the drive (assumed)", minimum=0.0
+        "coulomb_friction",
+        [0.1] * n,
+        torque_unit,
+        "Coulomb friction left by the drive (assumed)",
+        minimum=0.0,
     )
     viscous = block.parameter(
-        "viscous_friction", [0.2] * n, "1", "Viscous friction left by the drive [SI] (assumed)", minimum=0.0
+        "viscous_friction",
+        [0.2] * n,
+        "1",
+        "Viscous friction left by the drive [SI] (assumed)",
+        minimum=0.0,
     )
-    ripple = block.parameter("torque_ripple", [0.05] * n, torque_unit, "Amplitude of the torque ripple (assumed)", minimum=0.0)
-    waves = block.parameter("ripple_periods", 160.0, "1", "Ripple periods per radian (the gear ratio; assumed)", minimum=0.0)
-    step = block.parameter("encoder_step", 1e-5, "rad", "Resolution of the position sensors (assumed; 0: exact)", minimum=0.0)
+    ripple = block.parameter(
+        "torque_ripple",
+        [0.05] * n,
+        torque_unit,
+        "Amplitude of the torque ripple (assumed)",
+        minimum=0.0,
+    )
+    waves = block.parameter(
+        "ripple_periods",
+        160.0,
+        "1",
+        "Ripple periods per radian (the gear ratio; assumed)",
+        minimum=0.0,
+    )
+    step = block.parameter(
+        "encoder_step",
+        1e-5,
+        "rad",
+        "Resolution of the position sensors (assumed; 0: exact)",
+        minimum=0.0,
+    )
     speed_noise = block.parameter(
-        "velocity_noise", 1e-4, "rad/s", "Standard deviation of measured speeds (assumed)", minimum=0.0
+        "velocity_noise",
+        1e-4,
+        "rad/s",
+        "Standard deviation of measured speeds (assumed)",
+        minimum=0.0,
     )
-    torque_noise = block.parameter("torque_noise", 0.02, "N.m", "Standard deviation of measured torques (assumed)", minimum=0.0)
+    torque_noise = block.parameter(
+        "torque_noise", 0.02, "N.m", "Standard deviation of measured torques (assumed)", minimum=0.0
+    )
     seed = block.parameter("seed", 1.0, "1", "Seed of the noise")
     limits = joint_limits(block, robot)
 
     # Delayed: what acted, and how the base moved, since the last cycle.
-    command = block.input("joint_torque_command", np.zeros(n), torque_unit, "Commanded torque since the last cycle (delayed)")
-    brake = block.input("brake", 0.0, "1", "Brakes since the last cycle: 0 released, 1 holding every joint (delayed)")
-    R_b = block.input("base_orientation", IDENTITY, "1", "Orientation of the base robot at the last cycle (delayed)")
-    v_b = block.input("base_velocity", np.zeros(6), TWIST, "Velocity of the base robot at the last cycle, in I (delayed)")
+    command = block.input(
+        "joint_torque_command",
+        np.zeros(n),
+        torque_unit,
+        "Commanded torque since the last cycle (delayed)",
+    )
+    brake = block.input(
+        "brake",
+        0.0,
+        "1",
+        "Brakes since the last cycle: 0 released, 1 holding every joint (delayed)",
+    )
+    R_b = block.input(
+        "base_orientation",
+        IDENTITY,
+        "1",
+        "Orientation of the base robot at the last cycle (delayed)",
+    )
+    v_b = block.input(
+        "base_velocity",
+        np.zeros(6),
+        TWIST,
+        "Velocity of the base robot at the last cycle, in I (delayed)",
+    )
     a_b = block.input(
-        "base_acceleration", np.zeros(6), ACCELERATION, "Acceleration of the base robot since then, in I (delayed)"
+        "base_acceleration",
+        np.zeros(6),
+        ACCELERATION,
+        "Acceleration of the base robot since then, in I (delayed)",
     )
     q = block.state("true_joint_position", robot.posture, rad, "Joint positions, as they are")
     qd = block.state("true_joint_velocity", np.zeros(n), rad_s, "Joint velocities, as they are")
@@ -68,7 +136,9 @@ def arm_drive(robot: Robot) -> Block:
 
     def rates(time: SX, position: SX, speed: SX) -> tuple[SX, SX]:
         state = State(R_b, v_b[:3] + time * a_b[:3], v_b[3:] + time * a_b[3:], position, speed)
-        return speed, arm_on_moving_base(mechanism, state, a_b, link_torque(position, speed), gravity)
+        return speed, arm_on_moving_base(
+            mechanism, state, a_b, link_torque(position, speed), gravity
+        )
 
     # One classical Runge-Kutta step over the cycle that has passed.
     h = T * begun
@@ -76,8 +146,14 @@ def arm_drive(robot: Robot) -> Block:
     k2 = rates(h / 2, q + h / 2 * k1[0], qd + h / 2 * k1[1])
     k3 = rates(h / 2, q + h / 2 * k2[0], qd + h / 2 * k2[1])
     k4 = rates(h, q + h * k3[0], qd + h * k3[1])
-    free = (x + h / 6 * (a + 2 * b + 2 * c + d) for x, a, b, c, d in zip((q, qd), k1, k2, k3, k4, strict=True))
-    q, qd = (ca.if_else(brake > 0.5, held, moved) for held, moved in zip((q, SX(n, 1)), free, strict=True))
+    free = (
+        x + h / 6 * (a + 2 * b + 2 * c + d)
+        for x, a, b, c, d in zip((q, qd), k1, k2, k3, k4, strict=True)
+    )
+    q, qd = (
+        ca.if_else(brake > 0.5, held, moved)
+        for held, moved in zip((q, SX(n, 1)), free, strict=True)
+    )
 
     next_random, normal = noise.normal(random, 2 * n)
     block.update("true_joint_position", q)
@@ -87,9 +163,16 @@ def arm_drive(robot: Robot) -> Block:
     safe_step = ca.fmax(step, 1e-15)
     quantised = ca.if_else(step > 0, ca.floor(q / safe_step + 0.5) * safe_step, q)
     block.output("joint_position", quantised, rad, "Measured joint positions")
-    block.output("joint_velocity", qd + speed_noise * normal[:n], rad_s, "Measured joint velocities")
+    block.output(
+        "joint_velocity", qd + speed_noise * normal[:n], rad_s, "Measured joint velocities"
+    )
     torque = link_torque(q, qd) + torque_noise * normal[n:]
-    block.output("joint_torque", torque, torque_unit, "Measured joint torques behind the gear, gravity included")
+    block.output(
+        "joint_torque",
+        torque,
+        torque_unit,
+        "Measured joint torques behind the gear, gravity included",
+    )
     require_quaternions(block, {"base_orientation": R_b})
     block.terminal("arm", "joint_position", "joint_velocity", measured_joint_torque="joint_torque")
     return block

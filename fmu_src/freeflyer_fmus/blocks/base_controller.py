@@ -18,8 +18,14 @@ from freeflyer_fmus.blocks.robot_parameters import (
     require_regular_jacobian,
 )
 from freeflyer_fmus.equations import passivity, rotation
-from freeflyer_fmus.equations.dynamics import articulated_base_inertia, articulated_hand_inertia
-from freeflyer_fmus.equations.kinematics import base_jacobian_transposed_times, end_effector_velocity
+from freeflyer_fmus.equations.dynamics import (
+    articulated_base_inertia,
+    articulated_end_effector_inertia,
+)
+from freeflyer_fmus.equations.kinematics import (
+    base_jacobian_transposed_times,
+    end_effector_velocity,
+)
 from freeflyer_fmus.equations.passivity import Bookkeeping
 from freeflyer_fmus.equations.sampled_control import Discretisation, mean_wrench, sampled_damping
 from freeflyer_fmus.equations.tracking_control import feed_forward, pose_error, spring_damper
@@ -35,17 +41,37 @@ def base_controller(robot: Robot) -> Block:
     mechanism = mass_parameters(block, robot)
     K_P, K_D = gains(block, BASE)
     K_Pm, K_Dm = gains(block, MANIPULATOR, "manipulator_")
-    discretisation = block.choice("discretisation", Discretisation, Discretisation.emulated, "How the law is sampled")
-    bookkeeping = block.choice("bookkeeping", Bookkeeping, Bookkeeping.applied, "As in the manipulator's controller")
+    discretisation = block.choice(
+        "discretisation", Discretisation, Discretisation.emulated, "How the law is sampled"
+    )
+    bookkeeping = block.choice(
+        "bookkeeping", Bookkeeping, Bookkeeping.applied, "As in the manipulator's controller"
+    )
     share = block.parameter(
-        "damper_bound", 0.5, "1", "c in beta <= c M~ / T_b - K_D (0: no bound), as applied", tunable=True, minimum=0.0
+        "damper_bound",
+        0.5,
+        "1",
+        "c in beta <= c M~ / T_b - K_D (0: no bound), as applied",
+        tunable=True,
+        minimum=0.0,
     )
     least_sigma = block.parameter(
-        "singularity_threshold", SINGULARITY_THRESHOLD, "1", "Least singular value of J_m allowed", tunable=True, minimum=0.0
+        "singularity_threshold",
+        SINGULARITY_THRESHOLD,
+        "1",
+        "Least singular value of J_m allowed",
+        tunable=True,
+        minimum=0.0,
     )
-    p_bd = block.parameter("position_setpoint", np.zeros(3), "m", "x_bd: base position to hold, in I", tunable=True)
+    p_bd = block.parameter(
+        "position_setpoint", np.zeros(3), "m", "x_bd: base position to hold, in I", tunable=True
+    )
     R_bd = block.parameter(
-        "orientation_setpoint", IDENTITY, "1", "Base orientation to hold, quaternion x, y, z, w", tunable=True
+        "orientation_setpoint",
+        IDENTITY,
+        "1",
+        "Base orientation to hold, quaternion x, y, z, w",
+        tunable=True,
     )
 
     p_b = block.input("base_position", np.zeros(3), "m", "Measured position of B in I")
@@ -55,7 +81,11 @@ def base_controller(robot: Robot) -> Block:
     beta_b = block.input("base_damping", np.zeros(6), DAMPING, "beta_b from the passivity observer")
 
     # M~ of B in I: what a base wrench moves while nothing acts at the hand.
-    M = articulated_base_inertia(mechanism, state.q).turned(rotation.matrix(state.orientation)).matrix()
+    M = (
+        articulated_base_inertia(mechanism, state.q)
+        .turned(rotation.matrix(state.orientation))
+        .matrix()
+    )
     is_matched = discretisation == int(Discretisation.matched)
 
     # Eq. (17), its last term apart.
@@ -67,26 +97,41 @@ def base_controller(robot: Robot) -> Block:
     # J_b^T F'_m: matched, with the mean of the hand's spring and damper over T_b in place of their value now.
     dv_m = end_effector_velocity(mechanism, state) - v_d
     spring_m = F_m - star.F_m + K_Dm * dv_m
-    M_hand = articulated_hand_inertia(mechanism, state)
+    M_hand = articulated_end_effector_inertia(mechanism, state)
     mean_m = mean_wrench(M_hand, ca.diag(K_Pm), ca.diag(K_Dm), T_b, spring_m, dv_m)
     Jb_F = base_jacobian_transposed_times(star.p_be, ca.if_else(is_matched, star.F_m + mean_m, F_m))
     # Eq. (25), beta_b for the printed beta_m, and (26); bounded so that the held damper makes no energy itself.
     # As printed, the damper is credited in full, so it must not be bounded.
     is_bounded = ca.logic_and(bookkeeping == int(Bookkeeping.applied), share > 0)
     own_damping = ca.if_else(is_matched, sampled_damping(ca.diag(M), K_P, K_D, T_b), K_D)
-    beta = ca.if_else(is_bounded, passivity.bounded(beta_b, share, ca.diag(M), own_damping, T_b), beta_b)
+    beta = ca.if_else(
+        is_bounded, passivity.bounded(beta_b, share, ca.diag(M), own_damping, T_b), beta_b
+    )
     F_pcb = -beta * v_b
     wrench = F_b + F_pcb + Jb_F
 
-    block.output("base_wrench", wrench, WRENCH, "F'_b: total wrench on the base, passivity controller included, in I")
+    block.output(
+        "base_wrench",
+        wrench,
+        WRENCH,
+        "F'_b: total wrench on the base, passivity controller included, in I",
+    )
     at_port = wrench - base_jacobian_transposed_times(star.p_be, F_m)
-    block.output("port_wrench", at_port, WRENCH, "F'_B(k_b) = F'_b - J_b^T F'_m at this sample, in I")
-    block.output("passivity_wrench", F_pcb, WRENCH, "F_pcb: share of the passivity controller, (25), in I")
-    require_quaternions(block, {"base_orientation": state.orientation, "orientation_setpoint": R_bd})
+    block.output(
+        "port_wrench", at_port, WRENCH, "F'_B(k_b) = F'_b - J_b^T F'_m at this sample, in I"
+    )
+    block.output(
+        "passivity_wrench", F_pcb, WRENCH, "F_pcb: share of the passivity controller, (25), in I"
+    )
+    require_quaternions(
+        block, {"base_orientation": state.orientation, "orientation_setpoint": R_bd}
+    )
     require_regular_jacobian(block, star.sigma_min, least_sigma)
     block.terminal("base", "base_position", "base_orientation", "base_velocity", "base_wrench")
     block.terminal("arm", "joint_position", "joint_velocity")
     block.terminal("reference", velocity="desired_velocity", acceleration="desired_acceleration")
     block.terminal("ports", "end_effector_wrench", "base_damping")
-    block.terminal("applied", "base_wrench", "port_wrench", base_passivity_wrench="passivity_wrench")
+    block.terminal(
+        "applied", "base_wrench", "port_wrench", base_passivity_wrench="passivity_wrench"
+    )
     return block

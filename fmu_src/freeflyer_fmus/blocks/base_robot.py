@@ -20,41 +20,85 @@ LONGEST_DELAY = 8
 
 
 def base_robot(robot: Robot) -> Block:
-    block = Block("base_robot", "Position-controlled robot: delay, tracking bandwidth, limits of speed and acceleration")
-    T = block.sampled_every("period", 1e-3, "Servo period; also how often the motion is handed out")
-    cycle = block.parameter("cycle", 0.004, "s", "Cycle in which set points are taken over", above=0.0)
-    delay = block.parameter("delay_cycles", 2.0, "1", f"Pure delay in cycles, 0 to {LONGEST_DELAY - 1} (assumed)", minimum=0.0)
-    block.require(
-        LONGEST_DELAY - 1 - delay, 0.0, "room left by parameter delay_cycles", f"choose at most {LONGEST_DELAY - 1} cycles"
+    block = Block(
+        "base_robot",
+        "Position-controlled robot: delay, tracking bandwidth, limits of speed and acceleration",
     )
-    bandwidth = block.parameter("bandwidth", 10.0, "Hz", "Natural frequency of the tracking (assumed)", above=0.0)
-    v_max = block.parameter("velocity_limit", [1.5, 2.0], ("m/s", "rad/s"), "Largest speeds (assumed)", above=0.0)
+    T = block.sampled_every("period", 1e-3, "Servo period; also how often the motion is handed out")
+    cycle = block.parameter(
+        "cycle", 0.004, "s", "Cycle in which set points are taken over", above=0.0
+    )
+    delay = block.parameter(
+        "delay_cycles",
+        2.0,
+        "1",
+        f"Pure delay in cycles, 0 to {LONGEST_DELAY - 1} (assumed)",
+        minimum=0.0,
+    )
+    block.require(
+        LONGEST_DELAY - 1 - delay,
+        0.0,
+        "room left by parameter delay_cycles",
+        f"choose at most {LONGEST_DELAY - 1} cycles",
+    )
+    bandwidth = block.parameter(
+        "bandwidth", 10.0, "Hz", "Natural frequency of the tracking (assumed)", above=0.0
+    )
+    v_max = block.parameter(
+        "velocity_limit", [1.5, 2.0], ("m/s", "rad/s"), "Largest speeds (assumed)", above=0.0
+    )
     a_max = block.parameter(
-        "acceleration_limit", [10.0, 20.0], ("m/s2", "rad/s2"), "Largest accelerations (assumed)", above=0.0
+        "acceleration_limit",
+        [10.0, 20.0],
+        ("m/s2", "rad/s2"),
+        "Largest accelerations (assumed)",
+        above=0.0,
     )
     position_noise = block.parameter(
-        "position_noise", 1e-5, "m", "Standard deviation of the measured position (assumed)", minimum=0.0
+        "position_noise",
+        1e-5,
+        "m",
+        "Standard deviation of the measured position (assumed)",
+        minimum=0.0,
     )
     turn_noise = block.parameter(
-        "orientation_noise", 1e-5, "rad", "Standard deviation of the measured orientation (assumed)", minimum=0.0
+        "orientation_noise",
+        1e-5,
+        "rad",
+        "Standard deviation of the measured orientation (assumed)",
+        minimum=0.0,
     )
     seed = block.parameter("seed", 2.0, "1", "Seed of the noise")
 
     p_set = block.input("position_setpoint", np.zeros(3), "m", "Position to take, in I (delayed)")
-    R_set = block.input("orientation_setpoint", IDENTITY, "1", "Orientation to take, quaternion x, y, z, w (delayed)")
+    R_set = block.input(
+        "orientation_setpoint",
+        IDENTITY,
+        "1",
+        "Orientation to take, quaternion x, y, z, w (delayed)",
+    )
     v_set = block.input("velocity_setpoint", np.zeros(6), TWIST, "Velocity to have, in I (delayed)")
 
     p = block.state("true_position", np.zeros(3), "m", "Where the robot is, in I")
     R = block.state("true_orientation", IDENTITY, "1", "How it is turned, quaternion x, y, z, w")
     v = block.state("true_velocity", np.zeros(6), TWIST, "Its velocity, in I")
-    a = block.state("base_acceleration", np.zeros(6), ACCELERATION, "Its acceleration until the next sample, in I")
+    a = block.state(
+        "base_acceleration",
+        np.zeros(6),
+        ACCELERATION,
+        "Its acceleration until the next sample, in I",
+    )
     age = block.state("age", 0.0, "1", "Samples since the last set point was taken", local=True)
     random = block.state("random", 1.0, "1", "State of the noise generator", local=True)
     begun = block.state("begun", 0.0, "1", "1 once the first sample is over", local=True)
     entry = 13
     memory = [
         block.state(
-            f"setpoint_{k}", np.concatenate([np.zeros(3), IDENTITY, np.zeros(6)]), "1", f"Set point {k} cycles ago", local=True
+            f"setpoint_{k}",
+            np.concatenate([np.zeros(3), IDENTITY, np.zeros(6)]),
+            "1",
+            f"Set point {k} cycles ago",
+            local=True,
         )
         for k in range(LONGEST_DELAY)
     ]
@@ -74,7 +118,9 @@ def base_robot(robot: Robot) -> Block:
     samples = ca.floor(cycle / T + 0.5)
     take = ca.logic_or(begun == 0, age + 1 >= samples)
     newest = ca.vertcat(p_set, R_set, v_set)
-    moved = [ca.if_else(take, new, old) for new, old in zip([newest, *memory[:-1]], memory, strict=True)]
+    moved = [
+        ca.if_else(take, new, old) for new, old in zip([newest, *memory[:-1]], memory, strict=True)
+    ]
     target = SX.zeros(entry)
     for k, old in enumerate(moved):
         target += ca.if_else(ca.floor(delay + 0.5) == k, old, SX.zeros(entry))
@@ -101,7 +147,9 @@ def base_robot(robot: Robot) -> Block:
         block.update(name, value)
     for k, value in enumerate(moved):
         block.update(f"setpoint_{k}", value)
-    block.output("base_position", p_now + position_noise * normal[:3], "m", "Measured position, in I")
+    block.output(
+        "base_position", p_now + position_noise * normal[:3], "m", "Measured position, in I"
+    )
     measured = rotation.product(rotation.about(turn_noise * normal[3:]), R_now)
     block.output("base_orientation", measured, "1", "Measured orientation, quaternion x, y, z, w")
     block.output("base_velocity", v_now, TWIST, "Measured velocity, in I")

@@ -48,7 +48,11 @@ class Variable:
     @property
     def element_names(self) -> tuple[str, ...]:
         """Names of the elements in FMI 2.0's structured naming."""
-        return tuple(f"{self.name}[{i + 1}]" for i in range(self.size)) if self.is_array else (self.name,)
+        return (
+            tuple(f"{self.name}[{i + 1}]" for i in range(self.size))
+            if self.is_array
+            else (self.name,)
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -71,7 +75,9 @@ class Block:
 
     def __init__(self, name: str, description: str) -> None:
         if not (name.isidentifier() and name.isascii()):
-            raise BlockError(f"block {name!r}: the name must be an identifier (letters a to z, digits, underscores)")
+            raise BlockError(
+                f"block {name!r}: the name must be an identifier (letters a to z, digits, underscores)"
+            )
         self.name, self.description = name, description
         self.variables: dict[str, Variable] = {}
         self.symbols: dict[str, SX] = {}
@@ -104,42 +110,80 @@ class Block:
         if bound is not None:
             given = self.start_of(name)
             if not ((given >= bound).all() if above is None else (given > bound).all()):
-                raise BlockError(f"block {self.name}: the start value of {name!r} is {given}, beyond its own bound {bound:g}")
-            for element, part in zip(self.variables[name].element_names, ca.vertsplit(symbol), strict=True):
-                self.require(part, bound, f"parameter {element}", "correct the parameter", strict=above is not None)
+                raise BlockError(
+                    f"block {self.name}: the start value of {name!r} is {given}, beyond its own bound {bound:g}"
+                )
+            for element, part in zip(
+                self.variables[name].element_names, ca.vertsplit(symbol), strict=True
+            ):
+                self.require(
+                    part,
+                    bound,
+                    f"parameter {element}",
+                    "correct the parameter",
+                    strict=above is not None,
+                )
         return symbol
 
-    def choice(self, name: str, options: type[IntEnum], start: IntEnum, description: str, *, tunable: bool = True) -> SX:
+    def choice(
+        self,
+        name: str,
+        options: type[IntEnum],
+        start: IntEnum,
+        description: str,
+        *,
+        tunable: bool = True,
+    ) -> SX:
         """A parameter of FMI type Enumeration; options are numbered from 1."""
         choices = tuple(option.name for option in options)
         if [int(option) for option in options] != list(range(1, len(choices) + 1)):
             raise BlockError(f"block {self.name}: the options of {name!r} must be numbered from 1")
         return self._declare(
-            name, "parameter", int(start), "1", description, tunable=tunable, kind="enumeration", choices=choices
+            name,
+            "parameter",
+            int(start),
+            "1",
+            description,
+            tunable=tunable,
+            kind="enumeration",
+            choices=choices,
         )
 
     def switch(self, name: str, start: bool, description: str, *, tunable: bool = True) -> SX:
         """A parameter of FMI type Boolean."""
-        return self._declare(name, "parameter", float(start), "1", description, tunable=tunable, kind="boolean")
+        return self._declare(
+            name, "parameter", float(start), "1", description, tunable=tunable, kind="boolean"
+        )
 
     def input(self, name: str, start: object, unit: str | Units, description: str) -> SX:
         return self._declare(name, "input", start, unit, description)
 
     def state(
-        self, name: str, start: object, unit: str | Units, description: str, *, local: bool = False, nominal: float = 1.0
+        self,
+        name: str,
+        start: object,
+        unit: str | Units,
+        description: str,
+        *,
+        local: bool = False,
+        nominal: float = 1.0,
     ) -> SX:
         """A state, visible as an output (or local variable) of the same name. Its start value can be set.
 
         `nominal` is the size that its values typically have; solvers scale their tolerances by it.
         """
         if not 0.0 < nominal < float("inf"):
-            raise BlockError(f"block {self.name}: the nominal value of {name!r} is {nominal}; a number above 0 is expected")
+            raise BlockError(
+                f"block {self.name}: the nominal value of {name!r} is {nominal}; a number above 0 is expected"
+            )
         return self._declare(name, "state", start, unit, description, local=local, nominal=nominal)
 
     def sampled_every(self, name: str, start: float, description: str) -> SX:
         """Make the block a sampled one; its period [s] is the fixed parameter `name`."""
         if self.period is not None:
-            raise BlockError(f"block {self.name}: it is sampled at {self.period!r} already, and cannot be at {name!r} too")
+            raise BlockError(
+                f"block {self.name}: it is sampled at {self.period!r} already, and cannot be at {name!r} too"
+            )
         self.period = name
         self.default_step = start
         return self.parameter(name, start, "s", description, above=0.0)
@@ -174,16 +218,30 @@ class Block:
 
     def output(self, name: str, value: SX, unit: str | Units, description: str) -> None:
         value = SX(value)
-        self._declare(name, "output", np.zeros(value.numel()), unit, description, is_array=value.numel() > 1)
+        self._declare(
+            name, "output", np.zeros(value.numel()), unit, description, is_array=value.numel() > 1
+        )
         self._assign(self._outputs, name, value)
 
     def require(
-        self, value: SX, minimum: SX | float, subject: str, remedy: str, *, strict: bool = False, initially: bool = False
+        self,
+        value: SX,
+        minimum: SX | float,
+        subject: str,
+        remedy: str,
+        *,
+        strict: bool = False,
+        initially: bool = False,
     ) -> None:
         """Watched at every sample or step; on parameters alone, or `initially`: when the run begins and parameters change."""
         self.requirements.append(
             Requirement(
-                value=SX(value), minimum=SX(minimum), strict=strict, subject=subject, remedy=remedy, initially=initially
+                value=SX(value),
+                minimum=SX(minimum),
+                strict=strict,
+                subject=subject,
+                remedy=remedy,
+                initially=initially,
             )
         )
 
@@ -194,17 +252,28 @@ class Block:
         return self.period is not None
 
     def having(self, *causalities: str) -> list[Variable]:
-        return [variable for variable in self.variables.values() if variable.causality in causalities]
+        return [
+            variable for variable in self.variables.values() if variable.causality in causalities
+        ]
 
     @property
     def arguments(self) -> list[SX]:
-        return [self.time, self._symbols("parameter"), self._symbols("input"), self._symbols("state")]
+        return [
+            self.time,
+            self._symbols("parameter"),
+            self._symbols("input"),
+            self._symbols("state"),
+        ]
 
     @cached_property
     def static_requirements(self) -> list[Requirement]:
         """Those on parameters alone, or on start values."""
         others = ca.vertcat(self.time, *self.arguments[2:])
-        return [r for r in self.requirements if r.initially or not ca.depends_on(ca.vertcat(r.value, r.minimum), others)]
+        return [
+            r
+            for r in self.requirements
+            if r.initially or not ca.depends_on(ca.vertcat(r.value, r.minimum), others)
+        ]
 
     @cached_property
     def running_requirements(self) -> list[Requirement]:
@@ -249,7 +318,11 @@ class Block:
         made to be connected, and computed without the others when only they are asked for.
         """
         members = {variable for group in self.terminals.values() for variable in group.values()}
-        ends = [self.offset(v.name) + v.size for v in self.having("output") if v.name in members and not self.is_sampled]
+        ends = [
+            self.offset(v.name) + v.size
+            for v in self.having("output")
+            if v.name in members and not self.is_sampled
+        ]
         return max(ends, default=0)
 
     @cached_property
@@ -273,7 +346,9 @@ class Block:
             for kind, count in (("forward", knowns.numel()), ("reverse", value.numel())):
                 seed = SX.sym("seed", count)
                 product = ca.jtimes(value, knowns, seed, kind == "reverse")
-                made[f"{kind}_{name}"] = self._function(f"{kind}_{name}", [product], [*self.arguments, seed])
+                made[f"{kind}_{name}"] = self._function(
+                    f"{kind}_{name}", [product], [*self.arguments, seed]
+                )
         return made
 
     @cached_property
@@ -291,15 +366,28 @@ class Block:
     @cached_property
     def initial_dependencies(self) -> dict[str, list[str]]:
         """The same at the end of the initialisation, when the states follow from parameters, inputs and start values."""
-        knowns = ["time", *(name for causality in ("parameter", "input", "state") for name in self._elements(causality))]
-        start = {v.name: self._initial.get(v.name, self.symbols[v.name]) for v in self.having("state")}
+        knowns = [
+            "time",
+            *(
+                name
+                for causality in ("parameter", "input", "state")
+                for name in self._elements(causality)
+            ),
+        ]
+        start = {
+            v.name: self._initial.get(v.name, self.symbols[v.name]) for v in self.having("state")
+        }
         expressions = self._unknowns()
         together = ca.vertcat(SX(0, 1), *expressions.values())
         if start:
             together = ca.substitute(together, self._symbols("state"), ca.vertcat(*start.values()))
         substituted = dict(zip(expressions, ca.vertsplit(together), strict=True))
-        for variable in self.having("state"):  # before the first sample a state shows what it begins with
-            substituted |= zip(variable.element_names, ca.vertsplit(start[variable.name]), strict=True)
+        for variable in self.having(
+            "state"
+        ):  # before the first sample a state shows what it begins with
+            substituted |= zip(
+                variable.element_names, ca.vertsplit(start[variable.name]), strict=True
+            )
         return self._sparsity(substituted, ca.vertcat(*self.arguments), knowns)
 
     def _elements(self, *causalities: str) -> list[str]:
@@ -312,7 +400,9 @@ class Block:
             # A sampled state's visible value is the new one: it depends on the inputs of its sample.
             expression = self._outputs.get(variable.name)
             if expression is None:
-                expression = self._next[variable.name] if self.is_sampled else self.symbols[variable.name]
+                expression = (
+                    self._next[variable.name] if self.is_sampled else self.symbols[variable.name]
+                )
             found |= zip(variable.element_names, ca.vertsplit(expression), strict=True)
         for variable in [] if self.is_sampled else self.having("state"):
             names = [f"der({element})" for element in variable.element_names]
@@ -320,7 +410,9 @@ class Block:
         return found
 
     @staticmethod
-    def _sparsity(unknowns: dict[str, SX], given: SX, knowns: Sequence[str]) -> dict[str, list[str]]:
+    def _sparsity(
+        unknowns: dict[str, SX], given: SX, knowns: Sequence[str]
+    ) -> dict[str, list[str]]:
         rows = ca.vertcat(SX(0, 1), *unknowns.values())
         pattern = ca.jacobian_sparsity(rows, given)
         result: dict[str, list[str]] = {name: [] for name in unknowns}
@@ -342,7 +434,9 @@ class Block:
         return start
 
     def start_values(self, *causalities: str) -> Array:
-        parts = [variable.start for variable in self.having(*causalities) if variable.start is not None]
+        parts = [
+            variable.start for variable in self.having(*causalities) if variable.start is not None
+        ]
         return np.concatenate(parts) if parts else np.zeros(0)
 
     def offset(self, name: str) -> int:
@@ -372,7 +466,9 @@ class Block:
                 f"block {self.name}: {name!r} is not an identifier, is declared twice, or is 'time', which every FMU has"
             )
         if not (isinstance(description, str) and description.isprintable()):
-            raise BlockError(f"block {self.name}: the description of {name!r} must be one line of printable text")
+            raise BlockError(
+                f"block {self.name}: the description of {name!r} must be one line of printable text"
+            )
         values = np.atleast_1d(np.asarray(start, dtype=np.float64)).ravel()
         array = np.ndim(np.asarray(start)) > 0 if is_array is None else is_array
         units = (unit,) * values.size if isinstance(unit, str) else tuple(unit)
@@ -382,7 +478,9 @@ class Block:
                     f"block {self.name}: {name!r} has the unit {one!r}, which is not known{did_you_mean(one, UNITS)}"
                 )
         if len(units) != values.size:
-            raise BlockError(f"block {self.name}: {name!r} has {values.size} elements but {len(units)} units")
+            raise BlockError(
+                f"block {self.name}: {name!r} has {values.size} elements but {len(units)} units"
+            )
         self.variables[name] = Variable(
             name=name,
             size=values.size,
@@ -398,22 +496,36 @@ class Block:
 
     def _assign(self, into: dict[str, SX], name: str, value: SX) -> None:
         if name not in self.variables or self.variables[name].size != value.numel() or name in into:
-            raise BlockError(f"block {self.name}: equation for {name!r}: undeclared, assigned twice, or of the wrong size")
+            raise BlockError(
+                f"block {self.name}: equation for {name!r}: undeclared, assigned twice, or of the wrong size"
+            )
         into[name] = ca.densify(ca.reshape(SX(value), -1, 1))
 
     def _symbols(self, causality: str) -> SX:
-        return ca.vertcat(SX(0, 1), *(self.symbols[variable.name] for variable in self.having(causality)))
+        return ca.vertcat(
+            SX(0, 1), *(self.symbols[variable.name] for variable in self.having(causality))
+        )
 
     def _margins(self, requirements: Sequence[Requirement]) -> SX:
-        return ca.densify(ca.vertcat(SX(0, 1), *(ca.vertcat(r.value, r.minimum) for r in requirements)))
+        return ca.densify(
+            ca.vertcat(SX(0, 1), *(ca.vertcat(r.value, r.minimum) for r in requirements))
+        )
 
-    def _function(self, name: str, results: Sequence[SX], arguments: Sequence[SX] | None = None) -> ca.Function:
+    def _function(
+        self, name: str, results: Sequence[SX], arguments: Sequence[SX] | None = None
+    ) -> ca.Function:
         shared = ca.cse([ca.densify(SX(result)) for result in results])
         return ca.Function(f"{self.name}_{name}", arguments or self.arguments, shared)
 
     def _check_symbols(self) -> None:
-        used = ca.symvar(ca.vertcat(SX(0), *self._next.values(), *self._outputs.values(), *self._initial.values()))
+        used = ca.symvar(
+            ca.vertcat(
+                SX(0), *self._next.values(), *self._outputs.values(), *self._initial.values()
+            )
+        )
         known = {str(symbol) for argument in self.arguments for symbol in ca.vertsplit(argument)}
         strange = sorted({str(symbol) for symbol in used} - known)
         if strange:
-            raise BlockError(f"block {self.name}: the equations use undeclared symbols {', '.join(strange)}")
+            raise BlockError(
+                f"block {self.name}: the equations use undeclared symbols {', '.join(strange)}"
+            )

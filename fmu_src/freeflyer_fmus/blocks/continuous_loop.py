@@ -43,25 +43,49 @@ SX = ca.SX
 def continuous_loop(robot: Robot) -> Block:
     require_full_jacobian(robot, "continuous_loop")
     n = robot.joint_count
-    block = Block("continuous_loop", "Free-flyer, reference and both control laws in continuous time")
+    block = Block(
+        "continuous_loop", "Free-flyer, reference and both control laws in continuous time"
+    )
     mechanism = mass_parameters(block, robot)
     K_Pm, K_Dm = gains(block, MANIPULATOR, "manipulator_")
     K_Pb, K_Db = gains(block, BASE, "base_")
-    p_bd = block.parameter("position_setpoint", np.zeros(3), "m", "x_bd: base position to hold, in I", tunable=True)
+    p_bd = block.parameter(
+        "position_setpoint", np.zeros(3), "m", "x_bd: base position to hold, in I", tunable=True
+    )
     R_bd = block.parameter(
-        "orientation_setpoint", IDENTITY, "1", "Base orientation to hold, quaternion x, y, z, w", tunable=True
+        "orientation_setpoint",
+        IDENTITY,
+        "1",
+        "Base orientation to hold, quaternion x, y, z, w",
+        tunable=True,
     )
     least_sigma = block.parameter(
-        "singularity_threshold", SINGULARITY_THRESHOLD, "1", "Least singular value of J_m allowed", tunable=True, minimum=0.0
+        "singularity_threshold",
+        SINGULARITY_THRESHOLD,
+        "1",
+        "Least singular value of J_m allowed",
+        tunable=True,
+        minimum=0.0,
     )
     null_damping = null_space_damping(block, robot)
     desired = reference_motion(block, robot)
 
     p_b = block.state("base_position", np.zeros(3), "m", "Position of B in I")
-    R_b = block.state("base_orientation", IDENTITY, "1", "Orientation of B in I, quaternion x, y, z, w")
-    v_b = block.state("base_velocity", np.zeros(6), TWIST, "x_b': velocity of B's origin and angular velocity, in I")
-    q = block.state("joint_position", robot.posture, joint_units(robot, "rad", "m"), "q: joint positions")
-    qd = block.state("joint_velocity", np.zeros(n), joint_units(robot, "rad/s", "m/s"), "q': joint velocities")
+    R_b = block.state(
+        "base_orientation", IDENTITY, "1", "Orientation of B in I, quaternion x, y, z, w"
+    )
+    v_b = block.state(
+        "base_velocity",
+        np.zeros(6),
+        TWIST,
+        "x_b': velocity of B's origin and angular velocity, in I",
+    )
+    q = block.state(
+        "joint_position", robot.posture, joint_units(robot, "rad", "m"), "q: joint positions"
+    )
+    qd = block.state(
+        "joint_velocity", np.zeros(n), joint_units(robot, "rad/s", "m/s"), "q': joint velocities"
+    )
     block.initial("base_orientation", rotation.normalised(R_b))
     require_quaternions(block, {"base_orientation": R_b}, initially=True)
     require_quaternions(block, {"orientation_setpoint": R_bd})
@@ -74,7 +98,11 @@ def continuous_loop(robot: Robot) -> Block:
     dx_b = pose_error(p_b, R_b, p_bd, R_bd)
     # Eq. (7), (8).
     F_m = star.F_m + spring_damper(K_Pm, K_Dm, dx_m, v_m - desired.velocity)
-    F_b = star.F_b + spring_damper(K_Pb, K_Db, dx_b, v_b) + base_jacobian_transposed_times(star.p_be, F_m)
+    F_b = (
+        star.F_b
+        + spring_damper(K_Pb, K_Db, dx_b, v_b)
+        + base_jacobian_transposed_times(star.p_be, F_m)
+    )
     torque, null_power = joint_torque(mechanism, state, F_m), SX(0)
     if star.null_space:
         torque += null_space_torque(star.null_space, state, null_damping, SX(n, 1), q)
@@ -91,12 +119,23 @@ def continuous_loop(robot: Robot) -> Block:
     kinetic = dynamics.kinetic_energy(mechanism, State(R_b, v_b[:3], v_b[3:], q, qd - star.qd_r))
     V = kinetic + spring_energy(K_Pm, dx_m) + spring_energy(K_Pb, dx_b)
     # Eq. (15), and what a redundant arm's null space takes.
-    dissipated = null_power + ca.dot(K_Db * v_b, v_b) + ca.dot(K_Dm * (v_m - desired.velocity), v_m - desired.velocity)
+    dissipated = (
+        null_power
+        + ca.dot(K_Db * v_b, v_b)
+        + ca.dot(K_Dm * (v_m - desired.velocity), v_m - desired.velocity)
+    )
     block.output("end_effector_position", p_e, "m", "Position of E in I")
-    block.output("end_effector_orientation", R_e, "1", "Orientation of E in I, quaternion x, y, z, w")
+    block.output(
+        "end_effector_orientation", R_e, "1", "Orientation of E in I, quaternion x, y, z, w"
+    )
     block.output("end_effector_velocity", v_m, TWIST, "x_m': velocity of E, in I")
     block.output("desired_position", desired.position, "m", "x_md: desired position of E in I")
-    block.output("desired_orientation", desired.orientation, "1", "Desired orientation of E in I, quaternion x, y, z, w")
+    block.output(
+        "desired_orientation",
+        desired.orientation,
+        "1",
+        "Desired orientation of E in I, quaternion x, y, z, w",
+    )
     block.output("lyapunov_function", V, "J", "V of (10)")
     block.output("dissipated_power", dissipated, "W", "-dV/dt by (15)")
     require_regular_jacobian(block, star.sigma_min, least_sigma)

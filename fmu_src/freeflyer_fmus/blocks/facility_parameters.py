@@ -15,7 +15,9 @@ def gravity_parameters(block: Block) -> tuple[SX, SX]:
     """Gravity (3) [m/s2] in I, and the share of its joint torques that the model takes off (1: known exactly)."""
     return (
         block.parameter("gravity", [0.0, 0.0, -9.81], "m/s2", "Gravity in the laboratory, in I"),
-        block.parameter("gravity_model_factor", 0.99, "1", "Modelled over true gravity torque (assumed)"),
+        block.parameter(
+            "gravity_model_factor", 0.99, "1", "Modelled over true gravity torque (assumed)"
+        ),
     )
 
 

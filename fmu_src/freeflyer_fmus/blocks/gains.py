@@ -28,9 +28,21 @@ def gains(block: Block, default: tuple[list[float], list[float]], prefix: str = 
     stiffness, damping = default
     return Gains(
         block.parameter(
-            f"{prefix}stiffness", stiffness, STIFFNESS, "Diagonal of K_P, in I (assumed)", tunable=True, minimum=0.0
+            f"{prefix}stiffness",
+            stiffness,
+            STIFFNESS,
+            "Diagonal of K_P, in I (assumed)",
+            tunable=True,
+            minimum=0.0,
         ),
-        block.parameter(f"{prefix}damping", damping, DAMPING, "Diagonal of K_D, in I (assumed)", tunable=True, minimum=0.0),
+        block.parameter(
+            f"{prefix}damping",
+            damping,
+            DAMPING,
+            "Diagonal of K_D, in I (assumed)",
+            tunable=True,
+            minimum=0.0,
+        ),
     )
 
 
@@ -39,8 +51,17 @@ def null_space_damping(block: Block, robot: Robot) -> SX:
     if robot.joint_count == 6:
         return SX(0, 1)
     units = joint_units(robot, "N.m.s/rad", "N.s/m")
-    description = "Joint damping in the null space of J_m (extension: more joints than the paper's six)"
-    return block.parameter("null_space_damping", [1.0] * robot.joint_count, units, description, tunable=True, minimum=0.0)
+    description = (
+        "Joint damping in the null space of J_m (extension: more joints than the paper's six)"
+    )
+    return block.parameter(
+        "null_space_damping",
+        [1.0] * robot.joint_count,
+        units,
+        description,
+        tunable=True,
+        minimum=0.0,
+    )
 
 
 def null_space_spring(block: Block, robot: Robot) -> tuple[SX, SX]:

@@ -20,8 +20,15 @@ def hand_kinematics(robot: Robot) -> Block:
     mechanism = constant_mechanism(robot)
     p_e, R_e = end_effector_pose(mechanism, p_b, state.orientation, state.q)
     block.output("end_effector_position", p_e, "m", "Position of E in I")
-    block.output("end_effector_orientation", R_e, "1", "Orientation of E in I, quaternion x, y, z, w")
-    block.output("end_effector_velocity", end_effector_velocity(mechanism, state), TWIST, "x_m': velocity of E, in I")
+    block.output(
+        "end_effector_orientation", R_e, "1", "Orientation of E in I, quaternion x, y, z, w"
+    )
+    block.output(
+        "end_effector_velocity",
+        end_effector_velocity(mechanism, state),
+        TWIST,
+        "x_m': velocity of E, in I",
+    )
     require_quaternions(block, {"base_orientation": state.orientation})
     block.terminal("base", "base_position", "base_orientation", "base_velocity")
     block.terminal("arm", "joint_position", "joint_velocity")

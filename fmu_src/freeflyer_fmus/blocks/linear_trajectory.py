@@ -14,19 +14,40 @@ from freeflyer_fmus.robot.robot import Robot
 
 
 def linear_trajectory(robot: Robot) -> Block:
-    block = Block("linear_trajectory", "Desired end-effector motion: a straight line from the start posture, then rest")
+    block = Block(
+        "linear_trajectory",
+        "Desired end-effector motion: a straight line from the start posture, then rest",
+    )
     # The start pose follows from base pose and posture, so that no number is written twice.
     p_b = block.parameter("start_base_position", np.zeros(3), "m", "Position of B at t = 0, in I")
-    R_b = block.parameter("start_base_orientation", IDENTITY, "1", "Orientation of B at t = 0, quaternion x, y, z, w")
-    q = block.parameter("start_joint_position", robot.posture, joint_units(robot, "rad", "m"), "Joint positions at t = 0")
-    displacement = block.parameter("displacement", [0.0, 0.0, -0.2], "m", "Displacement of E, in I (paper, Sec. VI)")
-    duration = block.parameter("duration", 10.0, "s", "Duration of the motion (paper, Sec. VI)", above=0.0)
+    R_b = block.parameter(
+        "start_base_orientation", IDENTITY, "1", "Orientation of B at t = 0, quaternion x, y, z, w"
+    )
+    q = block.parameter(
+        "start_joint_position",
+        robot.posture,
+        joint_units(robot, "rad", "m"),
+        "Joint positions at t = 0",
+    )
+    displacement = block.parameter(
+        "displacement", [0.0, 0.0, -0.2], "m", "Displacement of E, in I (paper, Sec. VI)"
+    )
+    duration = block.parameter(
+        "duration", 10.0, "s", "Duration of the motion (paper, Sec. VI)", above=0.0
+    )
     require_quaternions(block, {"start_base_orientation": R_b})
     p_0, R_0 = end_effector_pose(constant_mechanism(robot), p_b, R_b, q)
     motion = straight_line(block.time, p_0, R_0, displacement, duration)
     block.output("position", motion.position, "m", "x_md: desired position of E in I")
-    block.output("orientation", motion.orientation, "1", "Desired orientation of E in I, quaternion x, y, z, w")
+    block.output(
+        "orientation",
+        motion.orientation,
+        "1",
+        "Desired orientation of E in I, quaternion x, y, z, w",
+    )
     block.output("velocity", motion.velocity, TWIST, "x_md': desired velocity of E, in I")
-    block.output("acceleration", motion.acceleration, ACCELERATION, "x_md'': desired acceleration of E, in I")
+    block.output(
+        "acceleration", motion.acceleration, ACCELERATION, "x_md'': desired acceleration of E, in I"
+    )
     block.terminal("reference", *REFERENCE)
     return block

@@ -6,7 +6,13 @@ import casadi as ca
 import numpy as np
 
 from freeflyer_fmus.blocks.block import TWIST, WRENCH, Block
-from freeflyer_fmus.blocks.gains import DAMPING, MANIPULATOR, gains, null_space_damping, null_space_spring
+from freeflyer_fmus.blocks.gains import (
+    DAMPING,
+    MANIPULATOR,
+    gains,
+    null_space_damping,
+    null_space_spring,
+)
 from freeflyer_fmus.blocks.robot_parameters import (
     SINGULARITY_THRESHOLD,
     desired_motion,
@@ -21,7 +27,7 @@ from freeflyer_fmus.blocks.robot_parameters import (
 )
 from freeflyer_fmus.blocks.terminals import HAND, REFERENCE
 from freeflyer_fmus.equations import passivity
-from freeflyer_fmus.equations.dynamics import articulated_hand_inertia
+from freeflyer_fmus.equations.dynamics import articulated_end_effector_inertia
 from freeflyer_fmus.equations.kinematics import base_jacobian_transposed_times
 from freeflyer_fmus.equations.passivity import Bookkeeping, Observer
 from freeflyer_fmus.equations.sampled_control import Discretisation, mean_wrench, sampled_damping
@@ -39,26 +45,62 @@ SX = ca.SX
 
 def manipulator_controller(robot: Robot) -> Block:
     require_full_jacobian(robot, "manipulator_controller")
-    block = Block("manipulator_controller", "Tracking control of the end-effector with both passivity observers")
+    block = Block(
+        "manipulator_controller",
+        "Tracking control of the end-effector with both passivity observers",
+    )
     T_m = block.sampled_every("period", 1e-3, "T_m: sampling time of this controller")
-    T_b = block.parameter("base_period", 0.3, "s", "T_b: sampling time of the base controller", above=0.0)
+    T_b = block.parameter(
+        "base_period", 0.3, "s", "T_b: sampling time of the base controller", above=0.0
+    )
     mechanism = mass_parameters(block, robot)
     K_P, K_D = gains(block, MANIPULATOR)
-    discretisation = block.choice("discretisation", Discretisation, Discretisation.emulated, "How the law is sampled")
-    observer = block.choice("observer", Observer, Observer.port, "Which power the passivity observers watch")
-    bookkeeping = block.choice("bookkeeping", Bookkeeping, Bookkeeping.applied, "How the observers book energy")
-    arm_on = block.switch("manipulator_passivity_control", True, "Passivity controller of port M on")
+    discretisation = block.choice(
+        "discretisation", Discretisation, Discretisation.emulated, "How the law is sampled"
+    )
+    observer = block.choice(
+        "observer", Observer, Observer.port, "Which power the passivity observers watch"
+    )
+    bookkeeping = block.choice(
+        "bookkeeping", Bookkeeping, Bookkeeping.applied, "How the observers book energy"
+    )
+    arm_on = block.switch(
+        "manipulator_passivity_control", True, "Passivity controller of port M on"
+    )
     base_on = block.switch("base_passivity_control", True, "Passivity controller of port B on")
-    E_m0 = block.parameter("manipulator_initial_energy", [0.05] * 6, "J", "E_m(0) per degree of freedom (assumed)", minimum=0.0)
-    E_b0 = block.parameter("base_initial_energy", [0.0] * 6, "J", "E_b(0) per degree of freedom (assumed)", minimum=0.0)
+    E_m0 = block.parameter(
+        "manipulator_initial_energy",
+        [0.05] * 6,
+        "J",
+        "E_m(0) per degree of freedom (assumed)",
+        minimum=0.0,
+    )
+    E_b0 = block.parameter(
+        "base_initial_energy", [0.0] * 6, "J", "E_b(0) per degree of freedom (assumed)", minimum=0.0
+    )
     floor = block.parameter(
-        "velocity_floor", 1e-8, "1", "Floor of v^2 T under the dampers' deficits [SI]", tunable=True, above=0.0
+        "velocity_floor",
+        1e-8,
+        "1",
+        "Floor of v^2 T under the dampers' deficits [SI]",
+        tunable=True,
+        above=0.0,
     )
     share = block.parameter(
-        "damper_bound", 0.5, "1", "c in beta <= c M~ / T - K_D (0: no bound), as applied", tunable=True, minimum=0.0
+        "damper_bound",
+        0.5,
+        "1",
+        "c in beta <= c M~ / T - K_D (0: no bound), as applied",
+        tunable=True,
+        minimum=0.0,
     )
     least_sigma = block.parameter(
-        "singularity_threshold", SINGULARITY_THRESHOLD, "1", "Least singular value of J_m allowed", tunable=True, minimum=0.0
+        "singularity_threshold",
+        SINGULARITY_THRESHOLD,
+        "1",
+        "Least singular value of J_m allowed",
+        tunable=True,
+        minimum=0.0,
     )
     null_damping = null_space_damping(block, robot)
     null_stiffness, null_posture = null_space_spring(block, robot)
@@ -67,25 +109,58 @@ def manipulator_controller(robot: Robot) -> Block:
     state = measured_state(block, robot)
     p_start, R_start = start_pose(robot)
     p_e = block.input("end_effector_position", p_start, "m", "Measured position of E in I")
-    R_e = block.input("end_effector_orientation", R_start, "1", "Measured orientation of E in I, quaternion x, y, z, w")
+    R_e = block.input(
+        "end_effector_orientation",
+        R_start,
+        "1",
+        "Measured orientation of E in I, quaternion x, y, z, w",
+    )
     v_m = block.input("end_effector_velocity", np.zeros(6), TWIST, "Measured x_m', in I")
     p_d = block.input("desired_position", p_start, "m", "Desired position of E in I")
-    R_d = block.input("desired_orientation", R_start, "1", "Desired orientation of E in I, quaternion x, y, z, w")
+    R_d = block.input(
+        "desired_orientation", R_start, "1", "Desired orientation of E in I, quaternion x, y, z, w"
+    )
     v_d, a_d = desired_motion(block)
     # Delayed by definition: what acted since the previous sample. They order nothing.
-    F_b_applied = block.input("applied_base_wrench", np.zeros(6), WRENCH, "F'_b that acted since the previous sample (delayed)")
-    F_B_held = block.input("held_port_wrench", np.zeros(6), WRENCH, "F'_B(k_b) held since the base's sample (delayed)")
-    F_pcb_held = block.input("base_passivity_wrench", np.zeros(6), WRENCH, "Share of the base's passivity controller (delayed)")
+    F_b_applied = block.input(
+        "applied_base_wrench",
+        np.zeros(6),
+        WRENCH,
+        "F'_b that acted since the previous sample (delayed)",
+    )
+    F_B_held = block.input(
+        "held_port_wrench", np.zeros(6), WRENCH, "F'_B(k_b) held since the base's sample (delayed)"
+    )
+    F_pcb_held = block.input(
+        "base_passivity_wrench",
+        np.zeros(6),
+        WRENCH,
+        "Share of the base's passivity controller (delayed)",
+    )
 
-    E_m = block.state("manipulator_observed_energy", np.zeros(6), "J", "E_obs,m + E_m(0): passive while not negative")
-    E_b = block.state("base_observed_energy", np.zeros(6), "J", "E_obs,b + E_b(0): passive while not negative")
+    E_m = block.state(
+        "manipulator_observed_energy",
+        np.zeros(6),
+        "J",
+        "E_obs,m + E_m(0): passive while not negative",
+    )
+    E_b = block.state(
+        "base_observed_energy", np.zeros(6), "J", "E_obs,b + E_b(0): passive while not negative"
+    )
     block.initial("manipulator_observed_energy", E_m0)
     block.initial("base_observed_energy", E_b0)
     beta_m_1 = block.state("end_effector_damping", np.zeros(6), DAMPING, "beta_m: damper of port M")
-    beta_b_1 = block.state("base_damping", np.zeros(6), DAMPING, "beta_b: damper asked of the base's passivity controller")
+    beta_b_1 = block.state(
+        "base_damping",
+        np.zeros(6),
+        DAMPING,
+        "beta_b: damper asked of the base's passivity controller",
+    )
 
     def previous(name: str, unit: tuple[str, ...]) -> SX:
-        return block.state(f"previous_{name}", np.zeros(6), unit, f"Sample k-1 of {name}", local=True)
+        return block.state(
+            f"previous_{name}", np.zeros(6), unit, f"Sample k-1 of {name}", local=True
+        )
 
     u_m_1, u_b_1 = previous("manipulator_port_velocity", TWIST), previous("base_velocity", TWIST)
     S_m_1, S_b_1 = previous("manipulator_port_wrench", WRENCH), previous("base_port_share", WRENCH)
@@ -95,7 +170,7 @@ def manipulator_controller(robot: Robot) -> Block:
 
     # Eq. (16).
     star = feed_forward(mechanism, state, v_d, a_d)
-    M_hand = articulated_hand_inertia(mechanism, state)
+    M_hand = articulated_end_effector_inertia(mechanism, state)
     dx_m = pose_error(p_e, R_e, p_d, R_d)
     is_matched = discretisation == int(Discretisation.matched)
     held_law = mean_wrench(M_hand, ca.diag(K_P), ca.diag(K_D), T_m, -K_P * dx_m, v_m - v_d)
@@ -109,7 +184,9 @@ def manipulator_controller(robot: Robot) -> Block:
     E_m = passivity.choose(
         bookkeeping,
         {
-            Bookkeeping.as_printed: passivity.observed_as_printed(E_m, F_m - unseen_m, u_m, beta_m_1, u_m_1, T_m),
+            Bookkeeping.as_printed: passivity.observed_as_printed(
+                E_m, F_m - unseen_m, u_m, beta_m_1, u_m_1, T_m
+            ),
             Bookkeeping.applied: passivity.observed_as_applied(E_m, S_m_1, u_m_1, u_m, T_m),
         },
     )
@@ -117,7 +194,9 @@ def manipulator_controller(robot: Robot) -> Block:
     own_damping = ca.if_else(is_matched, sampled_damping(ca.diag(M_hand), K_P, K_D, T_m), K_D)
     beta_m = passivity.damper(E_m, u_m, T_m, floor)
     beta_m = ca.if_else(
-        ca.logic_and(applied, share > 0), passivity.bounded(beta_m, share, ca.diag(M_hand), own_damping, T_m), beta_m
+        ca.logic_and(applied, share > 0),
+        passivity.bounded(beta_m, share, ca.diag(M_hand), own_damping, T_m),
+        beta_m,
     )
     beta_m = ca.if_else(arm_on, beta_m, 0)
     # Eq. (21), (22).
@@ -127,7 +206,10 @@ def manipulator_controller(robot: Robot) -> Block:
     # Port B: what of its wrench is known here, at T_m; the base controller's share comes back through the delayed inputs.
     v_b = ca.vertcat(state.v, state.w)
     Jb_F = base_jacobian_transposed_times(star.p_be, F_m_total)
-    share_b = passivity.choose(observer, {Observer.paper: SX(6, 1), Observer.port: -Jb_F, Observer.tracking: -Jb_F - star.F_b})
+    share_b = passivity.choose(
+        observer,
+        {Observer.paper: SX(6, 1), Observer.port: -Jb_F, Observer.tracking: -Jb_F - star.F_b},
+    )
     held = begun * ca.if_else(observer == int(Observer.paper), F_B_held, F_b_applied)
     # Eq. (23), sign corrected.
     E_b = passivity.choose(
@@ -160,12 +242,33 @@ def manipulator_controller(robot: Robot) -> Block:
         tau += null_space_torque(star.null_space, state, null_damping, null_stiffness, null_posture)
         meaning += ", and the null space's share"
     block.output("joint_torque", tau, joint_units(robot, "N.m", "N"), meaning)
-    block.output("end_effector_wrench", F_m_total, WRENCH, "F'_m: Cartesian wrench at the end-effector, (22), in I")
-    block.output("passivity_wrench", F_pcm, WRENCH, "F_pcm: share of the passivity controller, (21), in I")
-    block.output("jacobian_sigma_min", star.sigma_min, "1", "Lower bound of the smallest singular value of J_m")
+    block.output(
+        "end_effector_wrench",
+        F_m_total,
+        WRENCH,
+        "F'_m: Cartesian wrench at the end-effector, (22), in I",
+    )
+    block.output(
+        "passivity_wrench", F_pcm, WRENCH, "F_pcm: share of the passivity controller, (21), in I"
+    )
+    block.output(
+        "jacobian_sigma_min",
+        star.sigma_min,
+        "1",
+        "Lower bound of the smallest singular value of J_m",
+    )
     margin = ca.fmin(state.q - limits.lower, limits.upper - state.q)
-    block.output("joint_limit_margin", margin, joint_units(robot, "rad", "m"), "Distance of each joint from its nearer limit")
-    quaternions = {"base_orientation": state.orientation, "end_effector_orientation": R_e, "desired_orientation": R_d}
+    block.output(
+        "joint_limit_margin",
+        margin,
+        joint_units(robot, "rad", "m"),
+        "Distance of each joint from its nearer limit",
+    )
+    quaternions = {
+        "base_orientation": state.orientation,
+        "end_effector_orientation": R_e,
+        "desired_orientation": R_d,
+    }
     require_quaternions(block, quaternions)
     require_regular_jacobian(block, star.sigma_min, least_sigma)
     block.terminal("base", "base_orientation", "base_velocity")
@@ -173,5 +276,10 @@ def manipulator_controller(robot: Robot) -> Block:
     block.terminal("hand", **HAND)
     block.terminal("reference", **{name: f"desired_{name}" for name in REFERENCE})
     block.terminal("ports", "end_effector_wrench", "base_damping")
-    block.terminal("applied", "base_passivity_wrench", base_wrench="applied_base_wrench", port_wrench="held_port_wrench")
+    block.terminal(
+        "applied",
+        "base_passivity_wrench",
+        base_wrench="applied_base_wrench",
+        port_wrench="held_port_wrench",
+    )
     return block

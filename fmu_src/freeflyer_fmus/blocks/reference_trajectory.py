@@ -17,7 +17,12 @@ def reference_motion(block: Block, robot: Robot) -> Motion:
     """Declare the trajectory's parameters and give the motion at the block's time."""
     position, orientation = start_pose(robot)
     p_0 = block.parameter("initial_position", position, "m", "End-effector position at t = 0, in I")
-    R_0 = block.parameter("initial_orientation", orientation, "1", "End-effector orientation at t = 0, quaternion x, y, z, w")
+    R_0 = block.parameter(
+        "initial_orientation",
+        orientation,
+        "1",
+        "End-effector orientation at t = 0, quaternion x, y, z, w",
+    )
     translation = block.parameter(
         "translation_amplitude",
         [0.15, 0.0, 0.0],
@@ -25,20 +30,37 @@ def reference_motion(block: Block, robot: Robot) -> Motion:
         "Amplitude of the translation, in I (assumed; the paper does not give it)",
     )
     turn = block.parameter(
-        "rotation_amplitude", [0.0, 0.2, 0.0], "rad", "Amplitude of the rotation about this fixed axis, in I (assumed)"
+        "rotation_amplitude",
+        [0.0, 0.2, 0.0],
+        "rad",
+        "Amplitude of the rotation about this fixed axis, in I (assumed)",
     )
-    frequency = block.parameter("frequency", 0.1, "Hz", "Frequency of the sine (assumed)", minimum=0.0)
-    ramp_time = block.parameter("ramp_time", 5.0, "s", "Duration of the quintic ramp of the amplitude (assumed)", above=0.0)
+    frequency = block.parameter(
+        "frequency", 0.1, "Hz", "Frequency of the sine (assumed)", minimum=0.0
+    )
+    ramp_time = block.parameter(
+        "ramp_time", 5.0, "s", "Duration of the quintic ramp of the amplitude (assumed)", above=0.0
+    )
     require_quaternions(block, {"initial_orientation": R_0})
     return ramped_sine(block.time, p_0, R_0, translation, turn, frequency, ramp_time)
 
 
 def reference_trajectory(robot: Robot) -> Block:
-    block = Block("reference_trajectory", "Desired end-effector motion: a ramped sine along and about fixed axes")
+    block = Block(
+        "reference_trajectory",
+        "Desired end-effector motion: a ramped sine along and about fixed axes",
+    )
     motion = reference_motion(block, robot)
     block.output("position", motion.position, "m", "x_md: desired position of E in I")
-    block.output("orientation", motion.orientation, "1", "Desired orientation of E in I, quaternion x, y, z, w")
+    block.output(
+        "orientation",
+        motion.orientation,
+        "1",
+        "Desired orientation of E in I, quaternion x, y, z, w",
+    )
     block.output("velocity", motion.velocity, TWIST, "x_md': desired velocity of E, in I")
-    block.output("acceleration", motion.acceleration, ACCELERATION, "x_md'': desired acceleration of E, in I")
+    block.output(
+        "acceleration", motion.acceleration, ACCELERATION, "x_md'': desired acceleration of E, in I"
+    )
     block.terminal("reference", *REFERENCE)
     return block

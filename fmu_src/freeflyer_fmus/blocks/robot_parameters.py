@@ -34,14 +34,18 @@ def joint_units(robot: Robot, revolute: str, prismatic: str) -> Units:
 
 def start_pose(robot: Robot) -> tuple[Array, Array]:
     """End-effector position (3) [m] and quaternion (4) in I at the start posture, base frame on I."""
-    position, orientation = end_effector_pose(constant_mechanism(robot), SX(3, 1), SX(list(IDENTITY)), SX(ca.DM(robot.posture)))
+    position, orientation = end_effector_pose(
+        constant_mechanism(robot), SX(3, 1), SX(list(IDENTITY)), SX(ca.DM(robot.posture))
+    )
     values = [np.array(ca.evalf(part)).ravel() for part in (position, orientation)]
     return values[0], values[1]
 
 
 def mass_parameters(block: Block, robot: Robot) -> Mechanism:
     """Declare base mass and inertia and the tool's; give the mechanism in these symbols."""
-    base_mass = block.parameter("base_mass", robot.base.mass, "kg", "Mass of the base body without the arm", above=0.0)
+    base_mass = block.parameter(
+        "base_mass", robot.base.mass, "kg", "Mass of the base body without the arm", above=0.0
+    )
     base_inertia = block.parameter(
         "base_inertia",
         inertia_entries(robot.base.inertia),
@@ -49,7 +53,9 @@ def mass_parameters(block: Block, robot: Robot) -> Mechanism:
         "Inertia of the base body about its centre of mass, in B: xx, yy, zz, xy, xz, yz",
     )
     tool_mass = block.parameter("tool_mass", robot.tool.mass, "kg", "Mass of the tool", minimum=0.0)
-    tool_centre = block.parameter("tool_centre_of_mass", robot.tool.centre_of_mass, "m", "Centre of mass of the tool, in E")
+    tool_centre = block.parameter(
+        "tool_centre_of_mass", robot.tool.centre_of_mass, "m", "Centre of mass of the tool, in E"
+    )
     tool_inertia = block.parameter(
         "tool_inertia",
         inertia_entries(robot.tool.inertia),
@@ -66,7 +72,10 @@ def _require_physical(block: Block, name: str, entries: SX, *, strict: bool) -> 
     matrix = symmetric_matrix(entries)
     covariance = 0.5 * ca.trace(matrix) * SX.eye(3) - matrix
     scale = ca.trace(matrix)
-    for what, tested, exact in (("positive definite", matrix, strict), ("within the triangle inequality", covariance, False)):
+    for what, tested, exact in (
+        ("positive definite", matrix, strict),
+        ("within the triangle inequality", covariance, False),
+    ):
         # All principal minors: the leading ones do not decide semidefiniteness.
         for rows in ([0], [1], [2], [0, 1], [0, 2], [1, 2], [0, 1, 2]):
             minor = ca.det(tested[rows, rows])
@@ -74,21 +83,33 @@ def _require_physical(block: Block, name: str, entries: SX, *, strict: bool) -> 
             slack = 0.0 if exact else -1e-12 * scale ** len(rows)
             label = "".join("xyz"[row] for row in rows)
             block.require(
-                minor, slack, f"{name}: principal minor {label} of what must be {what}", "correct the inertia", strict=exact
+                minor,
+                slack,
+                f"{name}: principal minor {label} of what must be {what}",
+                "correct the inertia",
+                strict=exact,
             )
 
 
 def measured_state(block: Block, robot: Robot) -> State:
     """Declare base orientation and velocity, joint positions and velocities as inputs."""
     n = robot.joint_count
-    orientation = block.input("base_orientation", IDENTITY, "1", "Orientation of B in I, quaternion x, y, z, w")
-    velocity = block.input("base_velocity", np.zeros(6), TWIST, "Velocity of B's origin and angular velocity, in I")
+    orientation = block.input(
+        "base_orientation", IDENTITY, "1", "Orientation of B in I, quaternion x, y, z, w"
+    )
+    velocity = block.input(
+        "base_velocity", np.zeros(6), TWIST, "Velocity of B's origin and angular velocity, in I"
+    )
     return State(
         orientation,
         velocity[:3],
         velocity[3:],
-        block.input("joint_position", robot.posture, joint_units(robot, "rad", "m"), "Joint positions"),
-        block.input("joint_velocity", np.zeros(n), joint_units(robot, "rad/s", "m/s"), "Joint velocities"),
+        block.input(
+            "joint_position", robot.posture, joint_units(robot, "rad", "m"), "Joint positions"
+        ),
+        block.input(
+            "joint_velocity", np.zeros(n), joint_units(robot, "rad/s", "m/s"), "Joint velocities"
+        ),
     )
 
 
@@ -110,8 +131,12 @@ def joint_limits(block: Block, robot: Robot) -> JointLimits:
 
     rad, joints = joint_units(robot, "rad", "m"), robot.joints
     return JointLimits(
-        lower=declared("joint_lower_limit", [j.lower for j in joints], rad, "Least joint positions"),
-        upper=declared("joint_upper_limit", [j.upper for j in joints], rad, "Largest joint positions"),
+        lower=declared(
+            "joint_lower_limit", [j.lower for j in joints], rad, "Least joint positions"
+        ),
+        upper=declared(
+            "joint_upper_limit", [j.upper for j in joints], rad, "Largest joint positions"
+        ),
         velocity=declared(
             "joint_velocity_limit",
             [j.velocity_limit for j in joints],
@@ -119,7 +144,10 @@ def joint_limits(block: Block, robot: Robot) -> JointLimits:
             "Largest joint speeds",
         ),
         effort=declared(
-            "joint_effort_limit", [j.effort_limit for j in joints], joint_units(robot, "N.m", "N"), "Largest joint torques"
+            "joint_effort_limit",
+            [j.effort_limit for j in joints],
+            joint_units(robot, "N.m", "N"),
+            "Largest joint torques",
         ),
     )
 
@@ -127,16 +155,27 @@ def joint_limits(block: Block, robot: Robot) -> JointLimits:
 def desired_motion(block: Block) -> tuple[SX, SX]:
     """Declare the reference's velocity and acceleration as inputs."""
     return (
-        block.input("desired_velocity", np.zeros(6), TWIST, "Desired end-effector velocity x_md', in I"),
-        block.input("desired_acceleration", np.zeros(6), ACCELERATION, "Desired end-effector acceleration x_md'', in I"),
+        block.input(
+            "desired_velocity", np.zeros(6), TWIST, "Desired end-effector velocity x_md', in I"
+        ),
+        block.input(
+            "desired_acceleration",
+            np.zeros(6),
+            ACCELERATION,
+            "Desired end-effector acceleration x_md'', in I",
+        ),
     )
 
 
-def require_quaternions(block: Block, quaternions: dict[str, SX], *, initially: bool = False) -> None:
+def require_quaternions(
+    block: Block, quaternions: dict[str, SX], *, initially: bool = False
+) -> None:
     """Refuse a quaternion of no length, by name."""
     for name, quaternion in quaternions.items():
         remedy = "give a quaternion x, y, z, w of norm one"
-        block.require(ca.sumsqr(quaternion), 1e-12, f"squared norm of {name}", remedy, initially=initially)
+        block.require(
+            ca.sumsqr(quaternion), 1e-12, f"squared norm of {name}", remedy, initially=initially
+        )
 
 
 def require_regular_jacobian(block: Block, sigma_min: SX, threshold: SX | float) -> None:
@@ -151,7 +190,9 @@ def require_full_jacobian(robot: Robot, subject: str) -> None:
             f"robot {robot.name}: {subject} needs at least six free joints so that the hand can move every way, got {robot.joint_count}"
         )
     mechanism = constant_mechanism(robot)
-    Jm = np.array(ca.evalf(manipulator_jacobian(mechanism, axes(mechanism, SX(ca.DM(robot.posture))))))
+    Jm = np.array(
+        ca.evalf(manipulator_jacobian(mechanism, axes(mechanism, SX(ca.DM(robot.posture)))))
+    )
     smallest = float(np.linalg.svd(Jm, compute_uv=False)[-1])
     if smallest < SINGULARITY_THRESHOLD:
         raise RobotError(

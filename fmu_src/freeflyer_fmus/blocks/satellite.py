@@ -6,7 +6,12 @@ import numpy as np
 
 from freeflyer_fmus.blocks.block import ACCELERATION, TWIST, WRENCH, Block
 from freeflyer_fmus.blocks.facility_parameters import gravity_model, gravity_parameters
-from freeflyer_fmus.blocks.robot_parameters import IDENTITY, joint_units, mass_parameters, require_quaternions
+from freeflyer_fmus.blocks.robot_parameters import (
+    IDENTITY,
+    joint_units,
+    mass_parameters,
+    require_quaternions,
+)
 from freeflyer_fmus.equations import dynamics, rotation
 from freeflyer_fmus.equations.mechanism import State
 from freeflyer_fmus.robot.robot import Robot
@@ -14,19 +19,41 @@ from freeflyer_fmus.robot.robot import Robot
 
 def satellite(robot: Robot) -> Block:
     n = robot.joint_count
-    block = Block("satellite", "Base dynamics in free flight from the measured arm and the commanded base wrench")
+    block = Block(
+        "satellite",
+        "Base dynamics in free flight from the measured arm and the commanded base wrench",
+    )
     mechanism = mass_parameters(block, robot)
     gravity, knowledge = gravity_parameters(block)
-    F_b = block.input("base_wrench", np.zeros(6), WRENCH, "F_b: force on the base and torque about B, in I")
-    q = block.input("joint_position", robot.posture, joint_units(robot, "rad", "m"), "Measured joint positions")
-    qd = block.input("joint_velocity", np.zeros(n), joint_units(robot, "rad/s", "m/s"), "Measured joint velocities")
-    measured = block.input(
-        "joint_torque", np.zeros(n), joint_units(robot, "N.m", "N"), "Measured joint torques, gravity included"
+    F_b = block.input(
+        "base_wrench", np.zeros(6), WRENCH, "F_b: force on the base and torque about B, in I"
     )
-    R_robot = block.input("measured_base_orientation", IDENTITY, "1", "Orientation of the base robot, which gravity acts on")
+    q = block.input(
+        "joint_position", robot.posture, joint_units(robot, "rad", "m"), "Measured joint positions"
+    )
+    qd = block.input(
+        "joint_velocity",
+        np.zeros(n),
+        joint_units(robot, "rad/s", "m/s"),
+        "Measured joint velocities",
+    )
+    measured = block.input(
+        "joint_torque",
+        np.zeros(n),
+        joint_units(robot, "N.m", "N"),
+        "Measured joint torques, gravity included",
+    )
+    R_robot = block.input(
+        "measured_base_orientation",
+        IDENTITY,
+        "1",
+        "Orientation of the base robot, which gravity acts on",
+    )
 
     block.state("base_position", np.zeros(3), "m", "Position of B in I: the base robot's set point")
-    R = block.state("base_orientation", IDENTITY, "1", "Orientation of B in I, quaternion x, y, z, w: set point")
+    R = block.state(
+        "base_orientation", IDENTITY, "1", "Orientation of B in I, quaternion x, y, z, w: set point"
+    )
     v = block.state("base_velocity", np.zeros(6), TWIST, "Velocity of B, in I: set point")
     state = State(R, v[:3], v[3:], q, qd)
     # The hanging arm's torque holds gravity, which the satellite does not feel; how well that is known is a parameter.
@@ -37,7 +64,9 @@ def satellite(robot: Robot) -> Block:
     block.derivative("base_orientation", rotation.derivative(R, state.w))
     block.derivative("base_velocity", acceleration)
     block.output("base_acceleration", acceleration, ACCELERATION, "Acceleration of B, in I")
-    require_quaternions(block, {"base_orientation": R, "measured_base_orientation": R_robot}, initially=True)
+    require_quaternions(
+        block, {"base_orientation": R, "measured_base_orientation": R_robot}, initially=True
+    )
     block.terminal("base", "base_wrench")
     block.terminal("arm", "joint_position", "joint_velocity", measured_joint_torque="joint_torque")
     return block

@@ -40,7 +40,9 @@ def load_block(path: Path) -> Callable[[Robot], Block]:
                 f"block file {path}: block(robot) failed: {type(error).__name__}: {' '.join(str(error).split())}{renamed(error)}"
             ) from error
         if not isinstance(block, Block):
-            raise BlockError(f"block file {path}: block(robot) gave a {type(block).__name__}; a Block is expected")
+            raise BlockError(
+                f"block file {path}: block(robot) gave a {type(block).__name__}; a Block is expected"
+            )
         return block
 
     return make

@@ -5,12 +5,13 @@
 #include <stddef.h>
 
 /* t [s], parameters, inputs, states -> up to three result vectors. */
-typedef void Equations(const double *t, const double *p, const double *u, const double *x, double *r0, double *r1, double *r2);
+typedef void Equations(const double *t, const double *p, const double *u, const double *x,
+                       double *r0, double *r1, double *r2);
 
 /* The derivative of such a function along `seed`. Forward: the seed is of (t, p, u, x), the result of r0 (and r1 after it);
    reverse: the other way round. */
-typedef void Sensitivity(const double *t, const double *p, const double *u, const double *x, const double *seed,
-                         double *result);
+typedef void Sensitivity(const double *t, const double *p, const double *u, const double *x,
+                         const double *seed, double *result);
 
 typedef enum { REAL, BOOLEAN, ENUMERATION } Kind;
 
@@ -43,15 +44,16 @@ typedef struct {
     Range parameters, inputs, states, outputs, derivatives;
     const Value *value;
     const double *start;
-    const double *nominal;     /* of the states */
-    int period;                /* index of the sampling period, or -1 for a continuous block */
-    double step;               /* integration step of a continuous block [s] */
-    Equations *initial;        /* r0: states after initialisation */
-    Equations *check;          /* r0: margins of the requirements on parameters */
-    Equations *update;         /* sampled: r0 new states, r1 outputs, r2 margins */
-    Equations *rates;          /* continuous: r0 derivatives */
-    Equations *outputs_;       /* continuous: r0 outputs, r1 margins */
-    Equations *linked_outputs; /* continuous: the first `linked` of them, which are made to be connected, and all margins */
+    const double *nominal; /* of the states */
+    int period;            /* index of the sampling period, or -1 for a continuous block */
+    double step;           /* integration step of a continuous block [s] */
+    Equations *initial;    /* r0: states after initialisation */
+    Equations *check;      /* r0: margins of the requirements on parameters */
+    Equations *update;     /* sampled: r0 new states, r1 outputs, r2 margins */
+    Equations *rates;      /* continuous: r0 derivatives */
+    Equations *outputs_;   /* continuous: r0 outputs, r1 margins */
+    Equations *
+        linked_outputs; /* continuous: the first `linked` of them, which are made to be connected, and all margins */
     int linked;
     /* Of initial, update, rates and outputs_. */
     Sensitivity *forward_initial, *forward_update, *forward_rates, *forward_outputs;

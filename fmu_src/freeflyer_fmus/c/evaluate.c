@@ -4,7 +4,8 @@
 #include <string.h>
 
 /* The first margin below its minimum, told with its value; NaN is below everything. */
-static Status check_margins(Instance *c, const Requirement *requirement, int count, const double *margin)
+static Status check_margins(Instance *c, const Requirement *requirement, int count,
+                            const double *margin)
 {
     for (int i = 0; i < count; i++) {
         double value = margin[2 * i], minimum = margin[2 * i + 1];
@@ -22,7 +23,8 @@ static Status check_margins(Instance *c, const Requirement *requirement, int cou
     return OK;
 }
 
-Status instance_check_finite(Instance *c, int first, int count, const double *value, const char *remedy)
+Status instance_check_finite(Instance *c, int first, int count, const double *value,
+                             const char *remedy)
 {
     double sum = 0;
     for (int i = 0; i < count; i++)
@@ -43,7 +45,8 @@ Status instance_check_parameters(Instance *c)
     Memory *m = c->memory;
     if (m->parameters_checked)
         return OK;
-    block.check(&m->clock, at(c, block.parameters), at(c, block.inputs), at(c, block.states), c->scratch, 0, 0);
+    block.check(&m->clock, at(c, block.parameters), at(c, block.inputs), at(c, block.states),
+                c->scratch, 0, 0);
     if (check_margins(c, block.static_requirement, block.static_requirements, c->scratch) != OK)
         return ERROR;
     m->parameters_checked = 1;
@@ -54,11 +57,12 @@ Status instance_sample(Instance *c, const double *x)
 {
     Memory *m = c->memory;
     double *outputs = c->scratch + block.states.count, *margins = outputs + block.outputs.count;
-    block.update(&m->clock, at(c, block.parameters), at(c, block.inputs), x, c->scratch, outputs, margins);
+    block.update(&m->clock, at(c, block.parameters), at(c, block.inputs), x, c->scratch, outputs,
+                 margins);
     if (check_margins(c, block.running_requirement, block.running_requirements, margins) != OK)
         return ERROR;
-    if (instance_check_finite(c, block.states.first, block.states.count + block.outputs.count, c->scratch,
-                              " at this sample; check the inputs") != OK)
+    if (instance_check_finite(c, block.states.first, block.states.count + block.outputs.count,
+                              c->scratch, " at this sample; check the inputs") != OK)
         return ERROR;
     memcpy(at(c, block.outputs), outputs, (size_t)block.outputs.count * sizeof(double));
     m->outputs_valid = ALL;
@@ -69,7 +73,8 @@ const double *instance_present_states(Instance *c)
 {
     if (c->memory->state != INITIALIZATION)
         return at(c, block.states);
-    block.initial(&c->memory->clock, at(c, block.parameters), at(c, block.inputs), at(c, block.states), c->initial, 0, 0);
+    block.initial(&c->memory->clock, at(c, block.parameters), at(c, block.inputs),
+                  at(c, block.states), c->initial, 0, 0);
     return c->initial;
 }
 
@@ -84,11 +89,12 @@ Status instance_update_outputs(Instance *c, Outputs wanted)
     double *margins = c->scratch;
     Equations *equations = wanted == LINKED ? block.linked_outputs : block.outputs_;
     int count = wanted == LINKED ? block.linked : block.outputs.count;
-    equations(&m->clock, at(c, block.parameters), at(c, block.inputs), x, at(c, block.outputs), margins, 0);
+    equations(&m->clock, at(c, block.parameters), at(c, block.inputs), x, at(c, block.outputs),
+              margins, 0);
     if (check_margins(c, block.running_requirement, block.running_requirements, margins) != OK)
         return ERROR;
-    if (instance_check_finite(c, block.outputs.first, count, at(c, block.outputs), "; check states, inputs and parameters") !=
-        OK)
+    if (instance_check_finite(c, block.outputs.first, count, at(c, block.outputs),
+                              "; check states, inputs and parameters") != OK)
         return ERROR;
     m->outputs_valid = (int)wanted;
     return OK;
@@ -100,7 +106,8 @@ Status instance_update_rates(Instance *c)
     double *rates = at(c, block.derivatives);
     if (m->rates_valid || block.derivatives.count == 0)
         return OK;
-    block.rates(&m->clock, at(c, block.parameters), at(c, block.inputs), instance_present_states(c), rates, 0, 0);
+    block.rates(&m->clock, at(c, block.parameters), at(c, block.inputs), instance_present_states(c),
+                rates, 0, 0);
     if (instance_check_finite(c, block.derivatives.first, block.derivatives.count, rates,
                               "; check states, inputs and parameters") != OK)
         return ERROR;

@@ -28,24 +28,27 @@ const char *fmi2GetTypesPlatform(void) { return fmi2TypesPlatform; }
 
 const char *fmi2GetVersion(void) { return fmi2Version; }
 
-fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const fmi2String categories[])
+fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n,
+                               const fmi2String categories[])
 {
-    (void)on; /* nothing but failures is ever told, and they always are: many importers never turn logging on */
+    (void)
+        on; /* nothing but failures is ever told, and they always are: many importers never turn logging on */
     ALLOW(ALIVE, 1);
     if (instance_check_categories(c, categories, n) != OK)
         return fmi2Error;
     return fmi2OK;
 }
 
-fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String token, fmi2String resources,
-                              const fmi2CallbackFunctions *callbacks, fmi2Boolean visible, fmi2Boolean logging)
+fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String token,
+                              fmi2String resources, const fmi2CallbackFunctions *callbacks,
+                              fmi2Boolean visible, fmi2Boolean logging)
 {
     (void)resources, (void)visible, (void)logging;
     const char *refusal = instance_refusal(name, token, type == fmi2ModelExchange);
     Instance *c = refusal ? NULL : instance_new(name, type == fmi2ModelExchange);
     if (!c && callbacks && callbacks->logger)
-        callbacks->logger(callbacks->componentEnvironment, name ? name : "", fmi2Error, "logStatusError", "%s",
-                          refusal ? refusal : NO_MEMORY);
+        callbacks->logger(callbacks->componentEnvironment, name ? name : "", fmi2Error,
+                          "logStatusError", "%s", refusal ? refusal : NO_MEMORY);
     if (!c)
         return NULL;
     if (callbacks) {
@@ -58,8 +61,8 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String token, 
 
 void fmi2FreeInstance(fmi2Component c) { instance_free(c); }
 
-fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean tolerance_defined, fmi2Real tolerance, fmi2Real start,
-                               fmi2Boolean stop_defined, fmi2Real stop)
+fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean tolerance_defined, fmi2Real tolerance,
+                               fmi2Real start, fmi2Boolean stop_defined, fmi2Real stop)
 {
     (void)tolerance_defined, (void)tolerance;
     ALLOW(INSTANTIATED, 1);
@@ -95,14 +98,16 @@ fmi2Status fmi2Reset(fmi2Component c)
 
 /* Values. FMI 2.0 has scalars only. */
 
-fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference reference[], size_t n, fmi2Real value[])
+fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference reference[], size_t n,
+                       fmi2Real value[])
 {
     ALLOW(INITIALIZED, n == 0 || (reference && value));
     References list = {reference, n};
     return instance_get(c, list, 0, REAL, value) == OK ? fmi2OK : fmi2Error;
 }
 
-fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference reference[], size_t n, const fmi2Real value[])
+fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference reference[], size_t n,
+                       const fmi2Real value[])
 {
     ALLOW(ALIVE, n == 0 || (reference && value));
     References list = {reference, n};
@@ -112,7 +117,8 @@ fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference reference[], si
     return status(s);
 }
 
-static fmi2Status get_integers(fmi2Component c, const fmi2ValueReference reference[], size_t n, int value[], Kind kind)
+static fmi2Status get_integers(fmi2Component c, const fmi2ValueReference reference[], size_t n,
+                               int value[], Kind kind)
 {
     for (size_t i = 0; i < n; i++) {
         double number;
@@ -126,7 +132,8 @@ static fmi2Status get_integers(fmi2Component c, const fmi2ValueReference referen
 
 static double from_integer(int value, Kind kind) { return kind == BOOLEAN ? value != 0 : value; }
 
-static fmi2Status set_integers(fmi2Component c, const fmi2ValueReference reference[], size_t n, const int value[], Kind kind)
+static fmi2Status set_integers(fmi2Component c, const fmi2ValueReference reference[], size_t n,
+                               const int value[], Kind kind)
 {
     for (size_t i = 0; i < n; i++) {
         double number = from_integer(value[i], kind);
@@ -143,25 +150,29 @@ static fmi2Status set_integers(fmi2Component c, const fmi2ValueReference referen
     return fmi2OK;
 }
 
-fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference reference[], size_t n, fmi2Integer value[])
+fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference reference[], size_t n,
+                          fmi2Integer value[])
 {
     ALLOW(INITIALIZED, n == 0 || (reference && value));
     return get_integers(c, reference, n, value, ENUMERATION);
 }
 
-fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference reference[], size_t n, fmi2Boolean value[])
+fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference reference[], size_t n,
+                          fmi2Boolean value[])
 {
     ALLOW(INITIALIZED, n == 0 || (reference && value));
     return get_integers(c, reference, n, value, BOOLEAN);
 }
 
-fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference reference[], size_t n, const fmi2Integer value[])
+fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference reference[], size_t n,
+                          const fmi2Integer value[])
 {
     ALLOW(ALIVE, n == 0 || (reference && value));
     return set_integers(c, reference, n, value, ENUMERATION);
 }
 
-fmi2Status fmi2SetBoolean(fmi2Component c, const fmi2ValueReference reference[], size_t n, const fmi2Boolean value[])
+fmi2Status fmi2SetBoolean(fmi2Component c, const fmi2ValueReference reference[], size_t n,
+                          const fmi2Boolean value[])
 {
     ALLOW(ALIVE, n == 0 || (reference && value));
     return set_integers(c, reference, n, value, BOOLEAN);
@@ -172,14 +183,16 @@ static fmi2Status none(fmi2Component c, size_t n, const char *what)
     return n == 0 ? fmi2OK : status(instance_lacks(c, what));
 }
 
-fmi2Status fmi2GetString(fmi2Component c, const fmi2ValueReference reference[], size_t n, fmi2String value[])
+fmi2Status fmi2GetString(fmi2Component c, const fmi2ValueReference reference[], size_t n,
+                         fmi2String value[])
 {
     (void)reference, (void)value;
     ALLOW(INITIALIZED, 1);
     return none(c, n, "string variables");
 }
 
-fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference reference[], size_t n, const fmi2String value[])
+fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference reference[], size_t n,
+                         const fmi2String value[])
 {
     (void)reference, (void)value;
     ALLOW(ALIVE, 1);
@@ -221,14 +234,16 @@ fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate saved, fmi2Byte b
     return status(instance_serialize(c, saved, bytes, size));
 }
 
-fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size_t size, fmi2FMUstate *saved)
+fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size_t size,
+                                   fmi2FMUstate *saved)
 {
     ALLOW(ALIVE, bytes && saved);
     return status(instance_deserialize(c, bytes, size, saved));
 }
 
-fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference unknown[], size_t nu,
-                                        const fmi2ValueReference known[], size_t nk, const fmi2Real dk[], fmi2Real du[])
+fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference unknown[],
+                                        size_t nu, const fmi2ValueReference known[], size_t nk,
+                                        const fmi2Real dk[], fmi2Real du[])
 {
     ALLOW(INITIALIZED, (nu == 0 || (unknown && du)) && (nk == 0 || (known && dk)));
     References unknowns = {unknown, nu}, knowns = {known, nk};
@@ -258,8 +273,8 @@ fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c)
     return fmi2OK;
 }
 
-fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean no_set_state, fmi2Boolean *enter_event,
-                                       fmi2Boolean *terminate)
+fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean no_set_state,
+                                       fmi2Boolean *enter_event, fmi2Boolean *terminate)
 {
     (void)no_set_state;
     ALLOW(CONTINUOUS | MODEL_EXCHANGE, enter_event && terminate);
@@ -301,22 +316,23 @@ fmi2Status fmi2GetContinuousStates(fmi2Component c, fmi2Real x[], size_t n)
 
 fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component c, fmi2Real nominals[], size_t n)
 {
-    ALLOW(INSTANTIATED | INITIALIZATION | EVENT | CONTINUOUS | TERMINATED | MODEL_EXCHANGE, n == 0 || nominals);
+    ALLOW(INSTANTIATED | INITIALIZATION | EVENT | CONTINUOUS | TERMINATED | MODEL_EXCHANGE,
+          n == 0 || nominals);
     return status(instance_get_nominals(c, nominals, n));
 }
 
 /* Co-simulation */
 
-fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference reference[], size_t n,
-                                       const fmi2Integer order[], const fmi2Real value[])
+fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference reference[],
+                                       size_t n, const fmi2Integer order[], const fmi2Real value[])
 {
     (void)reference, (void)order, (void)value;
     ALLOW(INSTANTIATED | INITIALIZATION | STEP, 1);
     return none(c, n, "input derivatives");
 }
 
-fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference reference[], size_t n,
-                                        const fmi2Integer order[], fmi2Real value[])
+fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference reference[],
+                                        size_t n, const fmi2Integer order[], fmi2Real value[])
 {
     (void)reference, (void)order, (void)value;
     ALLOW(STEP | TERMINATED, 1);

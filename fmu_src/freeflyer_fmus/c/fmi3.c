@@ -27,17 +27,19 @@ static void say(Instance *c, Status s, const char *category, const char *text)
 
 const char *fmi3GetVersion(void) { return fmi3Version; }
 
-fmi3Status fmi3SetDebugLogging(fmi3Instance c, fmi3Boolean on, size_t n, const fmi3String categories[])
+fmi3Status fmi3SetDebugLogging(fmi3Instance c, fmi3Boolean on, size_t n,
+                               const fmi3String categories[])
 {
-    (void)on; /* nothing but failures is ever told, and they always are: many importers never turn logging on */
+    (void)
+        on; /* nothing but failures is ever told, and they always are: many importers never turn logging on */
     ALLOW(BETWEEN, 1);
     if (instance_check_categories(c, categories, n) != OK)
         return fmi3Error;
     return fmi3OK;
 }
 
-static Instance *instantiate(fmi3String name, fmi3String token, int model_exchange, fmi3InstanceEnvironment environment,
-                             fmi3LogMessageCallback logger)
+static Instance *instantiate(fmi3String name, fmi3String token, int model_exchange,
+                             fmi3InstanceEnvironment environment, fmi3LogMessageCallback logger)
 {
     const char *refusal = instance_refusal(name, token, model_exchange);
     Instance *c = refusal ? NULL : instance_new(name, model_exchange);
@@ -51,8 +53,9 @@ static Instance *instantiate(fmi3String name, fmi3String token, int model_exchan
     return c;
 }
 
-fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
-                                          fmi3Boolean logging, fmi3InstanceEnvironment environment,
+fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi3String resources,
+                                          fmi3Boolean visible, fmi3Boolean logging,
+                                          fmi3InstanceEnvironment environment,
                                           fmi3LogMessageCallback logger)
 {
     (void)resources, (void)visible, (void)logging;
@@ -69,15 +72,19 @@ static int update_importer(Instance *c, double time)
     return early && c->may_return_early;
 }
 
-fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
-                                         fmi3Boolean logging, fmi3Boolean event_mode, fmi3Boolean early_return,
-                                         const fmi3ValueReference intermediate[], size_t n, fmi3InstanceEnvironment environment,
-                                         fmi3LogMessageCallback logger, fmi3IntermediateUpdateCallback callback)
+fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3String resources,
+                                         fmi3Boolean visible, fmi3Boolean logging,
+                                         fmi3Boolean event_mode, fmi3Boolean early_return,
+                                         const fmi3ValueReference intermediate[], size_t n,
+                                         fmi3InstanceEnvironment environment,
+                                         fmi3LogMessageCallback logger,
+                                         fmi3IntermediateUpdateCallback callback)
 {
     (void)resources, (void)visible, (void)logging, (void)intermediate, (void)n;
     if (event_mode) {
         if (logger)
-            logger(environment, fmi3Error, "logStatusError", "this FMU has no event mode in co-simulation");
+            logger(environment, fmi3Error, "logStatusError",
+                   "this FMU has no event mode in co-simulation");
         return NULL;
     }
     Instance *c = instantiate(name, token, 0, environment, logger);
@@ -89,12 +96,14 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
     return c;
 }
 
-fmi3Instance fmi3InstantiateScheduledExecution(fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
-                                               fmi3Boolean logging, fmi3InstanceEnvironment environment,
-                                               fmi3LogMessageCallback logger, fmi3ClockUpdateCallback clock_update,
-                                               fmi3LockPreemptionCallback lock, fmi3UnlockPreemptionCallback unlock)
+fmi3Instance fmi3InstantiateScheduledExecution(
+    fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
+    fmi3Boolean logging, fmi3InstanceEnvironment environment, fmi3LogMessageCallback logger,
+    fmi3ClockUpdateCallback clock_update, fmi3LockPreemptionCallback lock,
+    fmi3UnlockPreemptionCallback unlock)
 {
-    (void)name, (void)token, (void)resources, (void)visible, (void)logging, (void)clock_update, (void)lock, (void)unlock;
+    (void)name, (void)token, (void)resources, (void)visible, (void)logging, (void)clock_update,
+        (void)lock, (void)unlock;
     if (logger)
         logger(environment, fmi3Error, "logStatusError", "this FMU has no scheduled execution");
     return NULL;
@@ -107,7 +116,8 @@ void fmi3FreeInstance(fmi3Instance c)
         instance_free(c);
 }
 
-fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean tolerance_defined, fmi3Float64 tolerance, fmi3Float64 start,
+fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean tolerance_defined,
+                                       fmi3Float64 tolerance, fmi3Float64 start,
                                        fmi3Boolean stop_defined, fmi3Float64 stop)
 {
     (void)tolerance_defined, (void)tolerance;
@@ -170,7 +180,8 @@ static Status check_elements(Instance *c, const fmi3ValueReference reference[], 
     return instance_say(c, ERROR, "logStatusError");
 }
 
-fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference reference[], size_t nr, fmi3Float64 value[], size_t n)
+fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference reference[], size_t nr,
+                          fmi3Float64 value[], size_t n)
 {
     ALLOW(INITIALIZED, (nr == 0 || reference) && (n == 0 || value));
     if (check_elements(c, reference, nr, n) != OK)
@@ -179,7 +190,8 @@ fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference reference[], 
     return instance_get(c, list, 1, REAL, value) == OK ? fmi3OK : fmi3Error;
 }
 
-fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference reference[], size_t nr, const fmi3Float64 value[], size_t n)
+fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference reference[], size_t nr,
+                          const fmi3Float64 value[], size_t n)
 {
     ALLOW(ALIVE, (nr == 0 || reference) && (n == 0 || value));
     if (check_elements(c, reference, nr, n) != OK)
@@ -193,39 +205,41 @@ fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference reference[], 
 
 /* Enumerations and Booleans of this runtime are scalars. */
 
-#define SCALARS(Type, kind, FROM)                                                                                         \
-    fmi3Status fmi3Get##Type(fmi3Instance c, const fmi3ValueReference r[], size_t nr, fmi3##Type value[], size_t n)       \
-    {                                                                                                                     \
-        ALLOW(INITIALIZED, (nr == 0 || r) && (n == 0 || value));                                                          \
-        if (check_elements(c, r, nr, n) != OK)                                                                            \
-            return fmi3Error;                                                                                             \
-        for (size_t i = 0; i < nr; i++) {                                                                                 \
-            double number;                                                                                                \
-            References one = {&r[i], 1};                                                                                  \
-            if (instance_get(c, one, 1, kind, &number) != OK)                                                             \
-                return fmi3Error;                                                                                         \
-            value[i] = (fmi3##Type)number;                                                                                \
-        }                                                                                                                 \
-        return fmi3OK;                                                                                                    \
-    }                                                                                                                     \
-    fmi3Status fmi3Set##Type(fmi3Instance c, const fmi3ValueReference r[], size_t nr, const fmi3##Type value[], size_t n) \
-    {                                                                                                                     \
-        ALLOW(ALIVE, (nr == 0 || r) && (n == 0 || value));                                                                \
-        if (check_elements(c, r, nr, n) != OK)                                                                            \
-            return fmi3Error;                                                                                             \
-        for (size_t i = 0; i < nr; i++) {                                                                                 \
-            double number = FROM(value[i]);                                                                               \
-            References one = {&r[i], 1};                                                                                  \
-            Status s = instance_check(c, one, 1, kind, &number);                                                          \
-            if (s != OK)                                                                                                  \
-                return status(s);                                                                                         \
-        }                                                                                                                 \
-        for (size_t i = 0; i < nr; i++) {                                                                                 \
-            double number = FROM(value[i]);                                                                               \
-            References one = {&r[i], 1};                                                                                  \
-            instance_put(c, one, 1, &number);                                                                             \
-        }                                                                                                                 \
-        return fmi3OK;                                                                                                    \
+#define SCALARS(Type, kind, FROM)                                                     \
+    fmi3Status fmi3Get##Type(fmi3Instance c, const fmi3ValueReference r[], size_t nr, \
+                             fmi3##Type value[], size_t n)                            \
+    {                                                                                 \
+        ALLOW(INITIALIZED, (nr == 0 || r) && (n == 0 || value));                      \
+        if (check_elements(c, r, nr, n) != OK)                                        \
+            return fmi3Error;                                                         \
+        for (size_t i = 0; i < nr; i++) {                                             \
+            double number;                                                            \
+            References one = {&r[i], 1};                                              \
+            if (instance_get(c, one, 1, kind, &number) != OK)                         \
+                return fmi3Error;                                                     \
+            value[i] = (fmi3##Type)number;                                            \
+        }                                                                             \
+        return fmi3OK;                                                                \
+    }                                                                                 \
+    fmi3Status fmi3Set##Type(fmi3Instance c, const fmi3ValueReference r[], size_t nr, \
+                             const fmi3##Type value[], size_t n)                      \
+    {                                                                                 \
+        ALLOW(ALIVE, (nr == 0 || r) && (n == 0 || value));                            \
+        if (check_elements(c, r, nr, n) != OK)                                        \
+            return fmi3Error;                                                         \
+        for (size_t i = 0; i < nr; i++) {                                             \
+            double number = FROM(value[i]);                                           \
+            References one = {&r[i], 1};                                              \
+            Status s = instance_check(c, one, 1, kind, &number);                      \
+            if (s != OK)                                                              \
+                return status(s);                                                     \
+        }                                                                             \
+        for (size_t i = 0; i < nr; i++) {                                             \
+            double number = FROM(value[i]);                                           \
+            References one = {&r[i], 1};                                              \
+            instance_put(c, one, 1, &number);                                         \
+        }                                                                             \
+        return fmi3OK;                                                                \
     }
 
 #define FROM_INTEGER(value) (double)(value)
@@ -235,20 +249,25 @@ SCALARS(Boolean, BOOLEAN, FROM_BOOLEAN)
 
 /* Types and functions that no block has. */
 
-static fmi3Status none(fmi3Instance c, size_t n, const char *what) { return n == 0 ? fmi3OK : status(instance_lacks(c, what)); }
+static fmi3Status none(fmi3Instance c, size_t n, const char *what)
+{
+    return n == 0 ? fmi3OK : status(instance_lacks(c, what));
+}
 
-#define NO_TYPE(Type)                                                                                                     \
-    fmi3Status fmi3Get##Type(fmi3Instance c, const fmi3ValueReference r[], size_t nr, fmi3##Type value[], size_t n)       \
-    {                                                                                                                     \
-        (void)r, (void)value, (void)n;                                                                                    \
-        ALLOW(INITIALIZED, 1);                                                                                            \
-        return none(c, nr, #Type " variables");                                                                           \
-    }                                                                                                                     \
-    fmi3Status fmi3Set##Type(fmi3Instance c, const fmi3ValueReference r[], size_t nr, const fmi3##Type value[], size_t n) \
-    {                                                                                                                     \
-        (void)r, (void)value, (void)n;                                                                                    \
-        ALLOW(ALIVE, 1);                                                                                                  \
-        return none(c, nr, #Type " variables");                                                                           \
+#define NO_TYPE(Type)                                                                 \
+    fmi3Status fmi3Get##Type(fmi3Instance c, const fmi3ValueReference r[], size_t nr, \
+                             fmi3##Type value[], size_t n)                            \
+    {                                                                                 \
+        (void)r, (void)value, (void)n;                                                \
+        ALLOW(INITIALIZED, 1);                                                        \
+        return none(c, nr, #Type " variables");                                       \
+    }                                                                                 \
+    fmi3Status fmi3Set##Type(fmi3Instance c, const fmi3ValueReference r[], size_t nr, \
+                             const fmi3##Type value[], size_t n)                      \
+    {                                                                                 \
+        (void)r, (void)value, (void)n;                                                \
+        ALLOW(ALIVE, 1);                                                              \
+        return none(c, nr, #Type " variables");                                       \
     }
 
 NO_TYPE(Float32)
@@ -261,22 +280,24 @@ NO_TYPE(UInt32)
 NO_TYPE(UInt64)
 NO_TYPE(String)
 
-fmi3Status fmi3GetBinary(fmi3Instance c, const fmi3ValueReference r[], size_t nr, size_t sizes[], fmi3Binary value[], size_t n)
+fmi3Status fmi3GetBinary(fmi3Instance c, const fmi3ValueReference r[], size_t nr, size_t sizes[],
+                         fmi3Binary value[], size_t n)
 {
     (void)r, (void)sizes, (void)value, (void)n;
     ALLOW(INITIALIZED, 1);
     return none(c, nr, "Binary variables");
 }
 
-fmi3Status fmi3SetBinary(fmi3Instance c, const fmi3ValueReference r[], size_t nr, const size_t sizes[],
-                         const fmi3Binary value[], size_t n)
+fmi3Status fmi3SetBinary(fmi3Instance c, const fmi3ValueReference r[], size_t nr,
+                         const size_t sizes[], const fmi3Binary value[], size_t n)
 {
     (void)r, (void)sizes, (void)value, (void)n;
     ALLOW(ALIVE, 1);
     return none(c, nr, "Binary variables");
 }
 
-#define NO_CLOCK(Name, ...) fmi3Status Name(fmi3Instance c, const fmi3ValueReference r[], size_t n, __VA_ARGS__)
+#define NO_CLOCK(Name, ...) \
+    fmi3Status Name(fmi3Instance c, const fmi3ValueReference r[], size_t n, __VA_ARGS__)
 #define NO_CLOCK_BODY(...)           \
     {                                \
         (void)r, __VA_ARGS__;        \
@@ -306,7 +327,10 @@ NO_CLOCK(fmi3SetShiftFraction, const fmi3UInt64 a[], const fmi3UInt64 b[])
 NO_CLOCK_BODY((void)a, (void)b)
 
 /* Whatever the state: this FMU does not have it. */
-static fmi3Status absent(fmi3Instance c, const char *what) { return c ? status(instance_lacks(c, what)) : fmi3Error; }
+static fmi3Status absent(fmi3Instance c, const char *what)
+{
+    return c ? status(instance_lacks(c, what)) : fmi3Error;
+}
 
 fmi3Status fmi3GetNumberOfVariableDependencies(fmi3Instance c, fmi3ValueReference r, size_t *n)
 {
@@ -314,16 +338,23 @@ fmi3Status fmi3GetNumberOfVariableDependencies(fmi3Instance c, fmi3ValueReferenc
     return absent(c, "variable dependencies at run time");
 }
 
-fmi3Status fmi3GetVariableDependencies(fmi3Instance c, fmi3ValueReference dependent, size_t rows[], fmi3ValueReference r[],
-                                       size_t columns[], fmi3DependencyKind kinds[], size_t n)
+fmi3Status fmi3GetVariableDependencies(fmi3Instance c, fmi3ValueReference dependent, size_t rows[],
+                                       fmi3ValueReference r[], size_t columns[],
+                                       fmi3DependencyKind kinds[], size_t n)
 {
     (void)dependent, (void)rows, (void)r, (void)columns, (void)kinds, (void)n;
     return absent(c, "variable dependencies at run time");
 }
 
-fmi3Status fmi3EnterConfigurationMode(fmi3Instance c) { return absent(c, "structural parameters to configure"); }
+fmi3Status fmi3EnterConfigurationMode(fmi3Instance c)
+{
+    return absent(c, "structural parameters to configure");
+}
 
-fmi3Status fmi3ExitConfigurationMode(fmi3Instance c) { return absent(c, "structural parameters to configure"); }
+fmi3Status fmi3ExitConfigurationMode(fmi3Instance c)
+{
+    return absent(c, "structural parameters to configure");
+}
 
 fmi3Status fmi3EnterStepMode(fmi3Instance c) { return absent(c, "event mode in co-simulation"); }
 
@@ -333,8 +364,8 @@ fmi3Status fmi3ActivateModelPartition(fmi3Instance c, fmi3ValueReference clock, 
     return absent(c, "scheduled execution");
 }
 
-fmi3Status fmi3GetOutputDerivatives(fmi3Instance c, const fmi3ValueReference r[], size_t nr, const fmi3Int32 orders[],
-                                    fmi3Float64 value[], size_t n)
+fmi3Status fmi3GetOutputDerivatives(fmi3Instance c, const fmi3ValueReference r[], size_t nr,
+                                    const fmi3Int32 orders[], fmi3Float64 value[], size_t n)
 {
     (void)r, (void)orders, (void)value, (void)n;
     ALLOW(STEP | INTERMEDIATE | TERMINATED, 1);
@@ -343,22 +374,24 @@ fmi3Status fmi3GetOutputDerivatives(fmi3Instance c, const fmi3ValueReference r[]
 
 /* Derivatives */
 
-fmi3Status fmi3GetDirectionalDerivative(fmi3Instance c, const fmi3ValueReference unknown[], size_t nu,
-                                        const fmi3ValueReference known[], size_t nk, const fmi3Float64 seed[], size_t ns,
+fmi3Status fmi3GetDirectionalDerivative(fmi3Instance c, const fmi3ValueReference unknown[],
+                                        size_t nu, const fmi3ValueReference known[], size_t nk,
+                                        const fmi3Float64 seed[], size_t ns,
                                         fmi3Float64 sensitivity[], size_t nv)
 {
-    ALLOW(INITIALIZED & ~INTERMEDIATE,
-          (nu == 0 || unknown) && (nk == 0 || known) && (ns == 0 || seed) && (nv == 0 || sensitivity));
+    ALLOW(INITIALIZED & ~INTERMEDIATE, (nu == 0 || unknown) && (nk == 0 || known) &&
+                                           (ns == 0 || seed) && (nv == 0 || sensitivity));
     References unknowns = {unknown, nu}, knowns = {known, nk};
     return status(instance_sensitivity(c, unknowns, knowns, 1, 0, seed, ns, sensitivity, nv));
 }
 
 fmi3Status fmi3GetAdjointDerivative(fmi3Instance c, const fmi3ValueReference unknown[], size_t nu,
-                                    const fmi3ValueReference known[], size_t nk, const fmi3Float64 seed[], size_t ns,
-                                    fmi3Float64 sensitivity[], size_t nv)
+                                    const fmi3ValueReference known[], size_t nk,
+                                    const fmi3Float64 seed[], size_t ns, fmi3Float64 sensitivity[],
+                                    size_t nv)
 {
-    ALLOW(INITIALIZED & ~INTERMEDIATE,
-          (nu == 0 || unknown) && (nk == 0 || known) && (ns == 0 || seed) && (nv == 0 || sensitivity));
+    ALLOW(INITIALIZED & ~INTERMEDIATE, (nu == 0 || unknown) && (nk == 0 || known) &&
+                                           (ns == 0 || seed) && (nv == 0 || sensitivity));
     References unknowns = {unknown, nu}, knowns = {known, nk};
     return status(instance_sensitivity(c, unknowns, knowns, 1, 1, seed, ns, sensitivity, nv));
 }
@@ -398,7 +431,8 @@ fmi3Status fmi3SerializeFMUState(fmi3Instance c, fmi3FMUState saved, fmi3Byte by
     return status(instance_serialize(c, saved, bytes, size));
 }
 
-fmi3Status fmi3DeserializeFMUState(fmi3Instance c, const fmi3Byte bytes[], size_t size, fmi3FMUState *saved)
+fmi3Status fmi3DeserializeFMUState(fmi3Instance c, const fmi3Byte bytes[], size_t size,
+                                   fmi3FMUState *saved)
 {
     ALLOW(BETWEEN, bytes && saved);
     return status(instance_deserialize(c, bytes, size, saved));
@@ -412,10 +446,12 @@ fmi3Status fmi3EvaluateDiscreteStates(fmi3Instance c)
     return fmi3OK; /* there are none between events */
 }
 
-fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *again, fmi3Boolean *terminate, fmi3Boolean *nominals_changed,
-                                    fmi3Boolean *states_changed, fmi3Boolean *next_event_defined, fmi3Float64 *next_event)
+fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *again, fmi3Boolean *terminate,
+                                    fmi3Boolean *nominals_changed, fmi3Boolean *states_changed,
+                                    fmi3Boolean *next_event_defined, fmi3Float64 *next_event)
 {
-    ALLOW(EVENT | MODEL_EXCHANGE, again && terminate && nominals_changed && states_changed && next_event_defined && next_event);
+    ALLOW(EVENT | MODEL_EXCHANGE, again && terminate && nominals_changed && states_changed &&
+                                      next_event_defined && next_event);
     *again = *terminate = *nominals_changed = *states_changed = *next_event_defined = false;
     *next_event = 0;
     return fmi3OK;
@@ -428,8 +464,8 @@ fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance c)
     return fmi3OK;
 }
 
-fmi3Status fmi3CompletedIntegratorStep(fmi3Instance c, fmi3Boolean no_set_state, fmi3Boolean *enter_event,
-                                       fmi3Boolean *terminate)
+fmi3Status fmi3CompletedIntegratorStep(fmi3Instance c, fmi3Boolean no_set_state,
+                                       fmi3Boolean *enter_event, fmi3Boolean *terminate)
 {
     (void)no_set_state;
     ALLOW(CONTINUOUS | MODEL_EXCHANGE, enter_event && terminate);
@@ -492,8 +528,9 @@ fmi3Status fmi3GetNumberOfContinuousStates(fmi3Instance c, size_t *n)
 
 /* Co-simulation */
 
-fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 time, fmi3Float64 size, fmi3Boolean no_set_state, fmi3Boolean *event,
-                      fmi3Boolean *terminate, fmi3Boolean *early, fmi3Float64 *last_time)
+fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 time, fmi3Float64 size, fmi3Boolean no_set_state,
+                      fmi3Boolean *event, fmi3Boolean *terminate, fmi3Boolean *early,
+                      fmi3Float64 *last_time)
 {
     (void)no_set_state;
     ALLOW(STEP, event && terminate && early && last_time);

@@ -22,14 +22,18 @@ static uint64_t hash(const char *text, uint64_t seed)
     return value;
 }
 
-size_t instance_memory_size(void) { return sizeof(Memory) + (size_t)(block.values + block.states.count) * sizeof(double); }
+size_t instance_memory_size(void)
+{
+    return sizeof(Memory) + (size_t)(block.values + block.states.count) * sizeof(double);
+}
 
 const char *instance_refusal(const char *name, const char *token, int model_exchange)
 {
     if (!name)
         return "an instance needs a name";
     if (!token || !same_text(token, block.token))
-        return "the instantiation token is not this library's: description and binary do not belong together";
+        return "the instantiation token is not this library's: description and binary do not "
+               "belong together";
     if (model_exchange && block.period >= 0)
         return "this FMU is sampled: it has no model exchange";
     return NULL;
@@ -45,9 +49,12 @@ Instance *instance_new(const char *name, int model_exchange)
     /* `scratch` has room for an integration, or for an evaluation with its margins. */
     int n = block.states.count, evaluated = n + block.outputs.count;
     int margins =
-        2 * (block.running_requirements > block.static_requirements ? block.running_requirements : block.static_requirements);
-    int work = INTEGRATE_SCRATCH(n) > evaluated + margins ? INTEGRATE_SCRATCH(n) : evaluated + margins;
-    size_t scratch = (size_t)(work + 2 * n + block.inputs.count + n + 3 * block.values) * sizeof(double);
+        2 * (block.running_requirements > block.static_requirements ? block.running_requirements
+                                                                    : block.static_requirements);
+    int work =
+        INTEGRATE_SCRATCH(n) > evaluated + margins ? INTEGRATE_SCRATCH(n) : evaluated + margins;
+    size_t scratch =
+        (size_t)(work + 2 * n + block.inputs.count + n + 3 * block.values) * sizeof(double);
     char *memory = calloc(1, sizeof(Instance) + name_size + instance_memory_size() + scratch);
     if (!memory)
         return NULL;
@@ -96,15 +103,20 @@ Status instance_allow(Instance *c, const char *function, int states, int given)
     static const struct {
         State state;
         const char *name;
-    } names[] = {
-        {INSTANTIATED, "instantiated"}, {INITIALIZATION, "initialization mode"}, {STEP, "step mode"},
-        {EVENT, "event mode"},          {CONTINUOUS, "continuous-time mode"},    {INTERMEDIATE, "intermediate update mode"},
-        {TERMINATED, "terminated"}};
-    if (((int)c->memory->state & states) && given && (c->model_exchange || !(states & MODEL_EXCHANGE)))
+    } names[] = {{INSTANTIATED, "instantiated"},
+                 {INITIALIZATION, "initialization mode"},
+                 {STEP, "step mode"},
+                 {EVENT, "event mode"},
+                 {CONTINUOUS, "continuous-time mode"},
+                 {INTERMEDIATE, "intermediate update mode"},
+                 {TERMINATED, "terminated"}};
+    if (((int)c->memory->state & states) && given &&
+        (c->model_exchange || !(states & MODEL_EXCHANGE)))
         return OK;
     message_begin(&c->message, function);
     if (states & MODEL_EXCHANGE && !c->model_exchange) {
-        message_add(&c->message, " belongs to model exchange, and this instance is for co-simulation");
+        message_add(&c->message,
+                    " belongs to model exchange, and this instance is for co-simulation");
         return instance_say(c, ERROR, MISUSE);
     }
     if (!((int)c->memory->state & states)) {
@@ -121,7 +133,8 @@ Status instance_allow(Instance *c, const char *function, int states, int given)
 Status instance_check_categories(Instance *c, const char *const categories[], size_t n)
 {
     for (size_t i = 0; i < n; i++) {
-        if (categories && categories[i] && (same_text(categories[i], MISUSE) || same_text(categories[i], REQUIREMENT)))
+        if (categories && categories[i] &&
+            (same_text(categories[i], MISUSE) || same_text(categories[i], REQUIREMENT)))
             continue;
         message_begin(&c->message, "there is no log category ");
         message_add(&c->message, categories && categories[i] ? categories[i] : "without a name");
@@ -157,8 +170,10 @@ Status instance_exit_initialization(Instance *c)
     Memory *m = c->memory;
     if (instance_check_parameters(c) != OK)
         return instance_say(c, ERROR, REQUIREMENT);
-    if (block.period >= 0 && !(m->value[block.period] >= 1e-9 && m->value[block.period] < LARGEST_TIME)) {
-        message_begin(&c->message, "the sampling period must be at least 1 ns and below 2e9 s, not ");
+    if (block.period >= 0 &&
+        !(m->value[block.period] >= 1e-9 && m->value[block.period] < LARGEST_TIME)) {
+        message_begin(&c->message,
+                      "the sampling period must be at least 1 ns and below 2e9 s, not ");
         message_add_number(&c->message, m->value[block.period]);
         message_add(&c->message, " s");
         return instance_say(c, ERROR, MISUSE);
@@ -167,7 +182,8 @@ Status instance_exit_initialization(Instance *c)
     m->rates_valid = 0;
     if (instance_update_outputs(c, ALL) != OK)
         return instance_say(c, ERROR, REQUIREMENT);
-    memcpy(at(c, block.states), instance_present_states(c), (size_t)block.states.count * sizeof(double));
+    memcpy(at(c, block.states), instance_present_states(c),
+           (size_t)block.states.count * sizeof(double));
     m->state = c->model_exchange ? EVENT : STEP;
     return OK;
 }

@@ -101,8 +101,9 @@ Status instance_get_nominals(Instance *, double *nominals, size_t n);
 
 /* Sensitivities of unknowns (outputs, derivatives; states as outputs) to knowns (time, real parameters, inputs, states), at
    the present values; of a sampled block, those of the sample that it would take now. Forward: `seed` belongs to the knowns; reverse: to the unknowns. */
-Status instance_sensitivity(Instance *, References unknowns, References knowns, int whole, int reverse, const double *seed,
-                            size_t seeds, double *result, size_t results);
+Status instance_sensitivity(Instance *, References unknowns, References knowns, int whole,
+                            int reverse, const double *seed, size_t seeds, double *result,
+                            size_t results);
 /* Saved states: one flat copy each. `slot` is reused where it is not NULL. */
 size_t instance_memory_size(void);
 size_t instance_serialized_size(void); /* with a check sum */

@@ -1,7 +1,7 @@
 #include "integrate.h"
 
-void integrate_runge_kutta(Equations *rates, double t, double h, const double *p, const double *u, double *x, double *lost,
-                           int n, double *scratch)
+void integrate_runge_kutta(Equations *rates, double t, double h, const double *p, const double *u,
+                           double *x, double *lost, int n, double *scratch)
 {
     double *stage = scratch, *slope = scratch + n, *sum = scratch + 2 * n;
     double middle = t + 0.5 * h, end = t + h;

@@ -12,7 +12,8 @@
 #define REQUIREMENT "logRequirement"
 #define ROUNDING 4.5e-16 /* relative, of two times that were computed in two ways */
 #define NANOSECOND 1     /* tolerance when times that were doubles are compared */
-#define DRIFT 100        /* and the part of a step by which an importer's sum of steps may be off when a sample is due */
+#define DRIFT \
+    100 /* and the part of a step by which an importer's sum of steps may be off when a sample is due */
 #define LARGEST_TIME 2e9 /* s; sums of three such times in nanoseconds must fit into 64 bits */
 #define TIMES "a finite time below 2e9 s is expected"
 #define LARGEST_COUNT 1e7 /* inner steps of one communication step: some 20 s of computation */
@@ -30,7 +31,9 @@ static inline int inside(unsigned index, Range range)
 /* How many outputs, from the first, are computed. */
 static inline int computed_outputs(const Memory *m)
 {
-    return m->outputs_valid >= ALL ? block.outputs.count : m->outputs_valid == LINKED ? block.linked : 0;
+    return m->outputs_valid >= ALL      ? block.outputs.count
+           : m->outputs_valid == LINKED ? block.linked
+                                        : 0;
 }
 
 static inline int is_finite(double x) { return fabs(x) <= 1.7976931348623157e308; }
@@ -46,7 +49,8 @@ Status instance_sample(Instance *, const double *x);
 /* The states from which outputs and derivatives follow: in initialization mode those that it will end with. */
 const double *instance_present_states(Instance *);
 /* Whether a range's values are finite; if not, "NAME is not finite" and `remedy`. */
-Status instance_check_finite(Instance *, int first, int count, const double *value, const char *remedy);
+Status instance_check_finite(Instance *, int first, int count, const double *value,
+                             const char *remedy);
 /* Inputs, parameters, states or the time are no longer what the outputs were computed from. */
 void instance_changed(Instance *);
 /* "NAME cannot be set to VALUE" and a reason. */

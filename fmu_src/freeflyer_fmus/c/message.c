@@ -47,7 +47,8 @@ void message_add_number(Message *m, double value)
     }
     int exponent = (int)floor(log10(value));
     /* Two factors: one alone would overflow for the smallest numbers. */
-    long scaled = lround(value * pow(10.0, -(exponent / 2)) * pow(10.0, 5 - (exponent - exponent / 2)));
+    long scaled =
+        lround(value * pow(10.0, -(exponent / 2)) * pow(10.0, 5 - (exponent - exponent / 2)));
     if (scaled > 999999) {
         scaled /= 10;
         exponent++;

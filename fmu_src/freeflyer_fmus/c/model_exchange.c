@@ -34,7 +34,8 @@ Status instance_set_states(Instance *c, const double *x, size_t n)
         return ERROR;
     for (size_t i = 0; i < n; i++)
         if (!is_finite(x[i]))
-            return instance_refuse(c, (unsigned)block.states.first + (unsigned)i, x[i], ": it must be a finite number");
+            return instance_refuse(c, (unsigned)block.states.first + (unsigned)i, x[i],
+                                   ": it must be a finite number");
     transfer(at(c, block.states), x, n);
     instance_changed(c);
     return OK;

@@ -26,7 +26,8 @@ Status instance_save(Instance *c, void **slot) { return copy(c, c->memory, slot)
 Status instance_restore(Instance *c, const void *saved)
 {
     if (((const Memory *)saved)->identity != c->memory->identity)
-        return refuse(c, "it was saved by another FMU, or by an instance of the other interface type");
+        return refuse(c,
+                      "it was saved by another FMU, or by an instance of the other interface type");
     memcpy(c->memory, saved, instance_memory_size());
     return OK;
 }
@@ -58,17 +59,21 @@ static const char *fault(const Instance *c, const Memory *m)
     int state = (int)m->state, both = INSTANTIATED | INITIALIZATION | TERMINATED;
     if (m->identity != c->memory->identity)
         return "it was saved by another FMU, or by an instance of the other interface type";
-    if ((state & (state - 1)) != 0 || !(state & (both | (c->model_exchange ? EVENT | CONTINUOUS : STEP))))
+    if ((state & (state - 1)) != 0 ||
+        !(state & (both | (c->model_exchange ? EVENT | CONTINUOUS : STEP))))
         return "its bytes are damaged";
     double limit = LARGEST_TIME * 1e9;
-    if (!(fabs((double)m->start) <= limit && fabs((double)m->next_sample) <= 2 * limit && fabs(m->clock) <= LARGEST_TIME))
+    if (!(fabs((double)m->start) <= limit && fabs((double)m->next_sample) <= 2 * limit &&
+          fabs(m->clock) <= LARGEST_TIME))
         return "its bytes are damaged";
     for (int i = 0; i < block.values + block.states.count; i++) {
         const Value *value = &block.value[i < block.values ? i : 0];
         /* What an evaluation that failed has left behind is not used. */
-        int stale = (inside((unsigned)i, block.outputs) && i >= block.outputs.first + computed_outputs(m)) ||
+        int stale = (inside((unsigned)i, block.outputs) &&
+                     i >= block.outputs.first + computed_outputs(m)) ||
                     (inside((unsigned)i, block.derivatives) && !m->rates_valid);
-        if ((!is_finite(m->value[i]) && !stale) || (value->kind == BOOLEAN && m->value[i] != 0 && m->value[i] != 1) ||
+        if ((!is_finite(m->value[i]) && !stale) ||
+            (value->kind == BOOLEAN && m->value[i] != 0 && m->value[i] != 1) ||
             (value->kind == ENUMERATION && !(m->value[i] >= 1 && m->value[i] <= value->maximum)))
             return "its bytes are damaged";
     }

@@ -6,7 +6,8 @@
 static int is_known(unsigned i)
 {
     int real = block.value[i].kind == REAL;
-    return i == TIME || inside(i, block.inputs) || inside(i, block.states) || (real && inside(i, block.parameters));
+    return i == TIME || inside(i, block.inputs) || inside(i, block.states) ||
+           (real && inside(i, block.parameters));
 }
 
 static int is_unknown(unsigned i)
@@ -15,12 +16,14 @@ static int is_unknown(unsigned i)
 }
 
 /* Sum of the elements; or -1, and the message says which reference is wrong. */
-static long count(Instance *c, References list, int whole, int (*allowed)(unsigned), const char *kind)
+static long count(Instance *c, References list, int whole, int (*allowed)(unsigned),
+                  const char *kind)
 {
     long sum = 0;
     for (size_t i = 0; i < list.n; i++) {
         int extent = instance_extent(list.reference[i]);
-        if (list.reference[i] >= (unsigned)block.values || (whole && extent == 0) || !allowed(list.reference[i])) {
+        if (list.reference[i] >= (unsigned)block.values || (whole && extent == 0) ||
+            !allowed(list.reference[i])) {
             message_begin(&c->message, "value reference ");
             message_add_number(&c->message, list.reference[i]);
             message_add(&c->message, kind);
@@ -60,7 +63,8 @@ static void forward(Instance *c, const double *x, double *seed, double *result)
     }
     if (block.period >= 0) {
         block.forward_update(t, p, u, x, seed, result + block.states.first);
-        if (c->memory->state == INITIALIZATION) /* before the first sample a state shows what it begins with */
+        if (c->memory->state ==
+            INITIALIZATION) /* before the first sample a state shows what it begins with */
             memcpy(result + block.states.first, seed + block.states.first, size);
         return;
     }
@@ -102,13 +106,16 @@ static void reverse(Instance *c, const double *x, double *seed, double *result)
 
 static Status fail(Instance *c) { return instance_say(c, ERROR, MISUSE); }
 
-Status instance_sensitivity(Instance *c, References unknowns, References knowns, int whole, int is_reverse, const double *seed,
-                            size_t seeds, double *result, size_t results)
+Status instance_sensitivity(Instance *c, References unknowns, References knowns, int whole,
+                            int is_reverse, const double *seed, size_t seeds, double *result,
+                            size_t results)
 {
-    long nu = count(c, unknowns, whole, is_unknown, " is no output, state or derivative of this FMU");
+    long nu =
+        count(c, unknowns, whole, is_unknown, " is no output, state or derivative of this FMU");
     if (nu < 0)
         return fail(c);
-    long nk = count(c, knowns, whole, is_known, " is no time, real parameter, input or state of this FMU");
+    long nk = count(c, knowns, whole, is_known,
+                    " is no time, real parameter, input or state of this FMU");
     if (nk < 0)
         return fail(c);
     if (seeds != (size_t)(is_reverse ? nu : nk) || results != (size_t)(is_reverse ? nk : nu)) {
@@ -128,8 +135,9 @@ Status instance_sensitivity(Instance *c, References unknowns, References knowns,
         reverse(c, x, c->seed, c->result);
     else
         forward(c, x, c->seed, c->result);
-    if (instance_check_finite(c, 0, block.values, c->result,
-                              ": that is a derivative along the seed; check seed, states and inputs") != OK)
+    if (instance_check_finite(
+            c, 0, block.values, c->result,
+            ": that is a derivative along the seed; check seed, states and inputs") != OK)
         return instance_say(c, ERROR, REQUIREMENT);
     gather(is_reverse ? knowns : unknowns, whole, c->result, result);
     return OK;

@@ -15,8 +15,9 @@
 static INLINED void sin_cos(double x, double *s, double *c)
 {
     /* pi/2 in three parts; the first two have 33 bits, so that their products with a quadrant number below 2^20 are exact. */
-    static const double two_over_pi = 0x1.45f306dc9c883p-1, half_pi_1 = 0x1.921fb544p+0, half_pi_2 = 0x1.0b4611a6p-34,
-                        half_pi_3 = 0x1.3198a2e037073p-69, round = 0x1.8p+52;
+    static const double two_over_pi = 0x1.45f306dc9c883p-1, half_pi_1 = 0x1.921fb544p+0,
+                        half_pi_2 = 0x1.0b4611a6p-34, half_pi_3 = 0x1.3198a2e037073p-69,
+                        round = 0x1.8p+52;
     if (!(fabs(x) < 1.6e6)) { /* far outside any robot; NaN and infinity end here too */
         *s = sin(x);
         *c = cos(x);
@@ -34,14 +35,16 @@ static INLINED void sin_cos(double x, double *s, double *c)
                   z * (-0x1.a01a01a01a01ap-13 +
                        z * (0x1.71de3a556c734p-19 +
                             z * (-0x1.ae64567f544e4p-26 +
-                                 z * (0x1.6124613a86d09p-33 + z * (-0x1.ae7f3e733b81fp-41 + z * 0x1.952c77030ad4ap-49)))))));
+                                 z * (0x1.6124613a86d09p-33 + z * (-0x1.ae7f3e733b81fp-41 +
+                                                                   z * 0x1.952c77030ad4ap-49)))))));
     double sine = hi + (hi * p + lo * (1.0 - 0.5 * z));
     double q = z * z *
                (0x1.5555555555555p-5 +
                 z * (-0x1.6c16c16c16c17p-10 +
                      z * (0x1.a01a01a01a01ap-16 +
                           z * (-0x1.27e4fb7789f5cp-22 +
-                               z * (0x1.1eed8eff8d898p-29 + z * (-0x1.93974a8c07c9dp-37 + z * 0x1.ae7f3e733b81fp-45))))));
+                               z * (0x1.1eed8eff8d898p-29 +
+                                    z * (-0x1.93974a8c07c9dp-37 + z * 0x1.ae7f3e733b81fp-45))))));
     double half = 0.5 * z, one = 1.0 - half;
     double cosine = one + (((1.0 - one) - half) + (q - hi * lo));
     int quadrant = (int)n;

@@ -69,8 +69,8 @@ static Status step_continuous(Instance *c, double time, double size)
     for (int64_t i = 0; i < count; i++) {
         double inner = time + (double)(i + 1) * h;
         if (n > 0)
-            integrate_runge_kutta(block.rates, time + (double)i * h, h, at(c, block.parameters), at(c, block.inputs), x,
-                                  lost(c), n, c->scratch);
+            integrate_runge_kutta(block.rates, time + (double)i * h, h, at(c, block.parameters),
+                                  at(c, block.inputs), x, lost(c), n, c->scratch);
         if (i + 1 < count && c->intermediate_update && interrupted(c, inner)) {
             end = inner;
             break;
@@ -79,8 +79,8 @@ static Status step_continuous(Instance *c, double time, double size)
     m->clock = end;
     m->outputs_valid = NONE;
     m->rates_valid = 0;
-    Status status =
-        instance_check_finite(c, block.states.first, n, x, " after this step; the step was not made: check the inputs");
+    Status status = instance_check_finite(
+        c, block.states.first, n, x, " after this step; the step was not made: check the inputs");
     /* Outputs wait until somebody asks, unless a requirement watches the motion. */
     if (status == OK && block.running_requirements > 0)
         status = instance_update_outputs(c, LINKED);
@@ -123,7 +123,8 @@ Status instance_step(Instance *c, double time, double size)
     m->clock = time;
     Status status = instance_check_parameters(c) == OK ? OK : instance_say(c, ERROR, REQUIREMENT);
     if (status == OK)
-        status = block.period >= 0 ? step_sampled(c, begin, end, size) : step_continuous(c, time, size);
+        status =
+            block.period >= 0 ? step_sampled(c, begin, end, size) : step_continuous(c, time, size);
     if (status != OK) {
         m->clock = before;
         return status;

@@ -1,7 +1,10 @@
 /* Values by value reference. */
 #include "internal.h"
 
-int instance_extent(unsigned reference) { return reference < (unsigned)block.values ? block.value[reference].extent : 0; }
+int instance_extent(unsigned reference)
+{
+    return reference < (unsigned)block.values ? block.value[reference].extent : 0;
+}
 
 static Status refuse_reference(Instance *c, unsigned reference, Kind kind)
 {
@@ -19,13 +22,17 @@ static inline int is_reference(unsigned reference, Kind kind)
     return reference < (unsigned)block.values && block.value[reference].kind == kind;
 }
 
-static inline int extent(unsigned reference, int whole) { return whole ? block.value[reference].extent : 1; }
+static inline int extent(unsigned reference, int whole)
+{
+    return whole ? block.value[reference].extent : 1;
+}
 
 /* Beyond the linked outputs, if one of the list lies there: then everything is computed at once. */
 static int wanted_outputs(References list)
 {
     for (size_t i = 0; i < list.n; i++)
-        if (inside(list.reference[i], block.outputs) && (int)list.reference[i] >= block.outputs.first + block.linked)
+        if (inside(list.reference[i], block.outputs) &&
+            (int)list.reference[i] >= block.outputs.first + block.linked)
             return ALL;
     return LINKED;
 }
@@ -95,9 +102,11 @@ Status instance_check(Instance *c, References list, int whole, Kind kind, const 
             return refuse_access(c, variable);
         for (int k = 0, n = extent(reference, whole); k < n; k++, value++) {
             if (!is_finite(*value))
-                return instance_refuse(c, reference + (unsigned)k, *value, ": it must be a finite number");
+                return instance_refuse(c, reference + (unsigned)k, *value,
+                                       ": it must be a finite number");
             if (kind == ENUMERATION && (*value < 1 || *value > variable->maximum))
-                return instance_refuse(c, reference + (unsigned)k, *value, ": it is none of the enumeration's items");
+                return instance_refuse(c, reference + (unsigned)k, *value,
+                                       ": it is none of the enumeration's items");
         }
     }
     return OK;

@@ -10,7 +10,13 @@ from typing import NamedTuple
 import casadi as ca
 
 from freeflyer_fmus.equations import rotation
-from freeflyer_fmus.equations.mechanism import Mechanism, State, inertia_to_child, inertia_to_parent, transform
+from freeflyer_fmus.equations.mechanism import (
+    Mechanism,
+    State,
+    inertia_to_child,
+    inertia_to_parent,
+    transform,
+)
 from freeflyer_fmus.equations.spatial import (
     ArticulatedInertia,
     RigidInertia,
@@ -74,15 +80,20 @@ def articulated_base_inertia(mechanism: Mechanism, q: SX) -> ArticulatedInertia:
     inertia = mechanism.bodies[-1].articulated()
     for i in reversed(range(len(mechanism.joints))):
         joint, below = mechanism.joints[i], mechanism.bodies[i - 1] if i > 0 else mechanism.base
-        inertia = below.articulated() + inertia_to_parent(without_joint(inertia, joint), joint, q[i])
+        inertia = below.articulated() + inertia_to_parent(
+            without_joint(inertia, joint), joint, q[i]
+        )
     return inertia
 
 
-def articulated_hand_inertia(mechanism: Mechanism, state: State) -> SX:
+def articulated_end_effector_inertia(mechanism: Mechanism, state: State) -> SX:
     """((M^-1)_mm)^-1 (6, 6), at E in I: the hand's inertia with no wrench on the base and no torque in the joints."""
     inertia, turn = mechanism.base.articulated(), rotation.matrix(state.orientation)
     for i, joint in enumerate(mechanism.joints):
-        inertia = without_joint(inertia_to_child(inertia, joint, state.q[i]), joint) + mechanism.bodies[i].articulated()
+        inertia = (
+            without_joint(inertia_to_child(inertia, joint, state.q[i]), joint)
+            + mechanism.bodies[i].articulated()
+        )
         turn = turn @ transform(joint, state.q[i])[0]
     hand = inertia.shifted(-sparse(mechanism.robot.end_effector_translation))
     return hand.turned(turn).matrix()
@@ -147,7 +158,9 @@ def _inside_out(mechanism: Mechanism, done: _Pass, a: SX, alpha: SX) -> SX:
     return ca.vertcat(*qdd)
 
 
-def forward_dynamics(mechanism: Mechanism, state: State, base_wrench: SX, joint_torque: SX) -> tuple[SX, SX]:
+def forward_dynamics(
+    mechanism: Mechanism, state: State, base_wrench: SX, joint_torque: SX
+) -> tuple[SX, SX]:
     """(1) solved for x_b'' (6, in I) and q'' (n) by the articulated-body algorithm."""
     R_IB = rotation.matrix(state.orientation)
     done = _outside_in(mechanism, state, joint_torque)
@@ -158,14 +171,18 @@ def forward_dynamics(mechanism: Mechanism, state: State, base_wrench: SX, joint_
     return ca.vertcat(R_IB @ a, R_IB @ alpha), _inside_out(mechanism, done, a, alpha)
 
 
-def arm_on_moving_base(mechanism: Mechanism, state: State, base_acceleration: SX, joint_torque: SX, gravity: SX) -> SX:
+def arm_on_moving_base(
+    mechanism: Mechanism, state: State, base_acceleration: SX, joint_torque: SX, gravity: SX
+) -> SX:
     """q'' (n) of the arm alone: the base moves as it is told, with x_b'' (6) and in the uniform field `gravity` (3), in I.
 
     The lower rows of (1). Gravity is an acceleration of the base the other way.
     """
     R_IB = rotation.matrix(state.orientation)
     done = _outside_in(mechanism, state, joint_torque)
-    return _inside_out(mechanism, done, R_IB.T @ (base_acceleration[:3] - gravity), R_IB.T @ base_acceleration[3:])
+    return _inside_out(
+        mechanism, done, R_IB.T @ (base_acceleration[:3] - gravity), R_IB.T @ base_acceleration[3:]
+    )
 
 
 def two_velocity_inverse_dynamics(
@@ -214,7 +231,9 @@ def _two_velocity_wrench(body: RigidInertia, w: SX, w_r: SX, a_r: SX, alpha_r: S
     """
     mass, mc, inertia = body
     force = mass * a_r + cross(alpha_r, mc) + cross(w_r, cross(w, mc))
-    torque = inertia @ alpha_r + cross(mc, a_r) + cross(w, inertia @ w_r - ca.dot(mc, mc) / mass * w_r)
+    torque = (
+        inertia @ alpha_r + cross(mc, a_r) + cross(w, inertia @ w_r - ca.dot(mc, mc) / mass * w_r)
+    )
     return force, torque
 
 
@@ -229,7 +248,9 @@ def inertia_and_coriolis(mechanism: Mechanism, state: State) -> tuple[SX, SX]:
 def kinetic_energy(mechanism: Mechanism, state: State) -> SX:
     """Of the whole robot [J]."""
     total = SX(0)
-    for body, (v, w) in zip((mechanism.base, *mechanism.bodies), body_velocities(mechanism, state), strict=True):
+    for body, (v, w) in zip(
+        (mechanism.base, *mechanism.bodies), body_velocities(mechanism, state), strict=True
+    ):
         p, L = body.momentum(v, w)
         total += 0.5 * (ca.dot(v, p) + ca.dot(w, L))
     return total

@@ -56,7 +56,9 @@ def base_jacobian_transposed_times(p_be: SX, wrench: SX) -> SX:
     return ca.vertcat(wrench[:3], wrench[3:] + cross(p_be, wrench[:3]))
 
 
-def manipulator_jacobian_rate_times(mechanism: Mechanism, at: Axes, v: SX, w: SX, qd: SX, y: SX) -> SX:
+def manipulator_jacobian_rate_times(
+    mechanism: Mechanism, at: Axes, v: SX, w: SX, qd: SX, y: SX
+) -> SX:
     """dJ_m/dt y (6) for any y (n), with the derivative taken in I along the actual motion (v, w of B; q').
 
     All in B's axes: the components of inertial derivatives, so no rotating-frame term is missing.
@@ -73,7 +75,9 @@ def manipulator_jacobian_rate_times(mechanism: Mechanism, at: Axes, v: SX, w: SX
         p_before = p
     v_e = v_i + cross(w_i, at.p_e - p_before)
     linear, angular = SX(3, 1), SX(3, 1)
-    for joint, z, p, (v_j, w_j), y_j in zip(mechanism.joints, at.z, at.p, velocities, ca.vertsplit(y), strict=True):
+    for joint, z, p, (v_j, w_j), y_j in zip(
+        mechanism.joints, at.z, at.p, velocities, ca.vertsplit(y), strict=True
+    ):
         dz = cross(w_j, z)
         if joint.kind == "revolute":
             linear += y_j * (cross(dz, at.p_e - p) + cross(z, v_e - v_j))
@@ -98,7 +102,9 @@ def _constant_quaternion(matrix: object) -> SX:
     return SX(ca.DM(np.where(np.abs(values) < 1e-16, 0.0, values)))
 
 
-def end_effector_pose(mechanism: Mechanism, base_position: SX, base_orientation: SX, q: SX) -> tuple[SX, SX]:
+def end_effector_pose(
+    mechanism: Mechanism, base_position: SX, base_orientation: SX, q: SX
+) -> tuple[SX, SX]:
     """Position (3) [m] and quaternion (4) of E in I."""
     p = base_position + rotation.matrix(base_orientation) @ axes(mechanism, q).p_e
     return p, end_effector_orientation(mechanism, rotation.normalised(base_orientation), q)

@@ -48,13 +48,20 @@ def inertia_entries(matrix: object) -> list[float]:
 
 
 def mechanism(
-    robot: Robot, base_mass: SX, base_inertia: SX, tool_mass: SX, tool_centre_of_mass: SX, tool_inertia: SX
+    robot: Robot,
+    base_mass: SX,
+    base_inertia: SX,
+    tool_mass: SX,
+    tool_centre_of_mass: SX,
+    tool_inertia: SX,
 ) -> Mechanism:
     """Base mass [kg] and inertia (6) about B; tool mass, centre of mass (3) in E and inertia (6) about it, in E."""
     base = RigidInertia.of(base_mass, SX(3, 1), symmetric_matrix(base_inertia))
     tool = RigidInertia.of(tool_mass, tool_centre_of_mass, symmetric_matrix(tool_inertia))
     bodies = [RigidInertia.constant(body) for body in robot.bodies]
-    bodies[-1] += tool.seen_from(sparse(robot.end_effector_rotation), sparse(robot.end_effector_translation))
+    bodies[-1] += tool.seen_from(
+        sparse(robot.end_effector_rotation), sparse(robot.end_effector_translation)
+    )
     return Mechanism(robot, base + RigidInertia.constant(robot.base_attachment), tuple(bodies))
 
 
@@ -73,14 +80,14 @@ def constant_mechanism(robot: Robot) -> Mechanism:
 def inertia_to_parent(inertia: ArticulatedInertia, joint: Joint, q: SX) -> ArticulatedInertia:
     """About the parent's origin, in its axes: the turn about the joint's z apart, which costs less so."""
     if joint.kind == "revolute":
-        inertia = inertia.turned_about_z(ca.cos(q), ca.sin(q))
+        inertia = inertia.rotated_about_z(ca.cos(q), ca.sin(q))
     return inertia.turned(sparse(joint.rotation)).shifted(transform(joint, q)[1])
 
 
 def inertia_to_child(inertia: ArticulatedInertia, joint: Joint, q: SX) -> ArticulatedInertia:
     """The other way."""
     inertia = inertia.shifted(-transform(joint, q)[1]).turned(sparse(joint.rotation).T)
-    return inertia.turned_about_z(ca.cos(q), -ca.sin(q)) if joint.kind == "revolute" else inertia
+    return inertia.rotated_about_z(ca.cos(q), -ca.sin(q)) if joint.kind == "revolute" else inertia
 
 
 def transform(joint: Joint, q: SX) -> tuple[SX, SX]:

@@ -29,7 +29,9 @@ def pinocchio_model(robot: Robot) -> Any:
         model.appendBodyToJoint(parent, inertia(robot.base_attachment), pin.SE3.Identity())
     for joint, body in zip(robot.joints, robot.bodies, strict=True):
         kind = pin.JointModelRZ() if joint.kind == "revolute" else pin.JointModelPZ()
-        parent = model.addJoint(parent, kind, pin.SE3(np.array(joint.rotation), np.array(joint.translation)), joint.name)
+        parent = model.addJoint(
+            parent, kind, pin.SE3(np.array(joint.rotation), np.array(joint.translation)), joint.name
+        )
         if body.mass > 0.0:
             model.appendBodyToJoint(parent, inertia(body), pin.SE3.Identity())
     hand = pin.SE3(np.array(robot.end_effector_rotation), np.array(robot.end_effector_translation))
@@ -39,7 +41,15 @@ def pinocchio_model(robot: Robot) -> Any:
     return model
 
 
-def accelerations(model: Any, orientation: Array, velocity: Array, q: Array, qd: Array, wrench: Array, torque: Array) -> Array:
+def accelerations(
+    model: Any,
+    orientation: Array,
+    velocity: Array,
+    q: Array,
+    qd: Array,
+    wrench: Array,
+    torque: Array,
+) -> Array:
     """(6 + n) by Pinocchio's articulated-body algorithm: x_b'' in I, then q''."""
     import pinocchio as pin
 
@@ -63,7 +73,9 @@ def disagreement(robot: Robot, states: int = 20, seed: int = 1) -> float:
     s = {name: SX.sym(name, size) for name, size in names.items()}
     state = State(s["orientation"], s["velocity"][:3], s["velocity"][3:], s["q"], s["qd"])
     ours = ca.Function(
-        "f", list(s.values()), [ca.vertcat(*forward_dynamics(constant_mechanism(robot), state, s["wrench"], s["torque"]))]
+        "f",
+        list(s.values()),
+        [ca.vertcat(*forward_dynamics(constant_mechanism(robot), state, s["wrench"], s["torque"]))],
     )
     model, random, worst = pinocchio_model(robot), np.random.default_rng(seed), 0.0
     for _ in range(states):

@@ -44,7 +44,9 @@ class ConsistentInverse(NamedTuple):
 def inertia_times(mechanism: Mechanism, q: SX, y: SX) -> SX:
     """H_q y (n), the base at rest."""
     at_rest = State(SX([0, 0, 0, 1]), SX(3, 1), SX(3, 1), q, SX(q.numel(), 1))
-    _, efforts = two_velocity_inverse_dynamics(mechanism, at_rest, SX(6 + q.numel(), 1), ca.vertcat(SX(6, 1), y))
+    _, efforts = two_velocity_inverse_dynamics(
+        mechanism, at_rest, SX(6 + q.numel(), 1), ca.vertcat(SX(6, 1), y)
+    )
     return efforts
 
 
@@ -57,7 +59,9 @@ def consistent_inverse(mechanism: Mechanism, q: SX) -> ConsistentInverse:
     return ConsistentInverse(Jm, H, Lambda, weighted @ Lambda)
 
 
-def reference_acceleration(mechanism: Mechanism, state: State, at: ConsistentInverse, u: SX, du: SX) -> SX:
+def reference_acceleration(
+    mechanism: Mechanism, state: State, at: ConsistentInverse, u: SX, du: SX
+) -> SX:
     """d/dt (J# u) (n) for u (6) in B's axes, whose derivative there is du.
 
     J_m q_r'' = du - dJ_m q_r' gives its part along the task; the other is P^T H_q^-1 (dJ_m^T L u - dH_q q_r').
@@ -70,5 +74,7 @@ def reference_acceleration(mechanism: Mechanism, state: State, at: ConsistentInv
         return ca.substitute(ca.jtimes(expression, q, qd), symbol, value)
 
     task = at.inverse @ (du - along_motion(Jm @ y, y, qd_r))
-    rest = along_motion(Jm.T @ F, F, at.Lambda @ u) - along_motion(inertia_times(mechanism, q, y), y, qd_r)
+    rest = along_motion(Jm.T @ F, F, at.Lambda @ u) - along_motion(
+        inertia_times(mechanism, q, y), y, qd_r
+    )
     return task + at.velocity_in_null_space(solve_positive_definite(at.H, rest))

@@ -24,7 +24,9 @@ class Discretisation(IntEnum):
     matched = 2
 
 
-def mean_wrench(inertia: SX, stiffness: SX, damping: SX, period: SX, spring: SX, velocity_error: SX) -> SX:
+def mean_wrench(
+    inertia: SX, stiffness: SX, damping: SX, period: SX, spring: SX, velocity_error: SX
+) -> SX:
     """-K dx_mean - D dx'_mean (6), where `spring` is -K dx of the sample; inertia M (6, 6), K and D (6, 6), symmetric.
 
     (M + T/2 D + T^2/4 K) dx'_mean = M dx' - T/2 K dx,  dx_mean = dx + T/2 dx'_mean. As T -> 0 it is the continuous law.

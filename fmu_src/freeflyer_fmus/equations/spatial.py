@@ -45,29 +45,43 @@ class RigidInertia(NamedTuple):
     @staticmethod
     def of(mass: SX, centre_of_mass: SX, inertia: SX) -> RigidInertia:
         """From the inertia about the centre of mass."""
-        shift = ca.dot(centre_of_mass, centre_of_mass) * SX.eye(3) - centre_of_mass @ centre_of_mass.T
+        shift = (
+            ca.dot(centre_of_mass, centre_of_mass) * SX.eye(3) - centre_of_mass @ centre_of_mass.T
+        )
         return RigidInertia(mass, mass * centre_of_mass, symmetric(inertia + mass * shift))
 
     @staticmethod
     def constant(body: Inertial) -> RigidInertia:
-        whole = RigidInertia.of(SX(body.mass), SX(ca.DM(body.centre_of_mass)), SX(ca.DM(body.inertia)))
+        whole = RigidInertia.of(
+            SX(body.mass), SX(ca.DM(body.centre_of_mass)), SX(ca.DM(body.inertia))
+        )
         return RigidInertia(*(ca.sparsify(part) for part in whole))
 
     def seen_from(self, rotation: SX, translation: SX) -> RigidInertia:
         """The same body in a frame in which this one stands at (rotation, translation)."""
         moment = rotation @ self.first_moment
-        cross_term = moment @ translation.T + translation @ moment.T + self.mass * translation @ translation.T
+        cross_term = (
+            moment @ translation.T
+            + translation @ moment.T
+            + self.mass * translation @ translation.T
+        )
         about = ca.trace(cross_term) * SX.eye(3) - cross_term
         turned = rotation @ self.inertia @ rotation.T
         return RigidInertia(self.mass, moment + self.mass * translation, symmetric(turned + about))
 
     def __add__(self, other: object) -> RigidInertia:
         assert isinstance(other, RigidInertia)
-        return RigidInertia(self.mass + other.mass, self.first_moment + other.first_moment, self.inertia + other.inertia)
+        return RigidInertia(
+            self.mass + other.mass,
+            self.first_moment + other.first_moment,
+            self.inertia + other.inertia,
+        )
 
     def momentum(self, v: SX, w: SX) -> tuple[SX, SX]:
         """Linear momentum and angular momentum about the frame's origin, from the origin's velocity v and w."""
-        return self.mass * v + cross(w, self.first_moment), self.inertia @ w + cross(self.first_moment, v)
+        return self.mass * v + cross(w, self.first_moment), self.inertia @ w + cross(
+            self.first_moment, v
+        )
 
     def articulated(self) -> ArticulatedInertia:
         return ArticulatedInertia(self.mass * SX.eye(3), -skew(self.first_moment), self.inertia)
@@ -86,11 +100,13 @@ class ArticulatedInertia(NamedTuple):
 
     def turned(self, R: SX) -> ArticulatedInertia:
         """In other axes about the same origin: R turns the present coordinates into the new ones."""
-        return ArticulatedInertia(symmetric(R @ self.M @ R.T), R @ self.H @ R.T, symmetric(R @ self.I @ R.T))
+        return ArticulatedInertia(
+            symmetric(R @ self.M @ R.T), R @ self.H @ R.T, symmetric(R @ self.I @ R.T)
+        )
 
-    def turned_about_z(self, c: SX, s: SX) -> ArticulatedInertia:
+    def rotated_about_z(self, c: SX, s: SX) -> ArticulatedInertia:
         """`turned` by the angle with this cosine and sine."""
-        return ArticulatedInertia(*(_turned_about_z(part, c, s) for part in self))
+        return ArticulatedInertia(*(_rotated_about_z(part, c, s) for part in self))
 
     def shifted(self, r: SX) -> ArticulatedInertia:
         """About another origin, from which the present one is seen at r; in the same axes."""
@@ -101,7 +117,7 @@ class ArticulatedInertia(NamedTuple):
         return ca.blockcat([[self.M, self.H], [self.H.T, self.I]])
 
 
-def _turned_about_z(A: SX, c: SX, s: SX) -> SX:
+def _rotated_about_z(A: SX, c: SX, s: SX) -> SX:
     """R A R^T (3, 3) with less than half the products: in the plane, the trace and the antisymmetric part do not turn."""
     u = s * (A[0, 0] - A[1, 1]) + c * (A[0, 1] + A[1, 0])
     column = ca.vertcat(c * A[0, 2] - s * A[1, 2], s * A[0, 2] + c * A[1, 2])

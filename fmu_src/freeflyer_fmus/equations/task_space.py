@@ -32,7 +32,9 @@ def rate(mechanism: Mechanism, expression: SX, state: State) -> SX:
     """d/dt of an expression of the configuration along the actual motion."""
     # The base's position does not enter; its orientation moves by the quaternion's own derivative.
     along_q = ca.jtimes(expression, state.q, state.qd)
-    return along_q + ca.jtimes(expression, state.orientation, rotation.derivative(state.orientation, state.w))
+    return along_q + ca.jtimes(
+        expression, state.orientation, rotation.derivative(state.orientation, state.w)
+    )
 
 
 def inertia_and_coriolis_in_task_space(mechanism: Mechanism, state: State) -> tuple[SX, SX]:

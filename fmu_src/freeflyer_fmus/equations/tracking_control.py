@@ -15,7 +15,11 @@ from freeflyer_fmus.equations.kinematics import (
     manipulator_jacobian_rate_times,
 )
 from freeflyer_fmus.equations.mechanism import Mechanism, State
-from freeflyer_fmus.equations.redundancy import ConsistentInverse, consistent_inverse, reference_acceleration
+from freeflyer_fmus.equations.redundancy import (
+    ConsistentInverse,
+    consistent_inverse,
+    reference_acceleration,
+)
 
 SX = ca.SX
 
@@ -72,7 +76,9 @@ def smallest_singular_value(inverse_of_J: SX) -> SX:
     return ca.sqrt(ca.sqrt(ca.sqrt(1.0 / ca.sumsqr(fourth))))
 
 
-def feed_forward(mechanism: Mechanism, state: State, desired_velocity: SX, desired_acceleration: SX) -> FeedForward:
+def feed_forward(
+    mechanism: Mechanism, state: State, desired_velocity: SX, desired_acceleration: SX
+) -> FeedForward:
     """The trajectory's share of (7) and (8), with the base's reference at rest.
 
     In generalised coordinates [0; x_md'] is q_r' = J_m^-1 x_md' and its derivative q_r'' = J_m^-1 (x_md'' - dJ_m q_r');
@@ -89,7 +95,9 @@ def feed_forward(mechanism: Mechanism, state: State, desired_velocity: SX, desir
         sigma_min = smallest_singular_value(plain)
         Jm_inverse = plain @ turn.T
         qd_r = Jm_inverse @ desired_velocity
-        dJm_qd_r = turn @ manipulator_jacobian_rate_times(mechanism, at, R_IB.T @ state.v, R_IB.T @ state.w, state.qd, qd_r)
+        dJm_qd_r = turn @ manipulator_jacobian_rate_times(
+            mechanism, at, R_IB.T @ state.v, R_IB.T @ state.w, state.qd, qd_r
+        )
         qdd_r = Jm_inverse @ (desired_acceleration - dJm_qd_r)
     else:
         consistent = consistent_inverse(mechanism, state.q)
@@ -99,10 +107,14 @@ def feed_forward(mechanism: Mechanism, state: State, desired_velocity: SX, desir
         du = turn.T @ desired_acceleration - ca.vertcat(ca.cross(w, u[:3]), ca.cross(w, u[3:]))
         qd_r = consistent.inverse @ u
         qdd_r = reference_acceleration(mechanism, state, consistent, u, du)
-    f_base, f_joints = two_velocity_inverse_dynamics(mechanism, state, ca.vertcat(SX(6, 1), qd_r), ca.vertcat(SX(6, 1), qdd_r))
+    f_base, f_joints = two_velocity_inverse_dynamics(
+        mechanism, state, ca.vertcat(SX(6, 1), qd_r), ca.vertcat(SX(6, 1), qdd_r)
+    )
     F_m = Jm_inverse.T @ f_joints
     F_b = f_base - base_jacobian_transposed_times(p_be, F_m)
-    null_space = NullSpace(consistent, consistent.torque_in_null_space(f_joints)) if consistent else None
+    null_space = (
+        NullSpace(consistent, consistent.torque_in_null_space(f_joints)) if consistent else None
+    )
     return FeedForward(F_m, F_b, qd_r, p_be, sigma_min, null_space)
 
 
@@ -124,19 +136,27 @@ def spring_energy(stiffness: SX, pose_error: SX) -> SX:
     """
     translation, turn = pose_error[:3], pose_error[3:]
     eta = ca.sqrt(ca.fmax(1.0 - 0.25 * ca.dot(turn, turn), 0.0))
-    return 0.5 * ca.dot(stiffness[:3] * translation, translation) + ca.dot(stiffness[3:] * turn, turn) / (1.0 + eta)
+    return 0.5 * ca.dot(stiffness[:3] * translation, translation) + ca.dot(
+        stiffness[3:] * turn, turn
+    ) / (1.0 + eta)
 
 
 def joint_torque(mechanism: Mechanism, state: State, F_m: SX) -> SX:
     """tau = J_m^T F_m (n), F_m in I."""
     R_IB = rotation.matrix(state.orientation)
-    return manipulator_jacobian(mechanism, axes(mechanism, state.q)).T @ (ca.diagcat(R_IB, R_IB).T @ F_m)
+    return manipulator_jacobian(mechanism, axes(mechanism, state.q)).T @ (
+        ca.diagcat(R_IB, R_IB).T @ F_m
+    )
 
 
-def null_space_torque(null_space: NullSpace, state: State, damping: SX, stiffness: SX, posture: SX) -> SX:
+def null_space_torque(
+    null_space: NullSpace, state: State, damping: SX, stiffness: SX, posture: SX
+) -> SX:
     """P (f_q - D P^T q' - K (q - q_0)) (n) for diagonal gains: the trajectory's share, a damper, and a spring to a posture.
 
     The damper only takes energy; the spring, projected, has no potential, so with it V need not fall.
     """
     slow = damping * null_space.at.velocity_in_null_space(state.qd)
-    return null_space.torque - null_space.at.torque_in_null_space(slow + stiffness * (state.q - posture))
+    return null_space.torque - null_space.at.torque_in_null_space(
+        slow + stiffness * (state.q - posture)
+    )

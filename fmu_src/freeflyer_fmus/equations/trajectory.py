@@ -32,7 +32,9 @@ def quintic_ramp(t: SX, duration: SX) -> tuple[SX, SX, SX]:
     return value, first, second
 
 
-def ramped_sine(t: SX, position: SX, orientation: SX, translation: SX, turn: SX, frequency: SX, ramp_time: SX) -> Motion:
+def ramped_sine(
+    t: SX, position: SX, orientation: SX, translation: SX, turn: SX, frequency: SX, ramp_time: SX
+) -> Motion:
     """x_md = x_0 + translation g, R_md = Exp(turn g) R_0 with g = ramp(t / ramp_time) sin(2 pi f t).
 
     `translation` (3) [m], `turn` (3) rotation vector [rad], both in I; the axis is fixed, so w = turn g' exactly.

@@ -6,7 +6,14 @@ import re
 
 from freeflyer_fmus.export.compiler import SOURCES
 
-HEADERS = ("block", "message", "sincos", "integrate", "instance", "internal")  # each needs those before it
+HEADERS = (
+    "block",
+    "message",
+    "sincos",
+    "integrate",
+    "instance",
+    "internal",
+)  # each needs those before it
 NO_CONTRACTION = """#if defined(__clang__)
 #pragma STDC FP_CONTRACT OFF
 #elif defined(__GNUC__)
@@ -24,10 +31,17 @@ def amalgamated(name: str, block_c: str, version: int) -> bytes:
     """
     headers = [(SOURCES / f"{header}.h").read_text(encoding="ascii") for header in HEADERS]
     runtime = [path for path in sorted(SOURCES.glob("*.c")) if not path.stem.startswith("fmi")]
-    sources = [block_c, *(path.read_text(encoding="ascii") for path in (*runtime, SOURCES / f"fmi{version}.c"))]
+    sources = [
+        block_c,
+        *(path.read_text(encoding="ascii") for path in (*runtime, SOURCES / f"fmi{version}.c")),
+    ]
     shared = sorted({found for text in headers for found in SHARED.findall(text)} | {"block"})
     renamed = "".join(f"#define {symbol} {name}_{symbol}\n" for symbol in shared)
-    body = re.sub(r'^#include "(?!fmi)[^"]*"\n', "", "\n".join([*headers, *sources]), flags=re.MULTILINE)
+    body = re.sub(
+        r'^#include "(?!fmi)[^"]*"\n', "", "\n".join([*headers, *sources]), flags=re.MULTILINE
+    )
     head = f"/* The FMU {name}, FMI {version}.0: the equations and the runtime in one C99 file. Generated; do not edit.\n"
-    head += "   No product is contracted with a sum: then every platform computes the same bits. */\n"
+    head += (
+        "   No product is contracted with a sum: then every platform computes the same bits. */\n"
+    )
     return f"{head}{NO_CONTRACTION}{renamed}\n{body}".encode("ascii")

@@ -35,7 +35,11 @@ def content_token(block: Block) -> str:
 
 
 def build_all(
-    blocks: Iterable[Block], directory: Path, platforms: Sequence[Platform] | None = None, *, sources: bool = False
+    blocks: Iterable[Block],
+    directory: Path,
+    platforms: Sequence[Platform] | None = None,
+    *,
+    sources: bool = False,
 ) -> Iterator[tuple[Block, dict[int, Path]]]:
     """Write `directory/fmi2/NAME.fmu` and `directory/fmi3/NAME.fmu` of every block for the platforms (default: this one), with
     `sources` if wanted; give their paths by FMI version, one block after the other. All cores compile.
@@ -55,7 +59,11 @@ def build_all(
 
 
 def build(
-    block: Block, directory: Path, platforms: Sequence[Platform] | None = None, *, sources: bool = False
+    block: Block,
+    directory: Path,
+    platforms: Sequence[Platform] | None = None,
+    *,
+    sources: bool = False,
 ) -> dict[int, Path]:
     """`build_all` of one block."""
     ((_, paths),) = build_all([block], directory, platforms, sources=sources)
@@ -72,7 +80,9 @@ def _submit(
     source.write_text(block_c, encoding="ascii")
 
     def library(target: Platform) -> bytes:
-        path = source.parent / target.fmi3 / f"{block.name}{target.suffix}"  # libraries know their own names
+        path = (
+            source.parent / target.fmi3 / f"{block.name}{target.suffix}"
+        )  # libraries know their own names
         path.parent.mkdir()
         compile_library(source, path, target)
         return path.read_bytes()
@@ -80,15 +90,23 @@ def _submit(
     return block_c, {target: pool.submit(library, target) for target in targets}
 
 
-def _write(block: Block, directory: Path, libraries: Mapping[Platform, bytes], block_c: str | None) -> dict[int, Path]:
+def _write(
+    block: Block, directory: Path, libraries: Mapping[Platform, bytes], block_c: str | None
+) -> dict[int, Path]:
     token, name = content_token(block), block.name
-    fmi2 = {f"binaries/{target.fmi2}/{name}{target.suffix}": data for target, data in libraries.items()}
-    fmi3 = {f"binaries/{target.fmi3}/{name}{target.suffix}": data for target, data in libraries.items()}
+    fmi2 = {
+        f"binaries/{target.fmi2}/{name}{target.suffix}": data for target, data in libraries.items()
+    }
+    fmi3 = {
+        f"binaries/{target.fmi3}/{name}{target.suffix}": data for target, data in libraries.items()
+    }
     if block_c is not None:
         fmi2[f"sources/{name}.c"] = amalgamated(name, block_c, 2)
         fmi3[f"sources/{name}.c"] = amalgamated(name, block_c, 3)
         fmi3["sources/buildDescription.xml"] = description.build_description(block)
-    fmi2["modelDescription.xml"] = description.fmi2(block, token, [] if block_c is None else [f"{name}.c"])
+    fmi2["modelDescription.xml"] = description.fmi2(
+        block, token, [] if block_c is None else [f"{name}.c"]
+    )
     fmi3["modelDescription.xml"] = description.fmi3(block, token)
     grouped = description.terminals(block)
     if grouped:
@@ -126,4 +144,6 @@ def _scratch() -> Iterator[str]:
         with tempfile.TemporaryDirectory() as scratch:
             yield scratch
     except OSError as error:
-        raise BuildError(f"the temporary directory {tempfile.gettempdir()} cannot be used: {error.strerror}") from error
+        raise BuildError(
+            f"the temporary directory {tempfile.gettempdir()} cannot be used: {error.strerror}"
+        ) from error

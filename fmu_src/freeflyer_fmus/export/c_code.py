@@ -27,14 +27,27 @@ def operations() -> dict[int, str]:
     compared = {"LT": "<", "LE": "<=", "EQ": "==", "NE": "!="}
     called = {"FABS": "fabs", "SQRT": "sqrt", "FLOOR": "floor", "CEIL": "ceil"}
     # These come from the platform's C library: to 1e-12 or so, not to the last bit.
-    library = {"EXP": "exp", "LOG": "log", "TAN": "tan", "ASIN": "asin", "ACOS": "acos", "ATAN": "atan", "SINH": "sinh"}
+    library = {
+        "EXP": "exp",
+        "LOG": "log",
+        "TAN": "tan",
+        "ASIN": "asin",
+        "ACOS": "acos",
+        "ATAN": "atan",
+        "SINH": "sinh",
+    }
     library |= {"COSH": "cosh", "TANH": "tanh"}
     table = {f"OP_{name}": f"{{0}} {sign} {{1}}" for name, sign in infix.items()}
     table |= {f"OP_{name}": f"(double)({{0}} {sign} {{1}})" for name, sign in compared.items()}
     table |= {f"OP_{name}": f"{function}({{0}})" for name, function in (called | library).items()}
     table |= {
         f"OP_{name}": f"{function}({{0}}, {{1}})"
-        for name, function in {"POW": "pow", "CONSTPOW": "pow", "ATAN2": "atan2", "FMOD": "fmod"}.items()
+        for name, function in {
+            "POW": "pow",
+            "CONSTPOW": "pow",
+            "ATAN2": "atan2",
+            "FMOD": "fmod",
+        }.items()
     }
     table |= {
         "OP_ASSIGN": "{0}",
@@ -56,12 +69,16 @@ def operations() -> dict[int, str]:
 def number(value: float) -> str:
     """A C literal that is exactly this double."""
     if value != value or value in (float("inf"), float("-inf")):
-        raise BlockError(f"the equations contain the constant {value}, which C99 has no literal for")
+        raise BlockError(
+            f"the equations contain the constant {value}, which C99 has no literal for"
+        )
     text = repr(float(value))
     return text if len(text) <= 6 else float(value).hex()
 
 
-def print_function(function: ca.Function, name: str, arguments: Sequence[str], results: Sequence[str]) -> str:
+def print_function(
+    function: ca.Function, name: str, arguments: Sequence[str], results: Sequence[str]
+) -> str:
     """One static C function with the signature of `Equations` or `Sensitivity` in block.h."""
     table = operations()
     held: dict[int, str] = {}
@@ -75,7 +92,11 @@ def print_function(function: ca.Function, name: str, arguments: Sequence[str], r
         return f"a{count}"
 
     for k in range(function.n_instructions()):
-        operation, inputs, outputs = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
+        operation, inputs, outputs = (
+            function.instruction_id(k),
+            function.instruction_input(k),
+            function.instruction_output(k),
+        )
         if operation == ca.OP_CONST:
             held[outputs[0]] = number(function.instruction_constant(k))
         elif operation == ca.OP_INPUT:
@@ -90,15 +111,21 @@ def print_function(function: ca.Function, name: str, arguments: Sequence[str], r
                 lines.append("sin_cos({2}, &{0}, &{1});".format(*pairs[angle], angle))
             held[outputs[0]] = pairs[angle][operation == ca.OP_COS]
         elif operation in table:
-            operands = [f"({text})" if text.startswith("-") else text for text in (held[i] for i in inputs)]
+            operands = [
+                f"({text})" if text.startswith("-") else text for text in (held[i] for i in inputs)
+            ]
             variable = fresh()
             lines.append(f"const double {variable} = {table[operation].format(*operands)};")
             held[outputs[0]] = variable
         else:
-            raise BlockError(f"{name}: the equations use CasADi operation {operation}, which has no C expression here")
+            raise BlockError(
+                f"{name}: the equations use CasADi operation {operation}, which has no C expression here"
+            )
     used = "\n".join(lines)
     unused = [name for name in (*arguments, *results) if not re.search(rf"\b{name}\[", used)]
-    given = [f"const double *{argument}" for argument in arguments] + [f"double *{result}" for result in results]
+    given = [f"const double *{argument}" for argument in arguments] + [
+        f"double *{result}" for result in results
+    ]
     head = f"static void {name}({', '.join(given)})"
     body = [f"(void){argument};" for argument in unused] + lines
     return head + "\n{\n" + "".join(f"    {line}\n" for line in body) + "}\n"
@@ -110,8 +137,14 @@ def c_text(text: str) -> str:
 
 
 def print_requirements(name: str, requirements: Sequence[Requirement]) -> str:
-    rows = [f"    {{{c_text(r.subject)}, {c_text(r.remedy)}, {int(r.strict)}}}," for r in requirements]
-    return f"static const Requirement {name}[] = {{\n" + "\n".join(rows or ['    {"", "", 0},']) + "\n};\n"
+    rows = [
+        f"    {{{c_text(r.subject)}, {c_text(r.remedy)}, {int(r.strict)}}}," for r in requirements
+    ]
+    return (
+        f"static const Requirement {name}[] = {{\n"
+        + "\n".join(rows or ['    {"", "", 0},'])
+        + "\n};\n"
+    )
 
 
 def print_values(plan: Layout) -> str:
@@ -123,19 +156,31 @@ def print_values(plan: Layout) -> str:
 
 
 def print_numbers(name: str, numbers: Iterable[float]) -> str:
-    return f"static const double {name}[] = {{\n" + "".join(f"    {number(value)},\n" for value in numbers) + "};\n"
+    return (
+        f"static const double {name}[] = {{\n"
+        + "".join(f"    {number(value)},\n" for value in numbers)
+        + "};\n"
+    )
 
 
 def print_block(block: Block, token: str) -> str:
     """The whole of block.c."""
     plan = layout(block)
     functions = block.functions
-    equations = functions if block.is_sampled else functions | {"linked_outputs": block.linked_outputs}
+    equations = (
+        functions if block.is_sampled else functions | {"linked_outputs": block.linked_outputs}
+    )
     parts = [
         f"/* Generated from the block {block.name}; do not edit. */\n",
         '#include "block.h"\n#include "sincos.h"\n',
-        *(print_function(function, key, ARGUMENTS, ("r0", "r1", "r2")) for key, function in equations.items()),
-        *(print_function(function, key, SENSITIVITY, ("result",)) for key, function in block.sensitivities.items()),
+        *(
+            print_function(function, key, ARGUMENTS, ("r0", "r1", "r2"))
+            for key, function in equations.items()
+        ),
+        *(
+            print_function(function, key, SENSITIVITY, ("result",))
+            for key, function in block.sensitivities.items()
+        ),
         print_values(plan),
         print_numbers("start", plan.start),
         print_numbers("nominal", plan.nominal or (1.0,)),
@@ -143,14 +188,18 @@ def print_block(block: Block, token: str) -> str:
         print_requirements("running_requirement", block.running_requirements),
     ]
     period = plan.reference[block.period] if block.period else -1
-    ranges = "\n".join(f"    .{name} = {{{first}, {count}}}," for name, (first, count) in plan.ranges.items())
+    ranges = "\n".join(
+        f"    .{name} = {{{first}, {count}}}," for name, (first, count) in plan.ranges.items()
+    )
     field = {
         "derivatives": "rates",
         "outputs": "outputs_",
         "forward_derivatives": "forward_rates",
         "reverse_derivatives": "reverse_rates",
     }
-    made = "\n".join(f"    .{field.get(name, name)} = {name}," for name in (*equations, *block.sensitivities))
+    made = "\n".join(
+        f"    .{field.get(name, name)} = {name}," for name in (*equations, *block.sensitivities)
+    )
     parts.append(
         f"""const Block block = {{
     .name = {c_text(block.name)},

@@ -72,7 +72,8 @@ def compile_core(sources: Path, output: Path, target: Platform) -> None:
     output.parent.mkdir(parents=True, exist_ok=True)
     files = sorted(str(path) for path in sources.glob("*.c"))
     run(
-        [*compiler(target, "-shared", "-fPIC", *FLAGS), "-Wl,-s", *files, "-lm", "-o", str(output)], "compiling the native core"
+        [*compiler(target, "-shared", "-fPIC", *FLAGS), "-Wl,-s", *files, "-lm", "-o", str(output)],
+        "compiling the native core",
     )
 
 
@@ -80,13 +81,28 @@ def compile_library(block_c: Path, output: Path, target: Platform) -> None:
     """Compile block.c with the runtime into one shared library that serves both FMI versions."""
     sources = sorted(str(path) for path in SOURCES.glob("*.c"))
     command = compiler(target, "-shared", "-fPIC", *FLAGS)
-    if target.suffix == ".dylib":  # a macOS library holds its own path, by default the one where it was built
+    if (
+        target.suffix == ".dylib"
+    ):  # a macOS library holds its own path, by default the one where it was built
         command.append(f"-Wl,-install_name,@rpath/{output.name}")
-    command += ["-Wl,-s", "-isystem", str(fmi_headers()), "-I", str(SOURCES), str(block_c), *sources, "-lm", "-o", str(output)]
+    command += [
+        "-Wl,-s",
+        "-isystem",
+        str(fmi_headers()),
+        "-I",
+        str(SOURCES),
+        str(block_c),
+        *sources,
+        "-lm",
+        "-o",
+        str(output),
+    ]
     run(command, f"compiling {block_c.name} for {target.fmi3}")
 
 
 def run(command: list[str], subject: str) -> None:
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
-        raise BuildError(f"{subject} failed (exit code {done.returncode}): {done.stderr.strip()[-2000:]}")
+        raise BuildError(
+            f"{subject} failed (exit code {done.returncode}): {done.stderr.strip()[-2000:]}"
+        )

@@ -26,11 +26,15 @@ def number(value: float) -> str:
 
 def _units(root: ElementTree.Element, block: Block) -> None:
     used = {unit for variable in block.variables.values() for unit in variable.units} | {"s"}
-    used |= {unit for variable in _differentiated(block) for unit in map(rate, variable.units) if unit}
+    used |= {
+        unit for variable in _differentiated(block) for unit in map(rate, variable.units) if unit
+    }
     definitions = ElementTree.SubElement(root, "UnitDefinitions")
     for name in sorted(used):
         unit = ElementTree.SubElement(definitions, "Unit", name=name)
-        ElementTree.SubElement(unit, "BaseUnit", {base: str(power) for base, power in UNITS[name].items()})
+        ElementTree.SubElement(
+            unit, "BaseUnit", {base: str(power) for base, power in UNITS[name].items()}
+        )
         if name in DISPLAY:
             display, factor = DISPLAY[name]
             ElementTree.SubElement(unit, "DisplayUnit", name=display, factor=number(factor))
@@ -38,7 +42,12 @@ def _units(root: ElementTree.Element, block: Block) -> None:
 
 def _log_categories(root: ElementTree.Element) -> None:
     categories = ElementTree.SubElement(root, "LogCategories")
-    ElementTree.SubElement(categories, "Category", name="logStatusError", description="Calls and values that are not allowed")
+    ElementTree.SubElement(
+        categories,
+        "Category",
+        name="logStatusError",
+        description="Calls and values that are not allowed",
+    )
     requirement = "The run has left what the equations hold for, such as a singular Jacobian"
     ElementTree.SubElement(categories, "Category", name="logRequirement", description=requirement)
 
@@ -46,7 +55,9 @@ def _log_categories(root: ElementTree.Element) -> None:
 def _experiment(root: ElementTree.Element, block: Block) -> None:
     # FMPy doubles its output interval beyond 1000 steps in the default experiment: keep below.
     step = block.default_step
-    ElementTree.SubElement(root, "DefaultExperiment", startTime="0", stopTime=number(100 * step), stepSize=number(step))
+    ElementTree.SubElement(
+        root, "DefaultExperiment", startTime="0", stopTime=number(100 * step), stepSize=number(step)
+    )
 
 
 def _type_name(block: Block, variable: Variable) -> str:
@@ -97,8 +108,16 @@ def fmi2(block: Block, token: str, sources: Sequence[str] = ()) -> bytes:
     }
     interfaces = []
     if not block.is_sampled:
-        interfaces.append(ElementTree.SubElement(root, "ModelExchange", common, completedIntegratorStepNotNeeded="true"))
-    interfaces.append(ElementTree.SubElement(root, "CoSimulation", common, canHandleVariableCommunicationStepSize="true"))
+        interfaces.append(
+            ElementTree.SubElement(
+                root, "ModelExchange", common, completedIntegratorStepNotNeeded="true"
+            )
+        )
+    interfaces.append(
+        ElementTree.SubElement(
+            root, "CoSimulation", common, canHandleVariableCommunicationStepSize="true"
+        )
+    )
     for interface in interfaces if sources else []:
         listed = ElementTree.SubElement(interface, "SourceFiles")
         for name in sources:
@@ -108,7 +127,8 @@ def fmi2(block: Block, token: str, sources: Sequence[str] = ()) -> bytes:
         types = ElementTree.SubElement(root, "TypeDefinitions")
         for variable in _enumerations(block):
             items = ElementTree.SubElement(
-                ElementTree.SubElement(types, "SimpleType", name=_type_name(block, variable)), "Enumeration"
+                ElementTree.SubElement(types, "SimpleType", name=_type_name(block, variable)),
+                "Enumeration",
             )
             for index, choice in enumerate(variable.choices):
                 ElementTree.SubElement(items, "Item", name=choice, value=str(index + 1))
@@ -139,9 +159,13 @@ def _fmi2_variables(parent: ElementTree.Element, block: Block, plan: Layout) -> 
 
     def scalar(name: str, reference: int, **attributes: str) -> ElementTree.Element:
         index[name] = len(index) + 1
-        return ElementTree.SubElement(parent, "ScalarVariable", {"name": name, "valueReference": str(reference), **attributes})
+        return ElementTree.SubElement(
+            parent, "ScalarVariable", {"name": name, "valueReference": str(reference), **attributes}
+        )
 
-    element = scalar("time", 0, causality="independent", variability="continuous", description="Simulation time")
+    element = scalar(
+        "time", 0, causality="independent", variability="continuous", description="Simulation time"
+    )
     ElementTree.SubElement(element, "Real", unit="s")
     for variable in block.variables.values():
         for i, name in enumerate(variable.element_names):
@@ -158,7 +182,9 @@ def _fmi2_variables(parent: ElementTree.Element, block: Block, plan: Layout) -> 
                 value = variable.start[i]
                 typed["start"] = number(value) if variable.kind == "real" else str(int(value))
             if variable.kind == "boolean" and "start" in typed:
-                typed["start"] = "true" if variable.start is not None and variable.start[i] else "false"
+                typed["start"] = (
+                    "true" if variable.start is not None and variable.start[i] else "false"
+                )
             if variable.kind == "enumeration":
                 typed["declaredType"] = _type_name(block, variable)
             if variable.kind == "real":
@@ -167,10 +193,14 @@ def _fmi2_variables(parent: ElementTree.Element, block: Block, plan: Layout) -> 
                 typed["nominal"] = number(variable.nominal)
             element = scalar(name, plan.reference[variable.name] + i, **attributes)
             ElementTree.SubElement(
-                element, {"real": "Real", "boolean": "Boolean", "enumeration": "Enumeration"}[variable.kind], typed
+                element,
+                {"real": "Real", "boolean": "Boolean", "enumeration": "Enumeration"}[variable.kind],
+                typed,
             )
     for variable in _differentiated(block):
-        for i, (name, state) in enumerate(zip(derivative_elements(variable), variable.element_names, strict=True)):
+        for i, (name, state) in enumerate(
+            zip(derivative_elements(variable), variable.element_names, strict=True)
+        ):
             element = scalar(
                 name,
                 plan.reference[derivative_name(variable)] + i,
@@ -180,7 +210,9 @@ def _fmi2_variables(parent: ElementTree.Element, block: Block, plan: Layout) -> 
                 description=f"Derivative of {state}",
             )
             unit = rate(variable.units[i])
-            ElementTree.SubElement(element, "Real", {"unit": unit} if unit else {}, derivative=str(index[state]))
+            ElementTree.SubElement(
+                element, "Real", {"unit": unit} if unit else {}, derivative=str(index[state])
+            )
     return index
 
 
@@ -194,9 +226,20 @@ def _fmi2_structure(parent: ElementTree.Element, block: Block, index: dict[str, 
             ElementTree.SubElement(listed, "Unknown", index=str(index[name]), dependencies=depends)
 
     outputs = [v for v in block.having("output", "state") if not v.local]
-    derivatives = [name for variable in _differentiated(block) for name in derivative_elements(variable)]
-    computed = [name for variable in outputs if not block.has_start(variable) for name in variable.element_names]
-    unknowns("Outputs", [name for variable in outputs for name in variable.element_names], block.dependencies)
+    derivatives = [
+        name for variable in _differentiated(block) for name in derivative_elements(variable)
+    ]
+    computed = [
+        name
+        for variable in outputs
+        if not block.has_start(variable)
+        for name in variable.element_names
+    ]
+    unknowns(
+        "Outputs",
+        [name for variable in outputs for name in variable.element_names],
+        block.dependencies,
+    )
     unknowns("Derivatives", derivatives, block.dependencies)
     unknowns("InitialUnknowns", computed + derivatives, block.initial_dependencies)
 
@@ -221,15 +264,23 @@ def fmi3(block: Block, token: str) -> bytes:
         "providesAdjointDerivatives": "true",
     }
     # Between the inner steps of a continuous block an importer may look, set inputs and end the communication step.
-    inner = {} if block.is_sampled else {"providesIntermediateUpdate": "true", "canReturnEarlyAfterIntermediateUpdate": "true"}
+    inner = (
+        {}
+        if block.is_sampled
+        else {"providesIntermediateUpdate": "true", "canReturnEarlyAfterIntermediateUpdate": "true"}
+    )
     if not block.is_sampled:
         ElementTree.SubElement(root, "ModelExchange", common, needsCompletedIntegratorStep="false")
-    ElementTree.SubElement(root, "CoSimulation", common | inner, canHandleVariableCommunicationStepSize="true")
+    ElementTree.SubElement(
+        root, "CoSimulation", common | inner, canHandleVariableCommunicationStepSize="true"
+    )
     _units(root, block)
     if _enumerations(block):
         types = ElementTree.SubElement(root, "TypeDefinitions")
         for variable in _enumerations(block):
-            items = ElementTree.SubElement(types, "EnumerationType", name=_type_name(block, variable))
+            items = ElementTree.SubElement(
+                types, "EnumerationType", name=_type_name(block, variable)
+            )
             for index, choice in enumerate(variable.choices):
                 ElementTree.SubElement(items, "Item", name=choice, value=str(index + 1))
     _log_categories(root)
@@ -276,7 +327,9 @@ def _fmi3_variables(parent: ElementTree.Element, block: Block, plan: Layout) -> 
         element = ElementTree.SubElement(parent, tag, attributes)
         if len(set(variable.units)) > 1:
             annotations = ElementTree.SubElement(element, "Annotations")
-            ElementTree.SubElement(annotations, "Annotation", type=UNITS_ANNOTATION).text = " ".join(variable.units)
+            ElementTree.SubElement(
+                annotations, "Annotation", type=UNITS_ANNOTATION
+            ).text = " ".join(variable.units)
         if variable.is_array:
             ElementTree.SubElement(element, "Dimension", start=str(variable.size))
     for variable in _differentiated(block):
@@ -298,8 +351,16 @@ def _fmi3_variables(parent: ElementTree.Element, block: Block, plan: Layout) -> 
 
 
 def _fmi3_structure(parent: ElementTree.Element, block: Block, plan: Layout) -> None:
-    owner = {name: variable.name for variable in block.variables.values() for name in variable.element_names}
-    owner |= {name: derivative_name(variable) for variable in _differentiated(block) for name in derivative_elements(variable)}
+    owner = {
+        name: variable.name
+        for variable in block.variables.values()
+        for name in variable.element_names
+    }
+    owner |= {
+        name: derivative_name(variable)
+        for variable in _differentiated(block)
+        for name in derivative_elements(variable)
+    }
     elements: dict[str, list[str]] = {}
     for element, name in owner.items():
         elements.setdefault(name, []).append(element)
@@ -307,9 +368,16 @@ def _fmi3_structure(parent: ElementTree.Element, block: Block, plan: Layout) -> 
 
     def unknowns(tag: str, names: Iterable[str], dependencies: dict[str, list[str]]) -> None:
         for name in sorted(names, key=plan.reference.__getitem__):
-            depends = {plan.reference[owner[known]] for element in elements[name] for known in dependencies[element]}
+            depends = {
+                plan.reference[owner[known]]
+                for element in elements[name]
+                for known in dependencies[element]
+            }
             ElementTree.SubElement(
-                parent, tag, valueReference=str(plan.reference[name]), dependencies=" ".join(map(str, sorted(depends)))
+                parent,
+                tag,
+                valueReference=str(plan.reference[name]),
+                dependencies=" ".join(map(str, sorted(depends))),
             )
 
     outputs = [variable for variable in block.having("output", "state") if not variable.local]
@@ -333,9 +401,17 @@ def _terminals(parent: ElementTree.Element, block: Block) -> None:
     listed = ElementTree.SubElement(parent, "Terminals")
     for name, members in block.terminals.items():
         terminal = ElementTree.SubElement(
-            listed, "Terminal", name=name, matchingRule="bus", terminalKind=f"{TERMINAL_KINDS}.{name}"
+            listed,
+            "Terminal",
+            name=name,
+            matchingRule="bus",
+            terminalKind=f"{TERMINAL_KINDS}.{name}",
         )
         for member, variable in members.items():
             ElementTree.SubElement(
-                terminal, "TerminalMemberVariable", variableName=variable, memberName=member, variableKind="signal"
+                terminal,
+                "TerminalMemberVariable",
+                variableName=variable,
+                memberName=member,
+                variableKind="signal",
             )

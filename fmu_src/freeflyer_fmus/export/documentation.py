@@ -20,7 +20,11 @@ def page(blocks: Iterable[Block]) -> str:
 
 
 def _section(block: Block) -> str:
-    kind = f"sampled at `{block.period}`" if block.is_sampled else "continuous: co-simulation and model exchange"
+    kind = (
+        f"sampled at `{block.period}`"
+        if block.is_sampled
+        else "continuous: co-simulation and model exchange"
+    )
     lines = [f"\n## {block.name}\n\n{block.description} ({kind}).\n"]
     for title, causality in (
         ("Parameters", "parameter"),
@@ -30,7 +34,9 @@ def _section(block: Block) -> str:
     ):
         variables = [variable for variable in block.having(causality) if not variable.local]
         if variables:
-            lines += [f"\n{title}:\n\n| name | size | unit | start | description |\n|---|---|---|---|---|\n"]
+            lines += [
+                f"\n{title}:\n\n| name | size | unit | start | description |\n|---|---|---|---|---|\n"
+            ]
             lines += [_row(variable) for variable in variables]
     return "".join(lines)
 
@@ -49,7 +55,9 @@ def _values(variable: Variable) -> str:
     if variable.kind == "enumeration":
         return f"{variable.choices[int(variable.start[0]) - 1]} (of {', '.join(variable.choices)})"
     values = [f"{0.0 if abs(value) < 1e-15 else value:.6g}" for value in variable.start]
-    return values[0] if len(set(values)) == 1 and not np.isnan(variable.start[0]) else " ".join(values)
+    return (
+        values[0] if len(set(values)) == 1 and not np.isnan(variable.start[0]) else " ".join(values)
+    )
 
 
 if __name__ == "__main__":

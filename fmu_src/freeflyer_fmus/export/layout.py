@@ -47,7 +47,12 @@ def layout(block: Block) -> Layout:
     values = [Value("time", "real", "read_only", 0, 1)]
     start, ranges, reference = [0.0], {}, {"time": 0}
     access: dict[str, Access] = {"input": "input", "state": "start", "output": "read_only"}
-    for name, causality in (("parameters", "parameter"), ("inputs", "input"), ("states", "state"), ("outputs", "output")):
+    for name, causality in (
+        ("parameters", "parameter"),
+        ("inputs", "input"),
+        ("states", "state"),
+        ("outputs", "output"),
+    ):
         first = len(values)
         for variable in block.having(causality):
             reference[variable.name] = len(values)
@@ -63,8 +68,12 @@ def layout(block: Block) -> Layout:
     for variable in [] if block.is_sampled else block.having("state"):
         reference[derivative_name(variable)] = len(values)
         for index, element in enumerate(derivative_elements(variable)):
-            values.append(Value(element, "real", "read_only", 0, variable.size if index == 0 else 0))
+            values.append(
+                Value(element, "real", "read_only", 0, variable.size if index == 0 else 0)
+            )
             start.append(0.0)
     ranges["derivatives"] = (first, len(values) - first)
-    nominal = tuple(variable.nominal for variable in block.having("state") for _ in range(variable.size))
+    nominal = tuple(
+        variable.nominal for variable in block.having("state") for _ in range(variable.size)
+    )
     return Layout(tuple(values), tuple(start), nominal, ranges, reference)

@@ -34,7 +34,11 @@ class Inertial:
 
     @staticmethod
     def zero() -> Inertial:
-        return Inertial(mass=0.0, centre_of_mass=constant(np.zeros(3), (3,)), inertia=constant(np.zeros((3, 3)), (3, 3)))
+        return Inertial(
+            mass=0.0,
+            centre_of_mass=constant(np.zeros(3), (3,)),
+            inertia=constant(np.zeros((3, 3)), (3, 3)),
+        )
 
     def seen_from(self, rotation: Array, translation: Array) -> Inertial:
         """The same body in a frame in which this one stands at (rotation, translation)."""
@@ -51,21 +55,32 @@ class Inertial:
             return self
         centre = (self.mass * self.centre_of_mass + other.mass * other.centre_of_mass) / mass
         inertia = sum(
-            (part.inertia + part.mass * _parallel_axis(part.centre_of_mass - centre) for part in (self, other)),
+            (
+                part.inertia + part.mass * _parallel_axis(part.centre_of_mass - centre)
+                for part in (self, other)
+            ),
             start=np.zeros((3, 3)),
         )
-        return Inertial(mass=mass, centre_of_mass=constant(centre, (3,)), inertia=constant(inertia, (3, 3)))
+        return Inertial(
+            mass=mass, centre_of_mass=constant(centre, (3,)), inertia=constant(inertia, (3, 3))
+        )
 
     def check(self, subject: str) -> None:
         """Refuse what no rigid body can be: mass <= 0, inertia not positive definite, triangle inequality violated."""
-        if not (np.isfinite(self.mass) and np.isfinite(self.centre_of_mass).all() and np.isfinite(self.inertia).all()):
+        if not (
+            np.isfinite(self.mass)
+            and np.isfinite(self.centre_of_mass).all()
+            and np.isfinite(self.inertia).all()
+        ):
             raise RobotError(f"{subject}: mass, centre of mass and inertia must be finite numbers")
         if self.mass <= 0.0:
             raise RobotError(f"{subject}: mass is {self.mass:g} kg; it must be greater than zero")
         moments = np.linalg.eigvalsh(self.inertia)
         shown = ", ".join(f"{moment:.6g}" for moment in moments)
         if moments[0] <= 0.0:
-            raise RobotError(f"{subject}: inertia is not positive definite; its principal moments are ({shown}) kg m2")
+            raise RobotError(
+                f"{subject}: inertia is not positive definite; its principal moments are ({shown}) kg m2"
+            )
         if moments[0] + moments[1] < moments[2] * (1.0 - 1e-9):
             raise RobotError(
                 f"{subject}: inertia violates the triangle inequality; its principal moments are ({shown}) kg m2, "
@@ -117,11 +132,17 @@ class Robot:
     def __post_init__(self) -> None:
         self.base.check(f"robot {self.name}, base")
         if np.abs(self.base.centre_of_mass).max() > 0.0:
-            raise RobotError(f"robot {self.name}: the base frame's origin must be the base's centre of mass")
+            raise RobotError(
+                f"robot {self.name}: the base frame's origin must be the base's centre of mass"
+            )
         if not self.joints:
-            raise RobotError(f"robot {self.name}: no free joint between base and end-effector; at least one is expected")
+            raise RobotError(
+                f"robot {self.name}: no free joint between base and end-effector; at least one is expected"
+            )
         if len(self.bodies) != len(self.joints):
-            raise RobotError(f"robot {self.name}: {len(self.joints)} joints but {len(self.bodies)} bodies")
+            raise RobotError(
+                f"robot {self.name}: {len(self.joints)} joints but {len(self.bodies)} bodies"
+            )
         if self.posture.shape != (len(self.joints),):
             raise RobotError(
                 f"robot {self.name}: posture has {self.posture.size} values; one for each of the free joints "
@@ -134,7 +155,9 @@ class Robot:
             whole.check(f"robot {self.name}, body moved by joint {joint.name}")
         for joint, value in zip(self.joints, self.posture, strict=True):
             if not np.isfinite(value):
-                raise RobotError(f"robot {self.name}: posture of joint {joint.name} is {value}; a finite number is expected")
+                raise RobotError(
+                    f"robot {self.name}: posture of joint {joint.name} is {value}; a finite number is expected"
+                )
             if not joint.lower <= value <= joint.upper:
                 raise RobotError(
                     f"robot {self.name}: posture of joint {joint.name} is {value:g}, outside its limits "

@@ -25,7 +25,9 @@ def shipped_robots() -> list[str]:
 def robot_path(text: str, directory: Path = Path()) -> Path:
     """Of a shipped robot by name, or of a file. RobotError for a name that is neither."""
     if text not in shipped_robots() and "." not in text:
-        raise RobotError(f"there is no robot {text!r}: neither a shipped one nor a file{did_you_mean(text, shipped_robots())}")
+        raise RobotError(
+            f"there is no robot {text!r}: neither a shipped one nor a file{did_you_mean(text, shipped_robots())}"
+        )
     return ROBOTS / f"{text}.toml" if text in shipped_robots() else directory / text
 
 
@@ -92,28 +94,44 @@ def _robot(
     path = tree.chain(base, tip)
     for name, value in lock.items():
         if name not in tree.joints:
-            raise RobotError(f"URDF {tree.path}: locked joint {name!r} does not exist{did_you_mean(name, tree.joints)}")
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            raise RobotError(f"URDF {tree.path}: joint {name} is locked at {value!r}; a finite number is expected")
+            raise RobotError(
+                f"URDF {tree.path}: locked joint {name!r} does not exist{did_you_mean(name, tree.joints)}"
+            )
+        if (
+            isinstance(value, bool)
+            or not isinstance(value, int | float)
+            or not math.isfinite(value)
+        ):
+            raise RobotError(
+                f"URDF {tree.path}: joint {name} is locked at {value!r}; a finite number is expected"
+            )
         joint = tree.joints[name]
         if not joint.lower <= value <= joint.upper:
             limits = f"[{joint.lower:g}, {joint.upper:g}]"
-            raise RobotError(f"URDF {tree.path}: joint {name} is locked at {value:g}, outside its limits {limits}")
+            raise RobotError(
+                f"URDF {tree.path}: joint {name} is locked at {value:g}, outside its limits {limits}"
+            )
     base_inertial = tree.links[base]
     if base_inertial is None:
-        raise RobotError(f"URDF {tree.path}: base link {base!r} has no mass; a floating base needs an <inertial>")
+        raise RobotError(
+            f"URDF {tree.path}: base link {base!r} has no mass; a floating base needs an <inertial>"
+        )
     tree.refuse_mass_above(base)
     # B stands at the base body's centre of mass, with the base link's axes.
     rotation, translation = np.eye(3), -base_inertial.centre_of_mass
     free: list[Joint] = []
     bodies: list[Inertial] = []
-    body = _welded(tree, base, rotation, translation, path[0] if path else None, {base, tool}, lock, tip)
+    body = _welded(
+        tree, base, rotation, translation, path[0] if path else None, {base, tool}, lock, tip
+    )
     link, tool_pose = base, None
     for joint, following in zip(path, [*path[1:], None], strict=True):
         translation = translation + rotation @ joint.translation
         rotation = rotation @ joint.rotation
         if joint.kind == "fixed" or joint.name in lock:
-            rotation, translation = joint.displaced(rotation, translation, lock.get(joint.name, 0.0))
+            rotation, translation = joint.displaced(
+                rotation, translation, lock.get(joint.name, 0.0)
+            )
         else:
             align = _z_onto(joint.axis)
             free.append(joint.free(_exact(rotation @ align), constant(translation, (3,))))
@@ -121,7 +139,9 @@ def _robot(
             body, tool_pose = Inertial.zero(), None
             rotation, translation = align.T, np.zeros(3)
         link = joint.child
-        body = body.merged_with(_welded(tree, link, rotation, translation, following, {base, tool}, lock, tip))
+        body = body.merged_with(
+            _welded(tree, link, rotation, translation, following, {base, tool}, lock, tip)
+        )
         if link == tool:
             tool_pose = (rotation, translation)
     bodies.append(body)
@@ -161,7 +181,9 @@ def _welded(
 ) -> Inertial:
     """This link and everything welded to it, except the links in `apart` and what hangs below the joint `skip`."""
     own = tree.links[link]
-    total = Inertial.zero() if own is None or link in apart else own.seen_from(rotation, translation)
+    total = (
+        Inertial.zero() if own is None or link in apart else own.seen_from(rotation, translation)
+    )
     for joint in tree.children[link]:
         if joint is skip:
             continue
@@ -176,14 +198,18 @@ def _welded(
     return total
 
 
-def _posture(tree: UrdfTree, free: Sequence[Joint], posture: Mapping[str, float] | Sequence[float] | None) -> Array:
+def _posture(
+    tree: UrdfTree, free: Sequence[Joint], posture: Mapping[str, float] | Sequence[float] | None
+) -> Array:
     names = [joint.name for joint in free]
     if posture is None:
         return constant([_neutral(joint) for joint in free], (len(free),))
     if isinstance(posture, Mapping):
         for name in posture:
             if name not in names:
-                raise RobotError(f"URDF {tree.path}: posture names {name!r}, which is no free joint{did_you_mean(name, names)}")
+                raise RobotError(
+                    f"URDF {tree.path}: posture names {name!r}, which is no free joint{did_you_mean(name, names)}"
+                )
         missing = [name for name in names if name not in posture]
         if missing:
             raise RobotError(f"URDF {tree.path}: posture lacks the joints {', '.join(missing)}")

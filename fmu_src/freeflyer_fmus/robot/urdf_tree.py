@@ -35,7 +35,9 @@ class UrdfJoint:
     velocity: float
     effort: float
 
-    def displaced(self, rotation: Array, translation: Array, position: float) -> tuple[Array, Array]:
+    def displaced(
+        self, rotation: Array, translation: Array, position: float
+    ) -> tuple[Array, Array]:
         """The child link's pose for a joint frame at (rotation, translation) and a joint held at `position`."""
         if self.kind == "prismatic":
             return rotation, translation + rotation @ self.axis * position
@@ -89,7 +91,9 @@ class UrdfTree:
 
     def require_link(self, name: str, role: str) -> None:
         if name not in self.links:
-            raise RobotError(f"URDF {self.path}: {role} {name!r} does not exist{did_you_mean(name, self.links)}")
+            raise RobotError(
+                f"URDF {self.path}: {role} {name!r} does not exist{did_you_mean(name, self.links)}"
+            )
 
     def only_leaf(self, base: str) -> str:
         leaves, stack = [], [base]
@@ -110,7 +114,9 @@ class UrdfTree:
         while link != base:
             joint = self.parent.get(link)
             if joint is None:
-                raise RobotError(f"URDF {self.path}: not a serial chain: {tip!r} does not hang below {base!r}")
+                raise RobotError(
+                    f"URDF {self.path}: not a serial chain: {tip!r} does not hang below {base!r}"
+                )
             path.append(joint)
             link = joint.parent
         return path[::-1]
@@ -122,7 +128,11 @@ class UrdfTree:
             link = stack.pop()
             below.add(link)
             stack += [joint.child for joint in self.children[link]]
-        lost = sorted(name for name, inertial in self.links.items() if inertial is not None and name not in below)
+        lost = sorted(
+            name
+            for name, inertial in self.links.items()
+            if inertial is not None and name not in below
+        )
         if lost:
             raise RobotError(
                 f"URDF {self.path}: links {', '.join(lost)} have mass but do not hang below the base link {base!r}; "
@@ -154,14 +164,20 @@ class UrdfTree:
                 f"URDF {self.path}: joint {name!r} is of type {kind!r}; fixed, revolute, continuous or prismatic is expected"
             )
         if element.find("mimic") is not None:
-            raise RobotError(f"URDF {self.path}: joint {name!r} mimics another joint, which is not supported")
+            raise RobotError(
+                f"URDF {self.path}: joint {name!r} mimics another joint, which is not supported"
+            )
         parent, child = element.find("parent"), element.find("child")
         if parent is None or child is None:
             raise RobotError(f"URDF {self.path}: joint {name!r} lacks its parent or child link")
         subject = f"joint {name!r}"
         rotation, translation = self._origin(element.find("origin"), subject)
         axis_element = element.find("axis")
-        axis = np.array([1.0, 0.0, 0.0]) if axis_element is None else self._vector(axis_element, "xyz", subject)
+        axis = (
+            np.array([1.0, 0.0, 0.0])
+            if axis_element is None
+            else self._vector(axis_element, "xyz", subject)
+        )
         if kind != "fixed" and not np.linalg.norm(axis) > 0.0:
             raise RobotError(f"URDF {self.path}: joint {name!r} has an axis of zero length")
         limit = element.find("limit")
@@ -169,7 +185,9 @@ class UrdfTree:
         lower = self._number(limit, "lower", subject, 0.0) if bounded else -math.inf
         upper = self._number(limit, "upper", subject, 0.0) if bounded else math.inf
         if lower > upper:
-            raise RobotError(f"URDF {self.path}: joint {name!r} has lower limit {lower:g} above upper limit {upper:g}")
+            raise RobotError(
+                f"URDF {self.path}: joint {name!r} has lower limit {lower:g} above upper limit {upper:g}"
+            )
         return UrdfJoint(
             name=name,
             kind=kind,
@@ -191,9 +209,14 @@ class UrdfTree:
         subject = f"link {name!r}"
         mass_element, inertia_element = element.find("mass"), element.find("inertia")
         if mass_element is None or inertia_element is None:
-            raise RobotError(f"URDF {self.path}: {subject} has an <inertial> without <mass> or <inertia>")
+            raise RobotError(
+                f"URDF {self.path}: {subject} has an <inertial> without <mass> or <inertia>"
+            )
         mass = self._number(mass_element, "value", subject, None)
-        entry = {key: self._number(inertia_element, key, subject, 0.0) for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")}
+        entry = {
+            key: self._number(inertia_element, key, subject, 0.0)
+            for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+        }
         inertia = np.array(
             [
                 [entry["ixx"], entry["ixy"], entry["ixz"]],
@@ -204,7 +227,9 @@ class UrdfTree:
         if mass == 0.0 and not inertia.any():
             return None
         rotation, translation = self._origin(element.find("origin"), subject)
-        inertial = Inertial(mass=mass, centre_of_mass=constant(np.zeros(3), (3,)), inertia=constant(inertia, (3, 3)))
+        inertial = Inertial(
+            mass=mass, centre_of_mass=constant(np.zeros(3), (3,)), inertia=constant(inertia, (3, 3))
+        )
         inertial = inertial.seen_from(rotation, translation)
         inertial.check(f"URDF {self.path}, {subject}")
         return inertial
@@ -212,7 +237,9 @@ class UrdfTree:
     def _origin(self, element: ElementTree.Element | None, subject: str) -> tuple[Array, Array]:
         if element is None:
             return np.eye(3), np.zeros(3)
-        return _rotation_from_rpy(self._vector(element, "rpy", subject)), self._vector(element, "xyz", subject)
+        return _rotation_from_rpy(self._vector(element, "rpy", subject)), self._vector(
+            element, "xyz", subject
+        )
 
     def _vector(self, element: ElementTree.Element, key: str, subject: str) -> Array:
         text = element.get(key, "0 0 0")
@@ -221,10 +248,14 @@ class UrdfTree:
         except ValueError:
             values = np.array([])
         if values.shape != (3,) or not np.isfinite(values).all():
-            raise RobotError(f"URDF {self.path}: {subject} has {key}={text!r}; three finite numbers are expected")
+            raise RobotError(
+                f"URDF {self.path}: {subject} has {key}={text!r}; three finite numbers are expected"
+            )
         return values
 
-    def _number(self, element: ElementTree.Element | None, key: str, subject: str, default: float | None) -> float:
+    def _number(
+        self, element: ElementTree.Element | None, key: str, subject: str, default: float | None
+    ) -> float:
         text = None if element is None else element.get(key)
         if text is None and default is not None:
             return default
@@ -233,7 +264,9 @@ class UrdfTree:
         except ValueError:
             value = math.nan
         if math.isnan(value):
-            raise RobotError(f"URDF {self.path}: {subject} has {key}={text!r}; a number is expected")
+            raise RobotError(
+                f"URDF {self.path}: {subject} has {key}={text!r}; a number is expected"
+            )
         return value
 
     def _attribute(self, element: ElementTree.Element, key: str, subject: str) -> str:

@@ -17,7 +17,9 @@ def at_base(wrench: Array, arm: Array) -> Array:
     return np.hstack([wrench[:, :3], np.cross(arm, wrench[:, :3]) + wrench[:, 3:]])
 
 
-def pose_error(position: Array, orientation: Array, desired_position: Array, desired_orientation: Array) -> Array:
+def pose_error(
+    position: Array, orientation: Array, desired_position: Array, desired_orientation: Array
+) -> Array:
     """Delta x (n, 6) of (7) and (8): position error and twice the vector part of the error quaternion, the shorter way round."""
     relative = Rotation.from_quat(orientation) * Rotation.from_quat(desired_orientation).inv()
     return np.hstack([position - desired_position, 2.0 * relative.as_quat(canonical=True)[:, :3]])
@@ -30,7 +32,9 @@ def displacement(time: Array, position: Array, orientation: Array, velocity: Arr
     second is added here, so that the error is of the fifth order in the interval (Iserles et al., Acta Numerica 2000).
     """
     T = np.diff(time)[:, None]
-    turn = (Rotation.from_quat(orientation[1:]) * Rotation.from_quat(orientation[:-1]).inv()).as_rotvec()
+    turn = (
+        Rotation.from_quat(orientation[1:]) * Rotation.from_quat(orientation[:-1]).inv()
+    ).as_rotvec()
     w = velocity[:, 3:]
     return np.hstack([np.diff(position, axis=0), turn + T**2 / 12.0 * np.cross(w[:-1], w[1:])])
 
@@ -78,7 +82,9 @@ def spring_energy(stiffness: Array, error: Array) -> Array:
     """
     turn = error[:, 3:]
     eta = np.sqrt(np.maximum(1.0 - 0.25 * np.sum(turn**2, axis=1, keepdims=True), 0.0))
-    return np.hstack([0.5 * stiffness[:3] * error[:, :3] ** 2, stiffness[3:] * turn**2 / (1.0 + eta)])
+    return np.hstack(
+        [0.5 * stiffness[:3] * error[:, :3] ** 2, stiffness[3:] * turn**2 / (1.0 + eta)]
+    )
 
 
 def dissipation(time: Array, damping: Array, velocity: Array) -> Array:

@@ -36,7 +36,9 @@ def draw(audit: Audit) -> Any:
         for panel, letter in zip(axes, "abcd", strict=True):
             panel.set_title(f"({letter}) {panel.get_title(loc='left')}", loc="left", fontsize=8)
             # Beside the axes, so that it hides nothing.
-            panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.03), handlelength=2.6, frameon=False)
+            panel.legend(
+                loc="upper left", bbox_to_anchor=(1.0, 1.03), handlelength=2.6, frameon=False
+            )
         figure.align_ylabels(axes)
         return figure
 
@@ -51,7 +53,9 @@ def _powers(axes: Any, audit: Audit) -> None:
 
 def _balance(axes: Any, audit: Audit) -> None:
     closes = (
-        "True balance: work at the ports is the kinetic energy" if audit.balance else "Work at the ports (no balance to close)"
+        "True balance: work at the ports is the kinetic energy"
+        if audit.balance
+        else "Work at the ports (no balance to close)"
     )
     axes.set_title(closes, loc="left")
     lines = [audit.base.work, audit.manipulator.work]
@@ -62,7 +66,12 @@ def _balance(axes: Any, audit: Audit) -> None:
         lines += [balance.kinetic]
         worst = np.abs(balance.residual_of_ports).max()
         axes.plot(audit.time, balance.kinetic, label="kinetic energy, change", **KINETIC)
-        axes.plot(audit.time, balance.residual_of_ports, label=f"residual,\nat most {worst:.1e} J", **RESIDUAL)
+        axes.plot(
+            audit.time,
+            balance.residual_of_ports,
+            label=f"residual,\nat most {worst:.1e} J",
+            **RESIDUAL,
+        )
         if np.any(balance.others):
             axes.plot(audit.time, balance.others, label="work of others", **STALE)
     _scale(axes, "[J]", *lines)
@@ -73,17 +82,28 @@ def _sources(axes: Any, audit: Audit) -> None:
     virtual_m, virtual_b = audit.manipulator.virtual, audit.base.virtual
     taken = audit.base.taken + audit.manipulator.taken
     damped = audit.base.dissipated + audit.manipulator.dissipated
-    axes.plot(audit.time, audit.base.stale, label="in: multi-rate,\n$\\Sigma(F_B^{true} - F_B^{held})\\,\\Delta x_b$", **STALE)
+    axes.plot(
+        audit.time,
+        audit.base.stale,
+        label="in: multi-rate,\n$\\Sigma(F_B^{true} - F_B^{held})\\,\\Delta x_b$",
+        **STALE,
+    )
     axes.plot(audit.time, virtual_b, label="in: virtual, by the\nbase's held law", **B)
     axes.plot(audit.time, virtual_m, label="in: virtual, by the\nmanipulator's held law", **M)
-    axes.plot(audit.time, damped, label="out: damping of both laws,\n$\\int \\dot{x}^T K_D \\dot{x}\\,dt$", **DAMPED)
+    axes.plot(
+        audit.time,
+        damped,
+        label="out: damping of both laws,\n$\\int \\dot{x}^T K_D \\dot{x}\\,dt$",
+        **DAMPED,
+    )
     axes.plot(audit.time, taken, label="out: taken by both\npassivity controllers", **TAKEN)
     _scale(axes, "[J]", audit.base.stale, virtual_b, virtual_m, damped, taken)
 
 
 def _beliefs(axes: Any, audit: Audit) -> None:
     axes.set_title(
-        f"What the observers ('{audit.loop.observer}') believed, and the truth: E(0) less the work at the port", loc="left"
+        f"What the observers ('{audit.loop.observer}') believed, and the truth: E(0) less the work at the port",
+        loc="left",
     )
     lines = []
     for port, name, line in ((audit.base, "B", B), (audit.manipulator, "M", M)):
@@ -94,7 +114,9 @@ def _beliefs(axes: Any, audit: Audit) -> None:
     for port, name, line in ((audit.base, "B", B), (audit.manipulator, "M", M)):
         least = port.believed.min(axis=1)
         lines.append(least)
-        axes.plot(audit.time, least, label=f"observer of {name}, least DoF", **{**line, "alpha": 0.45})
+        axes.plot(
+            audit.time, least, label=f"observer of {name}, least DoF", **{**line, "alpha": 0.45}
+        )
     axes.axhline(0.0, color="black", lw=0.5)
     _scale(axes, "[J]", *lines)
 

@@ -84,7 +84,9 @@ def audit(loop: RecordedLoop) -> Audit:
     time, law_m, law_b = loop.time, loop.manipulator_law, loop.base_law
     share_m, share_b = (_share(loop, law.period) for law in (law_m, law_b))
     moved_b, moved_m = (_moved(loop, motion) for motion in (loop.base, loop.hand))
-    moved_d = energy.displacement(time, loop.desired.position, loop.desired.orientation, loop.desired.velocity)
+    moved_d = energy.displacement(
+        time, loop.desired.position, loop.desired.orientation, loop.desired.velocity
+    )
     at_rest = np.zeros_like(moved_d)
 
     # The wrench that acts at B between the base's samples: F'_b(k_b) - J_b(k)^T F'_m(k), beside F'_B(k_b).
@@ -128,7 +130,9 @@ def audit(loop: RecordedLoop) -> Audit:
         loop=loop,
         base=port_b,
         manipulator=port_m,
-        tracking_power=_power(loop.end_effector_wrench - F_m_star, loop.hand.velocity - loop.desired.velocity),
+        tracking_power=_power(
+            loop.end_effector_wrench - F_m_star, loop.hand.velocity - loop.desired.velocity
+        ),
         balance=_balance(loop, port_b, port_m, moved_b),
         notes=tuple(notes(loop)),
     )
@@ -170,16 +174,21 @@ def _port(
     """
 
     def errors(motion: Motion) -> tuple[Array, Array]:
-        pose = energy.pose_error(motion.position, motion.orientation, desired.position, desired.orientation)
+        pose = energy.pose_error(
+            motion.position, motion.orientation, desired.position, desired.orientation
+        )
         return pose, motion.velocity - desired.velocity
 
     # -K_P Delta x - K_D Delta x' as it was sampled; F* is what the law adds to it. Sampled gains are not in a record: then the
     # whole law stands in its place.
-    seen_pose, seen_velocity = (energy.last_samples(loop.time, values, law.period) for values in errors(law.measured))
+    seen_pose, seen_velocity = (
+        energy.last_samples(loop.time, values, law.period) for values in errors(law.measured)
+    )
     spring_damper = -law.stiffness * seen_pose - law.damping * seen_velocity
     star = wrench - passivity_wrench - spring_damper if law.is_plain else np.zeros_like(wrench)
     held_star, held_law, held_pc = (
-        energy.held(values, share) for values in (star, wrench - passivity_wrench - star, passivity_wrench)
+        energy.held(values, share)
+        for values in (star, wrench - passivity_wrench - star, passivity_wrench)
     )
 
     def total(force: Array, displacement: Array) -> Array:
@@ -219,11 +228,14 @@ def _balance(loop: RecordedLoop, port_b: Port, port_m: Port, moved_b: Array) -> 
         held(plant.joint_torque, plant.joint_torque_period),
     )
     base_wrench, joint_torque = (
-        energy.work(force, moved).sum(axis=1) for force, moved in ((by_base, moved_b), (by_joints, moved_q))
+        energy.work(force, moved).sum(axis=1)
+        for force, moved in ((by_base, moved_b), (by_joints, moved_q))
     )
-    others = energy.work(by_base - held(loop.base_wrench, loop.base_law.period), moved_b).sum(axis=1) + energy.work(
-        by_joints - held(loop.joint_torque, loop.manipulator_law.period), moved_q
-    ).sum(axis=1)
+    others = energy.work(by_base - held(loop.base_wrench, loop.base_law.period), moved_b).sum(
+        axis=1
+    ) + energy.work(by_joints - held(loop.joint_torque, loop.manipulator_law.period), moved_q).sum(
+        axis=1
+    )
     kinetic = plant.kinetic_energy - plant.kinetic_energy[0]
     return Balance(
         kinetic=kinetic,

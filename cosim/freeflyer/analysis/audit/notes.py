@@ -41,7 +41,9 @@ def notes(loop: RecordedLoop) -> list[str]:
                 "that, too."
             )
     if loop.joint_torque.shape[1] != 6:
-        said.append("The arm has joint torques in the null space of J_m, whose work is in the residual of the ports.")
+        said.append(
+            "The arm has joint torques in the null space of J_m, whose work is in the residual of the ports."
+        )
     if loop.rows_left_out:
         said.append(f"The last {loop.rows_left_out} rows are left out: they are not finite.")
     return said

@@ -12,10 +12,16 @@ from numpy.typing import NDArray
 
 from freeflyer.fmi.component import Array
 from freeflyer.foundation.errors import RecordError
-from freeflyer.master.provenance import Origin
+from freeflyer.master.provenance import Provenance
 from freeflyer.master.record import Record
 
-MANIPULATOR = ("joint_torque", "end_effector_wrench", "passivity_wrench", "manipulator_observed_energy", "base_observed_energy")
+MANIPULATOR = (
+    "joint_torque",
+    "end_effector_wrench",
+    "passivity_wrench",
+    "manipulator_observed_energy",
+    "base_observed_energy",
+)
 BASE = ("base_wrench", "port_wrench", "passivity_wrench")
 """Outputs that tell the two controllers from other components, whatever their names."""
 
@@ -64,7 +70,7 @@ class RecordedLoop:
     the facility, base and hand are as they were measured.
     """
 
-    origin: Origin
+    provenance: Provenance
     time: Array
     base: Motion
     hand: Motion
@@ -92,39 +98,47 @@ class RecordedLoop:
 
 def find(record: Record) -> RecordedLoop:
     """Raises RecordError, with everything that is missing in one sentence."""
-    origin = record.origin
-    if origin is None:
+    provenance = record.provenance
+    if provenance is None:
         raise RecordError("the record does not say which system it came from")
-    if origin.exchange != "sequential":
+    if provenance.exchange != "sequential":
         raise RecordError(
-            f"the record of {origin.scenario} was made with exchange = {origin.exchange!r}, where an output belongs to an earlier "
+            f"the record of {provenance.scenario} was made with exchange = {provenance.exchange!r}, where an output belongs to an earlier "
             "sample; an audit needs 'sequential'"
         )
-    loop = _Finder(record, origin).loop()
+    loop = _Finder(record, provenance).loop()
     if loop.time.size < 2:
-        raise RecordError(f"the record of {origin.scenario} has {loop.time.size} finite rows; at least 2 are needed")
+        raise RecordError(
+            f"the record of {provenance.scenario} has {loop.time.size} finite rows; at least 2 are needed"
+        )
     if not (np.diff(loop.time) >= 1e-9).all():
-        raise RecordError(f"the record of {origin.scenario} has times that do not increase by a nanosecond from row to row")
+        raise RecordError(
+            f"the record of {provenance.scenario} has times that do not increase by a nanosecond from row to row"
+        )
     return loop
 
 
 class _Finder:
     """Collects what is missing, so that it is said at once."""
 
-    def __init__(self, record: Record, origin: Origin) -> None:
-        self.record, self.origin = record, origin
+    def __init__(self, record: Record, provenance: Provenance) -> None:
+        self.record, self.provenance = record, provenance
         self.missing: list[str] = []
         self.rows = record.rows
 
     def loop(self) -> RecordedLoop:
-        manipulator, base = self.one_with(MANIPULATOR, "manipulator's"), self.one_with(BASE, "base's")
+        manipulator, base = (
+            self.one_with(MANIPULATOR, "manipulator's"),
+            self.one_with(BASE, "base's"),
+        )
         self.refuse()
         plant = self.plant_component()
         joint_torque = self.signal(f"{manipulator}.joint_torque")
         joints = joint_torque.shape[1]
         wrenches = [
             self.signal(name, 6)
-            for name in [f"{manipulator}.{output}" for output in MANIPULATOR[1:]] + [f"{base}.{output}" for output in BASE]
+            for name in [f"{manipulator}.{output}" for output in MANIPULATOR[1:]]
+            + [f"{base}.{output}" for output in BASE]
         ]
         measured_base = self.motion(
             self.source(base, "base_position"),
@@ -132,13 +146,23 @@ class _Finder:
             self.source(manipulator, "base_velocity"),
         )
         measured_hand = self.motion(
-            *(self.source(manipulator, f"end_effector_{part}") for part in ("position", "orientation", "velocity"))
+            *(
+                self.source(manipulator, f"end_effector_{part}")
+                for part in ("position", "orientation", "velocity")
+            )
         )
         desired = self.motion(
-            *(self.source(manipulator, f"desired_{part}") for part in ("position", "orientation", "velocity"))
+            *(
+                self.source(manipulator, f"desired_{part}")
+                for part in ("position", "orientation", "velocity")
+            )
         )
         true_base, true_hand = (
-            self.motion(*(f"{plant}.{which}_{part}" for part in ("position", "orientation", "velocity"))) if plant else None
+            self.motion(
+                *(f"{plant}.{which}_{part}" for part in ("position", "orientation", "velocity"))
+            )
+            if plant
+            else None
             for which in ("base", "end_effector")
         )
         actual = (
@@ -153,7 +177,10 @@ class _Finder:
             if plant
             else None
         )
-        place, turn = self.parameter(base, "position_setpoint", 3), self.parameter(base, "orientation_setpoint", 4)
+        place, turn = (
+            self.parameter(base, "position_setpoint", 3),
+            self.parameter(base, "orientation_setpoint", 4),
+        )
         rest = Motion(
             position=np.tile(place, (self.record.rows, 1)),
             orientation=np.tile(turn, (self.record.rows, 1)),
@@ -169,7 +196,7 @@ class _Finder:
         ]
         self.refuse()
         loop = RecordedLoop(
-            origin=self.origin,
+            provenance=self.provenance,
             time=self.record.time,
             base=true_base or measured_base,
             hand=true_hand or measured_hand,
@@ -185,7 +212,7 @@ class _Finder:
             base_wrench=wrenches[4],
             port_wrench=wrenches[5],
             base_passivity_wrench=wrenches[6],
-            observer=str(self.origin.parameters[manipulator].get("observer", "not said")),
+            observer=str(self.provenance.parameters[manipulator].get("observer", "not said")),
             plant=actual,
             rows_left_out=self.record.rows - self.rows,
         )
@@ -195,20 +222,27 @@ class _Finder:
     def one_with(self, outputs: Iterable[str], whose: str) -> str:
         """The one component whose outputs these are."""
         components = {name.partition(".")[0] for name in self.record.signals}
-        found = sorted(name for name in components if all(f"{name}.{output}" in self.record for output in outputs))
+        found = sorted(
+            name
+            for name in components
+            if all(f"{name}.{output}" in self.record for output in outputs)
+        )
         if not found:
             self.missing.append(f"component with the {whose} outputs {', '.join(outputs)}")
             return ""
         if len(found) > 1:
             raise RecordError(
-                f"the record of {self.origin.scenario} has {len(found)} controllers of the {whose} kind: {', '.join(found)}"
+                f"the record of {self.provenance.scenario} has {len(found)} controllers of the {whose} kind: {', '.join(found)}"
             )
         return found[0]
 
     def plant_component(self) -> str | None:
         """The robot as one body of equations, driven by base wrench and joint torque."""
-        for name in self.origin.steps:
-            driven = all(f"{name}.{entry}" in self.origin.sources for entry in ("base_wrench", "joint_torque"))
+        for name in self.provenance.steps:
+            driven = all(
+                f"{name}.{entry}" in self.provenance.sources
+                for entry in ("base_wrench", "joint_torque")
+            )
             if driven and f"{name}.kinetic_energy" in self.record:
                 return name
         return None
@@ -216,13 +250,13 @@ class _Finder:
     def source(self, component: str, entry: str) -> str:
         """The output that drives an input."""
         target = f"{component}.{entry}"
-        if target not in self.origin.sources:
+        if target not in self.provenance.sources:
             self.missing.append(f"source of {target}")
-        return self.origin.sources.get(target, "")
+        return self.provenance.sources.get(target, "")
 
     def period(self, signal: str) -> int:
         """Of the component whose output this is [ns]."""
-        return self.origin.steps.get(signal.partition(".")[0], 1)
+        return self.provenance.steps.get(signal.partition(".")[0], 1)
 
     def signal(self, name: str, size: int | None = None) -> Array:
         """(rows, size), of any size if it is None, where a scalar is one; what is missing is noted, and the rows end before the
@@ -245,10 +279,12 @@ class _Finder:
     def motion(self, position: str, orientation: str, velocity: str) -> Motion:
         turn = self.signal(orientation, 4)
         self.end_before(np.asarray(np.linalg.norm(turn, axis=1) < 0.5))  # not a rotation
-        return Motion(position=self.signal(position, 3), orientation=turn, velocity=self.signal(velocity, 6))
+        return Motion(
+            position=self.signal(position, 3), orientation=turn, velocity=self.signal(velocity, 6)
+        )
 
     def parameter(self, component: str, name: str, size: int) -> Array:
-        value: Any = self.origin.parameters.get(component, {}).get(name)
+        value: Any = self.provenance.parameters.get(component, {}).get(name)
         plain = isinstance(value, list) and all(
             isinstance(item, int | float) and abs(item) <= sys.float_info.max for item in value
         )
@@ -265,13 +301,16 @@ class _Finder:
             damping=self.parameter(component, "damping", 6),
             initial_energy=initial_energy,
             measured=measured,
-            is_plain=self.origin.parameters.get(component, {}).get("discretisation", "emulated") == "emulated",
+            is_plain=self.provenance.parameters.get(component, {}).get("discretisation", "emulated")
+            == "emulated",
         )
 
     def refuse(self) -> None:
         if self.missing:
             names = ", ".join(dict.fromkeys(self.missing))
-            raise RecordError(f"the record of {self.origin.scenario} cannot be audited: it lacks {names}")
+            raise RecordError(
+                f"the record of {self.provenance.scenario} cannot be audited: it lacks {names}"
+            )
 
 
 def _first_rows(part: Any, rows: int) -> Any:
@@ -280,7 +319,11 @@ def _first_rows(part: Any, rows: int) -> Any:
     for name, value in vars(part).items():
         if isinstance(value, Motion | Plant | Law):
             cut[name] = _first_rows(value, rows)
-        elif isinstance(value, np.ndarray) and name not in ("stiffness", "damping", "initial_energy"):
+        elif isinstance(value, np.ndarray) and name not in (
+            "stiffness",
+            "damping",
+            "initial_energy",
+        ):
             cut[name] = value[:rows]
         else:
             cut[name] = value

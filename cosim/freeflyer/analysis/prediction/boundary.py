@@ -95,7 +95,11 @@ def _mode_summary(mode: Mode) -> dict[str, Any]:
 
 
 def predict(
-    scenario: Scenario, *, longest: float | None = None, component: str | None = None, beyond: bool = True
+    scenario: Scenario,
+    *,
+    longest: float | None = None,
+    component: str | None = None,
+    beyond: bool = True,
 ) -> Prediction:
     """Scan the period of `component` (default: the slowest controller) up to `longest` [s] in steps of T_m. Raises CosimError.
 
@@ -134,7 +138,9 @@ def scan(here: SetPoint, longest: float | None, *, beyond: bool = True) -> Predi
         stable_s=_intervals(periods, stable),
         own=here.modes(own)[0],
         boundary=boundary,
-        limit=limit_of(boundary, coordinates, late=here.model.scenario.exchange == "parallel") if boundary else None,
+        limit=limit_of(boundary, coordinates, late=here.model.scenario.exchange == "parallel")
+        if boundary
+        else None,
         coordinates=coordinates,
         neutral=here.neutral,
     )
@@ -144,7 +150,9 @@ def _count(longest: float | None, tick: int, period: int) -> int:
     if longest is None:
         return max(nanoseconds(LONGEST, "the longest period") // tick, period // tick, 1)
     if not (math.isfinite(longest) and seconds(tick) <= longest):
-        raise ScenarioError(f"--longest {longest:g}: a time of {shown(tick)} (the fast controllers' step) or more is expected")
+        raise ScenarioError(
+            f"--longest {longest:g}: a time of {shown(tick)} (the fast controllers' step) or more is expected"
+        )
     if longest > seconds(MOST_PERIODS * tick):
         raise ScenarioError(
             f"--longest {longest:g}: that is more than {MOST_PERIODS} periods; at most {shown(MOST_PERIODS * tick)} is expected"
@@ -155,4 +163,7 @@ def _count(longest: float | None, tick: int, period: int) -> int:
 
 def _intervals(periods: Array, stable: NDArray[np.bool_]) -> tuple[tuple[float, float], ...]:
     edges = np.flatnonzero(np.diff(np.concatenate([[False], stable, [False]]).astype(int)))
-    return tuple((float(periods[a]), float(periods[b - 1])) for a, b in zip(edges[::2], edges[1::2], strict=True))
+    return tuple(
+        (float(periods[a]), float(periods[b - 1]))
+        for a, b in zip(edges[::2], edges[1::2], strict=True)
+    )

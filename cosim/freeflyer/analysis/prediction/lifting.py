@@ -79,7 +79,10 @@ class Instants:
         n, w = loop.plant.A.shape[0], loop.width
         self._x, self._now, self._before, self._pending = slice(0, n), n, n + w, n + 2 * w
         self.size = n + 3 * w
-        self._delays = any(inputs.delayed.any() for inputs in (loop.plant.inputs, *(law.inputs for law in loop.laws)))
+        self._delays = any(
+            inputs.delayed.any()
+            for inputs in (loop.plant.inputs, *(law.inputs for law in loop.laws))
+        )
 
     def _read(self, rows: Array, inputs: Inputs) -> Array:
         places = inputs.sources + np.where(inputs.delayed, self._before, self._now)
@@ -94,13 +97,19 @@ class Instants:
         due = [law for law in loop.laws if slow or not law.slow]
         if loop.parallel:
             for law in due:  # what was answered at the last step begins to count
-                rows[now + law.first : now + law.last] = rows[self._pending + law.first : self._pending + law.last]
+                rows[now + law.first : now + law.last] = rows[
+                    self._pending + law.first : self._pending + law.last
+                ]
             for law in due:
-                rows[self._pending + law.first : self._pending + law.last] = law.gain @ self._read(rows, law.inputs)
+                rows[self._pending + law.first : self._pending + law.last] = law.gain @ self._read(
+                    rows, law.inputs
+                )
         else:
             for law in due:
                 rows[now + law.first : now + law.last] = law.gain @ self._read(rows, law.inputs)
-        rows[self._x] = plant.step @ rows[self._x] + plant.step_input @ self._read(rows, plant.inputs)
+        rows[self._x] = plant.step @ rows[self._x] + plant.step_input @ self._read(
+            rows, plant.inputs
+        )
 
     def after(self, rows: Array, *, slow: bool) -> Array:
         """See `apply`; of a copy."""
@@ -126,9 +135,13 @@ def remembered(loop: Loop) -> Indices:
     gains are: nothing else decides how it goes on.
     """
     # So that no element of a slow law is zero by chance.
-    laws = tuple(replace(law, gain=np.ones_like(law.gain)) if law.slow else law for law in loop.laws)
+    laws = tuple(
+        replace(law, gain=np.ones_like(law.gain)) if law.slow else law for law in loop.laws
+    )
     instants = Instants(replace(loop, laws=laws))
-    return _ancestors(loop.plant.A.shape[0], *(instants.matrix(slow=slow) for slow in (False, True)))
+    return _ancestors(
+        loop.plant.A.shape[0], *(instants.matrix(slow=slow) for slow in (False, True))
+    )
 
 
 def _ancestors(states: int, *maps: Array) -> Indices:
@@ -179,7 +192,9 @@ def lifted_maps(loops: Iterable[Loop]) -> Iterator[Array]:
 def _same_but_slow(one: Loop, other: Loop) -> bool:
     if one.plant is not other.plant:
         return False
-    return all(a.slow or np.array_equal(a.gain, b.gain) for a, b in zip(one.laws, other.laws, strict=True))
+    return all(
+        a.slow or np.array_equal(a.gain, b.gain) for a, b in zip(one.laws, other.laws, strict=True)
+    )
 
 
 def multipliers(maps: Sequence[Array]) -> list[NDArray[np.complex128]]:

@@ -36,12 +36,21 @@ Point = Mapping[str, Array]
 class LoopModel:
     """The loop of a loaded scenario; `at` linearises it. Made by `opened`."""
 
-    def __init__(self, scenario: Scenario, system: System, fmus: Mapping[str, DifferentiableFmu], scanned: str | None) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        system: System,
+        fmus: Mapping[str, DifferentiableFmu],
+        scanned: str | None,
+    ) -> None:
         """Raises CosimError if the loop is none that can be linearised."""
         self.scenario, self.system, self.fmus = scenario, system, fmus
         self.roles = roles_of(scenario, system, fmus, scanned)
         self._linked = self._linked_parameters()
-        plant, used = self.roles.plant, {connection.source for connection in system.wiring.connections}
+        plant, used = (
+            self.roles.plant,
+            {connection.source for connection in system.wiring.connections},
+        )
         self.signals: dict[str, slice] = {}
         width = 0
         for name in (plant, *self.roles.laws):
@@ -55,10 +64,14 @@ class LoopModel:
         self._outputs = [name for name in fmu.ports if f"{plant}.{name}" in used]
         self._refuse_feedthrough(fmu)
         rates = [f"der({name})" for name in states]
-        self._rates_by_state, self._rates_by_input = (fmu.bind_derivative(rates, k) for k in (states, self.driven(plant)))
+        self._rates_by_state, self._rates_by_input = (
+            fmu.bind_derivative(rates, k) for k in (states, self.driven(plant))
+        )
         self._outputs_by_state = fmu.bind_derivative(self._outputs, states)
         self._gains = {
-            name: fmus[name].bind_derivative([split(s)[1] for s in self.signals if split(s)[0] == name], self.driven(name))
+            name: fmus[name].bind_derivative(
+                [split(s)[1] for s in self.signals if split(s)[0] == name], self.driven(name)
+            )
             for name in self.roles.laws
         }
 
@@ -75,14 +88,20 @@ class LoopModel:
         steps[self.roles.scanned] = tick
         variable_step = {name: component.variable_step for name, component in self.fmus.items()}
         limits = [limit for limit in self.scenario.limits if split(limit.signal)[0] in self.fmus]
-        master = Master(self.system.wiring, schedule.build(steps, stop, record_every, variable_step), limits)
+        master = Master(
+            self.system.wiring, schedule.build(steps, stop, record_every, variable_step), limits
+        )
         master.initialise(self.values(tick))
         return master
 
     def recorded(self) -> list[str]:
         """The signals that make up a point."""
         states = [f"{self.roles.plant}.{name}" for name in self.fmus[self.roles.plant].states]
-        return list(dict.fromkeys([*states, *(connection.source for connection in self.system.wiring.connections)]))
+        return list(
+            dict.fromkeys(
+                [*states, *(connection.source for connection in self.system.wiring.connections)]
+            )
+        )
 
     def plant_at(self, point: Point) -> Plant:
         """The plant around a point, in the tangent chart of its quaternions."""
@@ -97,7 +116,9 @@ class LoopModel:
         )
         into, back = self.chart(point)
         A, B = back @ self._rates_by_state() @ into, back @ self._rates_by_input()
-        return lifting.plant(A, B, self._outputs_by_state() @ into, self._inputs[name], seconds(self.roles.tick))
+        return lifting.plant(
+            A, B, self._outputs_by_state() @ into, self._inputs[name], seconds(self.roles.tick)
+        )
 
     def chart(self, point: Point) -> tuple[Array, Array]:
         """See freeflyer.analysis.prediction.tangent: of the plant's states."""
@@ -176,7 +197,9 @@ class LoopModel:
             place = self.signals[connection.source]
             sources += range(place.start, place.stop)
             delayed += [connection.delayed] * (place.stop - place.start)
-        return Inputs(sources=np.array(sources, dtype=np.intp), delayed=np.array(delayed, dtype=np.bool_))
+        return Inputs(
+            sources=np.array(sources, dtype=np.intp), delayed=np.array(delayed, dtype=np.bool_)
+        )
 
     def _inputs_at(self, name: str, point: Point) -> dict[str, Array]:
         return {split(c.target)[1]: point[c.source] for c in self.system.wiring.inputs_of(name)}
@@ -189,7 +212,9 @@ class LoopModel:
         one, other = (_resolved(self.scenario, self.fmus, roles, k * roles.tick) for k in (1, 2))
         for name, values in one.items():
             found += [
-                (name, parameter) for parameter in values if not np.array_equal(values[parameter], other[name][parameter])
+                (name, parameter)
+                for parameter in values
+                if not np.array_equal(values[parameter], other[name][parameter])
             ]
         return found
 
@@ -216,7 +241,10 @@ def opened(scenario: Scenario, scanned: str | None = None) -> Iterator[LoopModel
     try:
         for spec in (specs := _connected(scenario)):
             fmus[spec.name] = _differentiable(spec, scenario)
-        quiet = replace(scenario, components=tuple(_without_passivity_control(spec, fmus[spec.name]) for spec in specs))
+        quiet = replace(
+            scenario,
+            components=tuple(_without_passivity_control(spec, fmus[spec.name]) for spec in specs),
+        )
         samples = {spec.name: spec.samples for spec in specs if spec.samples is not None}
         values = parameters.resolve(quiet, fmus)
         wiring = graph.build(fmus, quiet.connections, samples, quiet.exchange)
@@ -231,7 +259,11 @@ def opened(scenario: Scenario, scanned: str | None = None) -> Iterator[LoopModel
 
 def _connected(scenario: Scenario) -> list[ComponentSpec]:
     """A component without connections is no part of the loop."""
-    ends = {split(end)[0] for connection in scenario.connections for end in (connection.source, connection.target)}
+    ends = {
+        split(end)[0]
+        for connection in scenario.connections
+        for end in (connection.source, connection.target)
+    }
     return [spec for spec in scenario.components if spec.name in ends]
 
 
@@ -244,13 +276,21 @@ def _differentiable(spec: ComponentSpec, scenario: Scenario) -> DifferentiableFm
 
 
 def _without_passivity_control(spec: ComponentSpec, fmu: DifferentiableFmu) -> ComponentSpec:
-    switches = [name for name, port in fmu.ports.items() if port.boolean and port.settable and name.endswith(PASSIVITY_CONTROL)]
+    switches = [
+        name
+        for name, port in fmu.ports.items()
+        if port.boolean and port.settable and name.endswith(PASSIVITY_CONTROL)
+    ]
     return replace(spec, parameters={**spec.parameters, **dict.fromkeys(switches, False)})
 
 
-def _resolved(scenario: Scenario, fmus: Mapping[str, DifferentiableFmu], roles: Roles, period: int) -> Values:
+def _resolved(
+    scenario: Scenario, fmus: Mapping[str, DifferentiableFmu], roles: Roles, period: int
+) -> Values:
     changed = tuple(
-        replace(spec, parameters={**spec.parameters, roles.parameter: seconds(period)}) if spec.name == roles.scanned else spec
+        replace(spec, parameters={**spec.parameters, roles.parameter: seconds(period)})
+        if spec.name == roles.scanned
+        else spec
         for spec in scenario.components
     )
     return parameters.resolve(replace(scenario, components=changed), fmus)

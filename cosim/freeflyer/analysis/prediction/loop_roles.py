@@ -27,7 +27,9 @@ class Roles:
     tick: int
 
 
-def roles_of(scenario: Scenario, system: System, fmus: Mapping[str, DifferentiableFmu], scanned: str | None) -> Roles:
+def roles_of(
+    scenario: Scenario, system: System, fmus: Mapping[str, DifferentiableFmu], scanned: str | None
+) -> Roles:
     plants = [name for name, fmu in fmus.items() if fmu.states]
     if len(plants) != 1:
         raise ScenarioError(
@@ -36,7 +38,9 @@ def roles_of(scenario: Scenario, system: System, fmus: Mapping[str, Differentiab
         )
     driven = [name for name in fmus if name not in plants and system.wiring.inputs_of(name)]
     laws = tuple(name for name in (*system.wiring.first, *system.wiring.then) if name in driven)
-    by_parameter = {spec.name: spec.step[1:] for spec in scenario.components if isinstance(spec.step, str)}
+    by_parameter = {
+        spec.name: spec.step[1:] for spec in scenario.components if isinstance(spec.step, str)
+    }
     periods = [name for name in laws if name in by_parameter]
     if scanned is not None and scanned not in periods:
         raise ScenarioError(
@@ -48,7 +52,9 @@ def roles_of(scenario: Scenario, system: System, fmus: Mapping[str, Differentiab
             f"scenario {scenario.name}: no controller's step_s follows a parameter ('=period'), so there is nothing to scan"
         )
     # Of equals the last at an instant: it waits for the others.
-    chosen = scanned or max(enumerate(periods), key=lambda item: (system.steps[item[1]], item[0]))[1]
+    chosen = (
+        scanned or max(enumerate(periods), key=lambda item: (system.steps[item[1]], item[0]))[1]
+    )
     rest = {name: system.steps[name] for name in laws if name != chosen}
     tick = min(rest.values(), default=system.steps[plants[0]])
     for name, step in rest.items():
@@ -71,5 +77,10 @@ def roles_of(scenario: Scenario, system: System, fmus: Mapping[str, Differentiab
             f"{fits} would fit"
         )
     return Roles(
-        plant=plants[0], laws=laws, scanned=chosen, parameter=by_parameter[chosen], period=system.steps[chosen], tick=tick
+        plant=plants[0],
+        laws=laws,
+        scanned=chosen,
+        parameter=by_parameter[chosen],
+        period=system.steps[chosen],
+        tick=tick,
     )

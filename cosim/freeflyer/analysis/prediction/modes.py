@@ -44,7 +44,9 @@ class Mode:
     @property
     def frequency(self) -> float:
         """[Hz]; at most half of the sampling frequency."""
-        return abs(math.atan2(self.multiplier.imag, self.multiplier.real)) / (2.0 * math.pi * self.period)
+        return abs(math.atan2(self.multiplier.imag, self.multiplier.real)) / (
+            2.0 * math.pi * self.period
+        )
 
     @property
     def body(self) -> Literal["base", "hand", "coupling"]:
@@ -53,24 +55,36 @@ class Mode:
 
     @property
     def alternates(self) -> bool:
-        return self.multiplier.real < 0.0 and abs(math.atan2(self.multiplier.imag, -self.multiplier.real)) < REAL
+        return (
+            self.multiplier.real < 0.0
+            and abs(math.atan2(self.multiplier.imag, -self.multiplier.real)) < REAL
+        )
 
     @property
     def oscillates(self) -> bool:
-        return not self.alternates and abs(math.atan2(self.multiplier.imag, self.multiplier.real)) >= REAL
+        return (
+            not self.alternates
+            and abs(math.atan2(self.multiplier.imag, self.multiplier.real)) >= REAL
+        )
 
     def words(self) -> str:
         order = [int(k) for k in np.argsort(-self.shares) if self.shares[k] >= WORTH_SAYING]
         parts = ", ".join(f"{DEGREES[k]} ({100 * self.shares[k]:.0f} %)" for k in order)
-        kind = {"base": "a base mode", "hand": "a hand mode", "coupling": "a coupling of base and hand"}[self.body]
+        kind = {
+            "base": "a base mode",
+            "hand": "a hand mode",
+            "coupling": "a coupling of base and hand",
+        }[self.body]
         if self.alternates:
             how = f"changes sign from one sample of the base to the next ({self.frequency:.3g} Hz)"
         elif self.oscillates:
-            how = (
-                f"oscillates at {self.frequency:.3g} Hz, {1.0 / (self.frequency * self.period):.3g} samples of the base a cycle"
-            )
+            how = f"oscillates at {self.frequency:.3g} Hz, {1.0 / (self.frequency * self.period):.3g} samples of the base a cycle"
         else:
-            how = "grows without oscillating" if abs(self.multiplier) >= 1.0 else "decays without oscillating"
+            how = (
+                "grows without oscillating"
+                if abs(self.multiplier) >= 1.0
+                else "decays without oscillating"
+            )
         return f"{parts}: {kind}, which {how}"
 
 
@@ -90,7 +104,11 @@ class Limit:
 
     def words(self) -> str:
         k = DEGREES.index(self.axis)
-        names = ("3 K_P T_b / 2 K_D", "K_D T_b / M~") if self.late else ("K_P T_b / 2 K_D", "K_D T_b / 2 M~")
+        names = (
+            ("3 K_P T_b / 2 K_D", "K_D T_b / M~")
+            if self.late
+            else ("K_P T_b / 2 K_D", "K_D T_b / 2 M~")
+        )
         figures = f"{names[0]} = {self.spring[k]:.3g} and {names[1]} = {self.damper[k]:.3g} in {self.axis}"
         figures += ", a whole T_b late by parallel exchange" if self.late else ""
         if self.kind == "sampled spring":
@@ -102,22 +120,34 @@ class Limit:
         return f"the coupling with the arm ({figures}: neither is near its limit of 1)"
 
 
-def modes(period_map: Array, period: float, coordinates: TaskCoordinates, states: int) -> list[Mode]:
+def modes(
+    period_map: Array, period: float, coordinates: TaskCoordinates, states: int
+) -> list[Mode]:
     """All modes of a map over a base period [s], the least stable first; of a complex pair the one with positive frequency."""
     values, vectors = np.linalg.eig(period_map)
     found = []
     for k in np.argsort(-np.abs(values), kind="stable"):
         if values[k].imag >= 0.0:
             energy = coordinates.energy(vectors[:states, k])  # none in a null space
-            found.append(Mode(period=period, multiplier=complex(values[k]), shares=energy / (energy.sum() or 1.0)))
+            found.append(
+                Mode(
+                    period=period,
+                    multiplier=complex(values[k]),
+                    shares=energy / (energy.sum() or 1.0),
+                )
+            )
     return found
 
 
 def limit_of(mode: Mode, coordinates: TaskCoordinates, *, late: bool = False) -> Limit:
     """What limits T_b at the boundary, where this mode's multiplier leaves the unit circle. `late`: in parallel exchange."""
     axis = int(np.argmax(mode.shares[:6]))
-    spring = sampled_spring(coordinates.stiffness[:6], coordinates.damping[:6], mode.period, late=late)
-    damper = sampled_damper(coordinates.damping[:6], coordinates.inertia[:6], mode.period, late=late)
+    spring = sampled_spring(
+        coordinates.stiffness[:6], coordinates.damping[:6], mode.period, late=late
+    )
+    damper = sampled_damper(
+        coordinates.damping[:6], coordinates.inertia[:6], mode.period, late=late
+    )
     kind: Kind = "hand" if mode.body == "hand" else "coupling"
     if mode.body != "hand" and mode.oscillates and spring[axis] >= AT_LIMIT:
         kind = "sampled spring"

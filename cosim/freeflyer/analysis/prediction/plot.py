@@ -46,10 +46,22 @@ def scan(prediction: Prediction, along: AlongTrajectory | None) -> Any:
                 va="top",
             )
         axes.plot(
-            prediction.period_s, prediction.own.growth_rate, "o", color=LINES[0]["color"], ms=4, label="the scenario's own"
+            prediction.period_s,
+            prediction.own.growth_rate,
+            "o",
+            color=LINES[0]["color"],
+            ms=4,
+            label="the scenario's own",
         )
         if along:
-            axes.plot(along.period_s, along.growth_rate, "s", color=LINES[1]["color"], ms=4, label="along the trajectory")
+            axes.plot(
+                along.period_s,
+                along.growth_rate,
+                "s",
+                color=LINES[1]["color"],
+                ms=4,
+                label="along the trajectory",
+            )
         axes.set_xlabel("base period $T_b$ [s]")
         axes.set_ylabel("growth rate [1/s]")
         axes.set_xlim(0.0, prediction.longest_s)

@@ -21,7 +21,9 @@ from freeflyer.foundation.errors import ComponentError
 def _provides_derivatives(path: Path) -> bool:
     """As FMI 2.0 and FMI 3.0 spell it; FMPy's description knows only the former."""
     with zipfile.ZipFile(path) as archive:
-        interface = ElementTree.fromstring(archive.read("modelDescription.xml")).find("CoSimulation")
+        interface = ElementTree.fromstring(archive.read("modelDescription.xml")).find(
+            "CoSimulation"
+        )
     spellings = ("providesDirectionalDerivative", "providesDirectionalDerivatives")
     return interface is not None and any(interface.get(name) in ("true", "1") for name in spellings)
 
@@ -44,21 +46,33 @@ class DifferentiableFmu(FmuComponent):
         self._rates: dict[str, list[ModelVariable]] = {}
         owner = {id(variable): port for port in self.ports for variable in self.variables_of(port)}
         for unknown in self.description.derivatives:
-            self._rates.setdefault(owner[id(unknown.variable.derivative)], []).append(unknown.variable)
+            self._rates.setdefault(owner[id(unknown.variable.derivative)], []).append(
+                unknown.variable
+            )
 
     @property
     def states(self) -> Sequence[str]:
         """Ports that are continuous states, in ModelStructure's order; none of a sampled component."""
         return tuple(self._rates)
 
-    def bind_derivative(self, unknowns: Sequence[str], knowns: Sequence[str]) -> Callable[[], Array]:
+    def bind_derivative(
+        self, unknowns: Sequence[str], knowns: Sequence[str]
+    ) -> Callable[[], Array]:
         """A function that gives d unknowns / d knowns, elements by elements. Unknowns: outputs and states; `der(STATE)` is a
         state's rate. Knowns: inputs and states. It raises ComponentError if the FMU refuses.
         """
         results, rows = self._references(unknowns)
-        known = [(variable.valueReference, self._size(variable)) for name in knowns for variable in self._variables_of(name)]
+        known = [
+            (variable.valueReference, self._size(variable))
+            for name in knowns
+            for variable in self._variables_of(name)
+        ]
         columns = sum(size for _, size in known)
-        found, slave, instance = (ctypes.c_double * max(rows, 1))(), self._slave, self._slave.component
+        found, slave, instance = (
+            (ctypes.c_double * max(rows, 1))(),
+            self._slave,
+            self._slave.component,
+        )
         calls: list[tuple[Any, ...]] = []
         for reference, size in known:
             given = (ctypes.c_uint32 * 1)(reference)
@@ -67,8 +81,14 @@ class DifferentiableFmu(FmuComponent):
                 if self.version == 2:
                     calls.append((instance, results, len(results), given, 1, seed, found))
                 else:
-                    calls.append((instance, results, len(results), given, 1, seed, size, found, rows))
-        call = slave.fmi2GetDirectionalDerivative if self.version == 2 else slave.fmi3GetDirectionalDerivative
+                    calls.append(
+                        (instance, results, len(results), given, 1, seed, size, found, rows)
+                    )
+        call = (
+            slave.fmi2GetDirectionalDerivative
+            if self.version == 2
+            else slave.fmi3GetDirectionalDerivative
+        )
         buffer = np.ctypeslib.as_array(found)[:rows]
 
         def derivative() -> Array:
@@ -90,7 +110,9 @@ class DifferentiableFmu(FmuComponent):
         try:
             if self.version == 2:
                 return np.array(self._slave.getReal(references))
-            return np.array(self._slave.getFloat64(references, nValues=sum(self._size(v) for v in variables)))
+            return np.array(
+                self._slave.getFloat64(references, nValues=sum(self._size(v) for v in variables))
+            )
         except (FMICallException, OSError) as error:
             raise ComponentError(f"component {self.name}: {self._why(error)}") from error
 
@@ -100,7 +122,9 @@ class DifferentiableFmu(FmuComponent):
             try:
                 self._slave.reset()
             except (FMICallException, OSError) as error:
-                raise ComponentError(f"component {self.name} cannot be reset: {self._why(error)}") from error
+                raise ComponentError(
+                    f"component {self.name} cannot be reset: {self._why(error)}"
+                ) from error
         self._begun = True
         super().enter_initialization(start, values)
 
@@ -116,7 +140,9 @@ class DifferentiableFmu(FmuComponent):
 
     def _references(self, names: Sequence[str]) -> tuple[ctypes.Array[ctypes.c_uint32], int]:
         variables = [variable for name in names for variable in self._variables_of(name)]
-        references = (ctypes.c_uint32 * len(variables))(*(variable.valueReference for variable in variables))
+        references = (ctypes.c_uint32 * len(variables))(
+            *(variable.valueReference for variable in variables)
+        )
         return references, sum(self._size(variable) for variable in variables)
 
     @staticmethod

@@ -51,7 +51,12 @@ class SetPoint:
         """The least stable first; see freeflyer.analysis.prediction.modes. Neutral directions are left out."""
         loop = self.loop(n)
         period = seconds(n * self.model.roles.tick)
-        found = modes(lifting.lifted(loop, n), period, task_coordinates(self.model, loop, self.point), self.states)
+        found = modes(
+            lifting.lifted(loop, n),
+            period,
+            task_coordinates(self.model, loop, self.point),
+            self.states,
+        )
         neutral = sorted(found, key=lambda mode: abs(mode.multiplier - 1.0))[: self.neutral]
         return [mode for mode in found if all(mode is not other for other in neutral)]
 

@@ -31,6 +31,12 @@ def chart(names: Sequence[str], values: Sequence[Array]) -> tuple[Array, Array]:
     of every quaternion), and the way back: (m, n) and (n, m).
     """
     turned = [is_quaternion(name, value.size) for name, value in zip(names, values, strict=True)]
-    out = [from_rotation(value) if t else np.eye(value.size) for t, value in zip(turned, values, strict=True)]
-    back = [to_rotation(value) if t else np.eye(value.size) for t, value in zip(turned, values, strict=True)]
+    out = [
+        from_rotation(value) if t else np.eye(value.size)
+        for t, value in zip(turned, values, strict=True)
+    ]
+    back = [
+        to_rotation(value) if t else np.eye(value.size)
+        for t, value in zip(turned, values, strict=True)
+    ]
     return block_diag(*out), block_diag(*back)

@@ -46,7 +46,9 @@ class TaskCoordinates:
         All terms are positive, and metres, radians and speeds compare; M's coupling terms are left out.
         """
         kinetic = self.inertia * np.abs(self.velocity @ x).T ** 2
-        return np.asarray(0.5 * (kinetic + np.maximum(self.stiffness, 0.0) * np.abs(self.pose @ x).T ** 2).T)
+        return np.asarray(
+            0.5 * (kinetic + np.maximum(self.stiffness, 0.0) * np.abs(self.pose @ x).T ** 2).T
+        )
 
 
 def task_coordinates(model: LoopModel, loop: Loop, point: Point) -> TaskCoordinates:
@@ -66,14 +68,22 @@ def task_coordinates(model: LoopModel, loop: Loop, point: Point) -> TaskCoordina
     J = velocity[:, speeds]
     moved = J @ loop.plant.B[np.ix_(speeds, inputs)]  # x'' by generalised forces
     inverse = moved @ J.T
-    inertia = np.concatenate([np.diag(np.linalg.inv(inverse[part, part])) for part in (slice(0, 6), slice(6, 12))])
+    inertia = np.concatenate(
+        [np.diag(np.linalg.inv(inverse[part, part])) for part in (slice(0, 6), slice(6, 12))]
+    )
     # F = -K_P x - K_D x', the wrench that moves the ports as the laws' forces do: a redundant arm's null space takes the rest.
-    F = np.linalg.solve(inverse, moved) @ Instants(loop).feedback()[inputs] @ np.linalg.pinv(np.vstack([pose, velocity]))
+    F = (
+        np.linalg.solve(inverse, moved)
+        @ Instants(loop).feedback()[inputs]
+        @ np.linalg.pinv(np.vstack([pose, velocity]))
+    )
     stiffness, damping = -np.diag(F[:, :12]), -np.diag(F[:, 12:])
     own = _own_answer(loop, inputs[:6])
     stiffness[:6] = -np.diag(own @ np.linalg.pinv(pose[:6]))
     damping[:6] = -np.diag(own[:, model.states_of_plant(["base_velocity"], point)])
-    return TaskCoordinates(pose=pose, velocity=velocity, inertia=inertia, stiffness=stiffness, damping=damping)
+    return TaskCoordinates(
+        pose=pose, velocity=velocity, inertia=inertia, stiffness=stiffness, damping=damping
+    )
 
 
 def _own_answer(loop: Loop, inputs: Indices) -> Array:
@@ -81,8 +91,12 @@ def _own_answer(loop: Loop, inputs: Indices) -> Array:
     wrench, J_b^T F_m, is no spring of the base.
     """
     sources = loop.plant.inputs.sources[inputs]
-    law = next((law for law in loop.laws if law.first <= sources[0] and sources[-1] < law.last), None)
+    law = next(
+        (law for law in loop.laws if law.first <= sources[0] and sources[-1] < law.last), None
+    )
     if law is None:
         return np.zeros((6, loop.plant.A.shape[0]))
     seen = law.inputs.sources < loop.plant.C.shape[0]
-    return np.asarray(law.gain[np.ix_(sources - law.first, seen)] @ loop.plant.C[law.inputs.sources[seen]])
+    return np.asarray(
+        law.gain[np.ix_(sources - law.first, seen)] @ loop.plant.C[law.inputs.sources[seen]]
+    )

@@ -82,7 +82,8 @@ class Trajectory:
             )
         record = outcome.record
         self.points: list[Point] = [
-            {signal: np.atleast_1d(record[signal][row]) for signal in model.recorded()} for row in range(cells + 1)
+            {signal: np.atleast_1d(record[signal][row]) for signal in model.recorded()}
+            for row in range(cells + 1)
         ]
         self.plants = [model.plant_at(point) for point in self.points]
         self._charts = [model.chart(point) for point in self.points]
@@ -91,7 +92,10 @@ class Trajectory:
     def loops(self, n: int) -> list[Loop]:
         """At every cell's instant, with a base period of n T_m."""
         period = n * self.model.roles.tick
-        return [self.model.loop(plant, point, period) for plant, point in zip(self.plants, self.points, strict=True)]
+        return [
+            self.model.loop(plant, point, period)
+            for plant, point in zip(self.plants, self.points, strict=True)
+        ]
 
     def growth_rate(self, n: int, loops: Sequence[Loop] | None = None) -> float:
         """[1/s] with a base period of n T_m: ln(spectral radius) / time of the product over the second half. It tells modes apart
@@ -101,8 +105,13 @@ class Trajectory:
         periods, kept = self.ticks // n, _remembered(loops)
         first = periods // 2
         *_, (vectors, scale) = self._product(n, loops, kept, np.eye(kept.size), first)
-        states, ends = self.plants[0].A.shape[0], (self._cell(first * n), self._cell(periods * n - 1))
-        vectors[:states] = self._charts[ends[0]][1] @ self._charts[ends[1]][0] @ vectors[:states]  # back to where it began
+        states, ends = (
+            self.plants[0].A.shape[0],
+            (self._cell(first * n), self._cell(periods * n - 1)),
+        )
+        vectors[:states] = (
+            self._charts[ends[0]][1] @ self._charts[ends[1]][0] @ vectors[:states]
+        )  # back to where it began
         radius = float(np.abs(np.linalg.eigvals(vectors)).max())
         return (math.log(radius) + scale) / ((periods - first) * n * seconds(self.model.roles.tick))
 
@@ -115,7 +124,10 @@ class Trajectory:
         vectors = np.zeros((kept.size, starts.shape[1]))
         vectors[:states] = starts
         sizes = np.array(
-            [scale + 0.5 * math.log(self._energy(v[:states]).sum()) for v, scale in self._product(n, loops, kept, vectors, 0)]
+            [
+                scale + 0.5 * math.log(self._energy(v[:states]).sum())
+                for v, scale in self._product(n, loops, kept, vectors, 0)
+            ]
         )
         late = np.arange(sizes.size // 2, sizes.size)
         return float(np.polyfit(late * n * seconds(self.model.roles.tick), sizes[late], 1)[0])
@@ -147,7 +159,10 @@ class Trajectory:
         """ln(spectral radius) / T_b [1/s] of the loop frozen at every cell's instant."""
         loops = loops or self.loops(n)
         kept = _remembered(loops)
-        maps = [np.linalg.matrix_power(fast, n - 1) @ slow for fast, slow in (lifting.reduced(loop, kept) for loop in loops)]
+        maps = [
+            np.linalg.matrix_power(fast, n - 1) @ slow
+            for fast, slow in (lifting.reduced(loop, kept) for loop in loops)
+        ]
         radius = np.array([np.abs(found).max() for found in lifting.multipliers(maps)])
         return np.asarray(np.log(radius) / (n * seconds(self.model.roles.tick)))
 
@@ -172,8 +187,14 @@ class Trajectory:
 def _remembered(loops: Sequence[Loop]) -> lifting.Indices:
     """Of all the loops together, so that no element is zero by chance."""
     first = loops[0]
-    laws = [replace(law, gain=_magnitude([loop.laws[k].gain for loop in loops])) for k, law in enumerate(first.laws)]
-    C, step, step_input = (_magnitude([getattr(loop.plant, part) for loop in loops]) for part in ("C", "step", "step_input"))
+    laws = [
+        replace(law, gain=_magnitude([loop.laws[k].gain for loop in loops]))
+        for k, law in enumerate(first.laws)
+    ]
+    C, step, step_input = (
+        _magnitude([getattr(loop.plant, part) for loop in loops])
+        for part in ("C", "step", "step_input")
+    )
     plant = replace(first.plant, C=C, step=step, step_input=step_input)
     return lifting.remembered(replace(first, plant=plant, laws=tuple(laws)))
 
@@ -184,7 +205,10 @@ def _magnitude(matrices: Sequence[Array]) -> Array:
 
 def check_length(model: LoopModel) -> None:
     """ScenarioError if the scenario is too short to tell a growth rate."""
-    stop, needed = seconds(model.scenario.stop), max(LEAST_PERIODS * seconds(model.roles.period), 4.0 * CELL)
+    stop, needed = (
+        seconds(model.scenario.stop),
+        max(LEAST_PERIODS * seconds(model.roles.period), 4.0 * CELL),
+    )
     if stop < needed:
         raise ScenarioError(
             f"stop_s is {stop:g} s; along a trajectory {needed:g} s or more are expected ({LEAST_PERIODS} base periods)"
@@ -192,7 +216,11 @@ def check_length(model: LoopModel) -> None:
 
 
 def along_trajectory(
-    model: LoopModel, coordinates: TaskCoordinates, guess: float, longest: float, progress: Progress | None = None
+    model: LoopModel,
+    coordinates: TaskCoordinates,
+    guess: float,
+    longest: float,
+    progress: Progress | None = None,
 ) -> AlongTrajectory:
     """At the scenario's own period, and the boundary between T_m and `longest` [s], looked for from `guess` [s] on. Raises
     CosimError.
@@ -211,7 +239,10 @@ def along_trajectory(
         to_s=seconds(periods * roles.period),
         growth_rate=trajectory.growth_rate(n, loops),
         largest_stable_s=seconds(
-            tick * trajectory.largest_stable(first, min(last, trajectory.ticks // LEAST_PERIODS), progress)
+            tick
+            * trajectory.largest_stable(
+                first, min(last, trajectory.ticks // LEAST_PERIODS), progress
+            )
         ),
         frozen_growth_rate=float(frozen.max()),
         frozen_at_s=seconds(int(frozen.argmax()) * trajectory.cell * tick),

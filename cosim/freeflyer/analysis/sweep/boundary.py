@@ -27,13 +27,19 @@ def check(plan: Plan) -> None:
         )
     for case in plan.sweep.cases:
         try:
-            with at_set_point(plan.setup.scenario(case, _assignments(plan, figure, case, None)), component):
+            with at_set_point(
+                plan.setup.scenario(case, _assignments(plan, figure, case, None)), component
+            ):
                 pass
         except CosimError as error:
-            raise ScenarioError(f"sweep {plan.sweep.path}: [map] predict, case {case}: {error}") from error
+            raise ScenarioError(
+                f"sweep {plan.sweep.path}: [map] predict, case {case}: {error}"
+            ) from error
 
 
-def predicted(plan: Plan, figure: Map, done: Callable[[str | None], None]) -> Mapping[str, tuple[Array, Array]]:
+def predicted(
+    plan: Plan, figure: Map, done: Callable[[str | None], None]
+) -> Mapping[str, tuple[Array, Array]]:
     """Points (x, y) by case; x is not finite where the loop stays stable up to the map's edge, and where it cannot be predicted (a
     value that an FMU refuses is a failed row there). `done` is called after each point, with a sentence if it cannot be predicted.
     """
@@ -46,7 +52,9 @@ def predicted(plan: Plan, figure: Map, done: Callable[[str | None], None]) -> Ma
             scenario = plan.setup.scenario(case, _assignments(plan, figure, case, float(y)))
             found, refused = longest, None
             try:
-                found = predict(scenario, longest=longest, component=component, beyond=False).largest_stable_s
+                found = predict(
+                    scenario, longest=longest, component=component, beyond=False
+                ).largest_stable_s
             except CosimError as error:
                 refused = f"no boundary for case {case} at {figure.y} = {y:g}: {error}"
             xs.append(found if found < longest else np.nan)
@@ -60,9 +68,13 @@ def points(plan: Plan, figure: Map) -> int:
     return len(plan.sweep.cases) * len(plan.levels(figure.y))
 
 
-def _assignments(plan: Plan, figure: Map, case: str, y: float | None) -> tuple[tuple[str, Any], ...]:
+def _assignments(
+    plan: Plan, figure: Map, case: str, y: float | None
+) -> tuple[tuple[str, Any], ...]:
     """At the longest period, at `y`, and at the first value of whatever else varies."""
     chosen: dict[str, Any] = {figure.x: max(plan.levels(figure.x))}
     if y is not None:
         chosen[figure.y] = y
-    return plan.assignments(case, tuple(chosen.get(str(axis.target), plan.first_of(axis)) for axis in plan.axes))
+    return plan.assignments(
+        case, tuple(chosen.get(str(axis.target), plan.first_of(axis)) for axis in plan.axes)
+    )

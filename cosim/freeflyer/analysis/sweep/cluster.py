@@ -66,7 +66,9 @@ def _local(workers: int) -> Iterator[Client]:
                     processes=True,
                     host="127.0.0.1",
                     dashboard_address=None,
-                    scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # the scheduler's own pages, on any free port
+                    scheduler_kwargs={
+                        "dashboard_address": "127.0.0.1:0"
+                    },  # the scheduler's own pages, on any free port
                     local_directory=str(folder),
                     silence_logs=logging.CRITICAL,
                     death_timeout=START,
@@ -74,7 +76,9 @@ def _local(workers: int) -> Iterator[Client]:
             client = Client(cluster, timeout=START)
             client.wait_for_workers(workers, timeout=START)
         except (OSError, RuntimeError, TimeoutError) as error:
-            raise ScenarioError(f"{workers} workers could not be started on this machine: {_said(error)}") from error
+            raise ScenarioError(
+                f"{workers} workers could not be started on this machine: {_said(error)}"
+            ) from error
         yield client
     finally:
         for opened in (client, cluster):
@@ -104,7 +108,9 @@ def _deaf_to_ctrl_c() -> Iterator[None]:
 def _remote(address: str) -> Iterator[Client]:
     try:
         client = _client_of(address)
-    except Exception as error:  # a name without an address, nobody there, or somebody who is no scheduler
+    except (
+        Exception
+    ) as error:  # a name without an address, nobody there, or somebody who is no scheduler
         raise ScenarioError(
             f"the scheduler {address} does not answer within {ANSWER:g} s ({_said(error)}); start one with `dask scheduler`"
         ) from error
@@ -112,7 +118,9 @@ def _remote(address: str) -> Iterator[Client]:
         try:
             client.wait_for_workers(1, timeout=ANSWER)
         except TimeoutError as error:
-            raise ScenarioError(f"the scheduler {address} has no workers; start one with `dask worker {address}`") from error
+            raise ScenarioError(
+                f"the scheduler {address} has no workers; start one with `dask worker {address}`"
+            ) from error
         _check_versions(client)
         yield client
     finally:

@@ -76,16 +76,25 @@ class Interval:
                 f"it goes from {self.low!r} to {self.high!r}; two finite numbers, the lower one first, are expected"
             )
         if self.logarithmic and not self.low > 0.0:
-            raise ScenarioError(f"it is logarithmic and begins at {self.low!r}; a number above zero is expected")
+            raise ScenarioError(
+                f"it is logarithmic and begins at {self.low!r}; a number above zero is expected"
+            )
         if self.multiple_of is not None:
             if not (math.isfinite(self.multiple_of) and self.multiple_of > 0.0):
-                raise ScenarioError(f"multiple_of is {self.multiple_of!r}; a number above zero is expected")
+                raise ScenarioError(
+                    f"multiple_of is {self.multiple_of!r}; a number above zero is expected"
+                )
             if self._multiples[0] > self._multiples[1]:
-                raise ScenarioError(f"there is no multiple of {self.multiple_of!r} from {self.low!r} to {self.high!r}")
+                raise ScenarioError(
+                    f"there is no multiple of {self.multiple_of!r} from {self.low!r} to {self.high!r}"
+                )
 
     @cached_property
     def _multiples(self) -> tuple[int, int]:
-        low, high, unit = (Decimal(repr(float(number))) for number in (self.low, self.high, self.multiple_of or 1.0))
+        low, high, unit = (
+            Decimal(repr(float(number)))
+            for number in (self.low, self.high, self.multiple_of or 1.0)
+        )
         return math.ceil(low / unit), math.floor(high / unit)
 
     def at(self, share: float) -> float:
@@ -137,12 +146,17 @@ class Sample:
         generator = np.random.default_rng(self.seed)
         size = len(self.axes)
         if self.method == "latin_hypercube":
-            from scipy.stats import qmc  # it takes a second, which every other command would pay for too
+            from scipy.stats import (
+                qmc,
+            )  # it takes a second, which every other command would pay for too
 
             shares = qmc.LatinHypercube(d=size, rng=generator).random(self.count)
         else:
             shares = generator.random((self.count, size))
-        return [tuple(axis.source.at(float(share)) for axis, share in zip(self.axes, row, strict=True)) for row in shares]
+        return [
+            tuple(axis.source.at(float(share)) for axis, share in zip(self.axes, row, strict=True))
+            for row in shares
+        ]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,7 +176,9 @@ class Designs:
         return [axis.source.values for axis in self.grid if isinstance(axis.source, Levels)]
 
     def __len__(self) -> int:
-        return math.prod(len(values) for values in self.levels) * (self.sample.count if self.sample else 1)
+        return math.prod(len(values) for values in self.levels) * (
+            self.sample.count if self.sample else 1
+        )
 
     def __getitem__(self, number: int) -> tuple[Any, ...]:
         """The axes' values in design `number`, counted from 0."""

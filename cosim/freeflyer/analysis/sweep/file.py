@@ -16,7 +16,19 @@ from freeflyer.scenario.raw_scenario import Raw, parse_value
 SHIPPED = Path(__file__).parents[2] / "paper" / "sweeps"
 ONE_CASE = "scenario"
 """The case of a sweep that names none."""
-AXIS = ("first", "last", "count", "low", "high", "values", "logarithmic", "multiple_of", "unit", "relative", "also")
+AXIS = (
+    "first",
+    "last",
+    "count",
+    "low",
+    "high",
+    "values",
+    "logarithmic",
+    "multiple_of",
+    "unit",
+    "relative",
+    "also",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,7 +83,9 @@ def _find(name: str) -> Path:
         return SHIPPED / f"{name}.toml"
     if name.endswith(".toml"):
         raise ScenarioError(f"sweep file {name} does not exist")
-    raise ScenarioError(f"there is no sweep {name!r}: neither a shipped one nor a .toml file{did_you_mean(name, shipped())}")
+    raise ScenarioError(
+        f"there is no sweep {name!r}: neither a shipped one nor a .toml file{did_you_mean(name, shipped())}"
+    )
 
 
 def _sweep(raw: Raw, path: Path, settings: Sequence[str]) -> Sweep:
@@ -86,15 +100,22 @@ def _sweep(raw: Raw, path: Path, settings: Sequence[str]) -> Sweep:
     title = raw.get("title", path.stem)
     if not isinstance(title, str):
         raise ScenarioError(f"title is {title!r}; a text is expected")
-    grid = tuple(_grid_axis(target, value) for target, value in _targets(_table(raw, "grid"), "[grid]"))
+    grid = tuple(
+        _grid_axis(target, value) for target, value in _targets(_table(raw, "grid"), "[grid]")
+    )
     designs = Designs(grid=grid, sample=_sample(_table(raw, "sample")) if "sample" in raw else None)
     if not designs.axes:
         raise ScenarioError("nothing is varied; a [grid] or a [sample] with parameters is expected")
-    cases = {name: _case(name, table) for name, table in _table(raw, "cases").items()} or {ONE_CASE: {}}
+    cases = {name: _case(name, table) for name, table in _table(raw, "cases").items()} or {
+        ONE_CASE: {}
+    }
     varied = [target for axis in designs.axes for target in axis.targets]
     _refuse_twice(varied, cases)
     for text in settings:
-        if any(target.name == text.partition("=")[0].strip() and target.elements is None for target in varied):
+        if any(
+            target.name == text.partition("=")[0].strip() and target.elements is None
+            for target in varied
+        ):
             raise ScenarioError(
                 f"{text}: {text.partition('=')[0].strip()} is varied by the sweep; set it there or here, not both"
             )
@@ -131,7 +152,9 @@ def _grid_axis(target: Target, value: Any) -> Axis:
     _known(value, ("first", "last", "count", *AXIS[6:]), where)
     count = value.get("count")
     if isinstance(count, bool) or not isinstance(count, int) or count < 2:
-        raise ScenarioError(f"{where}: count is {count!r}; at least 2 values are expected (a list may hold a single one)")
+        raise ScenarioError(
+            f"{where}: count is {count!r}; at least 2 values are expected (a list may hold a single one)"
+        )
     interval = _interval(value, "first", "last", where)
     return Axis(target=target, source=interval.spread(count), **_rest(value, where))
 
@@ -146,11 +169,18 @@ def _sample(raw: Raw) -> Sample:
         )
     for key, number, least in (("count", count, 1), ("seed", seed, 0)):
         if isinstance(number, bool) or not isinstance(number, int) or number < least:
-            raise ScenarioError(f"[sample] {key} is {number!r}; a whole number of at least {least} is expected")
+            raise ScenarioError(
+                f"[sample] {key} is {number!r}; a whole number of at least {least} is expected"
+            )
     parameters = _table(raw, "parameters")
-    axes = tuple(_sampled_axis(target, value) for target, value in _targets(parameters, "[sample.parameters]"))
+    axes = tuple(
+        _sampled_axis(target, value)
+        for target, value in _targets(parameters, "[sample.parameters]")
+    )
     if not axes:
-        raise ScenarioError("[sample] has no parameters; at least one target in [sample.parameters] is expected")
+        raise ScenarioError(
+            "[sample] has no parameters; at least one target in [sample.parameters] is expected"
+        )
     return Sample(method=method, count=count, seed=seed, axes=axes)  # type: ignore[arg-type]  # checked above
 
 
@@ -167,8 +197,14 @@ def _levels(target: Target, value: Any, where: str) -> Axis:
     _known(table, ("values", "unit", "relative", "also"), where)
     values = table["values"]
     if not isinstance(values, list) or not values:
-        raise ScenarioError(f"{where} is {value!r}; a list of at least one value, or a table that makes one, is expected")
-    return Axis(target=target, source=Levels(values=tuple(_value(item) for item in values)), **_rest(table, where, values))
+        raise ScenarioError(
+            f"{where} is {value!r}; a list of at least one value, or a table that makes one, is expected"
+        )
+    return Axis(
+        target=target,
+        source=Levels(values=tuple(_value(item) for item in values)),
+        **_rest(table, where, values),
+    )
 
 
 def _interval(value: Raw, low: str, high: str, where: str) -> Interval:
@@ -176,7 +212,9 @@ def _interval(value: Raw, low: str, high: str, where: str) -> Interval:
         if not _is_number(value.get(key)):
             raise ScenarioError(f"{where}: {key} is {value.get(key)!r}; a number is expected")
     if "multiple_of" in value and not _is_number(value["multiple_of"]):
-        raise ScenarioError(f"{where}: multiple_of is {value['multiple_of']!r}; a number is expected")
+        raise ScenarioError(
+            f"{where}: multiple_of is {value['multiple_of']!r}; a number is expected"
+        )
     if "multiple_of" in value and value.get("relative"):
         raise ScenarioError(
             f"{where}: multiple_of rounds values, and a relative axis holds factors; only one of the two is expected"
@@ -196,19 +234,27 @@ def _rest(value: Raw, where: str, values: Sequence[Any] = ()) -> dict[str, Any]:
     """Keys of all axes."""
     unit, relative = value.get("unit"), _switch(value, "relative", where)
     if unit is not None and (not isinstance(unit, str) or relative):
-        raise ScenarioError(f"{where}: unit is {unit!r}; the name of a unit is expected, and none for a relative axis")
+        raise ScenarioError(
+            f"{where}: unit is {unit!r}; the name of a unit is expected, and none for a relative axis"
+        )
     if (unit is not None or relative) and not all(_is_number(item) for item in values):
-        raise ScenarioError(f"{where} is {list(values)!r}; numbers are expected where there is a unit, or a factor")
+        raise ScenarioError(
+            f"{where} is {list(values)!r}; numbers are expected where there is a unit, or a factor"
+        )
     also = value.get("also", [])
     if not isinstance(also, list) or not all(isinstance(text, str) for text in also):
-        raise ScenarioError(f"{where}: also is {also!r}; a list of 'COMPONENT.PARAMETER' is expected")
+        raise ScenarioError(
+            f"{where}: also is {also!r}; a list of 'COMPONENT.PARAMETER' is expected"
+        )
     return {"unit": unit, "relative": relative, "also": tuple(Target.parse(text) for text in also)}
 
 
 def _map(raw: Raw, grid: Sequence[Axis]) -> Map:
     _known(raw, ("x", "y", "predict"), "[map]")
     numeric = {
-        str(axis.target) for axis in grid if isinstance(axis.source, Levels) and all(map(_is_number, axis.source.values))
+        str(axis.target)
+        for axis in grid
+        if isinstance(axis.source, Levels) and all(map(_is_number, axis.source.values))
     }
     for key in ("x", "y"):
         if raw.get(key) not in numeric:
@@ -217,7 +263,9 @@ def _map(raw: Raw, grid: Sequence[Axis]) -> Map:
                 f"{did_you_mean(str(raw.get(key)), sorted(numeric))}"
             )
     if raw["x"] == raw["y"]:
-        raise ScenarioError(f"[map] x and y are both {raw['x']}; two targets of the grid are expected")
+        raise ScenarioError(
+            f"[map] x and y are both {raw['x']}; two targets of the grid are expected"
+        )
     return Map(x=raw["x"], y=raw["y"], predict=_switch(raw, "predict", "[map]"))
 
 
@@ -228,7 +276,9 @@ def _refuse_twice(targets: Sequence[Target], cases: Mapping[str, Mapping[str, An
                 raise ScenarioError(f"{target} is varied twice, also as {other}")
         for name, case in cases.items():
             if target.name in case:
-                raise ScenarioError(f"[cases.{name}] sets {target.name}, which is varied as {target}")
+                raise ScenarioError(
+                    f"[cases.{name}] sets {target.name}, which is varied as {target}"
+                )
 
 
 # One key at a time
@@ -237,8 +287,17 @@ def _refuse_twice(targets: Sequence[Target], cases: Mapping[str, Mapping[str, An
 def _targets(table: Raw, where: str) -> Iterator[tuple[Target, Any]]:
     """Targets with their values; COMPONENT.PARAMETER may be written with or without quotes."""
     for key, value in table.items():
-        nested = "." not in key and isinstance(value, dict) and value and not any(name in AXIS for name in value)
-        for name, item in ((f"{key}.{inner}", item) for inner, item in value.items()) if nested else ((key, value),):
+        nested = (
+            "." not in key
+            and isinstance(value, dict)
+            and value
+            and not any(name in AXIS for name in value)
+        )
+        for name, item in (
+            ((f"{key}.{inner}", item) for inner, item in value.items())
+            if nested
+            else ((key, value),)
+        ):
             try:
                 yield Target.parse(name), item
             except ScenarioError as error:

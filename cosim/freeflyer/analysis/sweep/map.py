@@ -21,7 +21,13 @@ Boundary = tuple[Array, Array]
 """Points (x, y) of a line, in the axes' units."""
 
 
-def draw(table: pa.Table, x: str, y: str, units: Mapping[str, str], boundary: Mapping[str, Boundary] | None = None) -> Any:
+def draw(
+    table: pa.Table,
+    x: str,
+    y: str,
+    units: Mapping[str, str],
+    boundary: Mapping[str, Boundary] | None = None,
+) -> Any:
     """One panel a case: columns `x` and `y` of the results, a cell for each pair of values; `boundary` by case, on top.
 
     Where further axes give several runs a cell, the worst of them is shown.
@@ -31,13 +37,20 @@ def draw(table: pa.Table, x: str, y: str, units: Mapping[str, str], boundary: Ma
     longest = float(np.nanmax(frame["simulated_s"])) if frame["simulated_s"].notna().any() else 1.0
     with plt.rc_context(STYLE | {"axes.grid": False}):
         figure, panels = plt.subplots(
-            1, len(cases), figsize=(max(3.5, 3.2 * len(cases)) + 0.6, 3.3), sharex=True, sharey=True, squeeze=False
+            1,
+            len(cases),
+            figsize=(max(3.5, 3.2 * len(cases)) + 0.6, 3.3),
+            sharex=True,
+            sharey=True,
+            squeeze=False,
         )
         shading = plt.cm.ScalarMappable(norm=colors.Normalize(0.0, longest), cmap=DIVERGED)
         for panel, case in zip(panels[0], cases, strict=True):
             rows = frame[frame["case"] == case]
             xs, ys = np.unique(rows[x]), np.unique(rows[y])
-            panel.pcolormesh(edges(xs), edges(ys), cells(rows, x, y, xs, ys, shading), rasterized=True)
+            panel.pcolormesh(
+                edges(xs), edges(ys), cells(rows, x, y, xs, ys, shading), rasterized=True
+            )
             if boundary is not None and case in boundary:
                 panel.plot(*boundary[case], color="black", lw=1.5, label="predicted boundary")
                 panel.set_xlim(edges(xs)[[0, -1]])
@@ -55,7 +68,9 @@ def draw(table: pa.Table, x: str, y: str, units: Mapping[str, str], boundary: Ma
             Patch(color=FAILED, label="failed, or too short"),
         ]
         handles = keys + panels[0][0].get_legend_handles_labels()[0]
-        figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), frameon=False)
+        figure.legend(
+            handles=handles, loc="outside upper center", ncols=len(handles), frameon=False
+        )
     return figure
 
 
@@ -64,7 +79,9 @@ def cells(rows: Any, x: str, y: str, xs: Array, ys: Array, shading: Any) -> Arra
     image = np.ones((ys.size, xs.size, 4))
     # The worst last, so that it is what stays: stable, growing, failed, late divergence, early divergence.
     rank = np.where(
-        rows["diverged"].eq(True), 4, np.where(rows["stable"].eq(True), 0, np.where(rows["stable"].eq(False), 1, 2))
+        rows["diverged"].eq(True),
+        4,
+        np.where(rows["stable"].eq(True), 0, np.where(rows["stable"].eq(False), 1, 2)),
     )
     rank = np.where(rows["failed"].eq(True), 2, rank)
     order = np.lexsort((-rows["diverged_at_s"].fillna(0.0).to_numpy(), rank))
@@ -83,7 +100,8 @@ def is_logarithmic(values: Array) -> bool:
     if values.size < 3 or values[0] <= 0.0:
         return False
     return bool(
-        np.ptp(np.diff(np.log(values))) / np.log(values[-1] / values[0]) < np.ptp(np.diff(values)) / (values[-1] - values[0])
+        np.ptp(np.diff(np.log(values))) / np.log(values[-1] / values[0])
+        < np.ptp(np.diff(values)) / (values[-1] - values[0])
     )
 
 
@@ -99,9 +117,17 @@ def edges(values: Array) -> Array:
 
 def edges_between(values: Array) -> Array:
     middles = 0.5 * (values[1:] + values[:-1])
-    return np.concatenate([[1.5 * values[0] - 0.5 * values[1]], middles, [1.5 * values[-1] - 0.5 * values[-2]]])
+    return np.concatenate(
+        [[1.5 * values[0] - 0.5 * values[1]], middles, [1.5 * values[-1] - 0.5 * values[-2]]]
+    )
 
 
 def label(column: str, units: Mapping[str, str]) -> str:
     unit = units.get(column, "")
-    return f"{column} [{unit}]" if unit not in ("", "1") else f"{column} / scenario's own" if unit == "1" else column
+    return (
+        f"{column} [{unit}]"
+        if unit not in ("", "1")
+        else f"{column} / scenario's own"
+        if unit == "1"
+        else column
+    )

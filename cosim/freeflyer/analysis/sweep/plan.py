@@ -76,7 +76,9 @@ class Plan:
         for case in sweep.cases:
             with self._naming(case):
                 self._check(case)
-        self.errors = [f"{name}_error_{'m' if name.endswith('position') else 'deg'}" for name in plain.errors]
+        self.errors = [
+            f"{name}_error_{'m' if name.endswith('position') else 'deg'}" for name in plain.errors
+        ]
         self.energies = list(plain.observed_energy)
 
     def __len__(self) -> int:
@@ -121,7 +123,9 @@ class Plan:
     def levels(self, target: str) -> tuple[Any, ...]:
         """An axis of the grid."""
         return next(
-            levels for axis, levels in zip(self.designs.grid, self.designs.levels, strict=True) if str(axis.target) == target
+            levels
+            for axis, levels in zip(self.designs.grid, self.designs.levels, strict=True)
+            if str(axis.target) == target
         )
 
     @staticmethod
@@ -134,10 +138,16 @@ class Plan:
         """Targets of `--set` with their values, for the axes' values in a case."""
         found: dict[str, Any] = {}
         vectors: dict[str, Array] = {}
-        pairs = [(axis, target, value) for axis, value in zip(self.axes, values, strict=True) for target in axis.targets]
+        pairs = [
+            (axis, target, value)
+            for axis, value in zip(self.axes, values, strict=True)
+            for target in axis.targets
+        ]
         for axis, target, value in pairs:
             if (case, target) not in self._own:
-                found[target.name] = value if axis.unit is None else {"value": value, "unit": axis.unit}
+                found[target.name] = (
+                    value if axis.unit is None else {"value": value, "unit": axis.unit}
+                )
                 continue
             own, port = self._own[case, target]
             vector = vectors.setdefault(target.name, own.copy())
@@ -148,7 +158,10 @@ class Plan:
             elif axis.unit is None:
                 vector[place] = value
             else:
-                vector[place] = [converted(value, factor(axis.unit, unit or DIMENSIONLESS)) for unit in port.units[place]]
+                vector[place] = [
+                    converted(value, factor(axis.unit, unit or DIMENSIONLESS))
+                    for unit in port.units[place]
+                ]
             found[target.name] = [float(number) for number in vector]
         return tuple(found.items())
 
@@ -173,11 +186,15 @@ class Plan:
                 changed = self.setup.scenario(case, self.assignments(case, values))
                 given = parameters.resolve(changed, system.components)
                 steps = parameters.steps(changed, system.components, given)
-                variable = {name: component.variable_step for name, component in system.components.items()}
+                variable = {
+                    name: component.variable_step for name, component in system.components.items()
+                }
                 schedule.build(steps, changed.stop, changed.record_every, variable)
             metrics.check(plain, system.components)
         # Whatever else could be wrong: assembled as a run is.
-        with assemble.loaded(self.setup.scenario(case, self.assignments(case, self.designs[0])), self.setup.fmi):
+        with assemble.loaded(
+            self.setup.scenario(case, self.assignments(case, self.designs[0])), self.setup.fmi
+        ):
             pass
 
     def _tried(self) -> Iterator[tuple[Any, ...]]:
@@ -186,23 +203,38 @@ class Plan:
         yield first
         yield last
         for place, axis in enumerate(self.axes):
-            ends = axis.source.values if isinstance(axis.source, Levels) else (axis.source.at(0.0), axis.source.at(1.0))
+            ends = (
+                axis.source.values
+                if isinstance(axis.source, Levels)
+                else (axis.source.at(0.0), axis.source.at(1.0))
+            )
             for value in ends:
                 yield (*first[:place], value, *first[place + 1 :])
 
-    def _look_up(self, case: str, axis: Axis, target: Target, plain: Scenario, system: System) -> None:
+    def _look_up(
+        self, case: str, axis: Axis, target: Target, plain: Scenario, system: System
+    ) -> None:
         """The scenario's own value, wherever it is needed, and the unit of the axis."""
         needed = axis.relative or target.elements is not None
         component, _, parameter = target.name.partition(".")
         if component in ("devices", "facility") or target.name == "record.signals":
-            raise ScenarioError(f"{target.name} changes nothing that a sweep measures; a parameter of a component is expected")
+            raise ScenarioError(
+                f"{target.name} changes nothing that a sweep measures; a parameter of a component is expected"
+            )
         if component == "robot" and component not in system.components:
             component = _first_user(plain, system, parameter)
-        if component not in system.components or parameter not in system.components[component].ports:
+        if (
+            component not in system.components
+            or parameter not in system.components[component].ports
+        ):
             if needed:
                 known = [name for name, port in _ports(system, component).items() if port.settable]
-                raise ScenarioError(f"there is no parameter {target.name!r}{did_you_mean(parameter, known)}")
-            self.units[str(target)] = "s" if parameter == "step_s" or target.name in ("stop_s", "record.every_s") else ""
+                raise ScenarioError(
+                    f"there is no parameter {target.name!r}{did_you_mean(parameter, known)}"
+                )
+            self.units[str(target)] = (
+                "s" if parameter == "step_s" or target.name in ("stop_s", "record.every_s") else ""
+            )
             return
         port = system.components[component].ports[parameter]
         first, last = target.elements or (1, port.size)
@@ -212,7 +244,9 @@ class Plan:
         if not needed:
             return
         if not port.real or port.boolean or port.choices:
-            raise ScenarioError(f"{target} is no real parameter; elements and factors of it cannot be varied")
+            raise ScenarioError(
+                f"{target} is no real parameter; elements and factors of it cannot be varied"
+            )
         own = parameters.current(system.components, system.values, component, parameter)
         self._own[case, target] = (own.copy(), port)
 
@@ -235,7 +269,10 @@ def files(plain: Scenario, system: System) -> dict[str, str]:
     found = {}
     for spec in plain.components:
         digest = hashlib.sha256()
-        named = [getattr(system.components[spec.name], "path", None), *_named(spec, plain.directory)]
+        named = [
+            getattr(system.components[spec.name], "path", None),
+            *_named(spec, plain.directory),
+        ]
         for path in named:
             if isinstance(path, Path):
                 digest.update(path.read_bytes())

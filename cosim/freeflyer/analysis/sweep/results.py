@@ -41,7 +41,9 @@ class Results:
         check_writable(self.directory)
         with (self.directory / ".lock").open("w") as lock:
             try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # it ends with the process, however that ends
+                fcntl.flock(
+                    lock, fcntl.LOCK_EX | fcntl.LOCK_NB
+                )  # it ends with the process, however that ends
             except OSError as error:
                 raise ScenarioError(
                     f"another sweep is at work in {self.directory}; wait for it, or give another --out"
@@ -60,8 +62,13 @@ class Results:
     def write(self) -> pa.Table:
         """All parts as one table, sorted by run. Raises OutputError."""
         tables = [parquet.read_table(path, schema=self.schema) for path in self._parts()]
-        table = pa.concat_tables(tables).sort_by("run").replace_schema_metadata(self.schema.metadata)
-        write_whole(self.directory / RESULTS, lambda partial: parquet.write_table(table, partial, compression="zstd"))
+        table = (
+            pa.concat_tables(tables).sort_by("run").replace_schema_metadata(self.schema.metadata)
+        )
+        write_whole(
+            self.directory / RESULTS,
+            lambda partial: parquet.write_table(table, partial, compression="zstd"),
+        )
         return table
 
     def _whole(self, row: Row) -> Row:
@@ -106,7 +113,11 @@ class Results:
             raise ScenarioError(
                 f"{path} is no plan of a sweep ({type(error).__name__}: {error}); give another --out"
             ) from error
-        different = [key for key in content if not isinstance(stored, dict) or stored.get(key) != content[key]]
+        different = [
+            key
+            for key in content
+            if not isinstance(stored, dict) or stored.get(key) != content[key]
+        ]
         if different:
             raise ScenarioError(
                 f"{self.directory} holds another sweep ({title!r}; {' and '.join(different)} differ): give another --out, or remove it"
@@ -122,11 +133,19 @@ def schema(plan: Plan) -> pa.Schema:
     ]
     for axis in plan.axes:
         fields.append((str(axis.target), _kind(axis.source), plan.units.get(str(axis.target), "")))
-    fields += [("stable", pa.bool_(), ""), ("diverged", pa.bool_(), ""), ("failed", pa.bool_(), ""), ("cause", pa.string(), "")]
+    fields += [
+        ("stable", pa.bool_(), ""),
+        ("diverged", pa.bool_(), ""),
+        ("failed", pa.bool_(), ""),
+        ("cause", pa.string(), ""),
+    ]
     fields += [(name, pa.float64(), "s") for name in ("diverged_at_s", "simulated_s")]
     for name in plan.errors:
         unit = name.rpartition("_")[2]
-        fields += [(f"{name}_{which}", pa.float64(), unit) for which in ("max", verdict.LAST, verdict.EARLIER)]
+        fields += [
+            (f"{name}_{which}", pa.float64(), unit)
+            for which in ("max", verdict.LAST, verdict.EARLIER)
+        ]
     fields += [(f"{name}_observed_energy_min_j", pa.float64(), "J") for name in plan.energies]
     fields += [(name, pa.float64(), "s") for name in ("wall_s", "run_s")]
     units = {name: unit for name, _, unit in fields}
@@ -155,9 +174,17 @@ def per_case(table: pa.Table) -> Sequence[Mapping[str, Any]]:
     for case in dict.fromkeys(table.column("case").to_pylist()):
         rows = table.filter(compute.equal(table.column("case"), case))
         counts = {
-            name: sum(value is True for value in rows.column(name).to_pylist()) for name in ("stable", "diverged", "failed")
+            name: sum(value is True for value in rows.column(name).to_pylist())
+            for name in ("stable", "diverged", "failed")
         }
-        found.append({"case": case, "runs": rows.num_rows, **counts, "unjudged": rows.column("stable").null_count})
+        found.append(
+            {
+                "case": case,
+                "runs": rows.num_rows,
+                **counts,
+                "unjudged": rows.column("stable").null_count,
+            }
+        )
     return found
 
 
@@ -165,7 +192,9 @@ def frequent_failure(table: pa.Table) -> str | None:
     """The cause that most failed runs have."""
     causes = [
         cause
-        for cause, failed in zip(table.column("cause").to_pylist(), table.column("failed").to_pylist(), strict=True)
+        for cause, failed in zip(
+            table.column("cause").to_pylist(), table.column("failed").to_pylist(), strict=True
+        )
         if failed
     ]
     return max(sorted(set(causes)), key=causes.count) if causes else None

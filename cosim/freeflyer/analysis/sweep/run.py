@@ -53,7 +53,9 @@ class _Work:
         self.computed = self.sent = 0
         self.suspects: deque[int] = deque()
         """Runs whose worker died: each is tried once more, alone, so that none is blamed for its neighbour."""
-        self.seconds: float | None = None  # of a run, smoothed; unknown at first, so that the first batches are single runs
+        self.seconds: float | None = (
+            None  # of a run, smoothed; unknown at first, so that the first batches are single runs
+        )
         self.batches: dict[Future, list[int]] = {}
         self.finished = as_completed(loop=client.loop)
         self.version = versions()["freeflyer-cosim"]
@@ -76,7 +78,9 @@ class _Work:
 
     def _submit(self) -> None:
         while self.pending and len(self.batches) < AHEAD * self.threads:
-            left = math.ceil(len(self.pending) / (2 * self.threads))  # towards the end all have something to do
+            left = math.ceil(
+                len(self.pending) / (2 * self.threads)
+            )  # towards the end all have something to do
             wished = int(BATCH / self.seconds) if self.seconds else 1
             size = max(1, min(wished, LARGEST_BATCH, left))
             self._send([self.pending.popleft() for _ in range(min(size, len(self.pending)))])
@@ -88,7 +92,9 @@ class _Work:
         # The set-up goes along with each batch: it is 5 kB, and nothing on a worker that could be lost with it.
         # One name for all tasks: the scheduler then hands them out one by one, as threads become free.
         self.sent += 1
-        future = self.client.submit(run_batch, self.plan.setup, self.version, runs, key=(self.name, self.sent))
+        future = self.client.submit(
+            run_batch, self.plan.setup, self.version, runs, key=(self.name, self.sent)
+        )
         self.batches[future] = numbers
         self.finished.add(future)
 
@@ -105,7 +111,13 @@ class _Work:
         if error is not None:
             # Not a run's own failure, which is a row: the worker could not even begin.
             self._keep(
-                [{"run": number, **failure(f"its worker failed: {type(error).__name__}: {error}")} for number in numbers]
+                [
+                    {
+                        "run": number,
+                        **failure(f"its worker failed: {type(error).__name__}: {error}"),
+                    }
+                    for number in numbers
+                ]
             )
             return
         rows = future.result()

@@ -40,9 +40,13 @@ def run_batch(setup: Setup, version: str, runs: Sequence[Run]) -> list[Row]:
 def row(setup: Setup, run: Run) -> Row:
     begin = time.perf_counter()
     try:
-        scenario = replace(setup.scenario(run.case, run.assignments), record_signals=())  # what is measured, and no more
+        scenario = replace(
+            setup.scenario(run.case, run.assignments), record_signals=()
+        )  # what is measured, and no more
         found = measured(experiment.run(scenario, fmi=setup.fmi))
-    except Exception as error:  # a refused value, memory, or anything that a component of others raises
+    except (
+        Exception
+    ) as error:  # a refused value, memory, or anything that a component of others raises
         said = str(error) if isinstance(error, CosimError) else f"{type(error).__name__}: {error}"
         found = failure(" ".join(said.split()))
     return {"run": run.number, **found, "run_s": time.perf_counter() - begin}
@@ -51,8 +55,14 @@ def row(setup: Setup, run: Run) -> Row:
 def measured(result: Result) -> Row:
     """A run's results as columns: what summary.json has, the errors before their last window, and the verdict."""
     summary, record = result.summary, result.outcome.record
-    before = {name: verdict.earlier(record.time, error, result.outcome.simulated) for name, error in result.errors.items()}
-    found: Row = {key: summary[key] for key in ("diverged", "failed", "cause", "diverged_at_s", "simulated_s", "wall_s")}
+    before = {
+        name: verdict.earlier(record.time, error, result.outcome.simulated)
+        for name, error in result.errors.items()
+    }
+    found: Row = {
+        key: summary[key]
+        for key in ("diverged", "failed", "cause", "diverged_at_s", "simulated_s", "wall_s")
+    }
     for name, most in before.items():
         found[f"{name}_max"] = summary[name]["max"]
         found[f"{name}_{verdict.LAST}"] = summary[name][verdict.LAST]
@@ -78,7 +88,9 @@ def _check_worker(setup: Setup, version: str) -> None:
     """Refuse another version of this package, and files that are not those of the plan; once for each plan."""
     here = metrics.versions()["freeflyer-cosim"]
     if here != version:
-        raise WorkerRefused(f"it has freeflyer-cosim {here}, and {version} is expected: install the same version there")
+        raise WorkerRefused(
+            f"it has freeflyer-cosim {here}, and {version} is expected: install the same version there"
+        )
     if setup.files in _checked:
         return
     plain = setup.scenario(next(iter(setup.cases)))
@@ -86,5 +98,7 @@ def _check_worker(setup: Setup, version: str) -> None:
         found = files(plain, system)
     other = [name for name, digest in setup.files.items() if found.get(name) != digest]
     if other:
-        raise WorkerRefused(f"its file of component {other[0]} is not that of the sweep: install the same build there")
+        raise WorkerRefused(
+            f"its file of component {other[0]} is not that of the sweep: install the same build there"
+        )
     _checked.append(setup.files)

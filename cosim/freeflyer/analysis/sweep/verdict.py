@@ -39,7 +39,10 @@ def stable(summary: Mapping[str, Any], before: Mapping[str, float | None]) -> bo
         return False
     if summary["simulated_s"] < 3.0 * WINDOW:
         return None
-    return all(_bounded(summary[name][LAST], most, FLOORS[name.rpartition("_")[2]]) for name, most in before.items())
+    return all(
+        _bounded(summary[name][LAST], most, FLOORS[name.rpartition("_")[2]])
+        for name, most in before.items()
+    )
 
 
 def _bounded(last: float | None, before: float | None, floor: float) -> bool:

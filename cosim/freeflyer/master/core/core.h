@@ -11,10 +11,12 @@
 typedef int Set2(void *instance, const uint32_t *reference, size_t references, const double *value);
 typedef int Get2(void *instance, const uint32_t *reference, size_t references, double *value);
 typedef int Step2(void *instance, double time, double size, int no_state_set_before);
-typedef int Set3(void *instance, const uint32_t *reference, size_t references, const double *value, size_t values);
-typedef int Get3(void *instance, const uint32_t *reference, size_t references, double *value, size_t values);
-typedef int Step3(void *instance, double time, double size, bool no_state_set_before, bool *event, bool *terminate, bool *early,
-                  double *reached);
+typedef int Set3(void *instance, const uint32_t *reference, size_t references, const double *value,
+                 size_t values);
+typedef int Get3(void *instance, const uint32_t *reference, size_t references, double *value,
+                 size_t values);
+typedef int Step3(void *instance, double time, double size, bool no_state_set_before, bool *event,
+                  bool *terminate, bool *early, double *reached);
 
 /* Of a slave, and of the master: a limit that looks passed is judged by its owner. */
 typedef enum { SET, STEP, GET, LIMIT } Operation;
@@ -36,7 +38,8 @@ typedef struct {
     Set3 *set3;
     Get3 *get3;
     Step3 *step3;
-    Batch inputs, used, outputs; /* `used`: the first of the outputs, which connections and limits need at every step */
+    Batch inputs, used,
+        outputs; /* `used`: the first of the outputs, which connections and limits need at every step */
     const uint32_t *input, *output;
     double *input_value, *output_value;
     size_t wires; /* the connected inputs: *target[i] = *source[i] */
@@ -54,10 +57,12 @@ typedef struct {
 } Limit;
 
 typedef struct {
-    Slave *slave; /* `first` of them are stepped one after the other at an instant, the others together after them */
+    Slave *
+        slave; /* `first` of them are stepped one after the other at an instant, the others together after them */
     int slaves, first;
     Call *call;
-    size_t delays; /* outputs that delayed connections carry: *before[i] = *now[i] at the begin of an instant */
+    size_t
+        delays; /* outputs that delayed connections carry: *before[i] = *now[i] at the begin of an instant */
     double *const *before;
     const double *const *now;
     Limit *limit;

@@ -68,7 +68,8 @@ static bool limit_passed(Core *core)
         Limit *limit = &core->limit[i];
         bool before = limit->looks_passed;
         limit->looks_passed = looks_passed(limit);
-        if ((before || limit->looks_passed) && fails(core, i, LIMIT, core->call(i, LIMIT, 0.0, 0.0))) {
+        if ((before || limit->looks_passed) &&
+            fails(core, i, LIMIT, core->call(i, LIMIT, 0.0, 0.0))) {
             return true;
         }
     }
@@ -103,7 +104,8 @@ static bool samples_fail(Core *core, int64_t k, bool all)
             continue;
         }
         take_inputs(&core->slave[i]);
-        if (fails(core, i, SET, set_inputs(core, i)) || step_fails(core, i, k) || get_fails(core, i, all)) {
+        if (fails(core, i, SET, set_inputs(core, i)) || step_fails(core, i, k) ||
+            get_fails(core, i, all)) {
             return true;
         }
     }

@@ -21,7 +21,8 @@ int set_inputs(const Core *core, int index)
     case 2:
         return failure(s->set2(s->instance, s->input, s->inputs.references, s->input_value));
     case 3:
-        return failure(s->set3(s->instance, s->input, s->inputs.references, s->input_value, s->inputs.values));
+        return failure(
+            s->set3(s->instance, s->input, s->inputs.references, s->input_value, s->inputs.values));
     default:
         return core->call(index, SET, 0.0, 0.0);
     }
@@ -36,7 +37,8 @@ int make_step(const Core *core, int index, double time, double size)
     case 2:
         return failure(s->step2(s->instance, time, size, 1));
     case 3: {
-        int status = failure(s->step3(s->instance, time, size, true, &event, &terminate, &early, &reached));
+        int status =
+            failure(s->step3(s->instance, time, size, true, &event, &terminate, &early, &reached));
         return status == 0 && terminate ? ASKED_TO_END : status;
     }
     default:
@@ -55,7 +57,8 @@ int get_outputs(const Core *core, int index, bool all)
     case 2:
         return failure(s->get2(s->instance, s->output, batch->references, s->output_value));
     case 3:
-        return failure(s->get3(s->instance, s->output, batch->references, s->output_value, batch->values));
+        return failure(
+            s->get3(s->instance, s->output, batch->references, s->output_value, batch->values));
     default:
         return core->call(index, GET, 0.0, 0.0);
     }
