@@ -14,12 +14,12 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 WORDS = (
-    "who whom whoever somebody someone nobody anybody anyone everybody everyone stranger strangers "
-    "witness witnesses eye eyes ear ears deaf word words say says said tell tells told hear hears "
-    "heard forget forgets forgot forgotten hand hands oracle twin twins mended swell swells"
-).split()
+    "who|whom|whoever|somebody|someone|nobody|anybody|anyone|everybody|everyone|strangers?|"
+    "witness|witnesses|eyes?|ears?|deaf|words?|says?|said|tells?|told|hears?|heard|"
+    "forgets?|forgot|forgotten|hands?|oracle|twins?|mended|swells?"
+)
 # "_" is not a part of a word here, so that names of variables and functions are read too.
-PATTERN = re.compile(rf"(?<![A-Za-z])({'|'.join(WORDS)})(?![A-Za-z])", re.IGNORECASE)
+PATTERN = re.compile(rf"(?<![A-Za-z])({WORDS})(?![A-Za-z])", re.IGNORECASE)
 PERSON = "language: person"
 SUFFIXES = {".py", ".pyi", ".c", ".h", ".md", ".toml", ".jinja", ".cff"}
 
