@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 import can
 import numpy as np
 
-from freeflyer.fmi.component import Array, Port
+from freeflyer.fmi.component import Array, Port, memory
 from freeflyer_adapters.arm.description import compare
 from freeflyer_adapters.arm.frames import ArmFrames, Mode
 from freeflyer_adapters.arm.options import ArmOptions
@@ -44,9 +44,7 @@ class CanArm:
         n = options.joints
         self.frames = ArmFrames(options.frames, n)
         self.ports: Mapping[str, Port] = all_settings.arm_ports(n, all_settings.ARM)
-        self.values: Mapping[str, Array] = {
-            p.name: np.array(p.start or (0.0,) * p.size) for p in self.ports.values()
-        }
+        self.values = memory(self.ports.values())
         self.implicit = options.implicit
         self.frames.check_activation(name, self.implicit)
         self._has_modes = "mode" in self.frames.command

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from freeflyer.fmi.component import Array, Port
+from freeflyer.fmi.component import Array, Port, memory
 from freeflyer_adapters.base import access_control, commanders
 from freeflyer_adapters.base import diagnosis as link_diagnosis
 from freeflyer_adapters.base.link import OdometryLink, Received, is_usable
@@ -62,9 +62,7 @@ class ZenohBase:
             Port(name="base_velocity", size=6, causality="output", units=TWIST, sampled=True),
         ]
         self.ports: Mapping[str, Port] = {port.name: port for port in ports}
-        self.values: Mapping[str, Array] = {
-            port.name: np.array(port.start or (0.0,) * port.size) for port in ports
-        }
+        self.values = memory(self.ports.values())
         self.age = Histogram()
         """Of every sample when it is read; it tells something only where both clocks are one."""
         self.published = 0

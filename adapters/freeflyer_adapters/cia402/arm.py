@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from freeflyer.fmi.component import Array, Port
+from freeflyer.fmi.component import Array, Port, memory
 from freeflyer_adapters.can.link import flush, open_bus
 from freeflyer_adapters.cia402 import load, objects, process_data
 from freeflyer_adapters.cia402.network import PolledNetwork
@@ -54,9 +54,7 @@ class Cia402Arm:
         self._environment = environment.present()
         n = options.joints
         self.ports: Mapping[str, Port] = all_settings.arm_ports(n, DRIVES)
-        self.values: Mapping[str, Array] = {
-            p.name: np.array(p.start or (0.0,) * p.size) for p in self.ports.values()
-        }
+        self.values = memory(self.ports.values())
         self.scaling = Scaling(options.motors)
         self.answers, self.targets = Histogram(), Histogram()
         self.drives: list[RemoteDrive] = []

@@ -12,10 +12,8 @@ class DeviceComponent(PythonComponent):
     variable_step = False
 
     def __init__(self, device: Device) -> None:
-        super().__init__(device.name, list(device.ports.values()))
+        super().__init__(device.name, list(device.ports.values()), device.values)
         self.device = device
-        # One memory for both: the master copies into and out of the device's own values.
-        device.values = self.values
 
     def initialise(self, start: float) -> None:
         self.device.configure()

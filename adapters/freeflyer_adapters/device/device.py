@@ -76,8 +76,8 @@ class Device(Protocol):
     state: State
     ports: Mapping[str, Port]
     """Parameters are settings, inputs are commands, outputs are measurements; all SI, in frames that their names say."""
-    values: Mapping[str, Array]
-    """One array for each port."""
+    values: dict[str, Array]
+    """`freeflyer.fmi.component.memory` of the ports; the master reads and writes these arrays."""
 
     @property
     def woken(self) -> int:

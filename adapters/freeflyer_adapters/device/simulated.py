@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from freeflyer.fmi.component import Array, Component, Port
+from freeflyer.fmi.component import Array, Component, Port, memory
 from freeflyer.fmi.fmu import FmuComponent
 from freeflyer.scenario.assemble import find_fmu
 from freeflyer_adapters.device import settings as all_settings
@@ -58,9 +58,7 @@ class SimulatedDevice:
         self._inputs = [port.name for port in ports.values() if port.causality == "input"]
         self._outputs = [port.name for port in ports.values() if port.causality == "output"]
         self.ports: Mapping[str, Port] = ports
-        self.values: Mapping[str, Array] = {
-            p.name: np.array(p.start or (0.0,) * p.size, dtype=float) for p in ports.values()
-        }
+        self.values = memory(self.ports.values())
         self._count = 0
         self._last_torque = (
             np.zeros(ports["joint_torque_command"].size) if self.is_arm else np.zeros(0)

@@ -7,9 +7,8 @@ ramp-down under the arm's own clock, then brakes. The arm's state frame is the c
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack, nullcontext, suppress
+from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 from freeflyer.fmi.component import Array
@@ -19,7 +18,7 @@ from freeflyer.foundation.interrupts import interrupts, no_interrupts
 from freeflyer.master.graph import Connection, split
 from freeflyer.master.master import InstantHook, Master, Outcome
 from freeflyer.scenario import metrics
-from freeflyer.scenario.assemble import assembled, make
+from freeflyer.scenario.assemble import assembled
 from freeflyer.scenario.experiment import Result, provenance
 from freeflyer.scenario.parameters import Values, current
 from freeflyer.scenario.scenario import ComponentSpec, Measure, Scenario
@@ -92,16 +91,15 @@ def with_devices(
     devices = {spec.name: spec for spec in specs}
     others = tuple(spec for spec in scenario.components if spec.name not in devices)
 
-    ports = _ports(specs, scenario.directory)
-
-    def stays(connection: Connection) -> bool:
-        """What joins two devices stays in this process only where a model here is the target, and the other end is measured."""
-        (source, variable), (target, _) = split(connection.source), split(connection.target)
+    def adapted(connection: Connection) -> Connection | None:
+        """What joins two devices stays in this process only where a model here is the target and
+        the other end measures it."""
+        source, target = split(connection.source)[0], split(connection.target)[0]
         if source not in devices or target not in devices:
-            return True
-        return devices[target].kind == SIMULATED and variable in ports[source]
+            return connection
+        return replace(connection, optional=True) if devices[target].kind == SIMULATED else None
 
-    connections = tuple(connection for connection in scenario.connections if stays(connection))
+    connections = tuple(filter(None, map(adapted, scenario.connections)))
     return replace(scenario, components=(*devices.values(), *others), connections=connections)
 
 
@@ -112,17 +110,6 @@ def _with_model(spec: ComponentSpec, model: ComponentSpec, fmi: int | None) -> C
         parameters={**model.parameters, **spec.parameters},
         options={**model.options, **spec.options, **version},
     )
-
-
-def _ports(specs: Sequence[ComponentSpec], directory: Path) -> dict[str, frozenset[str]]:
-    """Which variables each device has; nothing is opened for that."""
-    found = {}
-    for spec in specs:
-        component = make(spec, directory, None)
-        found[spec.name] = frozenset(component.ports)
-        with suppress(Exception):
-            component.close()
-    return found
 
 
 def _present_errors(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -102,6 +102,12 @@ class _InPlace(dict[str, Array]):
         self[name][:] = value
 
 
+def memory(ports: Iterable[Port]) -> dict[str, Array]:
+    """Allocate one array for each port, filled with its start value or zeros."""
+    starts = ((port.name, port.start or (0.0,) * port.size) for port in ports)
+    return _InPlace((name, np.array(start, dtype=float)) for name, start in starts)
+
+
 class PythonComponent:
     """A component written in Python: declare ports, then override `advance`.
 
@@ -111,7 +117,10 @@ class PythonComponent:
 
     variable_step = True
 
-    def __init__(self, name: str, ports: Sequence[Port]) -> None:
+    def __init__(
+        self, name: str, ports: Sequence[Port], values: dict[str, Array] | None = None
+    ) -> None:
+        """`values`: the `memory` of these ports, if it exists already."""
         self.name = name
         self._ports = {port.name: port for port in ports}
         for port in ports:
@@ -120,13 +129,7 @@ class PythonComponent:
                     units.unit(str(unit))
                 except ValueError as error:
                     raise ComponentError(f"component {name}: port {port.name}: {error}") from error
-        starts = {
-            port.name: port.start if port.start is not None else np.zeros(port.size)
-            for port in ports
-        }
-        self.values: dict[str, Array] = _InPlace(
-            (key, np.array(start, dtype=float)) for key, start in starts.items()
-        )
+        self.values = memory(ports) if values is None else values
 
     @property
     def ports(self) -> Mapping[str, Port]:

@@ -33,6 +33,8 @@ class Connection:
     target: str
     delayed: bool = False
     of_terminals: bool = False
+    optional: bool = False
+    """Left out where the source component has no such variable."""
 
     def __str__(self) -> str:
         return f"{self.source} {'<->' if self.of_terminals else '->'} {self.target}"
@@ -60,6 +62,11 @@ class Graph:
 def split(signal: str) -> tuple[str, str]:
     component, _, variable = signal.partition(".")
     return component, variable
+
+
+def has_source(components: Mapping[str, Component], connection: Connection) -> bool:
+    component, variable = split(connection.source)
+    return component in components and variable in components[component].ports
 
 
 def port(components: Mapping[str, Component], signal: str, subject: str) -> Port:

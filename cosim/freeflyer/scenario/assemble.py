@@ -176,7 +176,12 @@ def loaded(scenario: Scenario, fmi: int | None = None) -> Iterator[System]:
         samples = {
             spec.name: spec.samples for spec in scenario.components if spec.samples is not None
         }
-        wiring = graph.build(components, scenario.connections, samples, scenario.exchange)
+        connections = [
+            connection
+            for connection in scenario.connections
+            if not connection.optional or graph.has_source(components, connection)
+        ]
+        wiring = graph.build(components, connections, samples, scenario.exchange)
         _refuse_driven(wiring, values)
         steps = parameters.steps(scenario, components, values)
         yield System(components=components, values=values, steps=steps, wiring=wiring)
