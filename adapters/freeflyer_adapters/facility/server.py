@@ -16,9 +16,10 @@ from freeflyer.fmi.component import Array, Component, PythonComponent
 from freeflyer.foundation.clock import SECOND, seconds
 from freeflyer.foundation.interrupts import interrupts
 from freeflyer.foundation.plugins import load, plugins
+from freeflyer.foundation.signal_name import split
 from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer.master import graph, schedule
-from freeflyer.master.graph import Connection, split
+from freeflyer.master.graph import Connection
 from freeflyer.master.master import Master, Outcome
 from freeflyer.scenario import assemble, parameters
 from freeflyer.scenario.scenario import Scenario

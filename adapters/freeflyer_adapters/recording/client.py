@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from freeflyer.foundation.errors import CosimError
+from freeflyer.foundation.signal_name import split
 from freeflyer.master.master import Master
 from freeflyer.master.record import Signal
 from freeflyer.scenario import metrics
@@ -82,7 +83,7 @@ class Tap:
         ports = {name: component.ports for name, component in master.graph.components.items()}
         signals = []
         for name, place in places.items():
-            component, _, variable = name.partition(".")
+            component, variable = split(name)
             units = ports[component][variable].units
             signals.append(
                 Signal(name=name, first=place.start, size=place.stop - place.start, units=units)

@@ -26,7 +26,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from freeflyer.fmi.component import Array
-from freeflyer.master.graph import split
+from freeflyer.foundation.signal_name import split
 from freeflyer.master.record import Signal
 from freeflyer_adapters.device.device import STATE, LifeCycle
 from freeflyer_adapters.recording.header import RecordingHeader

@@ -14,6 +14,7 @@ from typing import Literal
 
 from freeflyer.fmi.component import Component, Port
 from freeflyer.foundation.errors import GraphError
+from freeflyer.foundation.signal_name import split
 from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer.foundation.units import same
 
@@ -57,11 +58,6 @@ class Graph:
             for connection in self.connections
             if split(connection.target)[0] == component
         ]
-
-
-def split(signal: str) -> tuple[str, str]:
-    component, _, variable = signal.partition(".")
-    return component, variable
 
 
 def has_source(components: Mapping[str, Component], connection: Connection) -> bool:

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from freeflyer.fmi.component import Array, Component
-from freeflyer.master.graph import Graph, split
+from freeflyer.foundation.signal_name import split
+from freeflyer.master.graph import Graph
 from freeflyer.master.record import Signal
 
 Places = NDArray[np.int64]

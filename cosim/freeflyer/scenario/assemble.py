@@ -15,6 +15,7 @@ from freeflyer.fmi.component import Component
 from freeflyer.fmi.fmu import FmuComponent
 from freeflyer.foundation.errors import ComponentError, CosimError, ScenarioError
 from freeflyer.foundation.plugins import load, plugins, renamed
+from freeflyer.foundation.signal_name import split
 from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer.master import graph, schedule
 from freeflyer.master.master import Master
@@ -124,7 +125,7 @@ def make(spec: ComponentSpec, directory: Path, fmi: int | None) -> Component:
 def _refuse_driven(wiring: graph.Graph, values: Values) -> None:
     """A value for an input that a connection drives would be lost without a word."""
     for connection in wiring.connections:
-        component, variable = graph.split(connection.target)
+        component, variable = split(connection.target)
         if variable in values.get(component, {}):
             raise ScenarioError(
                 f"{connection.target} cannot be set: it is driven by the connection from {connection.source}"

@@ -12,7 +12,8 @@ import numpy as np
 
 from freeflyer.fmi.component import Array, Component
 from freeflyer.foundation.errors import ScenarioError
-from freeflyer.master.graph import port, split
+from freeflyer.foundation.signal_name import split
+from freeflyer.master.graph import port
 from freeflyer.master.master import Outcome
 from freeflyer.master.record import Record
 from freeflyer.scenario.parameters import Values, current

@@ -10,6 +10,7 @@ import numpy as np
 from freeflyer.fmi.component import Array, Component, Port
 from freeflyer.foundation.clock import nanoseconds
 from freeflyer.foundation.errors import ScenarioError
+from freeflyer.foundation.signal_name import split
 from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer.foundation.units import DIMENSIONLESS, converted, factor, same
 from freeflyer.scenario.scenario import ComponentSpec, Scenario
@@ -112,7 +113,7 @@ def _value(
             raise ScenarioError(
                 f"{subject}: its value refers back to itself, by way of {' -> '.join(seen)}"
             )
-        other, _, parameter = value[1:].partition(".")
+        other, parameter = split(value[1:])
         given = raw.get(other, {}).get(parameter)
         if given is None and other in components and parameter in components[other].ports:
             start = components[other].ports[parameter].start

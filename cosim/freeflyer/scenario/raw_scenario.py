@@ -7,6 +7,7 @@ from typing import Any
 
 from freeflyer.foundation import toml_file
 from freeflyer.foundation.errors import ScenarioError
+from freeflyer.foundation.signal_name import component_of, split, split_connection
 from freeflyer.foundation.suggestions import did_you_mean
 
 Raw = dict[str, Any]
@@ -74,40 +75,29 @@ def _left_out(base: Raw, names: Any) -> Raw:
 
 
 def _apart_from(text: str, names: Sequence[str]) -> list[str]:
-    """A connection's text without what comes from the components in `names` or goes to them."""
-    arrow = "<->" if "<->" in text else "->"
-    source, _, targets = text.partition(arrow)
-    left = [
-        target.strip()
-        for target in targets.split(",")
-        if target.strip().partition(".")[0] not in names
-    ]
-    return (
-        [f"{source.strip()} {arrow} {', '.join(left)}"]
-        if left and source.strip().partition(".")[0] not in names
-        else []
-    )
+    """Return a connection's text without what comes from the components in `names` or goes to them."""
+    source, arrow, targets = split_connection(text)
+    left = [target for target in targets if component_of(target) not in names]
+    return _joined(source, arrow, left if component_of(source) not in names else [])
 
 
 def _driven(raw: Raw) -> set[str]:
-    """The inputs that a file's own connections drive."""
-    texts = [
-        text
-        for key in ("connections", "delayed")
-        if isinstance(raw.get(key), list)
-        for text in raw[key]
-    ]
-    texts = [text for text in texts if "<->" not in str(text)]
-    return {target.strip() for text in texts for target in str(text).partition("->")[2].split(",")}
+    """Return the inputs that a file's own connections drive."""
+    lists = (raw.get(key) for key in ("connections", "delayed"))
+    texts = [str(text) for texts in lists if isinstance(texts, list) for text in texts]
+    return {target for t in texts if "<->" not in t for target in split_connection(t)[2]}
 
 
 def _without(text: object, driven: set[str]) -> list[str]:
-    """A connection's text without the targets in `driven`; none if nothing is left."""
+    """Return a connection's text without the targets in `driven`; none if nothing is left."""
     if "<->" in str(text):
-        return [str(text)]  # terminals: what they drive is known once the FMUs are read
-    source, arrow, targets = str(text).partition("->")
-    left = [target.strip() for target in targets.split(",") if target.strip() not in driven]
-    return [f"{source.strip()} {arrow} {', '.join(left)}"] if left else []
+        return [str(text)]  # the inputs of a terminal are known once the FMUs are read
+    source, arrow, targets = split_connection(str(text))
+    return _joined(source, arrow, [target for target in targets if target not in driven])
+
+
+def _joined(source: str, arrow: str, targets: Sequence[str]) -> list[str]:
+    return [f"{source} {arrow} {', '.join(targets)}"] if targets else []
 
 
 def override(raw: Raw, text: str) -> None:
@@ -118,7 +108,7 @@ def override(raw: Raw, text: str) -> None:
 
 def assign(raw: Raw, target: str, value: Any, where: str) -> None:
     """Give a target of `--set` its value; None is none. `where` begins what is said of a mistake."""
-    component, dot, parameter = target.partition(".")
+    component, parameter = split(target)
     components = _inner(raw, "components", where)
     if value is not None and component in ("devices", "facility", "record"):
         _assign_in_table(raw, where, target.split("."), value)
@@ -126,7 +116,7 @@ def assign(raw: Raw, target: str, value: Any, where: str) -> None:
     if value is not None and target in ("stop_s", "exchange"):
         raw[target] = value
         return
-    if value is None or not dot or not component or not parameter:
+    if value is None or not component or not parameter:
         raise ScenarioError(
             f"{where}: COMPONENT.PARAMETER=VALUE is expected, for example base_controller.period=0.1"
         )

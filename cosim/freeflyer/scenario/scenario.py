@@ -20,6 +20,7 @@ from typing import Any, Literal, get_args
 from freeflyer.foundation import toml_file
 from freeflyer.foundation.clock import nanoseconds
 from freeflyer.foundation.errors import ScenarioError
+from freeflyer.foundation.signal_name import split_connection
 from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer.foundation.units import converted, factor
 from freeflyer.master.graph import Connection, Exchange
@@ -287,21 +288,19 @@ class _Reader:
         for text in self.array(raw, key):
             if not isinstance(text, str):
                 raise self.fail(f"{key}: {text!r}; a text with '->' is expected")
-            if "<->" in text:
-                left, _, right = (part.strip() for part in text.partition("<->"))
-                if "." not in left or "." not in right:
-                    raise self.fail(
-                        f"{key}: {text!r}; 'COMPONENT.TERMINAL <-> COMPONENT.TERMINAL' is expected"
-                    )
-                yield Connection(source=left, target=right, delayed=delayed, of_terminals=True)
-                continue
-            source, arrow, targets = text.partition("->")
-            for target in targets.split(","):
-                if not arrow or "." not in source or "." not in target:
-                    raise self.fail(
-                        f"{key}: {text!r}; 'COMPONENT.OUTPUT -> COMPONENT.INPUT, ...' is expected"
-                    )
-                yield Connection(source=source.strip(), target=target.strip(), delayed=delayed)
+            source, arrow, targets = split_connection(text)
+            ends, of_terminals = [source, *targets], arrow == "<->"
+            if not arrow or not all("." in end for end in ends) or (of_terminals and len(ends) > 2):
+                expected = (
+                    "COMPONENT.TERMINAL <-> COMPONENT.TERMINAL"
+                    if of_terminals
+                    else "COMPONENT.OUTPUT -> COMPONENT.INPUT, ..."
+                )
+                raise self.fail(f"{key}: {text!r}; {expected!r} is expected")
+            for target in targets:
+                yield Connection(
+                    source=source, target=target, delayed=delayed, of_terminals=of_terminals
+                )
 
     def limit(self, raw: object) -> Limit:
         if not isinstance(raw, dict):

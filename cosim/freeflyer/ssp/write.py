@@ -21,7 +21,7 @@ from freeflyer.fmi.fmu import FmuComponent
 from freeflyer.foundation.clock import seconds
 from freeflyer.foundation.errors import ComponentError, ScenarioError
 from freeflyer.foundation.output_file import write_whole
-from freeflyer.master.graph import split
+from freeflyer.foundation.signal_name import split
 from freeflyer.scenario.assemble import System
 from freeflyer.scenario.scenario import ComponentSpec, Scenario, to_toml
 from freeflyer.ssp.names import ANNOTATION, DESCRIPTION, FMU_TYPE, SETTINGS, STEP_ANNOTATION, tag

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from freeflyer.fmi.component import Array
 from freeflyer.foundation.errors import RecordError
+from freeflyer.foundation.signal_name import component_of
 from freeflyer.master.provenance import Provenance
 from freeflyer.master.record import Record
 
@@ -221,7 +222,7 @@ class _Finder:
 
     def one_with(self, outputs: Iterable[str], whose: str) -> str:
         """The one component whose outputs these are."""
-        components = {name.partition(".")[0] for name in self.record.signals}
+        components = {component_of(name) for name in self.record.signals}
         found = sorted(
             name
             for name in components
@@ -256,7 +257,7 @@ class _Finder:
 
     def period(self, signal: str) -> int:
         """Of the component whose output this is [ns]."""
-        return self.provenance.steps.get(signal.partition(".")[0], 1)
+        return self.provenance.steps.get(component_of(signal), 1)
 
     def signal(self, name: str, size: int | None = None) -> Array:
         """(rows, size), of any size if it is None, where a scalar is one; what is missing is noted, and the rows end before the

@@ -19,8 +19,9 @@ from freeflyer.analysis.prediction.sensitivity import DifferentiableFmu
 from freeflyer.fmi.component import Array
 from freeflyer.foundation.clock import seconds
 from freeflyer.foundation.errors import ScenarioError
+from freeflyer.foundation.signal_name import split
 from freeflyer.master import graph, schedule
-from freeflyer.master.graph import Connection, split
+from freeflyer.master.graph import Connection
 from freeflyer.master.master import Master
 from freeflyer.scenario import parameters
 from freeflyer.scenario.assemble import System, find_fmu

@@ -15,7 +15,7 @@ from freeflyer.analysis.prediction.modes import Mode, modes
 from freeflyer.analysis.prediction.task_coordinates import TaskCoordinates, task_coordinates
 from freeflyer.foundation.clock import seconds
 from freeflyer.foundation.errors import ComponentError, ScenarioError, StepFailed
-from freeflyer.master.graph import split
+from freeflyer.foundation.signal_name import split
 from freeflyer.scenario.scenario import Scenario
 
 REST = 1e-6

@@ -13,6 +13,7 @@ from freeflyer.analysis.sweep.file import Map
 from freeflyer.analysis.sweep.plan import Plan
 from freeflyer.fmi.component import Array
 from freeflyer.foundation.errors import CosimError, ScenarioError
+from freeflyer.foundation.signal_name import component_of, split
 
 
 def check(plan: Plan) -> None:
@@ -20,7 +21,7 @@ def check(plan: Plan) -> None:
     figure = plan.sweep.map
     if figure is None or not figure.predict:
         return
-    component, _, parameter = figure.x.partition(".")
+    component, parameter = split(figure.x)
     if parameter != "period":
         raise ScenarioError(
             f"sweep {plan.sweep.path}: [map] predict: x is {figure.x}; the period of a controller is expected, COMPONENT.period"
@@ -43,7 +44,7 @@ def predicted(
     """Points (x, y) by case; x is not finite where the loop stays stable up to the map's edge, and where it cannot be predicted (a
     value that an FMU refuses is a failed row there). `done` is called after each point, with a sentence if it cannot be predicted.
     """
-    component = figure.x.partition(".")[0]
+    component = component_of(figure.x)
     longest = max(plan.levels(figure.x))
     lines = {}
     for case in plan.sweep.cases:

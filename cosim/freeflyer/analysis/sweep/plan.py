@@ -16,6 +16,7 @@ from freeflyer.analysis.sweep.designs import Axis, Levels, Target
 from freeflyer.analysis.sweep.file import ONE_CASE, Sweep
 from freeflyer.fmi.component import Array, Port
 from freeflyer.foundation.errors import CosimError, ScenarioError
+from freeflyer.foundation.signal_name import split
 from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer.foundation.units import DIMENSIONLESS, converted, factor
 from freeflyer.master import schedule
@@ -216,7 +217,7 @@ class Plan:
     ) -> None:
         """The scenario's own value, wherever it is needed, and the unit of the axis."""
         needed = axis.relative or target.elements is not None
-        component, _, parameter = target.name.partition(".")
+        component, parameter = split(target.name)
         if component in ("devices", "facility") or target.name == "record.signals":
             raise ScenarioError(
                 f"{target.name} changes nothing that a sweep measures; a parameter of a component is expected"
