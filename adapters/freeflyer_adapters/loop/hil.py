@@ -116,9 +116,9 @@ def _with_model(spec: ComponentSpec, model: ComponentSpec, fmi: int | None) -> C
 def _present_errors(
     scenario: Scenario, master: Master, values: Values
 ) -> dict[str, Callable[[], float]]:
-    """The scenario's errors as functions of the present instant."""
+    """Return the scenario's errors at the present instant, by their names with units."""
 
-    def made(measure: Measure, is_position: bool) -> Callable[[], float]:
+    def made(measure: Measure) -> Callable[[], float]:
         ends = []
         for signal in (measure.actual, measure.desired):
             component, variable = split(signal)
@@ -129,12 +129,10 @@ def _present_errors(
                 else current(master.graph.components, values, component, variable)
             )
         actual, desired = (end.reshape(1, -1) for end in ends)
-        error = metrics.position_error if is_position else metrics.orientation_error
+        error = metrics.ERRORS[measure.kind]
         return lambda: float(error(actual, desired)[0])
 
-    return {
-        name: made(measure, name.endswith("position")) for name, measure in scenario.errors.items()
-    }
+    return {f"{name} error [{m.unit}]": made(m) for name, m in scenario.errors.items()}
 
 
 def run(

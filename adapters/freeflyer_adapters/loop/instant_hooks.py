@@ -100,9 +100,6 @@ class Observation:
             *(f"longest: {name} [us]" for name in self._times),
         ]
         states = [f"{device.name}{STATE}" for device in self.devices]
-        errors = [
-            f"{name} error [{'m' if name.endswith('position') else 'deg'}]" for name in self._errors
-        ]
         counts = [
             f"{device.name}: {name.replace('_', ' ')}"
             for device in self.devices
@@ -111,7 +108,7 @@ class Observation:
         return [
             *times,
             *states,
-            *errors,
+            *self._errors,
             *(f"least {name} [J]" for name in self._energies),
             *counts,
         ]

@@ -132,6 +132,13 @@ def _refuse_driven(wiring: graph.Graph, values: Values) -> None:
             )
 
 
+def check_roles(scenario: Scenario, components: Mapping[str, Component]) -> None:
+    """Raise GraphError if a signal of `[roles]` does not exist."""
+    for role, signals in scenario.roles.declared.items():
+        for signal in signals:
+            graph.port(components, signal, f"roles.{role}")
+
+
 def _recorded(scenario: Scenario, components: Mapping[str, Component]) -> Callable[[str], bool]:
     """Which signals are recorded; ScenarioError for a pattern that fits none."""
     outputs = {
@@ -184,6 +191,7 @@ def loaded(scenario: Scenario, fmi: int | None = None) -> Iterator[System]:
         ]
         wiring = graph.build(components, connections, samples, scenario.exchange)
         _refuse_driven(wiring, values)
+        check_roles(scenario, components)
         steps = parameters.steps(scenario, components, values)
         yield System(components=components, values=values, steps=steps, wiring=wiring)
     finally:

@@ -37,6 +37,9 @@ def orientation_error(actual: Array, desired: Array) -> Array:
     return np.asarray(np.degrees(4.0 * np.arcsin(0.5 * np.linalg.norm(actual - nearer, axis=1))))
 
 
+ERRORS = {"position": position_error, "orientation": orientation_error}
+
+
 def signal_or_parameter(
     signal: str, record: Record, components: Mapping[str, Component], values: Values
 ) -> Array:
@@ -55,7 +58,7 @@ def check(scenario: Scenario, components: Mapping[str, Component]) -> None:
             port(components, signal, f"errors.{name}")
             for signal in (measure.actual, measure.desired)
         )
-        size = 4 if name.endswith("orientation") else 3
+        size = 3 if measure.kind == "position" else 4
         for signal, found in ((measure.actual, actual), (measure.desired, desired)):
             if found.size != size:
                 raise ScenarioError(
@@ -78,10 +81,7 @@ def errors(
             signal_or_parameter(s, record, components, values)
             for s in (measure.actual, measure.desired)
         )
-        if name.endswith("position"):
-            series[f"{name}_error_m"] = position_error(actual, desired)
-        else:
-            series[f"{name}_error_deg"] = orientation_error(actual, desired)
+        series[f"{name}_error_{measure.unit}"] = ERRORS[measure.kind](actual, desired)
     return series
 
 

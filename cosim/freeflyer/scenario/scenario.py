@@ -20,15 +20,17 @@ from typing import Any, Literal, get_args
 from freeflyer.foundation import toml_file
 from freeflyer.foundation.clock import nanoseconds
 from freeflyer.foundation.errors import ScenarioError
-from freeflyer.foundation.signal_name import split_connection
+from freeflyer.foundation.signal_name import component_of, split, split_connection
 from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer.foundation.units import converted, factor
 from freeflyer.master.graph import Connection, Exchange
 from freeflyer.master.limits import Limit
 from freeflyer.scenario.raw_scenario import Raw, merged, override
+from freeflyer.scenario.signal_roles import ROLES, SEVERAL, SignalRoles
 
 SHIPPED = Path(__file__).parent.parent / "paper" / "scenarios"
 BARE_KEY = re.compile(r"[A-Za-z0-9_-]+", re.ASCII)
+Kind = Literal["position", "orientation"]
 Step = int | str
 """Nanoseconds, or "=PARAMETER" (of the same component, in seconds)."""
 
@@ -48,10 +50,18 @@ class ComponentSpec:
 
 @dataclass(frozen=True, kw_only=True)
 class Measure:
-    """An error: the actual signal and the desired one (an output, or a parameter)."""
+    """An error: the actual signal and the desired one (an output, or a parameter).
+
+    Positions (3) are compared by their distance [m], orientations (4) by their angle [deg].
+    """
 
     actual: str
     desired: str
+    kind: Kind
+
+    @property
+    def unit(self) -> str:
+        return "m" if self.kind == "position" else "deg"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,6 +86,7 @@ class Scenario:
     limits: tuple[Limit, ...]
     errors: Mapping[str, Measure]
     observed_energy: Mapping[str, str]
+    roles: SignalRoles
     source: str
     """The merged scenario, for the report."""
 
@@ -169,6 +180,7 @@ class _Reader:
         "limits",
         "errors",
         "observed_energy",
+        "roles",
     )
 
     def __init__(self, path: Path) -> None:
@@ -226,6 +238,7 @@ class _Reader:
             limits=tuple(self.limit(item) for item in self.array(raw, "limits")),
             errors=errors,
             observed_energy={name: self.text(energies, name, "") for name in energies},
+            roles=self.roles(raw),
             source=to_toml(raw),
         )
 
@@ -349,18 +362,40 @@ class _Reader:
             lasting=self.time(raw, "for_s", f"limit on {signal}: for_s") if "for_s" in raw else 0,
         )
 
-    def measure(self, name: str, pair: object) -> Measure:
-        kinds = ("position", "orientation")
+    def measure(self, name: str, given: object) -> Measure:
+        """[actual, desired], whose kind is the end of the name; or a table with `kind`."""
+        table = given if isinstance(given, dict) else {}
+        if isinstance(given, list) and len(given) == 2:
+            kind = next((k for k in get_args(Kind) if name.endswith(k)), None)
+            table = {"actual": given[0], "desired": given[1], "kind": kind}
+        texts = all(isinstance(value, str) for value in table.values())
         if (
-            not name.endswith(kinds)
-            or not isinstance(pair, list)
-            or len(pair) != 2
-            or not all(isinstance(s, str) for s in pair)
+            not texts
+            or table.keys() != {"actual", "desired", "kind"}
+            or table["kind"] not in get_args(Kind)
         ):
             raise self.fail(
-                f"errors.{name}: a name ending in 'position' or 'orientation' with [actual, desired] signals is expected"
+                f"errors.{name}: [actual, desired] signals are expected, with a name that ends in 'position' or "
+                f"'orientation'; or {{ actual, desired, kind }} with kind 'position' or 'orientation'"
             )
-        return Measure(actual=pair[0], desired=pair[1])
+        return Measure(**table)
+
+    def roles(self, raw: Raw) -> SignalRoles:
+        given = self.table(raw, "roles")
+        self.known(given, ROLES, "[roles]")
+        declared = {}
+        for role, value in given.items():
+            signals = value if isinstance(value, list) and role in SEVERAL else [value]
+            for signal in signals:
+                component = component_of(signal) if isinstance(signal, str) else ""
+                if component not in raw["components"] or not split(signal)[1]:
+                    several = "a list of " if role in SEVERAL else ""
+                    raise self.fail(
+                        f"roles.{role} is {value!r}; {several}COMPONENT.VARIABLE is expected"
+                        f"{did_you_mean(component, raw['components'])}"
+                    )
+            declared[role] = tuple(signals)
+        return SignalRoles(declared=declared)
 
     # One key at a time
 

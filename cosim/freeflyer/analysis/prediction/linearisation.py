@@ -1,7 +1,7 @@
 """A scenario's loop as matrices: plant and controllers linearised around an operating point, from their FMUs' derivatives.
 
-The passivity controllers are switched off: they are not linear, and do nothing where the loop by itself is passive. By this
-project's convention they are Boolean parameters whose names end with `passivity_control`.
+The passivity controllers are switched off: they are not linear, and do nothing where the loop by itself is passive. Their
+switches, and the quaternions, are those of the scenario's `[roles]`.
 """
 
 from __future__ import annotations
@@ -24,11 +24,10 @@ from freeflyer.master import graph, schedule
 from freeflyer.master.graph import Connection
 from freeflyer.master.master import Master
 from freeflyer.scenario import parameters
-from freeflyer.scenario.assemble import System, find_fmu
+from freeflyer.scenario.assemble import System, check_roles, find_fmu
 from freeflyer.scenario.parameters import Values
 from freeflyer.scenario.scenario import ComponentSpec, Scenario
-
-PASSIVITY_CONTROL = "passivity_control"
+from freeflyer.scenario.signal_roles import SignalRoles
 
 Point = Mapping[str, Array]
 """The values of all outputs, COMPONENT.VARIABLE, at an instant."""
@@ -47,6 +46,7 @@ class LoopModel:
         """Raises CosimError if the loop is none that can be linearised."""
         self.scenario, self.system, self.fmus = scenario, system, fmus
         self.roles = roles_of(scenario, system, fmus, scanned)
+        self.quaternions = scenario.roles.quaternions(self.roles.plant)
         self._linked = self._linked_parameters()
         plant, used = (
             self.roles.plant,
@@ -124,13 +124,22 @@ class LoopModel:
     def chart(self, point: Point) -> tuple[Array, Array]:
         """See freeflyer.analysis.prediction.tangent: of the plant's states."""
         states = self.fmus[self.roles.plant].states
-        return tangent.chart(states, [point[f"{self.roles.plant}.{state}"] for state in states])
+        values = [point[f"{self.roles.plant}.{state}"] for state in states]
+        for state, value in zip(states, values, strict=True):
+            is_unit = value.size == 4 and abs(np.linalg.norm(value) - 1.0) < 1e-9
+            if is_unit and state not in self.quaternions:
+                raise ScenarioError(
+                    f"component {self.roles.plant}: its state {state} has four elements of norm 1; a quaternion must be "
+                    f'declared: [roles] orientations = ["{self.roles.plant}.{state}"]'
+                )
+        return tangent.chart(states, values, self.quaternions)
 
     def outputs_of_plant(self, names: Sequence[str], point: Point) -> Array:
         """d outputs / d states in the chart, where the plant was last linearised; of quaternions, as rotation vectors."""
         fmu = self.fmus[self.roles.plant]
         into, _ = self.chart(point)
-        _, back = tangent.chart(names, [point[f"{self.roles.plant}.{name}"] for name in names])
+        values = [point[f"{self.roles.plant}.{name}"] for name in names]
+        _, back = tangent.chart(names, values, self.quaternions)
         return back @ fmu.bind_derivative(names, fmu.states)() @ into
 
     def plant_value(self, name: str) -> Array:
@@ -144,7 +153,7 @@ class LoopModel:
         states, places, first = self.fmus[self.roles.plant].states, {}, 0
         for state in states:
             size = point[f"{self.roles.plant}.{state}"].size
-            size -= tangent.is_quaternion(state, size)
+            size -= state in self.quaternions
             places[state] = range(first, first + size)
             first += size
         return np.array([place for name in names for place in places[name]])
@@ -244,8 +253,11 @@ def opened(scenario: Scenario, scanned: str | None = None) -> Iterator[LoopModel
             fmus[spec.name] = _differentiable(spec, scenario)
         quiet = replace(
             scenario,
-            components=tuple(_without_passivity_control(spec, fmus[spec.name]) for spec in specs),
+            components=tuple(
+                _without_passivity_control(spec, fmus[spec.name], scenario.roles) for spec in specs
+            ),
         )
+        check_roles(scenario, fmus)
         samples = {spec.name: spec.samples for spec in specs if spec.samples is not None}
         values = parameters.resolve(quiet, fmus)
         wiring = graph.build(fmus, quiet.connections, samples, quiet.exchange)
@@ -276,12 +288,10 @@ def _differentiable(spec: ComponentSpec, scenario: Scenario) -> DifferentiableFm
     return DifferentiableFmu(spec.name, find_fmu(spec.name, spec.options, scenario.directory))
 
 
-def _without_passivity_control(spec: ComponentSpec, fmu: DifferentiableFmu) -> ComponentSpec:
-    switches = [
-        name
-        for name, port in fmu.ports.items()
-        if port.boolean and port.settable and name.endswith(PASSIVITY_CONTROL)
-    ]
+def _without_passivity_control(
+    spec: ComponentSpec, fmu: DifferentiableFmu, roles: SignalRoles
+) -> ComponentSpec:
+    switches = [n for n in roles.variables("passivity_control", spec.name) if n in fmu.ports]
     return replace(spec, parameters={**spec.parameters, **dict.fromkeys(switches, False)})
 
 

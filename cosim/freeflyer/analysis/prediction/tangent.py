@@ -21,16 +21,13 @@ def to_rotation(quaternion: Array) -> Array:
     return 4.0 * from_rotation(quaternion).T
 
 
-def is_quaternion(name: str, size: int) -> bool:
-    """As everywhere in this package: four elements whose name ends with `orientation`."""
-    return size == 4 and name.endswith("orientation")
-
-
-def chart(names: Sequence[str], values: Sequence[Array]) -> tuple[Array, Array]:
+def chart(
+    names: Sequence[str], values: Sequence[Array], quaternions: frozenset[str]
+) -> tuple[Array, Array]:
     """Small changes of these variables, one after the other, from coordinates without a constraint (a rotation vector in place
     of every quaternion), and the way back: (m, n) and (n, m).
     """
-    turned = [is_quaternion(name, value.size) for name, value in zip(names, values, strict=True)]
+    turned = [name in quaternions for name in names]
     out = [
         from_rotation(value) if t else np.eye(value.size)
         for t, value in zip(turned, values, strict=True)

@@ -55,15 +55,19 @@ def task_coordinates(model: LoopModel, loop: Loop, point: Point) -> TaskCoordina
     """At the point where the plant was last linearised. ScenarioError if the plant has not a free-flyer's variables."""
     name = model.roles.plant
     fmu = model.fmus[name]
-    for port in (*POSE, *VELOCITY, *WRENCHES, *WRENCHES.values()):
-        if port not in fmu.ports:
+    variables = {}
+    for role in (*POSE, *VELOCITY, *WRENCHES, *WRENCHES.values()):
+        variables[role] = model.scenario.roles.variable(role, name)
+        if variables[role] not in fmu.ports:
             raise ScenarioError(
-                f"component {name} has no variable {port!r}; the prediction describes free-flying robots by the variables of free_flyer"
+                f"component {name} has no variable {variables[role]!r}; the prediction describes free-flying robots "
+                f'by the variables of free_flyer, or by those of [roles]: {role} = "{name}.VARIABLE"'
             )
-    full = {**point, **{f"{name}.{port}": model.plant_value(port) for port in (*POSE, *VELOCITY)}}
-    pose, velocity = model.outputs_of_plant(POSE, full), model.outputs_of_plant(VELOCITY, full)
-    speeds = model.states_of_plant(list(WRENCHES), point)
-    inputs = model.inputs_of_plant(list(WRENCHES.values()))
+    poses, velocities = ([variables[role] for role in roles] for roles in (POSE, VELOCITY))
+    full = {**point, **{f"{name}.{v}": model.plant_value(v) for v in (*poses, *velocities)}}
+    pose, velocity = model.outputs_of_plant(poses, full), model.outputs_of_plant(velocities, full)
+    speeds = model.states_of_plant([variables[role] for role in WRENCHES], point)
+    inputs = model.inputs_of_plant([variables[role] for role in WRENCHES.values()])
     # x' = J v, so that the generalised forces are J^T F and M^-1 = J H^-1 J^T.
     J = velocity[:, speeds]
     moved = J @ loop.plant.B[np.ix_(speeds, inputs)]  # x'' by generalised forces
@@ -80,7 +84,7 @@ def task_coordinates(model: LoopModel, loop: Loop, point: Point) -> TaskCoordina
     stiffness, damping = -np.diag(F[:, :12]), -np.diag(F[:, 12:])
     own = _own_answer(loop, inputs[:6])
     stiffness[:6] = -np.diag(own @ np.linalg.pinv(pose[:6]))
-    damping[:6] = -np.diag(own[:, model.states_of_plant(["base_velocity"], point)])
+    damping[:6] = -np.diag(own[:, model.states_of_plant([variables["base_velocity"]], point)])
     return TaskCoordinates(
         pose=pose, velocity=velocity, inertia=inertia, stiffness=stiffness, damping=damping
     )

@@ -77,9 +77,7 @@ class Plan:
         for case in sweep.cases:
             with self._naming(case):
                 self._check(case)
-        self.errors = [
-            f"{name}_error_{'m' if name.endswith('position') else 'deg'}" for name in plain.errors
-        ]
+        self.errors = [f"{name}_error_{measure.unit}" for name, measure in plain.errors.items()]
         self.energies = list(plain.observed_energy)
 
     def __len__(self) -> int:
