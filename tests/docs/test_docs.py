@@ -1,4 +1,4 @@
-"""What the documents say is what the project does."""
+"""Check that the documents match the code: generated pages, links, names and versions."""
 
 from __future__ import annotations
 
@@ -70,13 +70,13 @@ def test_names_that_the_documents_show_are_public(path: Path) -> None:
             assert name in PUBLIC[package], f"{package}.{name}"
 
 
-def test_every_public_name_is_there() -> None:
+def test_every_public_name_exists_and_has_a_docstring() -> None:
     for package, names in PUBLIC.items():
         for name in names:
             assert getattr(importlib.import_module(package), name).__doc__, name
 
 
-def test_the_versions_are_one() -> None:
+def test_package_citation_and_changelog_have_the_same_version() -> None:
     version = re.search(r"^version: (.+)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)
     assert version is not None
     assert version[1] == importlib.metadata.version("freeflyer-cosim")
