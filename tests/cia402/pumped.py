@@ -1,4 +1,7 @@
-"""Host and virtual drives in one thread and in virtual time: the drives' cycle is a call, made when the host waits for a frame."""
+"""Test bench with host and virtual drives in one thread and in virtual time.
+
+The drives advance by one tick whenever the host waits for a frame.
+"""
 
 from __future__ import annotations
 
@@ -22,14 +25,14 @@ from freeflyer_adapters.facility.virtual_cia402 import VirtualCia402
 
 TICK = 0.001
 TICKS = 4
-"""Of the drives in a cycle of the host."""
+"""Ticks of the drives per cycle of the host."""
 TABLE: dict[str, Any] = {
     "joints": 2, "node_ids": [3, 7], "rated_torque": [0.5, 0.2], "gear_ratio": 100, "encoder_resolution": 4096, "heartbeat_s": 0.02,
 }  # fmt: skip
 
 
 class Joints:
-    """Two joints of 1 kg m^2 behind the drives; a brake stops them at once."""
+    """Two joints of 1 kg m^2 behind the drives; a brake stops them immediately."""
 
     def __init__(self, table: dict[str, Any], watchdog: int = 4) -> None:
         self.virtual = VirtualCia402(
@@ -43,7 +46,7 @@ class Joints:
         self.position, self.velocity = np.zeros(n), np.zeros(n)
         self.torques: list[np.ndarray] = []
         self.stalled = False
-        """A facility that hangs: no tick any more."""
+        """The facility hangs: it executes no ticks."""
 
     def tick(self) -> None:
         if self.stalled:
@@ -65,7 +68,7 @@ class Joints:
 
 
 class End:
-    """One end of a bus of two; the host's end lets the drives tick while it waits."""
+    """One end of a bus with two nodes. The host's end ticks the drives while it waits."""
 
     channel_info = "pumped"
 
@@ -76,7 +79,7 @@ class End:
         self.since_sync = TICKS
         self.sent: list[can.Message] = []
         self.dropped: set[int] = set()
-        """Identifiers that get lost on their way from this end."""
+        """Identifiers of frames from this end that are lost."""
 
     def send(self, message: can.Message) -> None:
         self.sent.append(message)
@@ -109,6 +112,8 @@ class End:
 
 
 class Pair:
+    """Host and drives on one bus."""
+
     def __init__(self, host: Cia402Arm, joints: Joints, host_end: End, drive_end: End) -> None:
         self.host, self.joints, self.host_end, self.drive_end = host, joints, host_end, drive_end
 
@@ -131,7 +136,7 @@ class Pair:
         return self
 
     def controlwords(self, node_id: int, since: int = 0) -> list[int]:
-        """Of the cyclic frames that the host has sent to a drive."""
+        """Return the controlwords of the RPDOs that the host has sent to a drive."""
         frames = [m for m in self.host_end.sent[since:] if m.arbitration_id == 0x200 + node_id]
         return [int.from_bytes(m.data[:2], "little") for m in frames]
 
@@ -150,7 +155,10 @@ class Pair:
 def pair(
     patch: pytest.MonkeyPatch, watchdog: int = 4, drives: dict[str, Any] | None = None, **host: Any
 ) -> Iterator[Pair]:
-    """`drives`: what the drives are given otherwise than the host; `host`: parameters, or keys of the table, of the host alone."""
+    """Build a bench. `drives`, `host`: changed keys of TABLE for the drives or the host only.
+
+    `host` may also contain parameters of the device.
+    """
     host_end, drive_end = End(), End()
     host_end.other, drive_end.other = drive_end, host_end
     patch.setattr(virtual_cia402, "open_bus", lambda *arguments: drive_end)
@@ -169,9 +177,7 @@ def pair(
     arm.values["joint_effort_limit"][:] = (100.0, 40.0)
     arm.values["torque_rate_limit"][:] = 1e6
     arm.values["configure_timeout"][:] = 0.3
-    arm.values["watchdog_cycles"][:] = (
-        1000  # the host's own is of the real clock, the drives' is not
-    )
+    arm.values["watchdog_cycles"][:] = 1000  # the host's watchdog uses real time
     for key, value in host.items():
         if key not in keys:
             arm.values[key][:] = value

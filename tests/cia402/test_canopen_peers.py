@@ -1,4 +1,7 @@
-"""canopen's own ends, in real time with threads, as independent witnesses: its CiA 402 master for our drive, its local node for our host."""
+"""canopen as independent reference implementation, in real time and with threads.
+
+Its CiA 402 master controls the virtual drive, and the host configures its local node.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +46,7 @@ def until(condition: Any, timeout: float = 5.0) -> None:
 
 
 class Facility(threading.Thread):
-    """The virtual drives at 1 kHz; the joints stand."""
+    """Thread with the virtual drives at 1 kHz; the joints do not move."""
 
     def __init__(self, channel: str) -> None:
         super().__init__(daemon=True)
@@ -67,7 +70,7 @@ class Facility(threading.Thread):
 
 @pytest.fixture
 def master(channel: str) -> Iterator[tuple[canopen.Network, Facility]]:
-    """canopen as it is meant to be used: its Notifier, its periodic SYNC."""
+    """canopen with its Notifier thread and its periodic SYNC, and a facility on the same bus."""
     facility = Facility(channel)
     network = canopen.Network()
     network.connect(interface="virtual", channel=channel)
@@ -103,7 +106,7 @@ def enabled(network: canopen.Network, node_id: int) -> BaseNode402:
     return node
 
 
-def test_canopens_cia_402_master_reads_the_mapping_enables_and_drives_the_virtual_drive(
+def test_canopens_cia_402_master_reads_the_mapping_and_controls_the_virtual_drive(
     master: tuple[canopen.Network, Facility],
 ) -> None:
     network, facility = master
@@ -122,7 +125,7 @@ def test_canopens_cia_402_master_reads_the_mapping_enables_and_drives_the_virtua
     assert logic.braked
 
 
-def test_canopens_cia_402_master_sees_a_fault_its_emergency_and_resets_it(
+def test_canopens_cia_402_master_receives_a_fault_with_its_emergency_and_resets_it(
     master: tuple[canopen.Network, Facility],
 ) -> None:
     network, facility = master
@@ -150,7 +153,7 @@ def test_canopens_quick_stop_ends_in_switch_on_disabled(
     assert facility.virtual.logic.drives[0].braked
 
 
-def test_the_drive_answers_mistakes_with_the_standards_abort_codes(
+def test_the_drive_responds_to_errors_with_the_abort_codes_of_the_standard(
     master: tuple[canopen.Network, Facility],
 ) -> None:
     network, _ = master
@@ -164,7 +167,7 @@ def test_the_drive_answers_mistakes_with_the_standards_abort_codes(
         assert caught.value.code == code, hex(index)
 
 
-def test_a_reset_node_boots_and_has_forgotten_what_was_written(
+def test_a_reset_node_boots_with_its_default_objects(
     master: tuple[canopen.Network, Facility],
 ) -> None:
     network, facility = master
@@ -181,7 +184,7 @@ def test_a_reset_node_boots_and_has_forgotten_what_was_written(
 
 @pytest.fixture
 def remote(channel: str) -> Iterator[tuple[RemoteDrive, canopen.LocalNode]]:
-    """Our host's view of canopen's own local node, with the nameplate of a drive."""
+    """Host side of a drive, connected to a local node of canopen with a drive's parameters."""
     options = options_from("arm", {**TABLE, "interface": "virtual", "channel": channel}, Path())
     there = canopen.Network()
     there.connect(interface="virtual", channel=channel)
@@ -192,7 +195,7 @@ def remote(channel: str) -> Iterator[tuple[RemoteDrive, canopen.LocalNode]]:
     try:
         yield (
             RemoteDrive(
-                "arm", 0, 3, options, here, patience=2.0, permit=Permit("arm", watchdog=16_000_000)
+                "arm", 0, 3, options, here, timeout=2.0, permit=Permit("arm", watchdog=16_000_000)
             ),
             node,
         )
@@ -201,7 +204,7 @@ def remote(channel: str) -> Iterator[tuple[RemoteDrive, canopen.LocalNode]]:
         there.disconnect()
 
 
-def test_our_host_compares_and_sets_up_canopens_local_node(
+def test_the_host_compares_and_configures_canopens_local_node(
     remote: tuple[RemoteDrive, canopen.LocalNode],
 ) -> None:
     drive, node = remote
@@ -221,7 +224,7 @@ def test_our_host_compares_and_sets_up_canopens_local_node(
     assert node.nmt.state == "PRE-OPERATIONAL"
 
 
-def test_our_host_refuses_a_local_node_that_stays_in_another_mode(
+def test_the_host_rejects_a_local_node_that_stays_in_another_mode(
     remote: tuple[RemoteDrive, canopen.LocalNode],
 ) -> None:
     drive, _ = remote

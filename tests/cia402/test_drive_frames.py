@@ -1,4 +1,4 @@
-"""Bytes on the bus against frames worked out by hand from CiA 301 and 402, units, and what the bus can carry."""
+"""Frames against bytes computed by hand from CiA 301 and 402, unit conversion, and bus load."""
 
 from __future__ import annotations
 
@@ -30,14 +30,17 @@ def test_a_target_is_controlword_then_torque_little_endian() -> None:
 
 
 def test_an_actual_value_is_statusword_torque_and_position() -> None:
-    # Operation enabled, voltage, remote, following: 0001 0010 0011 0111b; 100 per mille; -65536 increments are FFFF0000h.
+    # Statusword 0001 0010 0011 0111b: Operation enabled, voltage enabled, remote, follows command.
+    # Torque 100 per mille; position -65536 increments: FFFF0000h.
     assert ACTUAL.layout.unpack(bytes.fromhex("3712 6400 0000ffff")) == (0x1237, 100, -65536)
     assert SPEED.layout.unpack(bytes.fromhex("fbffffff")) == (-5,)
     assert (ACTUAL.base + 3, SPEED.base + 3) == (0x183, 0x283)
 
 
 @pytest.mark.parametrize(("pdo", "record"), [(TARGET, 0x1600), (ACTUAL, 0x1A00), (SPEED, 0x1A01)])
-def test_the_shipped_eds_maps_by_default_what_the_profile_maps(pdo: object, record: int) -> None:
+def test_the_default_mapping_of_the_shipped_eds_is_that_of_the_profile(
+    pdo: object, record: int
+) -> None:
     dictionary = objects.dictionary(objects.SHIPPED_EDS, 5)
     entries = [dictionary[record][k].default for k in range(1, 1 + dictionary[record][0].default)]
     assert entries == [e.index << 16 | e.sub << 8 | bits for e, bits in pdo.mapping]  # type: ignore[attr-defined]
@@ -47,7 +50,7 @@ def test_the_shipped_eds_maps_by_default_what_the_profile_maps(pdo: object, reco
         assert len(dictionary.get_variable(entry.index, entry.sub)) == bits
 
 
-def test_the_shipped_eds_has_every_object_and_says_what_it_is() -> None:
+def test_the_shipped_eds_has_every_object_and_the_device_type() -> None:
     dictionary = canopen.import_od(str(objects.SHIPPED_EDS), 1)
     for entry in objects.ENTRIES:
         assert dictionary.get_variable(entry.index, entry.sub) is not None, entry
@@ -55,8 +58,9 @@ def test_the_shipped_eds_has_every_object_and_says_what_it_is() -> None:
     assert dictionary[0x6502].default & objects.SUPPORTS_TORQUE
 
 
-def test_units_by_hand() -> None:
-    # 0.367 N m at the motor are 58.72 N m at the joint; a thousandth of that is the unit. 4096 x 160 = 655360 increments a turn.
+def test_unit_conversion_against_a_manual_calculation() -> None:
+    # 0.367 N m at the motor are 58.72 N m at the joint, or 1000 units of torque. One revolution of
+    # the joint has 4096 x 160 = 655360 increments.
     scaling = Scaling([MOTOR])
     assert scaling.raw_torque(np.array([58.72])).tolist() == [1000]
     assert np.rint(np.pi / scaling.position_step).tolist() == [327680]
@@ -64,7 +68,7 @@ def test_units_by_hand() -> None:
 
 
 @given(st.integers(-(2**31), 2**31 - 1), st.integers(-32767, 32767))
-def test_raw_numbers_survive_the_way_to_si_and_back(position: int, torque: int) -> None:
+def test_raw_numbers_survive_the_conversion_to_si_and_back(position: int, torque: int) -> None:
     scaling = Scaling([MOTOR])
     assert np.rint((position * scaling.position_step) / scaling.position_step)[0] == position
     assert scaling.raw_torque(torque * scaling.torque_step)[0] == torque
@@ -87,9 +91,9 @@ def test_no_torque_overflows_its_16_bits(wanted: np.ndarray) -> None:
         assert abs(Scaling([MOTOR]).raw_torque(np.array([w]))[0]) <= 0x7FFF
 
 
-def test_the_load_of_six_drives_is_what_bits_say() -> None:
-    # Worst frames with 11-bit identifiers: 47 + 8 n bits and a stuff bit for every four of the first 34 + 8 n after the first:
-    # 0 bytes 55, 1 byte 65, 4 bytes 95, 8 bytes 135.
+def test_the_load_of_six_drives_is_the_sum_of_the_bits() -> None:
+    # Longest frames with 11-bit identifiers: 47 + 8 n bits, and one stuff bit per four of the first
+    # 34 + 8 n bits after the first. 0 bytes: 55 bits; 1: 65; 4: 95; 8: 135.
     cyclic = 55 + 6 * (95 + 135 + 95) + 2 * 135
     assert load.load(6, 4e-3, 1e6, 0.1, measured_velocity=True) == pytest.approx(
         cyclic / 4000 + 7 * 65 / 100_000
@@ -120,7 +124,7 @@ def test_the_load_of_six_drives_is_what_bits_say() -> None:
         (0.005, 5e5, True, 'velocity = "estimated" (no TPDO2) would take 69 %, which fits'),
     ],
 )
-def test_what_the_bus_cannot_carry_is_refused_with_load_and_remedy(
+def test_too_high_a_bus_load_is_rejected_with_load_and_remedy(
     cycle: float, bitrate: float, measured: bool, sentence: str
 ) -> None:
     with pytest.raises(DeviceError, match=re.escape(sentence)):
@@ -128,7 +132,7 @@ def test_what_the_bus_cannot_carry_is_refused_with_load_and_remedy(
 
 
 @given(st.integers(1, 20), st.sampled_from([1, 2, 3, 4, 5, 8, 10, 20]), st.booleans())
-def test_the_cycle_that_a_refusal_names_fits_and_none_shorter_does(
+def test_the_suggested_cycle_is_the_shortest_that_fits(
     joints: int, ms: int, measured: bool
 ) -> None:
     try:
@@ -141,7 +145,7 @@ def test_the_cycle_that_a_refusal_names_fits_and_none_shorter_does(
             load.check("arm", joints, 1e-3 * (named - 1), 1e6, 0.1, 0.8, measured_velocity=measured)
 
 
-def test_a_load_that_is_too_much_is_refused_before_a_bus_is_opened(
+def test_too_high_a_bus_load_is_rejected_before_the_bus_is_opened(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     with pair(monkeypatch, largest_load=0.1) as bench:
@@ -153,7 +157,7 @@ def test_a_load_that_is_too_much_is_refused_before_a_bus_is_opened(
 
 
 @pytest.mark.parametrize("made", [load.table, objects.table])
-def test_the_docs_have_the_tables_that_the_code_makes(made: Callable[[], list[str]]) -> None:
+def test_the_docs_contain_the_generated_tables(made: Callable[[], list[str]]) -> None:
     text = (Path(__file__).parents[2] / "docs" / "cia402.md").read_text(encoding="utf-8")
     assert "\n".join(made()) in text
 
@@ -163,9 +167,9 @@ def test_the_docs_have_the_tables_that_the_code_makes(made: Callable[[], list[st
     [
         ("rated_torque", [0.5], "rated_torque has 1 entries; one for each of 2 joints"),
         ("rated_torque", [0.5, -1], "rated_torque has -1; a number greater than zero"),
-        ("node_ids", [3, 3], "node 3 is there twice"),
-        ("node_ids", [3, 128], "node 128 is no CANopen node"),
-        ("node_ids", [3, 127], "node 127 is there twice"),
+        ("node_ids", [3, 3], "node 3 occurs twice"),
+        ("node_ids", [3, 128], "node 128 is not a CANopen node number"),
+        ("node_ids", [3, 127], "node 127 occurs twice"),
         ("node_ids", [3], "node_ids has 1 entries"),
         ("velocity", "mesured", "'measured' (TPDO2) or 'estimated'"),
         ("bitrate", 5e6, "bitrate is 5000000.0; a number from 10000 to 1e+06"),
@@ -173,24 +177,24 @@ def test_the_docs_have_the_tables_that_the_code_makes(made: Callable[[], list[st
         ("joints", 0, "joints is 0"),
     ],
 )
-def test_a_mistake_in_the_table_is_one_sentence(key: str, value: object, sentence: str) -> None:
+def test_an_error_in_the_table_is_one_sentence(key: str, value: object, sentence: str) -> None:
     with pytest.raises(DeviceError, match=re.escape(sentence)):
         options_from("arm", {**TABLE, key: value}, Path())
 
 
-def test_drives_without_a_rated_torque_are_refused() -> None:
+def test_drives_without_a_rated_torque_are_rejected() -> None:
     with pytest.raises(DeviceError, match="rated_torque is missing"):
         options_from("arm", {"joints": 2}, Path())
 
 
-def test_an_eds_that_is_none_or_lacks_an_object_is_refused(tmp_path: Path) -> None:
+def test_an_invalid_or_incomplete_eds_is_rejected(tmp_path: Path) -> None:
     with pytest.raises(DeviceError, match=r"missing.eds cannot be read: No such file"):
         objects.dictionary(tmp_path / "missing.eds", 1)
     broken = tmp_path / "broken.eds"
     broken.write_text("no eds at all\n")
     with pytest.raises(DeviceError, match=r"broken.eds cannot be used"):
         objects.dictionary(broken, 1)
-    lacking = tmp_path / "lacking.eds"
-    lacking.write_text(objects.SHIPPED_EDS.read_text().replace("[6071]", "[2071]"))
+    incomplete = tmp_path / "incomplete.eds"
+    incomplete.write_text(objects.SHIPPED_EDS.read_text().replace("[6071]", "[2071]"))
     with pytest.raises(DeviceError, match=r"has no object 6071h \(Target torque\)"):
-        objects.dictionary(lacking, 1)
+        objects.dictionary(incomplete, 1)

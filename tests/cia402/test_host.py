@@ -1,4 +1,4 @@
-"""The host's device against virtual drives, in virtual time: configuring, activating, losing, stopping."""
+"""Host device against virtual drives, in virtual time: configuration, activation, losses, stops."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ STATES = DriveState
 
 
 def refused(bench: Pair, sentence: str, call: Callable[[], object] | None = None) -> None:
-    """By `configure`, if no other call is named."""
+    """Assert that `call` (default: `configure`) raises DeviceError and that the brakes stay on."""
     with pytest.raises(DeviceError, match=re.escape(sentence)):
         (call or bench.host.configure)()
     assert all(drive.braked for drive in bench.logics)
 
 
 def stored(bench: Pair) -> list[dict[tuple[int, int], str]]:
-    """What each drive's own objects are."""
+    """Return the stored objects of each drive."""
     return [
         {
             (i, s): data.hex()
@@ -45,14 +45,16 @@ def stopped(bench: Pair, sentence: str, cycles: int = 40) -> None:
 
 
 def ramped_down(bench: Pair) -> int:
-    """Cycles until the device was done."""
+    """Ramp down, and return the number of cycles."""
     for k in range(1000):
         if bench.host.ramp_down(k * bench.host.cycle):
             return k
     raise AssertionError("the ramp-down has no end")
 
 
-def test_activation_is_bumpless_and_the_arm_then_obeys(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_activation_is_bumpless_and_the_arm_then_follows_commands(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     with pair(monkeypatch) as bench:
         bench.activated()
         assert [drive.state for drive in bench.logics] == [STATES.operation_enabled] * 2
@@ -62,7 +64,7 @@ def test_activation_is_bumpless_and_the_arm_then_obeys(monkeypatch: pytest.Monke
             bench.cycle(5.0, -2.0)
         bench.host.read()
         np.testing.assert_allclose(bench.host.values["joint_torque"], [5.0, -2.0], atol=0.05)
-        # Nine cycles of 4 ms after the SYNC from which the first target acted, at 1 kg m^2.
+        # Nine cycles of 4 ms after the SYNC that applied the first target, at 1 kg m^2.
         np.testing.assert_allclose(bench.host.values["joint_velocity"], [0.18, -0.072], atol=1e-3)
         np.testing.assert_allclose(
             bench.host.values["joint_velocity"], bench.joints.velocity, atol=0.02
@@ -70,7 +72,7 @@ def test_activation_is_bumpless_and_the_arm_then_obeys(monkeypatch: pytest.Monke
 
 
 @pytest.mark.parametrize("faulty", [False, True])
-def test_configuring_and_checking_leave_every_drive_as_it_was_found(
+def test_configuration_and_start_check_change_no_drive(
     monkeypatch: pytest.MonkeyPatch, faulty: bool
 ) -> None:
     with pair(monkeypatch) as bench:
@@ -92,16 +94,17 @@ def test_configuring_and_checking_leave_every_drive_as_it_was_found(
             [d.node.nmt.state for d in bench.drives],
             [d.state for d in bench.logics],
         )
-        # Nothing but requests to read: 40h is SDO's initiate upload.
+        # Only read requests were sent: 40h is the SDO command "initiate upload".
         assert {m.arbitration_id for m in bench.host_end.sent} == {0x603, 0x607}
         assert {m.data[0] for m in bench.host_end.sent} == {0x40}
 
 
-def test_what_the_host_wrote_is_what_the_profile_says(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_host_writes_the_objects_of_the_profile(monkeypatch: pytest.MonkeyPatch) -> None:
     with pair(monkeypatch) as bench:
         bench.prepared()
         for node, written in zip((3, 7), stored(bench), strict=True):
-            # Numbers little-endian; a mapping entry is object, sub-index, bits; bit 30 of a COB-ID: no remote frames.
+            # Numbers are little-endian. A mapping entry has bits, sub-index and object. Bit 30 of a
+            # COB-ID: no remote frames.
             assert written[0x6060, 0] == "0a"
             assert (written[0x60C2, 1], written[0x60C2, 2]) == ("04", "fd")
             assert written[0x1006, 0] == (4000).to_bytes(4, "little").hex()
@@ -178,7 +181,7 @@ PDOMapping=0
 """
 
 
-def test_further_pdos_of_a_drives_own_eds_are_switched_off(
+def test_further_pdos_in_the_eds_of_a_drive_are_disabled(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     own = tmp_path / "own.eds"
@@ -193,11 +196,11 @@ def test_further_pdos_of_a_drives_own_eds_are_switched_off(
         objects.SHIPPED_EDS.read_text(encoding="utf-8") + FURTHER_PDO.format(access="ro")
     )
     with pair(monkeypatch, drives={"eds": str(own)}, eds=str(own)) as bench:
-        sentence = "drive of joint 1 (node 3) does not switch off its further PDO (1802h): SDO abort, Code 0x06010002"
+        sentence = "drive of joint 1 (node 3) does not disable its further PDO (1802h): SDO abort, Code 0x06010002"
         refused(bench, sentence, bench.prepared)
 
 
-def test_a_torque_acts_from_the_sync_after_the_one_that_it_answers(
+def test_a_torque_acts_from_the_next_sync_on(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     with pair(monkeypatch) as bench:
@@ -206,11 +209,11 @@ def test_a_torque_acts_from_the_sync_after_the_one_that_it_answers(
             bench.cycle(0.0, 0.0)
         bench.host.read()
         bench.host.values["joint_torque_command"][:] = (10.0, 0.0)
-        begun = len(bench.joints.torques)
+        start = len(bench.joints.torques)
         bench.host.write()
         for _ in range(3):
             bench.cycle(10.0, 0.0)
-        acted = [bool(torque[0]) for torque in bench.joints.torques[begun:]]
+        acted = [bool(torque[0]) for torque in bench.joints.torques[start:]]
         first = acted.index(True)
         assert 0 < first < TICKS
         assert all(acted[first:])
@@ -234,7 +237,7 @@ def test_without_tpdo2_the_speed_is_estimated_from_positions(
             bench.cycle(2.0, -2.0)
         assert 0x183 in sent
         assert 0x283 not in sent
-        # A resolution of 2 pi / 409600 in 4 ms, and what the speed changed since.
+        # Tolerance: the resolution of 2 pi / 409600 in 4 ms, and the change of speed in a cycle.
         np.testing.assert_allclose(
             bench.host.values["joint_velocity"], bench.joints.velocity, atol=0.03
         )
@@ -247,12 +250,12 @@ def test_without_tpdo2_the_speed_is_estimated_from_positions(
         ({"rated_torque": [0.5, 0.25]}, {}, "drive of joint 2 (node 7): its rated torque (6076h) is 0.25 N m, but the scenario's is 0.2 N m"),
         ({"gear_ratio": 50}, {}, "drive of joint 1 (node 3): its gear ratio (6091h:01) is 50, but the scenario's is 100"),
         ({"encoder_resolution": 8192}, {}, "its encoder resolution (608Fh:01) is 8192 increments, but the scenario's is 4096 increments"),
-        ({}, {"joint_effort_limit": (200.0, 40.0)}, "its max torque (6072h) is 150 N m at the joint, but the scenario's robot may be given 200 N m"),
-        ({"node_ids": [3, 8]}, {}, "drive of joint 2 (node 7) does not give device type (1000h): no answer within 0.3 s; is the drive"),
+        ({}, {"joint_effort_limit": (200.0, 40.0)}, "its max torque (6072h) is 150 N m at the joint, but the scenario's joint_effort_limit is 200 N m"),
+        ({"node_ids": [3, 8]}, {}, "drive of joint 2 (node 7) does not return device type (1000h): no answer within 0.3 s; is the drive"),
     ],
     ids=["rated torque", "gear", "encoder", "max torque", "missing"],
 )  # fmt: skip
-def test_another_drive_is_refused_with_both_numbers(
+def test_a_different_drive_is_rejected_with_both_numbers(
     monkeypatch: pytest.MonkeyPatch, drives: dict[str, Any], host: dict[str, Any], sentence: str
 ) -> None:
     with pair(monkeypatch, drives=drives, **host) as bench:
@@ -271,7 +274,7 @@ def test_another_drive_is_refused_with_both_numbers(
         (objects.GEAR_SHAFT_TURNS, 0, "its driving shaft revolutions (6091h:02) is 0"),
     ],
 )
-def test_a_device_that_is_no_such_drive_is_refused(
+def test_a_device_without_the_profile_is_rejected(
     monkeypatch: pytest.MonkeyPatch, entry: objects.Entry, value: int, sentence: str
 ) -> None:
     with pair(monkeypatch) as bench:
@@ -279,14 +282,16 @@ def test_a_device_that_is_no_such_drive_is_refused(
         refused(bench, sentence)
 
 
-def test_an_sdo_abort_is_said_with_drive_object_and_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_sdo_abort_is_reported_with_drive_object_and_reason(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     with pair(monkeypatch) as bench:
         bench.drives[0].node.object_dictionary[0x605A].access_type = "ro"
-        sentence = "drive of joint 1 (node 3) does not take 2 for quick stop option code (605Ah): SDO abort, Code 0x06010002"
+        sentence = "drive of joint 1 (node 3) does not accept 2 for quick stop option code (605Ah): SDO abort, Code 0x06010002"
         refused(bench, sentence, bench.prepared)
 
 
-def test_an_arm_that_stands_elsewhere_is_refused_with_both_poses(
+def test_an_arm_at_another_start_position_is_rejected_with_both_positions(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     with pair(monkeypatch, start_joint_position=(0.0, 0.5)) as bench:
@@ -297,7 +302,7 @@ def test_an_arm_that_stands_elsewhere_is_refused_with_both_poses(
             bench.host.check_start()
 
 
-def test_before_any_device_is_activated_the_drives_are_off_and_giving_up_takes_them_out_of_operational(
+def test_prepared_drives_are_off_and_deactivation_ends_operational(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     with pair(monkeypatch) as bench:
@@ -314,12 +319,12 @@ def test_before_any_device_is_activated_the_drives_are_off_and_giving_up_takes_t
         assert [drive.node.nmt.state for drive in bench.drives] == ["PRE-OPERATIONAL"] * 2
 
 
-def test_a_fault_that_stays_after_its_reset_is_told_with_its_code_and_nothing_is_switched_on(
+def test_a_fault_that_remains_after_its_reset_is_reported_and_nothing_is_switched_on(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     with pair(monkeypatch) as bench:
         bench.joints.virtual.fail(2, 0x4310)
-        monkeypatch.setattr(bench.logics[1], "obey", lambda word: None)
+        monkeypatch.setattr(bench.logics[1], "obey", lambda controlword: None)
         refused(
             bench, "drive of joint 2 (node 7) stays in Fault (statusword 0x0218", bench.prepared
         )
@@ -334,15 +339,17 @@ def test_a_drive_that_does_not_become_enabled_is_named_with_its_state_and_error(
 ) -> None:
     with pair(monkeypatch) as bench:
         bench.prepared()
-        monkeypatch.setattr(bench.logics[1], "obey", lambda word: bench.logics[1].fail(0x4310))
+        monkeypatch.setattr(
+            bench.logics[1], "obey", lambda controlword: bench.logics[1].fail(0x4310)
+        )
         with pytest.raises(
             DeviceError,
             match=re.escape(
-                "drive of joint 2 (node 7) does not come to Operation enabled: it is in Fault"
+                "drive of joint 2 (node 7) does not reach Operation enabled: it is in Fault"
             ),
         ) as caught:
             bench.host.activate(lambda: False)
-        assert "its error code (603Fh) is 0x4310 (the drive is too hot)" in str(caught.value)
+        assert "its error code (603Fh) is 0x4310 (drive temperature too high)" in str(caught.value)
         bench.host.deactivate()
         for _ in range(TICKS):
             bench.joints.tick()
@@ -357,10 +364,10 @@ def test_each_step_to_operation_enabled_answers_the_statusword_of_the_step_befor
         bench.prepared()
         seen: list[tuple[int, int]] = []
         send, take = bench.host_end.send, bench.drive_end.send
-        # The bus as it is heard: controlwords, and statuswords of TPDOs.
+        # Record controlwords and the statuswords of TPDOs in their order on the bus.
         for end, call, first in ((bench.host_end, send, 0x200), (bench.drive_end, take, 0x180)):
 
-            def heard(
+            def record(
                 message: can.Message, call: Callable[..., None] = call, first: int = first
             ) -> None:
                 if message.arbitration_id in (first + 3, first + 7):
@@ -369,34 +376,34 @@ def test_each_step_to_operation_enabled_answers_the_statusword_of_the_step_befor
                     )
                 call(message)
 
-            monkeypatch.setattr(end, "send", heard)
+            monkeypatch.setattr(end, "send", record)
         bench.host.activate(lambda: False)
         needs = {0x06: (0x40,), 0x07: (0x21,), 0x0F: (0x23, 0x27)}
         for node in (3, 7):
-            said, words = 0x40, []  # Switch on disabled, as preparing has heard
-            for identifier, word in seen:
+            statusword, controlwords = 0x40, []  # Switch on disabled, as `prepare` has measured
+            for identifier, value in seen:
                 if identifier == 0x180 + node:
-                    said = word
+                    statusword = value
                 elif identifier == 0x200 + node:
-                    assert said in needs[word], (node, word, said)
-                    words.append(word)
-            assert list(dict.fromkeys(words)) == [0x06, 0x07, 0x0F]
+                    assert statusword in needs[value], (node, value, statusword)
+                    controlwords.append(value)
+            assert list(dict.fromkeys(controlwords)) == [0x06, 0x07, 0x0F]
 
 
-def test_a_fault_of_before_is_reset_by_activation(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_earlier_fault_is_reset_by_the_activation(monkeypatch: pytest.MonkeyPatch) -> None:
     with pair(monkeypatch) as bench:
         bench.joints.virtual.fail(1)
         assert bench.logics[0].state is STATES.fault
         bench.activated()
         assert bench.logics[0].state is STATES.operation_enabled
-        # Once, by SDO (2Bh: download of two bytes), and before the drives process PDOs.
+        # The reset is sent once, by SDO (2Bh: download of two bytes), before the NMT start.
         sent = bench.host_end.sent
-        words = [
+        controlwords = [
             m.data[4]
             for m in sent
             if m.arbitration_id == 0x603 and m.data[:3] == bytes.fromhex("2b 40 60")
         ]
-        assert words == [0x00, 0x80, 0x00]
+        assert controlwords == [0x00, 0x80, 0x00]
         started = next(k for k, m in enumerate(sent) if m.arbitration_id == 0 and m.data[0] == 1)
         assert all(m.arbitration_id not in (0x203, 0x207) for m in sent[:started])
         assert all(m.data[:3] != bytes.fromhex("2b 40 60") for m in sent[started:])
@@ -415,10 +422,15 @@ def test_no_cyclic_frame_resets_a_fault(monkeypatch: pytest.MonkeyPatch) -> None
         for _ in range(300):
             bench.joints.tick()
         assert bench.logics[1].state is STATES.fault
-        assert not [word for node in (3, 7) for word in bench.controlwords(node) if word & 0x80]
+        assert not [
+            controlword
+            for node in (3, 7)
+            for controlword in bench.controlwords(node)
+            if controlword & 0x80
+        ]
 
 
-def test_a_fault_is_reset_by_an_edge_even_if_the_bit_was_left_set(
+def test_a_fault_is_reset_by_an_edge_even_if_the_bit_was_set_before(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     with pair(monkeypatch) as bench:
@@ -429,7 +441,7 @@ def test_a_fault_is_reset_by_an_edge_even_if_the_bit_was_left_set(
         assert bench.logics[0].state is STATES.operation_enabled
 
 
-def test_a_drive_that_faults_stops_the_loop_in_its_own_words_and_the_others_are_ramped_down(
+def test_a_drive_fault_stops_the_loop_with_its_state_and_ramps_the_others_down(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     with pair(monkeypatch) as bench:
@@ -466,7 +478,7 @@ def test_a_drive_whose_heartbeat_is_missing_stops_the_loop(monkeypatch: pytest.M
         stopped(bench, "drive of joint 2 (node 7) has sent no heartbeat for")
 
 
-def test_lost_tpdos_are_counted_survived_and_too_many_of_them_stop(
+def test_lost_tpdos_are_counted_and_too_many_stop_the_loop(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     with pair(monkeypatch) as bench:
@@ -479,11 +491,11 @@ def test_lost_tpdos_are_counted_survived_and_too_many_of_them_stop(
         bench.drive_end.dropped = {0x187}
         stopped(
             bench,
-            "5 cycles in a row were lost, 5 are one too many (TPDOs of arm, cycles of 0.004 s); silent is node 7",
+            "5 cycles in a row were lost, 5 are one too many (TPDOs of arm, cycles of 0.004 s); no TPDO from node 7",
         )
 
 
-def test_one_lost_speed_is_a_lost_cycle_too(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_lost_speed_is_a_lost_cycle(monkeypatch: pytest.MonkeyPatch) -> None:
     with pair(monkeypatch) as bench:
         bench.activated()
         bench.drive_end.dropped = {0x283}
@@ -503,9 +515,8 @@ def test_without_the_host_every_drive_stops_by_itself_and_the_session_ends(
         while not bench.joints.virtual.logic.braked:
             bench.joints.tick()
             ticks += 1
-            assert (
-                ticks < 4 * TICKS + 500 + 2
-            )  # the watchdog's four cycles, then twice the ramp-down time at most
+            # The watchdog's four cycles, then at most twice the ramp-down time.
+            assert ticks < 4 * TICKS + 500 + 2
         assert {drive.error for drive in bench.logics} <= {
             objects.SYNC_LOST,
             objects.HEARTBEAT_LOST,
@@ -516,7 +527,7 @@ def test_without_the_host_every_drive_stops_by_itself_and_the_session_ends(
         assert bench.joints.virtual.session_is_over
 
 
-def test_syncs_without_targets_stop_the_drives_too(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_syncs_without_targets_stop_the_drives(monkeypatch: pytest.MonkeyPatch) -> None:
     with pair(monkeypatch) as bench:
         bench.activated()
         bench.host_end.dropped = {0x203, 0x207}
@@ -524,7 +535,9 @@ def test_syncs_without_targets_stop_the_drives_too(monkeypatch: pytest.MonkeyPat
         assert bench.logics[0].error == objects.RPDO_LOST
 
 
-def test_a_host_whose_heartbeat_ends_is_left_by_the_drives(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_drives_stop_when_the_heartbeat_of_the_host_ends(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     with pair(monkeypatch) as bench:
         bench.activated()
         bench.host_end.dropped = {0x700 + 127}
@@ -532,7 +545,7 @@ def test_a_host_whose_heartbeat_ends_is_left_by_the_drives(monkeypatch: pytest.M
         assert bench.logics[0].error == objects.HEARTBEAT_LOST
 
 
-def test_a_second_controller_is_refused_while_the_first_sends_sync_or_holds_a_drive(
+def test_a_second_controller_is_rejected_while_the_first_sends_sync_or_has_enabled_a_drive(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     with pair(monkeypatch) as bench:
@@ -540,8 +553,8 @@ def test_a_second_controller_is_refused_while_the_first_sends_sync_or_holds_a_dr
         refused(bench, "another controller sends SYNC")
     with pair(monkeypatch) as bench:
         for logic in bench.logics:
-            for word in (0x06, 0x07, 0x0F):
-                logic.obey(word)
+            for controlword in (0x06, 0x07, 0x0F):
+                logic.obey(controlword)
         with pytest.raises(
             DeviceError,
             match=re.escape(
@@ -552,31 +565,31 @@ def test_a_second_controller_is_refused_while_the_first_sends_sync_or_holds_a_dr
         bench.host.deactivate()
         for _ in range(3):
             bench.joints.tick()
-        assert not bench.joints.virtual.logic.braked  # the first one's drives were left alone
+        assert not bench.joints.virtual.logic.braked  # the drives of the first controller run on
 
 
-def test_a_strange_sync_stops_a_running_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_sync_of_another_controller_stops_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
     with pair(monkeypatch) as bench:
         bench.activated()
         bench.host_end.waiting.append(can.Message(arbitration_id=0x80, is_extended_id=False))
         stopped(bench, "another controller sends SYNC", cycles=1)
 
 
-def test_targets_of_another_controller_are_a_second_controller(
+def test_targets_of_another_controller_are_detected(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def theirs() -> can.Message:
+    def foreign_target() -> can.Message:
         return can.Message(
             arbitration_id=0x207, is_extended_id=False, data=bytes.fromhex("0f00 0000")
         )
 
     with pair(monkeypatch) as bench:
         bench.host.configure()
-        bench.host_end.waiting.append(theirs())
+        bench.host_end.waiting.append(foreign_target())
         refused(bench, "another controller sends SYNC, targets", bench.host.check_start)
     with pair(monkeypatch) as bench:
         bench.activated()
-        bench.host_end.waiting.append(theirs())
+        bench.host_end.waiting.append(foreign_target())
         stopped(bench, "another controller sends SYNC, targets", cycles=1)
 
 
@@ -588,9 +601,9 @@ def stopped_in_order(bench: Pair) -> None:
 @pytest.mark.parametrize(
     "stop",
     [stopped_in_order, lambda bench: bench.host.on_error("tried"), lambda bench: None],
-    ids=["graded", "error", "at once"],
+    ids=["graded", "error", "immediate"],
 )
-def test_after_every_stop_no_controllers_frames_move_the_drives(
+def test_after_every_stop_frames_of_any_controller_move_no_drive(
     monkeypatch: pytest.MonkeyPatch, stop: Callable[[Pair], None]
 ) -> None:
     with pair(monkeypatch) as bench:
@@ -601,9 +614,9 @@ def test_after_every_stop_no_controllers_frames_move_the_drives(
         for _ in range(1000):
             bench.joints.tick()
         assert [drive.node.nmt.state for drive in bench.drives] == ["PRE-OPERATIONAL"] * 2
-        for word in (0x00, 0x80, 0x00, 0x06, 0x07, 0x0F, 0x0F):
+        for controlword in (0x00, 0x80, 0x00, 0x06, 0x07, 0x0F, 0x0F):
             for node in (3, 7):
-                data = word.to_bytes(2, "little") + bytes.fromhex("6400")
+                data = controlword.to_bytes(2, "little") + bytes.fromhex("6400")
                 bench.drive_end.waiting.append(
                     can.Message(arbitration_id=0x200 + node, is_extended_id=False, data=data)
                 )
@@ -614,31 +627,33 @@ def test_after_every_stop_no_controllers_frames_move_the_drives(
                 assert all(drive.braked for drive in bench.logics)
 
 
-def test_a_loop_that_was_held_up_stops_for_good_and_enables_nothing_again(
+def test_a_delayed_loop_stops_and_never_enables_a_drive_again(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     with pair(monkeypatch, watchdog_cycles=25) as bench:  # 0.1 s of the real clock
         bench.activated()
         bench.cycles(20, 8.0, -4.0)
         time.sleep(0.12)
-        for _ in range(700):  # meanwhile the drives' own watchdogs have acted
+        for _ in range(700):  # the drives' watchdogs act
             bench.joints.tick()
         assert {drive.state for drive in bench.logics} == {STATES.fault}
-        begin = len(bench.host_end.sent)
+        start = len(bench.host_end.sent)
         stopped(bench, "the loop was held up for 0.", cycles=1)
         bench.host.write()
-        assert bench.host_end.sent[begin:] == []
+        assert bench.host_end.sent[start:] == []
         bench.host.revoke("the loop was held up")
         ramped_down(bench)
         bench.host.deactivate()
         for _ in range(50):
             bench.joints.tick()
-        words = {word for node in (3, 7) for word in bench.controlwords(node, begin)}
-        assert words <= {0x00, 0x02}, words
+        controlwords = {
+            controlword for node in (3, 7) for controlword in bench.controlwords(node, start)
+        }
+        assert controlwords <= {0x00, 0x02}, controlwords
         assert {drive.state for drive in bench.logics} == {STATES.fault}
 
 
-def test_the_graded_stop_ends_with_brakes_and_silent_drives_are_not_called_at_rest(
+def test_the_graded_stop_ends_with_brakes_and_silent_drives_are_not_at_rest(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     with pair(monkeypatch) as bench:
@@ -657,7 +672,7 @@ def test_the_graded_stop_ends_with_brakes_and_silent_drives_are_not_called_at_re
         assert not bench.host.at_rest
 
 
-def test_limits_clip_and_stop_as_for_every_arm(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_limits_clamp_and_stop_as_for_every_arm(monkeypatch: pytest.MonkeyPatch) -> None:
     with pair(monkeypatch, joint_velocity_limit=(0.05, 0.05)) as bench:
         bench.activated()
         with pytest.raises(SafeStop, match=r"joint 1 moves at .* rad/s, its limit is 0\.05 rad/s"):
@@ -672,7 +687,7 @@ def test_limits_clip_and_stop_as_for_every_arm(monkeypatch: pytest.MonkeyPatch) 
             bench.host.write()
 
 
-def test_one_target_goes_out_for_each_sync_however_often_write_is_called(
+def test_one_target_is_sent_per_sync_for_any_number_of_writes(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     with pair(monkeypatch) as bench:
@@ -684,7 +699,7 @@ def test_one_target_goes_out_for_each_sync_however_often_write_is_called(
         assert bench.host.report()["cycles_with_targets_sent"] == before + 1
 
 
-def test_the_device_can_be_activated_anew_after_a_stop(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_device_can_be_activated_again_after_a_stop(monkeypatch: pytest.MonkeyPatch) -> None:
     with pair(monkeypatch) as bench:
         bench.activated()
         ramped_down(bench)
@@ -694,7 +709,7 @@ def test_the_device_can_be_activated_anew_after_a_stop(monkeypatch: pytest.Monke
         bench.host.on_error("tried")
         assert bench.host.state.now is LifeCycle.safe_stop
         bench.joints.tick()
-        # Commanded, with its SYNC: no watchdog had to.
+        # The host has commanded this with a SYNC; no watchdog has acted.
         assert {drive.state for drive in bench.logics} == {STATES.switch_on_disabled}
         bench.host.deactivate()
         for _ in range(300):

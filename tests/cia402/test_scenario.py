@@ -1,4 +1,4 @@
-"""What T_m = 4 ms, and drives that apply a target one SYNC late, do to the experiment; without a clock."""
+"""Effect of T_m = 4 ms, and of a target delay of one SYNC, on the experiment; without a clock."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from freeflyer.fmi.component import Port, PythonComponent
 STEP = np.array([0.367, 0.367, 0.209, 0.209, 0.08, 0.08]) * 160 / 1000
 
 class Drives(PythonComponent):
-    "A target acts a period late, in thousandths of the rated torque."
+    "The torque follows its target one period later, in thousandths of the rated torque."
     variable_step = False
 
     def __init__(self, name):
@@ -64,7 +64,7 @@ def errors(result: Result) -> dict[str, float]:
     }
 
 
-def test_four_milliseconds_and_a_sync_of_delay_leave_the_errors_as_they_are(tmp_path: Path) -> None:
+def test_four_milliseconds_and_a_delay_of_one_sync_change_the_errors_little(tmp_path: Path) -> None:
     fast = errors(experiment.run(scenario.load("facility")))
     for result in (experiment.run(scenario.load("facility_cia402")), late(tmp_path, 0.004)):
         assert result.as_expected

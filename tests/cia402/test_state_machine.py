@@ -1,4 +1,7 @@
-"""The drives' state machine: laws for any sequence of controlwords, and canopen's own tables as an independent reading of the standard."""
+"""State machine of the drives: properties for any sequence of controlwords.
+
+canopen's tables are the independent reference implementation of the standard.
+"""
 
 from __future__ import annotations
 
@@ -22,12 +25,12 @@ from freeflyer_adapters.cia402.state_machine import (
 from freeflyer_adapters.device.ramp_down import RampDown
 from freeflyer_adapters.facility.drive_logic import STOPPING, DriveLogic
 
-words = st.one_of(
+controlwords = st.one_of(
     st.integers(0, 0xFFFF), st.sampled_from([0x00, 0x02, 0x06, 0x07, 0x0F, 0x80, 0x8F])
 )
 steps = st.lists(
     st.one_of(
-        st.tuples(st.just("sync"), words, st.floats(-500, 500)),
+        st.tuples(st.just("sync"), controlwords, st.floats(-500, 500)),
         st.tuples(st.just("sync without target"), st.just(0), st.just(0.0)),
         st.tuples(st.just("ticks"), st.integers(1, 40), st.floats(-2, 2)),
         st.tuples(st.just("fault"), st.sampled_from([0x2310, 0x4310]), st.just(0.0)),
@@ -44,13 +47,13 @@ def logic() -> DriveLogic:
 
 @settings(max_examples=300, deadline=None)
 @given(steps)
-def test_no_sequence_of_controlwords_yields_commanded_torque_outside_operation_enabled(
+def test_torque_follows_the_target_in_operation_enabled_only(
     sequence: list[tuple[str, int, float]],
 ) -> None:
-    # The way in is put first, so that many examples get there at all.
+    # Start in Operation enabled, which random controlwords would rarely reach.
     drive = logic()
-    for word in (0x06, 0x07, 0x0F):
-        drive.synchronise(word, 0.0)
+    for controlword in (0x06, 0x07, 0x0F):
+        drive.synchronise(controlword, 0.0)
     for kind, number, value in sequence:
         before = (drive.state, drive.torque)
         if kind == "sync":
@@ -65,9 +68,7 @@ def test_no_sequence_of_controlwords_yields_commanded_torque_outside_operation_e
         if drive.state in (DriveState.quick_stop_active, DriveState.fault_reaction_active):
             assert not drive.braked
             if kind == "sync" and before[0] in (*STOPPING, DriveState.operation_enabled):
-                assert (
-                    drive.torque == before[1]
-                )  # a target does not reach a drive that stops by itself
+                assert drive.torque == before[1]  # a drive that stops by itself ignores targets
         elif drive.state is DriveState.operation_enabled:
             assert not drive.braked
             if kind == "sync":
@@ -82,8 +83,8 @@ def test_a_drive_without_syncs_brakes_by_itself_within_its_ramp(
     velocity: float, torque: float
 ) -> None:
     drive = logic()
-    for word in (0x06, 0x07, 0x0F, 0x0F):
-        drive.synchronise(word, torque)
+    for controlword in (0x06, 0x07, 0x0F, 0x0F):
+        drive.synchronise(controlword, torque)
     assert drive.state is DriveState.operation_enabled
     for _ in range(16):
         drive.advance(velocity)
@@ -95,28 +96,30 @@ def test_a_drive_without_syncs_brakes_by_itself_within_its_ramp(
     assert drive.error == 0x8700
 
 
-def test_every_statusword_decodes_to_one_state_and_as_canopen_decodes_it() -> None:
+def test_every_statusword_decodes_to_at_most_one_state_as_in_canopen() -> None:
     names = {state: state.value.upper() for state in DriveState}
-    for word in range(0x10000):
-        ours = state_of(word)
-        theirs = [name for name, (mask, value) in State402.SW_MASK.items() if word & mask == value]
-        assert [names[ours]] if ours else theirs == [], hex(word)
-        assert len(theirs) <= 1
+    for statusword in range(0x10000):
+        own = state_of(statusword)
+        reference = [
+            name for name, (mask, value) in State402.SW_MASK.items() if statusword & mask == value
+        ]
+        assert ([names[own]] if own else []) == reference, hex(statusword)
+        assert len(reference) <= 1
 
 
 @pytest.mark.parametrize("state", DriveState)
-def test_what_a_drive_says_is_understood(state: DriveState) -> None:
+def test_every_statusword_of_a_state_decodes_to_that_state(state: DriveState) -> None:
     assert state_of(statusword_of(state)) is state
     assert state_of(statusword_of(state, limit_active=True)) is state
 
 
-def test_every_commanded_transition_is_one_of_canopens_table_and_none_is_missing() -> None:
-    theirs = set(State402.TRANSITIONTABLE)
-    ours = {(a.value.upper(), b.value.upper()) for (a, _), (_, b) in TRANSITIONS.items()}
-    assert ours <= theirs
+def test_the_commanded_transitions_are_those_of_canopens_table() -> None:
+    reference = set(State402.TRANSITIONTABLE)
+    own = {(a.value.upper(), b.value.upper()) for (a, _), (_, b) in TRANSITIONS.items()}
+    assert own <= reference
     automatic = {
         (a, b)
-        for a, b in theirs
+        for a, b in reference
         if State402.TRANSITIONTABLE[a, b] == 0 and b in ("NOT READY TO SWITCH ON", "FAULT")
     }
     automatic.add(("NOT READY TO SWITCH ON", "SWITCH ON DISABLED"))
@@ -124,33 +127,37 @@ def test_every_commanded_transition_is_one_of_canopens_table_and_none_is_missing
         ("QUICK STOP ACTIVE", "OPERATION ENABLED"),
         ("FAULT", "SWITCH ON DISABLED"),
     }
-    assert theirs - ours == automatic | optional_or_reset
-    for (a, b), word in State402.TRANSITIONTABLE.items():
-        if (a, b) in ours:
+    assert reference - own == automatic | optional_or_reset
+    for (a, b), controlword in State402.TRANSITIONTABLE.items():
+        if (a, b) in own:
             state = next(s for s in DriveState if s.value.upper() == a)
-            assert following(state, word, 0).value.upper() == b
+            assert following(state, controlword, 0).value.upper() == b
 
 
 @pytest.mark.parametrize("state", [s for s in DriveState if s in TOWARDS_ENABLED])
-def test_the_way_to_operation_enabled_ends_there(state: DriveState) -> None:
+def test_the_commands_towards_operation_enabled_reach_it(state: DriveState) -> None:
     for _ in range(5):
         state = following(state, TOWARDS_ENABLED[state].value, 0)
     assert state is DriveState.operation_enabled
 
 
-@given(words, words)
-def test_only_a_rising_edge_resets_a_fault(before: int, word: int) -> None:
-    after = following(DriveState.fault, word, before)
-    assert (after is DriveState.switch_on_disabled) == (bool(word & 0x80) and not before & 0x80)
+@given(controlwords, controlwords)
+def test_only_a_rising_edge_resets_a_fault(before: int, controlword: int) -> None:
+    after = following(DriveState.fault, controlword, before)
+    assert (after is DriveState.switch_on_disabled) == (
+        bool(controlword & 0x80) and not before & 0x80
+    )
 
 
-@given(words)
-def test_bits_that_are_no_commands_of_the_state_machine_change_nothing(word: int) -> None:
-    assert command_of(word) is command_of(word & 0x0F)
-    assert command_of(Command.disable_voltage.value | (word & 0x0D)) is Command.disable_voltage
+@given(controlwords)
+def test_other_bits_of_the_controlword_change_no_command(controlword: int) -> None:
+    assert command_of(controlword) is command_of(controlword & 0x0F)
+    assert (
+        command_of(Command.disable_voltage.value | (controlword & 0x0D)) is Command.disable_voltage
+    )
 
 
-def test_the_masks_of_the_standard_tell_powered_states_from_the_others() -> None:
+def test_the_powered_states_have_the_masks_of_the_standard() -> None:
     assert {s for s in DriveState if s in POWERED} == {
         DriveState.operation_enabled, DriveState.quick_stop_active, DriveState.fault_reaction_active,
     }  # fmt: skip

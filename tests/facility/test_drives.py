@@ -91,7 +91,7 @@ def run(
 
 def test_without_drives_on_the_bus_the_loop_says_which_one_is_missing(bench: Rig) -> None:
     sentence = (
-        "arm_drive: drive of joint 1 (node 1) does not give device type (1000h): no answer within 0.3 s; is the drive (or `freeflyer facility`) "
+        "arm_drive: drive of joint 1 (node 1) does not return device type (1000h): no answer within 0.3 s; is the drive (or `freeflyer facility`) "
         f"running on CAN local:{bench.channel}"
     )
     with pytest.raises(DeviceError, match=re.escape(sentence)):

@@ -164,7 +164,7 @@ def test_a_scenario_that_cannot_be_is_refused(
     ("changed", "sentence"),
     [
         ({"left_out": "Q3"}, "lacks the signal 'Q3' of signals.joint_position"),
-        ({"state_size": 50}, "50 bytes long, which no CAN FD frame is"),
+        ({"state_size": 50}, "has 50 bytes, which is not a CAN FD frame size"),
         ({"state_size": 24}, "cannot be used"),
         ({"activation": "explicit"}, "so that the arm cannot refuse a late activation itself"),
         (

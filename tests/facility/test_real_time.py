@@ -117,7 +117,7 @@ def test_the_arm_is_safe_within_five_cycles_of_its_controllers_death_and_the_bas
             facility.wait_for("inactive -> active: commanded")
             time.sleep(0.3)
             while bus.recv(0.0) is not None:
-                receiver.forget()
+                receiver.reset()
             flight.unlink(missing_ok=True)
             killed = time.time()
             loop.send(signal.SIGKILL)
@@ -233,9 +233,9 @@ def test_a_second_controller_is_refused_before_anything_moves_with_both_numbers(
     facility.wait_for("inactive -> active: commanded")
     second = bench.hil(*PATIENT_LOOP, out="second")
     assert second.finish() == 2
-    assert re.search(r"obeys controller \d+ already; this is controller \d+", second.text), (
-        second.text
-    )
+    assert re.search(
+        r"accepts commands from controller \d+ already; this is controller \d+", second.text
+    ), second.text
     assert first.popen.poll() is None
     first.send(signal.SIGINT)
     assert first.finish() == 3

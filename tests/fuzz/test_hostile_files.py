@@ -124,7 +124,7 @@ def test_units_that_a_calculator_would_be_at_for_ever() -> None:
             "has the factor 0 and the offset 0",
         ),
         ('(0.01,0) [0|0] "Nm" Drive', '(1e308,0) [0|0] "Nm" Drive', "finite numbers are expected"),
-        ("Mode : 7|8@0+", "Mode : -1|8@0+", "begins at bit -1; 0 or more is expected"),
+        ("Mode : 7|8@0+", "Mode : -1|8@0+", "starts at bit -1; 0 or more is expected"),
     ],
 )
 def test_dbcs_that_swell_or_make_no_numbers(

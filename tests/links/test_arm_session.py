@@ -1,4 +1,4 @@
-"""The host's end of an arm's life cycle: which mode a command may have, in every phase of a session. No clock, no wire."""
+"""Modes of the command frames in every phase of an arm session, without a clock or a bus."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from freeflyer_adapters.device.permit import Permit
 
 WATCHDOG = 4_000_000
 CYCLE = 1_000_000
-BEGIN = 1_000_000_000
+START = 1_000_000_000
 FIRST = 101
 OTHER = 7
 
@@ -31,20 +31,20 @@ def session(
 def claimed(**of: bool) -> ArmSession:
     made = session(**of)
     made.claim()
-    made.report(LifeCycle.inactive, made.number, BEGIN)
+    made.report(LifeCycle.inactive, made.number, START)
     return made
 
 
 def activating(**of: bool) -> ArmSession:
     made = claimed(**of)
-    made.activate(BEGIN)
+    made.activate(START)
     return made
 
 
 def commanding() -> ArmSession:
     made = activating()
-    made.answer(BEGIN)
-    made.report(LifeCycle.active, made.number, BEGIN)
+    made.answer(START)
+    made.report(LifeCycle.active, made.number, START)
     return made
 
 
@@ -52,47 +52,47 @@ def commanding() -> ArmSession:
 
 
 @pytest.mark.parametrize("state", list(LifeCycle))
-def test_who_only_listens_asks_for_nothing(state: LifeCycle) -> None:
+def test_a_session_that_only_listens_sends_idle_frames(state: LifeCycle) -> None:
     made = session()
-    made.report(state, 0, BEGIN)
-    assert made.answer(BEGIN) is Mode.idle
+    made.report(state, 0, START)
+    assert made.answer(START) is Mode.idle
 
 
 @pytest.mark.parametrize("state", [LifeCycle.inactive, LifeCycle.safe_stop, LifeCycle.fault])
 def test_a_number_is_claimed_until_the_arm_echoes_it_and_is_inactive(state: LifeCycle) -> None:
     made = session()
     made.claim()
-    made.report(state, 0, BEGIN)
-    assert made.answer(BEGIN) is Mode.reset
+    made.report(state, 0, START)
+    assert made.answer(START) is Mode.reset
     assert not made.is_claimed
-    made.report(state, made.number, BEGIN)
+    made.report(state, made.number, START)
     assert made.is_claimed is (state is LifeCycle.inactive)
-    assert made.answer(BEGIN) is (Mode.idle if state is LifeCycle.inactive else Mode.reset)
-    made.report(LifeCycle.inactive, made.number, BEGIN)
+    assert made.answer(START) is (Mode.idle if state is LifeCycle.inactive else Mode.reset)
+    made.report(LifeCycle.inactive, made.number, START)
     assert made.is_claimed
-    assert made.answer(BEGIN) is Mode.idle
+    assert made.answer(START) is Mode.idle
 
 
 def test_a_claim_without_an_echo_is_tried_with_another_number() -> None:
-    """The arm may have used this one up."""
+    """The arm may have expired the first number."""
     made = session()
     made.claim()
-    made.report(LifeCycle.inactive, 0, BEGIN)
+    made.report(LifeCycle.inactive, 0, START)
     for _ in range(CLAIMS - 1):
-        made.answer(BEGIN)
+        made.answer(START)
     assert made.number == FIRST
-    made.answer(BEGIN)
+    made.answer(START)
     assert made.number == FIRST + 1
 
 
-def test_the_number_stays_while_the_arm_obeys_another() -> None:
+def test_the_number_stays_while_the_arm_accepts_another_controller() -> None:
     made = session()
     made.claim()
-    made.report(LifeCycle.inactive, OTHER, BEGIN)
+    made.report(LifeCycle.inactive, OTHER, START)
     for _ in range(3 * CLAIMS):
-        made.answer(BEGIN)
+        made.answer(START)
     assert made.number == FIRST
-    assert made.is_obeyed_elsewhere
+    assert made.has_other_controller
     assert not made.is_claimed
 
 
@@ -100,8 +100,8 @@ def test_after_a_reason_to_stop_nothing_is_claimed() -> None:
     made = session()
     made.claim()
     made.permit.lose("the user stopped")
-    assert made.answer(BEGIN) is Mode.idle
-    assert made.answer(BEGIN, brake=True) is Mode.brake
+    assert made.answer(START) is Mode.idle
+    assert made.answer(START, brake=True) is Mode.brake
 
 
 @pytest.mark.parametrize("is_claiming", [False, True])
@@ -109,7 +109,7 @@ def test_brakes_are_commanded_in_any_phase_before_the_activation(is_claiming: bo
     made = session()
     if is_claiming:
         made.claim()
-    assert made.answer(BEGIN, brake=True) is Mode.brake
+    assert made.answer(START, brake=True) is Mode.brake
 
 
 # The activation
@@ -118,140 +118,138 @@ def test_brakes_are_commanded_in_any_phase_before_the_activation(is_claiming: bo
 def test_only_the_activation_takes_the_permit() -> None:
     made = claimed()
     assert not made.permit.is_held
-    assert not made.permits(Mode.torque, BEGIN)
-    assert not made.permits(Mode.activate, BEGIN)
-    made.activate(BEGIN)
+    assert not made.permits(Mode.torque, START)
+    assert not made.permits(Mode.activate, START)
+    made.activate(START)
     assert made.permit.is_held
 
 
-def test_an_arm_is_asked_to_activate_until_it_is_active_and_only_then_commanded() -> None:
+def test_activation_is_requested_until_the_arm_is_active_and_then_torque_is_sent() -> None:
     made = activating()
     for _ in range(3):
-        assert made.answer(BEGIN) is Mode.activate
-        made.report(LifeCycle.inactive, made.number, BEGIN)
-    made.report(LifeCycle.active, made.number, BEGIN)
+        assert made.answer(START) is Mode.activate
+        made.report(LifeCycle.inactive, made.number, START)
+    made.report(LifeCycle.active, made.number, START)
     assert made.phase is Phase.commanding
-    assert made.answer(BEGIN) is Mode.torque
+    assert made.answer(START) is Mode.torque
 
 
-def test_an_arm_that_is_active_for_another_is_not_commanded() -> None:
+def test_an_arm_that_is_active_for_another_session_gets_no_torque() -> None:
     made = activating()
-    made.answer(BEGIN)
-    made.report(LifeCycle.active, OTHER, BEGIN)
+    made.answer(START)
+    made.report(LifeCycle.active, OTHER, START)
     assert made.phase is Phase.activating
-    assert made.answer(BEGIN) is not Mode.torque
+    assert made.answer(START) is not Mode.torque
 
 
-def test_a_claim_that_the_arm_has_forgotten_is_claimed_again_before_it_is_asked() -> None:
+def test_a_claim_that_the_arm_has_dropped_is_repeated_before_the_activation() -> None:
     made = activating()
-    made.report(LifeCycle.inactive, 0, BEGIN)
-    assert made.answer(BEGIN) is Mode.reset
-    made.report(LifeCycle.inactive, made.number, BEGIN)
-    assert made.answer(BEGIN) is Mode.activate
+    made.report(LifeCycle.inactive, 0, START)
+    assert made.answer(START) is Mode.reset
+    made.report(LifeCycle.inactive, made.number, START)
+    assert made.answer(START) is Mode.activate
 
 
-def test_once_it_was_asked_to_activate_nothing_is_claimed_or_reset() -> None:
+def test_after_the_activation_request_nothing_is_claimed_or_reset() -> None:
     made = activating()
-    made.answer(BEGIN)
-    made.report(LifeCycle.inactive, 0, BEGIN)
-    assert made.answer(BEGIN) is Mode.activate
+    made.answer(START)
+    made.report(LifeCycle.inactive, 0, START)
+    assert made.answer(START) is Mode.activate
 
 
 @pytest.mark.parametrize("state", [LifeCycle.safe_stop, LifeCycle.fault, LifeCycle.unconfigured])
 def test_an_arm_that_stops_while_it_is_activated_ends_the_activation(state: LifeCycle) -> None:
     made = activating()
-    made.answer(BEGIN)
-    made.report(state, made.number, BEGIN)
+    made.answer(START)
+    made.report(state, made.number, START)
     assert made.permit.lost == f"arm went to {state.name} while it was activated"
-    assert made.answer(BEGIN) is Mode.brake
+    assert made.answer(START) is Mode.brake
 
 
 @pytest.mark.parametrize("state", [LifeCycle.safe_stop, LifeCycle.fault])
 def test_a_stop_that_comes_after_the_claim_ends_the_activation_and_is_not_reset(
     state: LifeCycle,
 ) -> None:
-    """What was there before is reset by the claim; this is new."""
+    """The claim resets an earlier stop only."""
     made = activating()
-    made.report(state, made.number, BEGIN)
+    made.report(state, made.number, START)
     assert made.permit.lost == f"arm went to {state.name} before it was activated"
-    made.report(LifeCycle.inactive, made.number, BEGIN)
-    assert made.answer(BEGIN) is Mode.brake
+    made.report(LifeCycle.inactive, made.number, START)
+    assert made.answer(START) is Mode.brake
 
 
 def test_a_reason_to_stop_during_the_activation_brakes() -> None:
     made = activating()
-    made.answer(BEGIN)
+    made.answer(START)
     made.permit.lose("the user stopped")
-    assert made.answer(BEGIN) is Mode.brake
-    made.report(
-        LifeCycle.active, made.number, BEGIN
-    )  # the last frame may have activated it all the same
-    assert made.answer(BEGIN, brake=True) is Mode.brake
+    assert made.answer(START) is Mode.brake
+    made.report(LifeCycle.active, made.number, START)  # the last frame has activated the arm
+    assert made.answer(START, brake=True) is Mode.brake
 
 
-def test_a_hold_up_during_the_activation_brakes() -> None:
+def test_a_delay_of_the_loop_during_the_activation_brakes() -> None:
     made = activating()
-    made.answer(BEGIN)
-    assert made.answer(BEGIN + WATCHDOG + 1) is Mode.brake
+    made.answer(START)
+    assert made.answer(START + WATCHDOG + 1) is Mode.brake
 
 
-# The end
+# During and after a stop
 
 
-def test_after_a_reason_to_stop_torque_goes_out_with_a_fresh_report_of_active_only() -> None:
+def test_after_a_reason_to_stop_torque_needs_a_recent_report_of_active() -> None:
     made = commanding()
     made.permit.lose("a limit was met")
-    assert made.answer(BEGIN + WATCHDOG) is Mode.torque
-    assert made.answer(BEGIN + WATCHDOG + 1) is Mode.idle
-    made.report(LifeCycle.active, made.number, BEGIN + WATCHDOG + 1)
-    assert made.answer(BEGIN + WATCHDOG + 1) is Mode.torque
-    made.report(LifeCycle.safe_stop, made.number, BEGIN + WATCHDOG + 1)
-    assert made.answer(BEGIN + WATCHDOG + 1) is Mode.idle
-    assert made.answer(BEGIN + WATCHDOG + 1, brake=True) is Mode.brake
+    assert made.answer(START + WATCHDOG) is Mode.torque
+    assert made.answer(START + WATCHDOG + 1) is Mode.idle
+    made.report(LifeCycle.active, made.number, START + WATCHDOG + 1)
+    assert made.answer(START + WATCHDOG + 1) is Mode.torque
+    made.report(LifeCycle.safe_stop, made.number, START + WATCHDOG + 1)
+    assert made.answer(START + WATCHDOG + 1) is Mode.idle
+    assert made.answer(START + WATCHDOG + 1, brake=True) is Mode.brake
 
 
-def test_a_held_up_loop_sends_no_torque_although_the_last_report_was_active() -> None:
+def test_a_delayed_loop_sends_no_torque_although_the_last_report_was_active() -> None:
     made = commanding()
-    assert made.answer(BEGIN + WATCHDOG) is Mode.torque
-    assert made.answer(BEGIN + WATCHDOG + 1) is Mode.idle
+    assert made.answer(START + WATCHDOG) is Mode.torque
+    assert made.answer(START + WATCHDOG + 1) is Mode.idle
     assert made.permit.was_held_up
 
 
-@pytest.mark.parametrize("obeyed", [0, OTHER])
-def test_active_for_another_number_is_no_report_of_active(obeyed: int) -> None:
-    """An arm that names no controller may be this one's; one that names another is not."""
+@pytest.mark.parametrize("echoed", [0, OTHER])
+def test_active_for_another_session_does_not_count_as_active(echoed: int) -> None:
+    """An arm that echoes no number may be active for this session."""
     made = commanding()
-    made.report(LifeCycle.active, obeyed, BEGIN)
-    assert (made.permit.lost is None) is (obeyed == 0)
+    made.report(LifeCycle.active, echoed, START)
+    assert (made.permit.lost is None) is (echoed == 0)
 
 
 def test_an_arm_that_leaves_active_is_not_commanded_again() -> None:
     made = commanding()
-    made.report(LifeCycle.safe_stop, made.number, BEGIN)
-    made.report(LifeCycle.active, made.number, BEGIN)
-    assert not made.permit.allows(BEGIN)
+    made.report(LifeCycle.safe_stop, made.number, START)
+    made.report(LifeCycle.active, made.number, START)
+    assert not made.permit.allows(START)
 
 
-def test_the_last_look_before_a_frame_goes_out_sees_a_hold_up() -> None:
+def test_the_last_check_before_transmission_detects_a_delay_of_the_loop() -> None:
     made = commanding()
-    late = BEGIN + WATCHDOG + 1
-    assert made.permits(Mode.torque, BEGIN)
+    late = START + WATCHDOG + 1
+    assert made.permits(Mode.torque, START)
     assert not made.permits(Mode.torque, late)
     for mode in (Mode.idle, Mode.brake, Mode.reset):
         assert made.permits(mode, late)
     waiting = activating()
-    assert waiting.permits(Mode.activate, BEGIN)
+    assert waiting.permits(Mode.activate, START)
     assert not waiting.permits(Mode.activate, late)
 
 
-# How old a report is
+# Age of a report
 
 
-def test_a_report_is_as_old_as_the_answer_that_it_echoes_however_late_it_came() -> None:
+def test_the_age_of_a_report_is_that_of_the_answer_that_it_echoes() -> None:
     made = commanding()
-    made.wrote(40, BEGIN)
+    made.wrote(40, START)
     made.permit.lose("a limit was met")
-    late = BEGIN + 20 * CYCLE
+    late = START + 20 * CYCLE
     made.report(LifeCycle.active, made.number, late, 40)
     assert made.answer(late) is Mode.idle
     made.wrote(41, late)
@@ -262,99 +260,97 @@ def test_a_report_is_as_old_as_the_answer_that_it_echoes_however_late_it_came() 
 def test_a_report_that_echoes_no_answer_of_this_session_counts_as_old() -> None:
     made = commanding()
     made.permit.lose("a limit was met")
-    made.report(LifeCycle.active, made.number, BEGIN, 99)
-    assert made.answer(BEGIN) is Mode.idle
+    made.report(LifeCycle.active, made.number, START, 99)
+    assert made.answer(START) is Mode.idle
 
 
-def test_answers_of_the_last_cycles_are_remembered_and_older_ones_are_not() -> None:
+def test_send_times_of_the_last_answers_are_stored_and_older_ones_are_dropped() -> None:
     made = commanding()
     for k in range(REMEMBERED + 1):
-        made.wrote(k, BEGIN)
+        made.wrote(k, START)
     made.permit.lose("a limit was met")
-    made.report(LifeCycle.active, made.number, BEGIN, 0)
-    assert made.answer(BEGIN) is Mode.idle
-    made.report(LifeCycle.active, made.number, BEGIN, 1)
-    assert made.answer(BEGIN) is Mode.torque
+    made.report(LifeCycle.active, made.number, START, 0)
+    assert made.answer(START) is Mode.idle
+    made.report(LifeCycle.active, made.number, START, 1)
+    assert made.answer(START) is Mode.torque
 
 
-# An arm without the mode `activate`, or one that says little
+# An arm without the mode `activate`, or with few signals
 
 
 def test_an_implicit_arm_is_not_claimed_and_is_activated_by_torque() -> None:
     made = session(implicit=True)
     made.claim()
-    made.report(LifeCycle.inactive, 0, BEGIN)
-    assert made.answer(BEGIN) is Mode.idle
-    made.report(LifeCycle.inactive, made.number, BEGIN)
+    made.report(LifeCycle.inactive, 0, START)
+    assert made.answer(START) is Mode.idle
+    made.report(LifeCycle.inactive, made.number, START)
     assert made.is_claimed
-    made.activate(BEGIN)
-    assert made.answer(BEGIN) is Mode.torque
+    made.activate(START)
+    assert made.answer(START) is Mode.torque
 
 
 @pytest.mark.parametrize("state", [LifeCycle.safe_stop, LifeCycle.fault])
-def test_an_implicit_arm_that_has_stopped_is_reset_first_and_never_once_it_had_torque(
+def test_a_stopped_implicit_arm_is_reset_before_the_first_torque_only(
     state: LifeCycle,
 ) -> None:
     made = session(implicit=True)
     made.claim()
-    made.report(state, made.number, BEGIN)
+    made.report(state, made.number, START)
     assert made.is_claimed
-    assert made.answer(BEGIN) is Mode.idle
-    made.activate(BEGIN)
-    assert made.answer(BEGIN) is Mode.reset
-    made.report(LifeCycle.inactive, made.number, BEGIN)
-    assert made.answer(BEGIN) is Mode.torque
-    made.report(state, made.number, BEGIN)
-    assert made.answer(BEGIN) is Mode.brake
+    assert made.answer(START) is Mode.idle
+    made.activate(START)
+    assert made.answer(START) is Mode.reset
+    made.report(LifeCycle.inactive, made.number, START)
+    assert made.answer(START) is Mode.torque
+    made.report(state, made.number, START)
+    assert made.answer(START) is Mode.brake
     assert made.permit.lost == f"arm went to {state.name} while it was activated"
 
 
-def test_an_arm_that_names_no_controller_is_claimed_by_its_state() -> None:
+def test_an_arm_without_echo_is_claimed_by_its_state() -> None:
     made = session(echoes=False)
     made.claim()
-    made.report(LifeCycle.inactive, 0, BEGIN)
+    made.report(LifeCycle.inactive, 0, START)
     assert made.is_claimed
 
 
-def test_an_arm_that_reports_neither_state_nor_echo_is_commanded_at_once_and_active_while_its_frames_come() -> (
-    None
-):
+def test_an_arm_without_state_and_echo_is_commanded_immediately_and_counts_as_active() -> None:
     made = session(implicit=True, reports_state=False)
     made.claim()
-    made.report(None, made.number, BEGIN)
-    assert made.answer(BEGIN) is Mode.idle
-    made.activate(BEGIN)
+    made.report(None, made.number, START)
+    assert made.answer(START) is Mode.idle
+    made.activate(START)
     assert made.phase is Phase.commanding
-    assert made.answer(BEGIN) is Mode.torque
+    assert made.answer(START) is Mode.torque
 
 
-def test_an_arm_that_reports_no_state_is_active_while_it_uses_this_sessions_answers() -> None:
+def test_an_arm_without_state_is_active_while_it_echoes_answers_of_this_session() -> None:
     made = session(implicit=True, reports_state=False)
     made.claim()
-    made.report(None, made.number, BEGIN, 39)  # an answer of another session
-    made.activate(BEGIN)
+    made.report(None, made.number, START, 39)  # an answer of another session
+    made.activate(START)
     assert made.phase is Phase.activating
-    assert made.answer(BEGIN) is Mode.torque
-    made.wrote(40, BEGIN)
-    made.report(None, made.number, BEGIN + CYCLE, 40)
+    assert made.answer(START) is Mode.torque
+    made.wrote(40, START)
+    made.report(None, made.number, START + CYCLE, 40)
     assert made.phase is Phase.commanding
     for k in range(1, 10):
-        now = BEGIN + k * CYCLE
-        # It is noticed with the state frame that shows it.
+        now = START + k * CYCLE
+        # The session detects the old echo with the state frame that contains it.
         assert made.answer(now) is (Mode.torque if (k - 1) * CYCLE <= WATCHDOG else Mode.idle)
         made.wrote(40 + k, now)
-        made.report(None, made.number, now, 40)  # it goes on echoing the first one
+        made.report(None, made.number, now, 40)  # the arm keeps echoing the first answer
         assert made.permit.may_ramp_down(now) is (k * CYCLE <= WATCHDOG)
 
 
 @pytest.mark.parametrize("state", list(LifeCycle))
-def test_a_report_of_another_state_takes_the_permit(state: LifeCycle) -> None:
+def test_a_report_of_another_state_ends_the_permit(state: LifeCycle) -> None:
     made = commanding()
-    made.report(state, made.number, BEGIN)
-    assert made.permit.allows(BEGIN) is (state is LifeCycle.active)
+    made.report(state, made.number, START)
+    assert made.permit.allows(START) is (state is LifeCycle.active)
 
 
-# Whatever happens
+# Any sequence of events
 
 
 steps = st.tuples(
@@ -365,10 +361,10 @@ steps = st.tuples(
 
 
 @given(st.lists(steps, max_size=40), st.integers(0, 40), st.booleans())
-def test_after_the_first_reason_to_stop_no_frame_activates_claims_or_gives_torque_without_a_fresh_report(
+def test_after_the_first_reason_to_stop_frames_only_ramp_down_with_a_recent_report(
     happened: list[tuple[int, tuple[LifeCycle, int] | None, bool]], stop_at: int, implicit: bool
 ) -> None:
-    made, now, active_at = activating(implicit=implicit), BEGIN, -WATCHDOG
+    made, now, active_at = activating(implicit=implicit), START, -WATCHDOG
     for k, (later, report, brake) in enumerate(happened):
         now += later
         if k == stop_at:

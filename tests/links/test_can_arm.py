@@ -1,4 +1,4 @@
-"""The host's side of the arm's link, frame by frame against a scripted arm: what is lost, what is answered, what stops."""
+"""Host side of the arm link against a scripted arm: losses, commands and stops, frame by frame."""
 
 from __future__ import annotations
 
@@ -21,13 +21,15 @@ from freeflyer_adapters.device.quality import QualityMonitor
 
 N = 6
 UNWATCHED = 100_000.0
-"""Cycles of the arm's watchdog, where a test takes its time between two calls."""
+"""Watchdog of the arm [cycles], long enough for pauses between the calls of a test."""
 numbers = itertools.count()
 
 
 class ScriptedArm:
-    """Sends what it is told to; while `serving`, answers as an arm does until it is active. `implicit`: it knows no claim, and a
-    torque frame activates it.
+    """Test double of an arm.
+
+    It sends a state frame per call of `send`. After `serve`, a thread responds to commands until
+    the arm is active. `implicit`: the arm has no claims, and a torque frame activates it.
     """
 
     def __init__(self, channel: str, *, implicit: bool = False) -> None:
@@ -38,12 +40,11 @@ class ScriptedArm:
         self.state = Sender(self.bus, self.frames.state)
         self.description = Sender(self.bus, self.frames.description)
         self.commands = Receiver(self.frames.command)
-        self.cycle, self.obeyed, self.life = 100, 0, LifeCycle.inactive
+        self.cycle, self.accepted, self.life = 100, 0, LifeCycle.inactive
         self.position = np.zeros(N)
         self.echoed = 0
-        """Of an implicit arm; the other uses each answer at once."""
-        self.is_deaf = self.is_stubborn = False
-        """It takes no command; it takes no activation."""
+        """Echoed cycle of an implicit arm; the other arm echoes the previous cycle."""
+        self.ignores_commands = self.ignores_activation = False
         self.received: list[dict[str, list[float]]] = []
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
@@ -54,7 +55,7 @@ class ScriptedArm:
         values = {
             "cycle": (float(self.cycle),),
             "echoed_cycle": (float(self.echoed if self.implicit else (self.cycle - 1) % 2**24),),
-            "obeyed_controller": (float(self.obeyed),),
+            "obeyed_controller": (float(self.accepted),),
             "life_cycle": (float(self.life),),
             "brakes": (float(self.life is not LifeCycle.active),),
             "command_age": (0.0,),
@@ -66,7 +67,7 @@ class ScriptedArm:
         self.cycle = (self.cycle + 1) % 2**24
 
     def take(self) -> dict[str, list[float]] | None:
-        """The newest command."""
+        """Read all pending commands, and return the newest one."""
         newest = None
         while (message := self.bus.recv(0.0)) is not None:
             found = self.commands.take(message)
@@ -84,28 +85,28 @@ class ScriptedArm:
 
     def _serve(self) -> None:
         while not self._stop.wait(0.001):
-            echoed = self.obeyed
+            echoed = self.accepted
             command = self.take()
             if command is not None:
-                self._obey(int(command["controller"][0]), command["mode"][0], echoed)
+                self._execute(int(command["controller"][0]), command["mode"][0], echoed)
             limits = {role: [1.0 if "lower" not in role else -1.0] * N for role in LIMIT_ROLES}
             self.description.send({"joint_count": (float(N),), "cycle_time": (0.001,), **limits})
             self.send()
 
-    def _obey(self, number: int, mode: float, echoed: int) -> None:
-        """`echoed`: what the last state frame said."""
-        if self.is_deaf:
+    def _execute(self, number: int, mode: float, echoed: int) -> None:
+        """Execute a command of session `number`. `echoed`: number in the last state frame."""
+        if self.ignores_commands:
             return
-        if not self.obeyed and (self.implicit or mode == Mode.reset):
-            self.obeyed = number
-        if number != self.obeyed:
+        if not self.accepted and (self.implicit or mode == Mode.reset):
+            self.accepted = number
+        if number != self.accepted:
             return
         if mode == Mode.reset:
             self.life = LifeCycle.inactive
         wanted = (
             mode == Mode.torque if self.implicit else mode == Mode.activate and number == echoed
         )
-        if wanted and self.life is LifeCycle.inactive and not self.is_stubborn:
+        if wanted and self.life is LifeCycle.inactive and not self.ignores_activation:
             self.life = LifeCycle.active
 
     def pause(self) -> None:
@@ -166,21 +167,21 @@ def test_every_state_frame_is_answered_with_its_number(active: tuple[CanArm, Scr
     assert arm.monitor.lost == 0
 
 
-def test_a_lost_frame_is_counted_once_and_no_number_is_made_up(
+def test_a_lost_frame_is_counted_once_and_the_last_received_number_is_answered(
     active: tuple[CanArm, ScriptedArm],
 ) -> None:
     arm, there = active
-    seen = there.cycle - 1
-    there.cycle += 1  # one frame never comes
+    last = there.cycle - 1
+    there.cycle += 1  # one frame is lost
     arm.read()
     arm.write()
     command = there.take()
     assert command is not None
-    assert command["answered_cycle"][0] == seen
+    assert command["answered_cycle"][0] == last
     there.send()
     arm.read()
     assert arm.monitor.lost == 1
-    there.cycle += 3  # three are skipped, without any time to wait for them
+    there.cycle += 3  # three frames are lost without a delay
     there.send()
     arm.read()
     assert arm.monitor.lost == 4
@@ -206,7 +207,7 @@ def test_twenty_cycles_of_silence_stop(active: tuple[CanArm, ScriptedArm]) -> No
     assert arm.monitor.lost == 20
 
 
-def test_frames_that_fail_their_protection_are_lost_ones(
+def test_frames_with_a_wrong_crc_count_as_lost(
     active: tuple[CanArm, ScriptedArm],
 ) -> None:
     arm, there = active
@@ -219,10 +220,10 @@ def test_frames_that_fail_their_protection_are_lost_ones(
     assert arm.report()["state_frames_rejected"] == 1.0
 
 
-def test_an_arm_whose_time_stood_still_is_followed_again(
+def test_after_a_pause_of_the_arm_the_loop_continues(
     active: tuple[CanArm, ScriptedArm],
 ) -> None:
-    """It comes with the number that was due before the silence: nothing was lost on the way, but the loop has waited."""
+    """No frame was lost: the arm continues with the next cycle number, and the loop has waited."""
     arm, there = active
     for _ in range(5):
         arm.read()
@@ -234,7 +235,9 @@ def test_an_arm_whose_time_stood_still_is_followed_again(
     assert arm.monitor.lost == 5
 
 
-def test_an_arm_that_begins_anew_is_no_loss_of_millions(active: tuple[CanArm, ScriptedArm]) -> None:
+def test_a_restart_of_the_cycle_number_is_not_counted_as_loss(
+    active: tuple[CanArm, ScriptedArm],
+) -> None:
     arm, there = active
     there.send(cycle=5_000_000)
     with pytest.raises(SafeStop, match="in a row were lost"):
@@ -243,7 +246,7 @@ def test_an_arm_that_begins_anew_is_no_loss_of_millions(active: tuple[CanArm, Sc
     arm.read()
 
 
-def test_the_cycle_number_runs_over(active: tuple[CanArm, ScriptedArm]) -> None:
+def test_the_cycle_number_wraps_around(active: tuple[CanArm, ScriptedArm]) -> None:
     arm, there = active
     arm._cycle_number = 2**24 - 2
     for cycle in (2**24 - 1, 0, 1):
@@ -253,31 +256,32 @@ def test_the_cycle_number_runs_over(active: tuple[CanArm, ScriptedArm]) -> None:
     assert arm.late_commands == 0
 
 
-def test_the_arms_own_safe_stop_ends_the_loop_with_its_word(
+def test_a_safe_stop_of_the_arm_stops_the_loop_with_its_report(
     active: tuple[CanArm, ScriptedArm],
 ) -> None:
     arm, there = active
     there.life = LifeCycle.safe_stop
     there.send(command_age=(4.0,))
     with pytest.raises(
-        SafeStop, match="went to safe_stop by itself; the last command that it had was 4 cycles old"
+        SafeStop, match="went to safe_stop by itself; its last command was 4 cycles old"
     ):
         arm.read()
 
 
-def test_an_arm_that_obeys_somebody_else_ends_the_loop_with_both_numbers(
+def test_an_arm_that_accepts_another_controller_stops_the_loop_with_both_numbers(
     active: tuple[CanArm, ScriptedArm],
 ) -> None:
     arm, there = active
-    there.obeyed = arm.session.number % 0xFFFF + 1
+    there.accepted = arm.session.number % 0xFFFF + 1
     there.send()
     with pytest.raises(
-        SafeStop, match=f"obeys controller {there.obeyed}; this is controller {arm.session.number}"
+        SafeStop,
+        match=f"accepts commands from controller {there.accepted}; this is controller {arm.session.number}",
     ):
         arm.read()
 
 
-def test_a_torque_that_is_no_number_is_not_sent(active: tuple[CanArm, ScriptedArm]) -> None:
+def test_a_nan_torque_is_not_sent(active: tuple[CanArm, ScriptedArm]) -> None:
     arm, there = active
     arm.values["joint_torque_command"][2] = np.nan
     with pytest.raises(SafeStop, match="finite numbers are expected"):
@@ -285,7 +289,9 @@ def test_a_torque_that_is_no_number_is_not_sent(active: tuple[CanArm, ScriptedAr
     assert there.take() is None
 
 
-def test_the_first_torque_is_none_and_grows_by_its_rate(active: tuple[CanArm, ScriptedArm]) -> None:
+def test_the_torque_starts_at_zero_and_its_rate_is_limited(
+    active: tuple[CanArm, ScriptedArm],
+) -> None:
     arm, there = active
     arm.values["torque_rate_limit"][:] = 100.0
     arm.limits.change[:] = 0.1
@@ -313,7 +319,7 @@ def test_an_arm_in_safe_stop_is_reset_before_it_is_activated(
     assert modes.index(Mode.reset) < modes.index(Mode.activate) < modes.index(Mode.torque)
 
 
-def test_giving_up_an_activation_brakes(link: tuple[CanArm, ScriptedArm]) -> None:
+def test_an_incomplete_activation_ends_with_the_brakes(link: tuple[CanArm, ScriptedArm]) -> None:
     arm, there = link
     arm.values["configure_timeout"][:] = 0.2
     there.serve()
@@ -321,14 +327,14 @@ def test_giving_up_an_activation_brakes(link: tuple[CanArm, ScriptedArm]) -> Non
     arm.prepare()
     there.pause()
 
-    def stubborn() -> None:
+    def stay_inactive() -> None:
         while not done.wait(0.001):
             there.take()
             there.life = LifeCycle.inactive
             there.send()
 
     done = threading.Event()
-    thread = threading.Thread(target=stubborn)
+    thread = threading.Thread(target=stay_inactive)
     thread.start()
     try:
         with pytest.raises(DeviceError, match="does not become active; its state is inactive"):
@@ -341,7 +347,7 @@ def test_giving_up_an_activation_brakes(link: tuple[CanArm, ScriptedArm]) -> Non
     assert there.received[-1]["mode"][0] == Mode.brake
 
 
-def test_an_arm_far_from_the_start_is_refused_with_both_numbers(
+def test_an_arm_far_from_the_start_is_rejected_with_both_numbers(
     link: tuple[CanArm, ScriptedArm],
 ) -> None:
     arm, there = link
@@ -381,7 +387,7 @@ def test_a_joint_too_fast_or_beyond_its_range_stops(active: tuple[CanArm, Script
 def brought_to_rest(
     arm: CanArm, there: ScriptedArm, seconds: float = 2.0
 ) -> list[dict[str, list[float]]]:
-    """The commands of a ramp-down, each answered by a state frame a cycle."""
+    """Ramp the arm down with one state frame per cycle, and return the commands."""
     arm.revoke("a test")
     there.take()
     there.received.clear()
@@ -394,10 +400,10 @@ def brought_to_rest(
     return list(there.received)
 
 
-def test_an_arm_that_tells_nothing_is_ramped_down_all_the_same(
+def test_an_arm_that_reports_no_state_is_ramped_down(
     link: tuple[CanArm, ScriptedArm],
 ) -> None:
-    """Without life cycle and brakes in its DBC, an arm is not taken to stand before the ramp is over."""
+    """Without life cycle and brakes in its DBC, the arm counts as moving until the ramp ends."""
     _, there = link
     channel = link[0].options.channel
     there.implicit = True
@@ -426,10 +432,10 @@ def test_an_arm_that_tells_nothing_is_ramped_down_all_the_same(
         arm.deactivate()
 
 
-def test_an_arm_that_tells_nothing_is_activated_although_the_base_took_its_time(
+def test_an_arm_that_reports_no_state_is_activated_after_a_pause(
     link: tuple[CanArm, ScriptedArm],
 ) -> None:
-    """Between the two halves of an activation its frames are not read: old ones do not count."""
+    """State frames from between `prepare` and `activate` are discarded unread."""
     _, there = link
     there.implicit = True
     arm = CanArm("arm", ArmOptions(channel=link[0].options.channel, implicit=True))
@@ -451,7 +457,7 @@ def test_an_arm_that_tells_nothing_is_activated_although_the_base_took_its_time(
         arm.deactivate()
 
 
-def test_an_arm_that_tells_is_at_rest_once_it_says_so(active: tuple[CanArm, ScriptedArm]) -> None:
+def test_an_arm_is_at_rest_once_it_reports_that(active: tuple[CanArm, ScriptedArm]) -> None:
     arm, there = active
     arm._last_torque = np.full(N, 0.5)
     arm.revoke("a test")
@@ -459,15 +465,15 @@ def test_an_arm_that_tells_is_at_rest_once_it_says_so(active: tuple[CanArm, Scri
     for k in range(400):
         there.send()
         arm.ramp_down(k * 1e-3)
-    assert not arm.at_rest  # it has not said so
+    assert not arm.at_rest  # the arm has not reported it
     there.life = LifeCycle.inactive
     there.send()
     assert arm.ramp_down(0.4)
     assert arm.at_rest
 
 
-def test_an_arm_in_a_stop_of_its_own_is_left_to_it(active: tuple[CanArm, ScriptedArm]) -> None:
-    """Its own damped ramp must not be cut short by our brakes."""
+def test_an_arm_that_stops_by_itself_gets_no_command(active: tuple[CanArm, ScriptedArm]) -> None:
+    """A brake command of the host would end the arm's own damped ramp early."""
     arm, there = active
     arm.revoke("a test")
     there.life = LifeCycle.safe_stop
@@ -482,17 +488,17 @@ def test_an_arm_in_a_stop_of_its_own_is_left_to_it(active: tuple[CanArm, Scripte
     arm.deactivate()
     there.take()
     assert [c for c in there.received if c["mode"][0] != Mode.torque] == []
-    assert len(there.received) <= 1  # the answer to the frame that told it
+    assert len(there.received) <= 1  # the answer to the frame that reported the stop
 
 
-def test_a_state_that_nobody_knows_is_a_fault(active: tuple[CanArm, ScriptedArm]) -> None:
+def test_an_unknown_state_number_is_a_fault(active: tuple[CanArm, ScriptedArm]) -> None:
     arm, there = active
     there.send(life_cycle=(7.0,))
     with pytest.raises(SafeStop, match="went to a state of the unknown number 7 by itself"):
         arm.read()
 
 
-def test_frames_that_hold_unequal_cycle_numbers_are_answered_by_the_narrower(
+def test_the_narrower_cycle_number_of_both_frames_is_used(
     active: tuple[CanArm, ScriptedArm],
 ) -> None:
     arm, there = active
@@ -506,7 +512,9 @@ def test_frames_that_hold_unequal_cycle_numbers_are_answered_by_the_narrower(
     assert command["answered_cycle"][0] == 1618 % 256
 
 
-def test_a_claim_is_kept_while_others_take_their_time(link: tuple[CanArm, ScriptedArm]) -> None:
+def test_a_claim_is_kept_while_other_devices_are_activated(
+    link: tuple[CanArm, ScriptedArm],
+) -> None:
     arm, there = link
     there.serve()
     arm.configure()
@@ -521,15 +529,15 @@ def test_a_claim_is_kept_while_others_take_their_time(link: tuple[CanArm, Script
     assert (command["mode"][0], command["controller"][0]) == (Mode.idle, arm.session.number)
 
 
-@pytest.mark.parametrize(("ours", "refused"), [(1.0, False), (0.5, False), (1.1, True)])
+@pytest.mark.parametrize(("limit", "rejected"), [(1.0, False), (0.5, False), (1.1, True)])
 def test_speeds_and_torques_may_be_narrower_than_the_arms_own_but_not_wider(
-    link: tuple[CanArm, ScriptedArm], ours: float, refused: bool
+    link: tuple[CanArm, ScriptedArm], limit: float, rejected: bool
 ) -> None:
     arm, there = link
     there.serve()
     for name in ("joint_effort_limit", "joint_velocity_limit"):
-        arm.values[name][:] = ours
-    if refused:
+        arm.values[name][:] = limit
+    if rejected:
         with pytest.raises(
             DeviceError,
             match=r"its joint velocity limit of joint 1 is 1 rad/s, .* robot has 1\.1 rad/s",
@@ -542,7 +550,7 @@ def test_speeds_and_torques_may_be_narrower_than_the_arms_own_but_not_wider(
 # Before the activation
 
 
-def test_configuration_and_the_check_of_the_start_only_listen(
+def test_configuration_and_start_check_send_nothing(
     link: tuple[CanArm, ScriptedArm],
 ) -> None:
     arm, there = link
@@ -552,11 +560,11 @@ def test_configuration_and_the_check_of_the_start_only_listen(
     there.pause()
     assert there.take() is None
     assert there.received == []
-    assert there.obeyed == 0
+    assert there.accepted == 0
     assert arm.state.now is LifeCycle.inactive
 
 
-def test_the_first_half_of_an_activation_claims_a_number_and_leaves_the_brakes(
+def test_prepare_claims_a_number_and_keeps_the_brakes_engaged(
     link: tuple[CanArm, ScriptedArm],
 ) -> None:
     arm, there = link
@@ -567,12 +575,12 @@ def test_the_first_half_of_an_activation_claims_a_number_and_leaves_the_brakes(
     there.pause()
     there.take()
     assert {c["mode"][0] for c in there.received} == {Mode.reset}
-    assert {c["controller"][0] for c in there.received} == {there.obeyed} == {arm.session.number}
+    assert {c["controller"][0] for c in there.received} == {there.accepted} == {arm.session.number}
     assert there.life is LifeCycle.inactive
     assert not arm.session.permit.is_held
 
 
-def test_every_activation_has_a_session_of_its_own(link: tuple[CanArm, ScriptedArm]) -> None:
+def test_every_activation_has_a_new_session(link: tuple[CanArm, ScriptedArm]) -> None:
     arm, there = link
     there.serve()
     arm.configure()
@@ -581,55 +589,57 @@ def test_every_activation_has_a_session_of_its_own(link: tuple[CanArm, ScriptedA
     arm.activate(lambda: False)
     with pytest.raises(RuntimeError, match="a permit is taken once"):
         arm.activate(lambda: False)
-    there.obeyed, there.life = 0, LifeCycle.inactive
+    there.accepted, there.life = 0, LifeCycle.inactive
     arm.prepare()
     assert arm.session is not first
     assert arm.session.permit is not first.permit
 
 
-def test_an_arm_that_takes_no_claim_is_refused_with_whom_it_obeys(
+def test_an_arm_that_accepts_no_claim_is_rejected_with_the_echoed_number(
     link: tuple[CanArm, ScriptedArm],
 ) -> None:
     arm, there = link
     arm.values["configure_timeout"][:] = 0.3
-    there.is_deaf = True
+    there.ignores_commands = True
     there.serve()
     arm.configure()
     with pytest.raises(
         DeviceError,
-        match=r"sends its state \(inactive\), but does not take .* commands: it obeys none",
+        match=r"sends its state \(inactive\), but does not accept .* commands; the session number that it echoes is none",
     ):
         arm.prepare()
 
 
 @pytest.mark.parametrize("life", [LifeCycle.inactive, LifeCycle.active])
-def test_an_arm_that_obeys_another_controller_is_refused_with_both_numbers(
+def test_an_arm_that_accepts_another_controller_is_rejected_with_both_numbers(
     link: tuple[CanArm, ScriptedArm], life: LifeCycle
 ) -> None:
     arm, there = link
-    there.obeyed, there.life = 4711, life
+    there.accepted, there.life = 4711, life
     there.serve()
     with pytest.raises(
         DeviceError,
-        match=r"obeys controller 4711 already; this is controller \d+: stop that one first",
+        match=r"accepts commands from controller 4711 already; this is controller \d+: stop the other controller first",
     ):
         arm.configure()
     there.pause()
     assert there.take() is None
 
 
-def test_an_arm_that_is_claimed_by_another_at_the_last_moment_is_refused(
+def test_an_arm_that_another_controller_claims_before_prepare_is_rejected(
     link: tuple[CanArm, ScriptedArm],
 ) -> None:
     arm, there = link
     there.serve()
     arm.configure()
-    there.obeyed = 4711
-    with pytest.raises(DeviceError, match="obeys controller 4711 already"):
+    there.accepted = 4711
+    with pytest.raises(DeviceError, match="accepts commands from controller 4711 already"):
         arm.prepare()
 
 
-def test_an_arm_that_is_active_for_nobody_is_refused(link: tuple[CanArm, ScriptedArm]) -> None:
+def test_an_arm_that_is_active_without_a_session_is_rejected(
+    link: tuple[CanArm, ScriptedArm],
+) -> None:
     arm, there = link
     there.life = LifeCycle.active
     there.serve()
@@ -651,7 +661,7 @@ def test_nothing_is_commanded_before_the_activation(link: tuple[CanArm, Scripted
 
 
 class Foreign:
-    """Another controller's command frames, or another arm's state frames, one each millisecond."""
+    """Sender of another controller's command frames, or of another arm's state frames, at 1 kHz."""
 
     def __init__(self, channel: str, frame: str) -> None:
         frames = ArmFrames(FrameMapping(), N)
@@ -667,7 +677,7 @@ class Foreign:
             self.sender.send({"controller": (4711.0,), "cycle": (float(cycle),)})
 
     def __enter__(self) -> Foreign:
-        for _ in range(128):  # far from the other arm's counter
+        for _ in range(128):  # move the counter far away from that of the other arm
             self.sender._protector.protect(bytearray(64))  # type: ignore[union-attr]
         self._thread.start()
         return self
@@ -683,12 +693,12 @@ class Foreign:
     [
         (
             "command",
-            "another controller sends the command frame ArmCommand .*, of session 4711; stop that one first",
+            "another controller sends the command frame ArmCommand .*, of session 4711; stop the other controller first",
         ),
         ("state", "two senders send the state frame ArmState"),
     ],
 )
-def test_a_second_controller_or_a_second_arm_is_refused_before_anything_is_sent(
+def test_a_second_controller_or_a_second_arm_is_rejected_before_anything_is_sent(
     link: tuple[CanArm, ScriptedArm], frame: str, sentence: str
 ) -> None:
     arm, there = link
@@ -717,16 +727,16 @@ def test_a_second_controller_stops_a_loop(active: tuple[CanArm, ScriptedArm]) ->
         bus.shutdown()
 
 
-# Hold-ups
+# Delays of the loop
 
 
 def held_up(arm: CanArm) -> None:
-    """The loop stands still for longer than the arm's watchdog."""
+    """Delay the loop for longer than the arm's watchdog."""
     arm.session.permit.watchdog = 10_000_000
     time.sleep(0.05)
 
 
-def test_after_a_hold_up_no_torque_goes_out(active: tuple[CanArm, ScriptedArm]) -> None:
+def test_after_a_delay_of_the_loop_no_torque_is_sent(active: tuple[CanArm, ScriptedArm]) -> None:
     arm, there = active
     arm.values["joint_torque_command"][:] = 0.5
     held_up(arm)
@@ -738,7 +748,7 @@ def test_after_a_hold_up_no_torque_goes_out(active: tuple[CanArm, ScriptedArm]) 
     assert there.take() is None
 
 
-def test_a_hold_up_is_noticed_when_the_next_state_frame_is_read(
+def test_a_delay_of_the_loop_is_detected_at_the_next_state_frame(
     active: tuple[CanArm, ScriptedArm],
 ) -> None:
     arm, there = active
@@ -748,10 +758,10 @@ def test_a_hold_up_is_noticed_when_the_next_state_frame_is_read(
         arm.read()
 
 
-def test_the_ramp_down_after_a_hold_up_has_no_torque_and_ends_with_the_brakes(
+def test_the_ramp_down_after_a_delay_of_the_loop_has_no_torque_and_ends_with_the_brakes(
     active: tuple[CanArm, ScriptedArm],
 ) -> None:
-    """No state frame that is young enough says that the arm is active still."""
+    """No recent state frame shows that the arm is still active."""
     arm, there = active
     arm._last_torque = np.full(N, 0.5)
     arm._stopping_torque = np.full(N, 0.5)
@@ -766,11 +776,11 @@ def test_the_ramp_down_after_a_hold_up_has_no_torque_and_ends_with_the_brakes(
     assert all(not any(c["joint_torque_command"]) for c in there.received)
 
 
-def test_a_hold_up_during_the_activation_ends_it_with_the_brakes(
+def test_a_delay_of_the_loop_during_the_activation_ends_it_with_the_brakes(
     link: tuple[CanArm, ScriptedArm],
 ) -> None:
     arm, there = link
-    there.is_stubborn = True
+    there.ignores_activation = True
     there.serve()
     arm.configure()
     arm.prepare()
@@ -787,7 +797,7 @@ def test_a_hold_up_during_the_activation_ends_it_with_the_brakes(
     assert arm.state.now is LifeCycle.inactive
 
 
-def test_a_frame_that_is_not_permitted_any_more_once_it_is_ready_is_not_sent(
+def test_a_frame_whose_permission_ended_is_not_sent(
     active: tuple[CanArm, ScriptedArm],
 ) -> None:
     arm, there = active
@@ -797,7 +807,7 @@ def test_a_frame_that_is_not_permitted_any_more_once_it_is_ready_is_not_sent(
     assert there.take() is None
 
 
-# The end
+# During and after a stop
 
 
 def test_after_a_reason_to_stop_only_the_ramp_down_sends(
@@ -812,10 +822,10 @@ def test_after_a_reason_to_stop_only_the_ramp_down_sends(
     assert {c["mode"][0] for c in brought_to_rest(arm, there)} == {Mode.torque, Mode.brake}
 
 
-def test_an_arm_that_stops_during_the_ramp_down_gets_no_torque_any_more(
+def test_an_arm_that_stops_during_the_ramp_down_gets_no_more_torque(
     active: tuple[CanArm, ScriptedArm],
 ) -> None:
-    """It has stopped by itself, and torque is for an active one."""
+    """Only an active arm gets torque."""
     arm, there = active
     arm._last_torque = np.full(N, 0.5)
     arm.revoke("the user stopped")
@@ -834,26 +844,26 @@ def test_an_arm_that_stops_during_the_ramp_down_gets_no_torque_any_more(
     assert Mode.torque not in {c["mode"][0] for c in there.received}
 
 
-def test_frames_that_wait_in_the_interface_are_thrown_away_by_a_reason_to_stop(
+def test_a_reason_to_stop_discards_the_frames_queued_in_the_interface(
     active: tuple[CanArm, ScriptedArm], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     arm, _ = active
-    asked = []
+    calls = []
 
     def flush() -> None:
-        asked.append(True)
+        calls.append(True)
         raise NotImplementedError
 
     monkeypatch.setattr(arm._bus, "flush_tx_buffer", flush)
     arm.revoke("the user stopped")
-    assert asked
+    assert calls
     assert arm.session.permit.lost == "the user stopped"
 
 
-def test_lost_cycles_under_a_flood_say_so(active: tuple[CanArm, ScriptedArm]) -> None:
+def test_lost_cycles_during_a_flood_report_the_flood(active: tuple[CanArm, ScriptedArm]) -> None:
     arm, _ = active
     arm._states.others = 10 * arm._states.receiver.accepted
-    reason = r"cycles in a row were lost.*; a flood of frames: \d+ of other identifiers came beside"
+    reason = r"cycles in a row were lost.*; a flood of frames: \d+ with other identifiers were received beside"
     with pytest.raises(SafeStop, match=reason):  # noqa: PT012
         for _ in range(20):
             arm.read()

@@ -1,4 +1,4 @@
-"""E2E profile 5 against the AUTOSAR specification, and what the counter's rules let through."""
+"""E2E profile 5 against the AUTOSAR specification, and the acceptance rules of the counter."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ def protected(data: bytes, counter: int = 0, offset: int = 0) -> bytearray:
 
 
 def test_the_vectors_of_the_specification() -> None:
-    """AUTOSAR FO PRS E2E Protocol (849), examples of profile 5: all data 0, data ID 0x1234, counter 0."""
+    """AUTOSAR FO PRS E2E Protocol (849), profile 5: all data 0, data ID 0x1234, counter 0."""
     assert protected(bytes(8)).hex() == "1cca000000000000"
     assert protected(bytes(16), offset=8).hex() == "00000000000000002891000000000000"
 
 
 def crc_16_ccitt_false(data: bytes) -> int:
-    """An independent, bitwise CRC-16 with polynomial 0x1021, start 0xFFFF, as the specification gives it."""
+    """Independent bitwise CRC-16 of the specification: polynomial 0x1021, start value 0xFFFF."""
     crc = 0xFFFF
     for byte in data:
         crc ^= byte << 8
@@ -45,18 +45,18 @@ def test_the_crc_is_that_of_the_rest_of_the_frame_and_the_data_id(
 
 
 @given(st.binary(min_size=8, max_size=64), st.data())
-def test_up_to_three_flipped_bits_anywhere_are_seen(data: bytes, draw: st.DataObject) -> None:
+def test_up_to_three_flipped_bits_are_detected(data: bytes, draw: st.DataObject) -> None:
     frame = protected(data)
     for bit in draw.draw(st.sets(st.integers(0, 8 * len(frame) - 1), min_size=1, max_size=3)):
         frame[bit // 8] ^= 1 << bit % 8
     assert Checker(DATA_ID).check(frame) is Status.wrong_crc
 
 
-def test_another_frames_data_id_is_seen() -> None:
+def test_the_data_id_of_another_frame_is_detected() -> None:
     assert Checker(DATA_ID + 1).check(protected(bytes(24))) is Status.wrong_crc
 
 
-def test_repetition_loss_and_a_far_jump() -> None:
+def test_repetition_loss_and_a_large_jump_are_detected() -> None:
     checker = Checker(DATA_ID, most_lost=10)
     frames = [protected(bytes(8), counter=k) for k in range(256)]
     assert [checker.check(frames[k]) for k in (0, 1, 1, 4, 14, 40, 41)] == [
@@ -71,7 +71,7 @@ def test_repetition_loss_and_a_far_jump() -> None:
     assert checker.check(frames[30]) is Status.wrong_sequence  # backwards
 
 
-def test_the_counter_runs_over() -> None:
+def test_the_counter_wraps_around() -> None:
     protector, checker = Protector(DATA_ID), Checker(DATA_ID)
     for _ in range(600):
         frame = bytearray(8)
@@ -79,6 +79,6 @@ def test_the_counter_runs_over() -> None:
         assert checker.check(frame) is Status.ok
 
 
-def test_a_short_frame_is_refused() -> None:
+def test_a_short_frame_is_rejected() -> None:
     assert Checker(DATA_ID).check(b"\x00\x00") is Status.wrong_crc
     assert Checker(DATA_ID, offset=8).check(bytes(9)) is Status.wrong_crc

@@ -1,4 +1,4 @@
-"""The arm's frames: the shipped DBC, a user's own, and every mistake in one."""
+"""Frames of the arm: the shipped DBC, a user's DBC, and the errors in one."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from freeflyer_adapters.arm.can_arm import CanArm
 from freeflyer_adapters.arm.frames import (
+    CONSEQUENCES,
     NEEDED,
-    PROMISES,
     SHIPPED_DBC,
     ArmFrames,
     FrameMapping,
@@ -65,7 +65,9 @@ def own(folder: Path, text: str = OWN) -> Path:
 
 
 @given(st.data())
-def test_what_goes_in_comes_out_to_half_a_step(draw: st.DataObject) -> None:
+def test_packing_and_unpacking_returns_values_within_half_the_resolution(
+    draw: st.DataObject,
+) -> None:
     numbers = {
         name: draw.draw(st.lists(st.floats(-room, room), min_size=6, max_size=6), label=name)
         for name, room in ROOM.items()
@@ -77,7 +79,7 @@ def test_what_goes_in_comes_out_to_half_a_step(draw: st.DataObject) -> None:
         assert found[name] == pytest.approx(values, abs=half * 1.0001)
 
 
-def test_values_beyond_what_a_signal_holds_are_held_at_its_end() -> None:
+def test_values_beyond_the_range_of_a_signal_are_clamped() -> None:
     found = shipped().state.unpack(
         shipped().state.pack({"joint_torque": [1e9, -1e9, 0.0, 0.0, 0.0, 0.0]})
     )
@@ -88,12 +90,12 @@ def test_the_shipped_frames_hold_seven_joints_and_fit_the_bus_in_a_cycle() -> No
     seven = ArmFrames(FrameMapping(), 7)
     assert (seven.command.size, seven.state.size) == (24, 64)
     assert bus_load([(f.size, f.is_fd) for f in (seven.command, seven.state)], 1e-3) < 0.35
-    # Three classic frames for seven joints' state alone would not fit at 1 Mbit/s beside the commands.
+    # At 1 Mbit/s, 14 classic frames (one command and one state frame per joint) exceed the cycle.
     assert 14 * frame_time(8, False) / 1e-3 > 1.0
 
 
-def test_a_frame_of_eight_bytes_takes_what_the_literature_says() -> None:
-    """A classic frame with 8 data bytes and an 11-bit identifier: at most 135 bits (Davis et al. 2007)."""
+def test_the_longest_frame_of_eight_bytes_agrees_with_the_literature() -> None:
+    """At most 135 bits for 8 data bytes and an 11-bit identifier (Davis et al. 2007)."""
     assert frame_time(8, False, nominal=1e6) == pytest.approx(135e-6)
 
 
@@ -129,7 +131,7 @@ def test_a_users_own_dbc_in_other_units_and_byte_order(tmp_path: Path) -> None:
         ({"dbc": Path("none.dbc")}, "cannot be read"),
     ],
 )
-def test_a_mapping_that_does_not_fit_is_refused(
+def test_a_mapping_that_does_not_fit_is_rejected(
     tmp_path: Path, change: dict[str, object], sentence: str
 ) -> None:
     arguments = {"dbc": own(tmp_path), "messages": MESSAGES, "signals": SIGNALS, **change}
@@ -142,19 +144,19 @@ def test_a_mapping_that_does_not_fit_is_refused(
     ("text", "sentence"),
     [
         (OWN.replace("513 STATUS: 16", "513 STATUS: 8"), "cannot be used"),
-        (OWN.replace("513 STATUS: 16", "513 STATUS: 17"), "17 bytes long"),
+        (OWN.replace("513 STATUS: 16", "513 STATUS: 17"), "has 17 bytes"),
         (OWN.replace('"deg" PC', '"N" PC'), "is in 'N'; rad is expected"),
         ("BO_ nonsense", "cannot be used"),
         (OWN + "SIG_VALTYPE_ 513 Q_A : 1;\n", "floating-point|cannot be used"),
     ],
 )
-def test_a_dbc_that_cannot_be_used_is_refused(tmp_path: Path, text: str, sentence: str) -> None:
+def test_a_dbc_that_cannot_be_used_is_rejected(tmp_path: Path, text: str, sentence: str) -> None:
     with pytest.raises(DeviceError, match=sentence) as caught:
         ArmFrames(FrameMapping(dbc=own(tmp_path, text), messages=MESSAGES, signals=SIGNALS), 2)
     assert "\n" not in str(caught.value)
 
 
-def test_a_scale_that_cannot_hold_the_torque_range_is_refused_with_the_numbers(
+def test_a_scale_that_cannot_hold_the_torque_range_is_rejected_with_the_numbers(
     tmp_path: Path,
 ) -> None:
     frames = ArmFrames(FrameMapping(dbc=own(tmp_path), messages=MESSAGES, signals=SIGNALS), 2)
@@ -165,20 +167,20 @@ def test_a_scale_that_cannot_hold_the_torque_range_is_refused_with_the_numbers(
         frames.check_ranges({"joint_torque_command": [(-400.0, 400.0)] * 2})
 
 
-def test_the_shipped_dbc_is_where_the_package_says() -> None:
+def test_the_shipped_dbc_exists() -> None:
     assert SHIPPED_DBC.is_file()
 
 
-# What a DBC may lack
+# Optional signals of a DBC
 
 WHOLE = OWN.replace(
     "BO_ 513",
     ' SG_ Order : 39|8@0+ (1,0) [0|0] "" Drive\n'
-    ' SG_ Who : 47|8@0+ (1,0) [0|0] "" Drive\n'
-    ' SG_ To : 55|8@0+ (1,0) [0|0] "" Drive\n'
+    ' SG_ Sender : 47|8@0+ (1,0) [0|0] "" Drive\n'
+    ' SG_ Answered : 55|8@0+ (1,0) [0|0] "" Drive\n'
     "BO_ 513",
 ) + (
-    ' SG_ Whose : 111|8@0+ (1,0) [0|0] "" PC\n'
+    ' SG_ Accepted : 111|8@0+ (1,0) [0|0] "" PC\n'
     ' SG_ Life : 119|4@0+ (1,0) [0|0] "" PC\n'
     ' SG_ Brakes : 115|1@0+ (1,0) [0|0] "" PC\n'
     ' SG_ Echo : 127|8@0+ (1,0) [0|0] "" PC\n'
@@ -186,14 +188,14 @@ WHOLE = OWN.replace(
 EVERYTHING = {
     **SIGNALS,
     "mode": "Order",
-    "controller": "Who",
-    "answered_cycle": "To",
-    "obeyed_controller": "Whose",
+    "controller": "Sender",
+    "answered_cycle": "Answered",
+    "obeyed_controller": "Accepted",
     "life_cycle": "Life",
     "brakes": "Brakes",
     "echoed_cycle": "Echo",
 }
-OPTIONAL = [name for name in PROMISES if name not in NEEDED]
+OPTIONAL = [name for name in CONSEQUENCES if name not in NEEDED]
 
 
 def mapped(folder: Path, *without: str) -> FrameMapping:
@@ -204,16 +206,16 @@ def mapped(folder: Path, *without: str) -> FrameMapping:
     )
 
 
-def test_a_dbc_with_everything_is_accepted_and_lacks_nothing(tmp_path: Path) -> None:
+def test_a_complete_dbc_is_accepted_without_limits(tmp_path: Path) -> None:
     frames = ArmFrames(mapped(tmp_path), 2)
     frames.check_activation("arm", implicit=False)
-    assert frames.lacking == []
+    assert frames.missing == []
     assert frames.cannot_refuse(implicit=False) == []
     CanArm("arm", ArmOptions(joints=2, frames=mapped(tmp_path)))
 
 
 @pytest.mark.parametrize("name", NEEDED)
-def test_a_dbc_without_what_an_activation_needs_is_refused_unless_the_scenario_says_implicit(
+def test_a_dbc_that_cannot_reject_an_activation_needs_activation_implicit(
     tmp_path: Path, name: str
 ) -> None:
     mapping = mapped(tmp_path, name)
@@ -225,46 +227,50 @@ def test_a_dbc_without_what_an_activation_needs_is_refused_unless_the_scenario_s
         CanArm("arm", ArmOptions(joints=2, frames=mapping))
     frames.check_activation("arm", implicit=True)
     arm = CanArm("arm", ArmOptions(joints=2, frames=mapping, implicit=True))
-    assert arm.cannot_refuse == [f"without {name} {PROMISES[name]}"]
+    assert arm.cannot_refuse == [f"without {name}, {CONSEQUENCES[name]}"]
 
 
 @pytest.mark.parametrize("name", OPTIONAL)
-def test_a_dbc_without_what_only_tells_more_is_accepted_and_said(tmp_path: Path, name: str) -> None:
+def test_a_dbc_without_an_optional_signal_is_accepted_and_reported(
+    tmp_path: Path, name: str
+) -> None:
     arm = CanArm("arm", ArmOptions(joints=2, frames=mapped(tmp_path, name)))
-    assert arm.cannot_refuse == [f"without {name} {PROMISES[name]}"]
+    assert arm.cannot_refuse == [f"without {name}, {CONSEQUENCES[name]}"]
 
 
-def test_all_that_is_missing_is_named_at_once(tmp_path: Path) -> None:
-    frames = ArmFrames(mapped(tmp_path, *PROMISES), 2)
+def test_all_missing_signals_are_named_in_one_error(tmp_path: Path) -> None:
+    frames = ArmFrames(mapped(tmp_path, *CONSEQUENCES), 2)
     with pytest.raises(DeviceError) as caught:
         frames.check_activation("arm", implicit=False)
     assert all(name in str(caught.value) for name in NEEDED)
     assert not any(name in str(caught.value) for name in OPTIONAL)
-    assert len(frames.cannot_refuse(implicit=True)) == len(PROMISES)
+    assert len(frames.cannot_refuse(implicit=True)) == len(CONSEQUENCES)
 
 
-def test_a_number_for_activate_without_a_signal_for_it_is_none(tmp_path: Path) -> None:
+def test_a_number_for_activate_needs_a_mode_signal(tmp_path: Path) -> None:
     frames = ArmFrames(mapped(tmp_path, "mode"), 2)
-    assert "mode_values.activate" in frames.lacking
+    assert "mode_values.activate" in frames.missing
 
 
-def test_an_arm_that_could_refuse_but_is_used_as_implicit_says_what_is_lost() -> None:
+def test_implicit_activation_of_a_complete_dbc_reports_the_limit() -> None:
     arm = CanArm("arm", ArmOptions(implicit=True))
-    assert arm.cannot_refuse == [f'with activation = "implicit" {PROMISES["mode_values.activate"]}']
+    assert arm.cannot_refuse == [
+        f'with activation = "implicit", {CONSEQUENCES["mode_values.activate"]}'
+    ]
     assert CanArm("arm", ArmOptions()).cannot_refuse == []
 
 
 @pytest.mark.parametrize(
-    ("said", "implicit"),
+    ("options", "implicit"),
     [({}, False), ({"activation": "explicit"}, False), ({"activation": "implicit"}, True)],
 )
-def test_a_scenario_says_how_the_arm_is_activated(
-    tmp_path: Path, said: dict[str, Any], implicit: bool
+def test_the_activation_option_selects_the_kind_of_activation(
+    tmp_path: Path, options: dict[str, Any], implicit: bool
 ) -> None:
-    assert options_from("arm", said, tmp_path).implicit is implicit
+    assert options_from("arm", options, tmp_path).implicit is implicit
 
 
-def test_another_word_for_the_activation_is_refused(tmp_path: Path) -> None:
+def test_an_unknown_kind_of_activation_is_rejected(tmp_path: Path) -> None:
     with pytest.raises(
         DeviceError, match="activation is 'automatic'; 'explicit' or 'implicit' is expected"
     ):
@@ -275,7 +281,7 @@ def test_a_copy_of_the_shipped_dbc_counts_as_the_shipped_profile(tmp_path: Path)
     mapping = FrameMapping(dbc=own(tmp_path, SHIPPED_DBC.read_text()))
     assert mapping.has_shipped_names
     frames = ArmFrames(mapping, 6)
-    assert frames.lacking == []
+    assert frames.missing == []
     assert frames.mode_number(Mode.activate) == Mode.activate
 
 
@@ -290,7 +296,9 @@ OPTIONAL_SIGNALS = [
 
 
 @pytest.mark.parametrize("name", OPTIONAL_SIGNALS)
-def test_a_copy_with_one_other_name_does_not(tmp_path: Path, name: str) -> None:
+def test_a_copy_with_one_different_name_is_not_the_shipped_profile(
+    tmp_path: Path, name: str
+) -> None:
     text = SHIPPED_DBC.read_text().replace(f" {name} ", f" {name}X ")
     mapping = FrameMapping(dbc=own(tmp_path, text))
     assert not mapping.has_shipped_names
@@ -298,10 +306,10 @@ def test_a_copy_with_one_other_name_does_not(tmp_path: Path, name: str) -> None:
         ArmFrames(mapping, 6).check_activation("arm", implicit=False)
 
 
-def test_a_copy_of_the_shipped_dbc_with_a_mapping_has_what_the_mapping_says(tmp_path: Path) -> None:
+def test_a_copy_of_the_shipped_dbc_with_a_mapping_uses_mapped_signals_only(tmp_path: Path) -> None:
     mapping = FrameMapping(dbc=own(tmp_path, SHIPPED_DBC.read_text()), signals={"mode": "Mode"})
     assert not mapping.has_shipped_names
-    assert "controller" in ArmFrames(mapping, 6).lacking
+    assert "controller" in ArmFrames(mapping, 6).missing
 
 
 @pytest.mark.parametrize(
@@ -311,7 +319,7 @@ def test_a_copy_of_the_shipped_dbc_with_a_mapping_has_what_the_mapping_says(tmp_
         (OWN.replace("BO_ 513", "BO_ 512"), MESSAGES),
     ],
 )
-def test_command_and_state_frame_with_one_identifier_are_refused(
+def test_command_and_state_frame_with_one_identifier_are_rejected(
     tmp_path: Path, text: str, messages: dict[str, str]
 ) -> None:
     signals = (
@@ -324,7 +332,7 @@ def test_command_and_state_frame_with_one_identifier_are_refused(
     assert "\n" not in str(caught.value)
 
 
-def test_one_number_as_a_short_and_as_a_long_identifier_is_two(tmp_path: Path) -> None:
+def test_a_standard_and_an_extended_identifier_with_one_number_differ(tmp_path: Path) -> None:
     text = OWN.replace("BO_ 513", f"BO_ {512 + (1 << 31)}")
     frames = ArmFrames(FrameMapping(dbc=own(tmp_path, text), messages=MESSAGES, signals=SIGNALS), 2)
     assert frames.command.identifier == frames.state.identifier == 512
@@ -338,7 +346,7 @@ def test_one_number_as_a_short_and_as_a_long_identifier_is_two(tmp_path: Path) -
         ({"activated": 4}, "did you mean 'activate'"),
     ],
 )
-def test_a_number_for_activate_that_cannot_be_is_refused(
+def test_an_invalid_number_for_activate_is_rejected(
     tmp_path: Path, values: dict[str, int], sentence: str
 ) -> None:
     mapping = FrameMapping(

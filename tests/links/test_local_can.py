@@ -1,4 +1,4 @@
-"""What python-can promises of a bus, run on the local interface and, where it makes sense, on python-can's own virtual one."""
+"""Contract of a python-can bus, tested on the local interface and on python-can's virtual one."""
 
 from __future__ import annotations
 
@@ -83,18 +83,18 @@ def test_a_frame_arrives_as_it_was_sent(opened: Opener, frame: can.Message) -> N
     assert before - 1e-3 <= found.timestamp <= time.time() + 1e-3
 
 
-def test_a_sender_does_not_hear_itself_unless_asked(opened: Opener) -> None:
-    deaf, hearing = opened(), opened(receive_own_messages=True)
-    deaf.send(FRAMES[0])
-    assert hearing.recv(2.0) is not None
-    assert deaf.recv(0.0) is None
-    hearing.send(FRAMES[0])
-    own = hearing.recv(2.0)
+def test_a_sender_receives_own_frames_only_on_request(opened: Opener) -> None:
+    without_own, with_own = opened(), opened(receive_own_messages=True)
+    without_own.send(FRAMES[0])
+    assert with_own.recv(2.0) is not None
+    assert without_own.recv(0.0) is None
+    with_own.send(FRAMES[0])
+    own = with_own.recv(2.0)
     assert own is not None
     assert not own.is_rx
 
 
-def test_every_peer_hears_every_other_in_the_senders_order(opened: Opener) -> None:
+def test_every_peer_receives_all_frames_in_the_order_of_the_sender(opened: Opener) -> None:
     buses = [opened() for _ in range(4)]
     for k in range(20):
         buses[0].send(can.Message(arbitration_id=k, is_extended_id=False))
@@ -122,9 +122,9 @@ def test_filters_let_through_what_matches(opened: Opener) -> None:
 def test_a_timeout_is_kept(opened: Opener) -> None:
     bus = opened()
     for timeout in (0.0, 0.2):
-        begin = time.monotonic()
+        start = time.monotonic()
         assert bus.recv(timeout) is None
-        assert timeout <= time.monotonic() - begin + 1e-3 < timeout + 1.0
+        assert timeout <= time.monotonic() - start + 1e-3 < timeout + 1.0
 
 
 def test_shutting_down_twice_is_harmless(opened: Opener) -> None:
@@ -145,10 +145,10 @@ def test_a_notifier_gets_every_frame(opened: Opener) -> None:
     assert [m.arbitration_id for m in found if m is not None] == list(range(50))
 
 
-# What is the local interface's own
+# Properties of the local interface only
 
 
-def test_a_classic_node_neither_sends_nor_sees_fd_frames(local: Opener) -> None:
+def test_a_classic_node_neither_sends_nor_receives_fd_frames(local: Opener) -> None:
     fd, classic = local(), local(fd=False)
     fd.send(FRAMES[4])
     fd.send(FRAMES[0])
@@ -170,17 +170,17 @@ def test_its_file_descriptor_stays_readable_while_frames_are_left(local: Opener)
     assert not select.select([receiver], [], [], 0.05)[0]
 
 
-def test_a_peer_that_does_not_read_loses_frames_and_holds_nobody_up(local: Opener) -> None:
+def test_a_peer_that_does_not_read_loses_frames_and_blocks_no_other_peer(local: Opener) -> None:
     sender, reader, _sleeper = local(), local(), local()
-    begin = time.monotonic()
+    start = time.monotonic()
     for _ in range(2000):
         sender.send(FRAMES[4])
         assert reader.recv(1.0) is not None
     assert sender.dropped > 0  # type: ignore[attr-defined]
-    assert time.monotonic() - begin < 30.0
+    assert time.monotonic() - start < 30.0
 
 
-def test_a_peer_that_dies_is_forgotten_and_leaves_no_trace(local: Opener) -> None:
+def test_a_killed_peer_is_removed_with_its_socket(local: Opener) -> None:
     here = local()
     code = (
         "import can, sys, time\n"
@@ -201,7 +201,7 @@ def test_a_peer_that_dies_is_forgotten_and_leaves_no_trace(local: Opener) -> Non
     here.send(FRAMES[0])
     assert here.recv(0.1) is None
     assert here.peers == 0  # type: ignore[attr-defined]
-    newcomer = local()  # finds the dead one's socket, and clears it away
+    newcomer = local()  # removes the socket of the killed process
     newcomer.send(FRAMES[0])
     assert here.recv(1.0) is not None
     folder = directory(here.channel_info.split("'")[1])
@@ -215,7 +215,7 @@ def test_its_directory_is_private(local: Opener) -> None:
 
 
 @pytest.mark.parametrize("channel", ["", "a/b", "..", "x" * 100, "a b"])
-def test_a_name_that_is_no_channel_is_refused(channel: str) -> None:
+def test_an_invalid_channel_name_is_rejected(channel: str) -> None:
     with pytest.raises(can.CanInitializationError):
         can.Bus(interface="local", channel=channel)
 
@@ -224,7 +224,7 @@ def test_it_is_found_by_python_can() -> None:
     assert "local" in can.VALID_INTERFACES
 
 
-def test_a_frame_for_others_does_not_end_a_recv_that_does_not_wait(local: Opener) -> None:
+def test_a_filtered_frame_does_not_end_a_recv_with_timeout_zero(local: Opener) -> None:
     sender = local()
     receiver = local(can_filters=[{"can_id": 0x181, "can_mask": 0x7FF, "extended": False}])
     for identifier in (0x200, 0x201, 0x181):
@@ -234,10 +234,10 @@ def test_a_frame_for_others_does_not_end_a_recv_that_does_not_wait(local: Opener
     assert found.arbitration_id == 0x181
 
 
-def test_what_a_node_sent_before_it_left_arrives_although_frames_waited_for_it(
+def test_the_last_frames_of_a_node_with_unread_frames_arrive(
     opened: Opener,
 ) -> None:
-    """The brakes that a controller commands last, of an arm whose state frames it has not read to the end."""
+    """Example: the last brake command of a controller that has not read all state frames."""
     leaving, staying = opened(), opened()
     staying.send(FRAMES[4])
     leaving.send(FRAMES[0])
@@ -247,7 +247,7 @@ def test_what_a_node_sent_before_it_left_arrives_although_frames_waited_for_it(
     assert found.arbitration_id == FRAMES[0].arbitration_id
 
 
-def test_what_a_node_sent_before_it_left_arrives_although_something_is_sent_first(
+def test_the_last_frames_of_a_node_arrive_after_the_receiver_has_sent(
     opened: Opener,
 ) -> None:
     leaving, staying = opened(), opened()

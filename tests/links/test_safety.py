@@ -1,4 +1,4 @@
-"""Limits, quality monitor, ramp-down, life cycle: every rule acts, and says its number and unit. No clock, no wire."""
+"""Limits, quality monitor, ramp-down and life cycle: every rule acts, with its value and unit."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def base(**changed: list[float]) -> BaseLimits:
 
 
 @given(torques, torques)
-def test_no_torque_leaves_beyond_its_limit_or_faster_than_its_rate(
+def test_sent_torques_are_within_effort_and_rate_limits(
     wanted: np.ndarray, before: np.ndarray
 ) -> None:
     limits = arm(joint_effort_limit=50.0, torque_rate_limit=2000.0)
@@ -59,7 +59,7 @@ def test_a_limit_that_clips_is_counted_by_name() -> None:
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_a_torque_that_is_no_number_stops_and_is_not_sent(bad: float) -> None:
+def test_a_non_finite_torque_stops_and_is_not_sent(bad: float) -> None:
     before = np.full(N, 0.5)
     sent, reason = arm().command(np.array([0.0, bad, 0.0, 0.0, 0.0, 0.0]), before)
     assert np.array_equal(sent, before)
@@ -88,7 +88,7 @@ def test_a_joint_near_the_end_of_its_range_stops() -> None:
 
 
 @pytest.mark.parametrize("where", ["position", "velocity"])
-def test_a_measurement_that_is_no_number_stops(where: str) -> None:
+def test_a_nan_measurement_stops(where: str) -> None:
     values = {"position": np.zeros(N), "velocity": np.zeros(N)}
     values[where][3] = np.nan
     reason = arm().measured(values["position"], values["velocity"])
@@ -99,7 +99,7 @@ def test_a_measurement_that_is_no_number_stops(where: str) -> None:
 # The base robot
 
 
-def test_a_set_point_within_everything_passes() -> None:
+def test_a_set_point_within_all_limits_passes() -> None:
     assert (
         base().setpoint(np.full(3, 0.1), IDENTITY, np.zeros(6), (np.full(3, 0.1), IDENTITY)) is None
     )
@@ -134,13 +134,13 @@ def test_a_set_point_beyond_a_limit_stops(
     assert re.search(sentence, reason), reason
 
 
-def test_a_set_point_that_turns_too_far_at_once_stops() -> None:
-    turned = np.array([np.sin(0.005), 0.0, 0.0, np.cos(0.005)])
-    reason = base().setpoint(np.zeros(3), turned, np.zeros(6), (np.zeros(3), IDENTITY))
+def test_a_set_point_with_too_large_a_rotation_in_one_cycle_stops() -> None:
+    rotated = np.array([np.sin(0.005), 0.0, 0.0, np.cos(0.005)])
+    reason = base().setpoint(np.zeros(3), rotated, np.zeros(6), (np.zeros(3), IDENTITY))
     assert reason == "the base's set point jumps by 0.01 rad in one cycle, its limit is 0.005 rad"
 
 
-def test_an_orientation_that_is_none_stops() -> None:
+def test_a_zero_quaternion_stops() -> None:
     assert "squared norm" in str(base().setpoint(np.zeros(3), np.zeros(4), np.zeros(6), None))
 
 
@@ -166,7 +166,7 @@ def monitor(consecutive: int = 2, within: int = 3, window: int = 50) -> QualityM
 @given(
     st.lists(st.booleans(), max_size=300), st.integers(1, 6), st.integers(0, 6), st.integers(1, 60)
 )
-def test_the_monitor_stops_exactly_when_its_rule_says(
+def test_the_monitor_stops_exactly_by_its_rules(
     lost: list[bool], consecutive: int, within: int, window: int
 ) -> None:
     watched = monitor(consecutive, within, window)
@@ -210,7 +210,7 @@ def test_the_arms_default_is_twenty_in_a_row() -> None:
 
 
 def test_random_loss_of_five_per_cent_stops_the_base_soon() -> None:
-    """facility.md: at 1 % the base's rule fires after some 4.5 s, at 5 % after 0.2 s (means of a geometric-like time)."""
+    """The rule stops the base after 4.5 s at 1 % loss, after 0.2 s at 5 % (means; facility.md)."""
     random = np.random.default_rng(1)
 
     def time_to_stop(share: float) -> float:
@@ -238,7 +238,7 @@ def test_the_ramp_ends_without_torque_and_never_adds_to_it_at_rest(
         assert not torque.any()
 
 
-def test_the_ramp_brakes_motion_and_is_over_at_rest_or_after_twice_its_time() -> None:
+def test_the_ramp_damps_motion_and_ends_at_rest_or_after_twice_its_time() -> None:
     ramp = RampDown(time=0.25, damping=5.0)
     moving, still = np.full(N, 1.0), np.full(N, 0.5 * AT_REST)
     assert (ramp.torque(np.zeros(N), moving, 1.0) == -5.0).all()
@@ -252,7 +252,7 @@ def test_the_ramp_brakes_motion_and_is_over_at_rest_or_after_twice_its_time() ->
 
 
 @given(st.lists(st.sampled_from(list(LifeCycle)), max_size=30))
-def test_only_transitions_of_the_table_are_made(wanted: list[LifeCycle]) -> None:
+def test_only_transitions_in_the_table_are_accepted(wanted: list[LifeCycle]) -> None:
     state = State("a device")
     for following in wanted:
         before = state.now
@@ -280,7 +280,7 @@ def test_every_limit_has_a_default_a_unit_and_an_effect(setting: Setting) -> Non
 
 
 @given(st.integers(1, 10**9), st.integers(1, 50))
-def test_a_gap_of_any_size_is_counted_in_no_time(gap: int, consecutive: int) -> None:
+def test_a_gap_of_any_size_is_counted_quickly(gap: int, consecutive: int) -> None:
     watched = monitor(consecutive, 0, 50)
     reason = watched.lose(gap)
     assert (reason is not None) == (gap >= consecutive)
@@ -288,7 +288,7 @@ def test_a_gap_of_any_size_is_counted_in_no_time(gap: int, consecutive: int) -> 
 
 
 @given(torques, torques, st.floats(1.0, 1e5))
-def test_whatever_was_sent_before_nothing_leaves_beyond_the_effort_limit(
+def test_the_effort_limit_holds_for_any_earlier_torque(
     wanted: np.ndarray, before: np.ndarray, rate: float
 ) -> None:
     sent, _ = arm(joint_effort_limit=10.0, torque_rate_limit=rate).command(wanted, before)

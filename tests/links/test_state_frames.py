@@ -1,4 +1,4 @@
-"""What the host takes from the arm's bus: the newest state frame, within its bounds, and what else is on the bus. No clock, no wire."""
+"""Reception of state frames: limits of a wait, and other senders, without a clock or a bus."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from freeflyer_adapters.foundation.environment import Environment
 
 N = 6
 READING = 1_000
-"""[ns] that it takes to look at the clock."""
+"""Duration of a clock reading [ns]."""
 
 
 @cache
@@ -26,7 +26,7 @@ def frames() -> ArmFrames:
 
 
 class Time(Environment):
-    """Passes when it is asked for, and while a bus is waited for."""
+    """Simulated clock: advances at each reading, and while the bus waits."""
 
     def __init__(self) -> None:
         self.now = 1_000_000_000
@@ -37,7 +37,10 @@ class Time(Environment):
 
 
 class Bus:
-    """Gives frames as they are asked for; what is None is silence for as long as it is waited for. `each` [ns] for a frame."""
+    """Test double of a bus that returns the frames in `coming`; None: a timeout.
+
+    `each`: duration of a reception [ns].
+    """
 
     def __init__(self, time: Time, each: int = 0) -> None:
         self.time, self.each = time, each
@@ -60,7 +63,7 @@ class Bus:
 
 
 class Here:
-    """The host's end, with what it has taken."""
+    """Host side of the bus, with the state frames that it has received."""
 
     def __init__(self, each: int = 0) -> None:
         self.time = Time()
@@ -86,7 +89,7 @@ def here() -> Here:
 
 
 class Node:
-    """What another node's sender puts on the bus."""
+    """Another node: returns the frames that it sends."""
 
     def __init__(self, send: Callable[[], object] | None = None) -> None:
         self.sent: list[can.Message] = []
@@ -124,32 +127,32 @@ def test_the_newest_of_several_is_taken_last(here: Here) -> None:
     assert [numbers["cycle"][0] for numbers, _, _ in here.taken] == [1.0, 2.0, 3.0]
 
 
-def test_silence_lasts_as_long_as_it_was_waited_for(here: Here) -> None:
-    begin = here.time.now
+def test_a_wait_without_frames_lasts_for_its_timeout(here: Here) -> None:
+    start = here.time.now
     assert not here.wait(0.005)
-    assert here.time.now - begin == pytest.approx(5_000_000, abs=10 * READING)
+    assert here.time.now - start == pytest.approx(5_000_000, abs=10 * READING)
 
 
-def test_a_frame_that_is_not_used_does_not_end_the_wait(here: Here) -> None:
+def test_an_unused_frame_does_not_end_the_wait(here: Here) -> None:
     here.uses = False
-    begin = here.time.now
+    start = here.time.now
     assert not here.wait(0.005, Node().state())
     assert len(here.taken) == 1
-    assert here.time.now - begin >= 5_000_000
+    assert here.time.now - start >= 5_000_000
 
 
-def test_a_frame_was_sent_after_the_bus_was_last_seen_empty(here: Here) -> None:
+def test_a_frame_is_newer_than_the_last_empty_receive_buffer(here: Here) -> None:
     arm = Node()
     assert here.wait(0.001, arm.state(), None)
-    seen_empty = here.time.now
+    empty_at_last = here.time.now
     here.time.now += 50_000_000
     assert here.wait(0.001, arm.state(), arm.state(), None)
     for _, now, empty_at in here.taken[1:]:
-        assert empty_at == pytest.approx(seen_empty, abs=5 * READING)
+        assert empty_at == pytest.approx(empty_at_last, abs=5 * READING)
         assert now > empty_at + 50_000_000
 
 
-def test_a_bus_that_failed_to_receive_was_not_seen_empty(here: Here) -> None:
+def test_a_failed_reception_does_not_count_as_an_empty_bus(here: Here) -> None:
     here.bus.each = 1_000_000
     assert here.wait(0.001, can.CanOperationError("bus off"), Node().state())
     assert here.taken[0][2] == 0
@@ -160,37 +163,35 @@ def test_a_bus_that_failed_to_receive_was_not_seen_empty(here: Here) -> None:
 
 
 @pytest.mark.parametrize("timeout", [0.0, 0.001, 0.0015])
-def test_a_flood_of_other_frames_does_not_hold_a_wait_beyond_its_time(timeout: float) -> None:
+def test_a_flood_of_other_frames_does_not_extend_a_wait(timeout: float) -> None:
     here = Here(each=50_000)
     here.bus.coming = flood()
-    begin = here.time.now
+    start = here.time.now
     assert not here.states.wait(timeout)
-    # A wait that is over may still look at so many frames, each of which takes its time here.
+    # After the timeout, a wait may still read up to MOST_FRAMES frames.
     assert (
-        here.time.now - begin
+        here.time.now - start
         <= max(round(timeout * 1e9), MOST_FRAMES * 50_000) + MOST_FRAMES * 5 * READING
     )
     assert here.states.others == here.bus.taken
 
 
-def test_a_flood_holds_a_long_wait_for_just_its_time() -> None:
+def test_a_long_wait_in_a_flood_lasts_for_its_timeout() -> None:
     here = Here(each=50_000)
     here.bus.coming = flood()
-    begin = here.time.now
+    start = here.time.now
     assert not here.states.wait(0.02)
-    assert here.time.now - begin == pytest.approx(20_000_000, abs=60_000)
+    assert here.time.now - start == pytest.approx(20_000_000, abs=60_000)
 
 
-def test_a_wait_of_no_time_takes_64_frames_at_most(here: Here) -> None:
+def test_a_wait_with_timeout_zero_reads_64_frames_at_most(here: Here) -> None:
     here.bus.coming = flood()
     assert not here.states.wait(0.0)
     assert here.bus.taken == MOST_FRAMES == 64
 
 
 @pytest.mark.parametrize("before", [0, 10, 63])
-def test_with_a_state_frame_64_frames_are_taken_at_most_and_the_rest_in_the_next_cycle(
-    here: Here, before: int
-) -> None:
+def test_a_wait_with_a_state_frame_reads_64_frames_at_most(here: Here, before: int) -> None:
     arm = Node()
 
     def coming() -> Iterator[can.Message]:
@@ -205,34 +206,34 @@ def test_with_a_state_frame_64_frames_are_taken_at_most_and_the_rest_in_the_next
     assert here.bus.taken == 2 * MOST_FRAMES
 
 
-def test_a_state_frame_behind_64_others_is_still_waited_for(here: Here) -> None:
+def test_a_wait_reads_more_than_64_other_frames_before_a_state_frame(here: Here) -> None:
     arm = Node()
     assert here.wait(1.0, *[other() for _ in range(200)], arm.state(), other())
     assert here.bus.taken == 201
 
 
-def test_an_interface_that_fails_each_time_does_not_hold_a_wait_beyond_its_time(here: Here) -> None:
+def test_failed_receptions_do_not_extend_a_wait(here: Here) -> None:
     def coming() -> Iterator[can.CanError]:
         while True:
             yield can.CanOperationError("the controller is off")
 
     here.bus.coming = coming()
-    begin = here.time.now
+    start = here.time.now
     assert not here.states.wait(0.001)
-    assert here.time.now - begin <= 1_000_000 + 10 * READING
+    assert here.time.now - start <= 1_000_000 + 10 * READING
     assert here.states.error == "the controller is off"
 
 
-def test_throwing_away_what_waits_is_bounded(here: Here) -> None:
+def test_discarding_pending_frames_is_bounded(here: Here) -> None:
     here.bus.coming = flood()
     here.states.drain()
     assert here.bus.taken == 16 * MOST_FRAMES
 
 
-# What else is on the bus
+# Other senders on the bus
 
 
-def test_one_arm_and_this_controller_are_no_problem(here: Here) -> None:
+def test_one_arm_and_one_controller_are_no_problem(here: Here) -> None:
     arm = Node()
     for _ in range(100):
         here.wait(0.001, arm.state())
@@ -259,7 +260,7 @@ def test_command_frames_of_another_controller_are_a_problem_with_its_session(her
         assert here.states.problem is None, k
         here.wait(0.001, arm.state(), foreign.command(4711))
     assert here.states.problem == (
-        "another controller sends the command frame ArmCommand (0x101), of session 4711; stop that one first"
+        "another controller sends the command frame ArmCommand (0x101), of session 4711; stop the other controller first"
     )
 
 
@@ -270,8 +271,8 @@ def test_command_frames_are_a_problem_without_any_state_frame(here: Here) -> Non
     assert here.states.problem is not None
 
 
-def test_few_command_frames_far_apart_are_no_problem(here: Here) -> None:
-    """A controller that was stopped a moment ago, and one that is found out with the next frames, are told apart."""
+def test_single_command_frames_far_apart_are_no_problem(here: Here) -> None:
+    """Last frames of a controller that has just stopped are not a second controller."""
     arm, foreign = Node(), Node()
     for _ in range(5):
         for _ in range(WITHIN // 2):
@@ -280,7 +281,7 @@ def test_few_command_frames_far_apart_are_no_problem(here: Here) -> None:
     assert here.states.problem is None
 
 
-def test_damaged_command_frames_are_nobodys(here: Here) -> None:
+def test_damaged_command_frames_are_ignored(here: Here) -> None:
     arm, foreign = Node(), Node()
     for _ in range(10):
         message = foreign.command(4711)
@@ -290,10 +291,10 @@ def test_damaged_command_frames_are_nobodys(here: Here) -> None:
 
 
 @pytest.mark.parametrize("is_rx", [False, True])
-def test_own_command_frames_that_the_interface_gives_back_are_no_problem(
+def test_own_command_frames_that_the_interface_echoes_are_no_problem(
     here: Here, is_rx: bool
 ) -> None:
-    """Some interfaces say that a frame is an own one, and some do not."""
+    """Some interfaces mark an own frame (`is_rx` is False), and others do not."""
     arm = Node()
     for k in range(100):
         here.sender.send({"controller": (7.0,), "answered_cycle": (float(k),)})
@@ -308,18 +309,18 @@ def test_own_command_frames_that_the_interface_gives_back_are_no_problem(
     assert here.states.problem is None
 
 
-def test_frames_that_the_interface_calls_its_own_are_no_problem_however_old_they_are(
+def test_frames_that_the_interface_marks_as_own_are_no_problem_at_any_age(
     here: Here,
 ) -> None:
-    arm, forgotten = Node(), Node()
+    arm, earlier = Node(), Node()
     for _ in range(10):
-        message = forgotten.command(7)
+        message = earlier.command(7)
         message.is_rx = False
         here.wait(0.001, arm.state(), message)
     assert here.states.problem is None
 
 
-def test_another_controllers_frames_are_seen_between_own_ones_that_are_given_back(
+def test_frames_of_another_controller_are_detected_between_echoed_own_frames(
     here: Here,
 ) -> None:
     arm, foreign = Node(), Node()

@@ -1,4 +1,7 @@
-"""The virtual arm's own lock: any frames at all, from any sender. What the interface control document promises of an activation."""
+"""Search model of the virtual arm alone, with any frame from any sender in every cycle.
+
+It checks what the interface control document guarantees about an activation.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +50,7 @@ def arm(implicit: bool = False, watchdog: int = WATCHDOG, silence: int = SILENCE
 
 
 def shift(logic: ArmLogic, echo: int = WATCHDOG) -> None:
-    """Cycle numbers relative to the middle of their range, and none older than matters."""
+    """Make the cycle numbers relative to the middle of their range, and limit their age."""
     middle = CYCLES // 2
     answered, echoed = (
         (logic.cycle - number) % CYCLES for number in (logic._answered, logic.echoed)
@@ -62,14 +65,14 @@ def shift(logic: ArmLogic, echo: int = WATCHDOG) -> None:
 
 
 class DeviceAlone:
-    """In every cycle one frame of any content, or none."""
+    """Virtual arm that receives one frame of any content, or none, in every cycle."""
 
     def __init__(self) -> None:
         self.arm = arm()
         self.echoes: list[int] = [0] * OLDEST
-        """The number that each of the last state frames carried, the newest last."""
+        """Session numbers in the last state frames, the newest last."""
         self.was_active: set[int] = set()
-        """Numbers that were active, or were commanded to brake."""
+        """Session numbers that were active, or that have commanded the brakes."""
         self.bad: str | None = None
 
     def moves(self) -> Iterator[tuple[str, Callable[[Any], None]]]:
@@ -89,12 +92,13 @@ class DeviceAlone:
         self.arm.fail("it fails")
 
     def renew(self) -> None:
-        """The facility's next session begins once the arm's is over."""
+        """Start the next session of the facility, once that of the arm is over."""
         if self.arm.session_is_over:
             self.arm = self.arm.again()
 
     def cycle(self, frame: tuple[int, Mode | None, int] | None) -> None:
-        logic, before, obeyed = self.arm, self.arm.life.now, self.arm.controller
+        """Execute one cycle with a frame (session number, mode, age in cycles), and check it."""
+        logic, before, accepted = self.arm, self.arm.life.now, self.arm.controller
         number, mode, age = frame or (0, None, 0)
         commands = []
         if frame is not None:
@@ -109,10 +113,11 @@ class DeviceAlone:
         last = (logic.cycle - logic._answered) % CYCLES
         cycle, answered = logic.cycle, logic._answered
         logic.begin(commands, STILL)
+        # What must never happen.
         now, is_used = logic.life.now, logic._answered != answered
         if now is LifeCycle.active and before is not LifeCycle.active:
             self.bad = self._bad_activation(frame, before)
-        elif is_used and (before is not LifeCycle.active or number != obeyed):
+        elif is_used and (before is not LifeCycle.active or number != accepted):
             self.bad = "a command was used outside active, or of another session"
         elif is_used and (age >= WATCHDOG or age > last):
             self.bad = "a command as old as the watchdog, or older than the one before, was used"
@@ -125,15 +130,16 @@ class DeviceAlone:
             and now is LifeCycle.inactive
             and number in self.was_active
         ):
-            self.bad = "a used number has left a stop"
-        elif obeyed and logic.controller not in (0, obeyed):
-            self.bad = "a claim has taken the place of the number that was obeyed"
-        elif not obeyed and logic.controller in self.was_active - {0}:
-            self.bad = "a used number was claimed"
-        if mode is Mode.brake and number == obeyed:
+            self.bad = "an expired number has ended a stop"
+        elif accepted and logic.controller not in (0, accepted):
+            self.bad = "a claim has replaced the accepted number"
+        elif not accepted and logic.controller in self.was_active - {0}:
+            self.bad = "an expired number was claimed"
+        # Numbers that have expired.
+        if mode is Mode.brake and number == accepted:
             self.was_active.add(number)
         if before is LifeCycle.active and now is not LifeCycle.active:
-            self.was_active.add(obeyed)
+            self.was_active.add(accepted)
         self.echoes = [*self.echoes[1:], logic.controller]
 
     def _bad_activation(
@@ -147,11 +153,11 @@ class DeviceAlone:
         if before is not LifeCycle.inactive:
             return f"active from {before.name}"
         if number in self.was_active:
-            return "active by a number that was used up"
+            return "active by an expired number"
         if age >= WATCHDOG:
             return "active by an answer as old as the watchdog"
         if self.echoes[-1 - age] != number:
-            return "active by an answer to a state frame that had not carried the number"
+            return "active by an answer to a state frame without the number"
         return None
 
     def normalise(self) -> None:

@@ -1,4 +1,7 @@
-"""Exhaustive search of a small world of real transition functions: breadth first, every state once, with the shortest way to a violation."""
+"""Exhaustive breadth-first search of a small model, with the shortest path to a violation.
+
+The model uses the transition functions of the product. Every state is visited once.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ from freeflyer_adapters.device.permit import Permit
 
 
 def shift_permit(permit: Permit, back: int, oldest: int) -> None:
-    """Times relative to the present, and none older than matters [ns]; which sentence it was does not matter."""
+    """Make the times relative to the present [ns], limit their age, and merge all reasons."""
     permit._wrote = None if permit._wrote is None else max(permit._wrote - back, oldest)
     permit._active_at = None if permit._active_at is None else max(permit._active_at - back, oldest)
     permit.lost = permit.lost and "lost"
@@ -24,7 +27,7 @@ def shift_permit(permit: Permit, back: int, oldest: int) -> None:
 
 
 def without_hold_ups(patch: pytest.MonkeyPatch) -> None:
-    """Take away a guard: a hold-up does not cost the permit."""
+    """Remove a guard: a delay of the loop does not end the permit."""
     patch.setattr(Permit, "allows", lambda self, now: self.is_held)
 
 
@@ -32,34 +35,36 @@ MOST_STATES = 3_000_000
 
 
 class World(Protocol):
-    """Has everything that decides what happens next, and nothing else once `normalise` was called."""
+    """Model for the search. Its attributes determine all future behaviour."""
 
     def moves(self) -> Iterator[tuple[str, Callable[[Any], None]]]:
-        """What may happen now: a name, and what it does to a copy of this world."""
+        """Yield the possible moves: a name, and a function that changes a copy of this model."""
 
     def normalise(self) -> None:
-        """Bring numbers that count on for ever within their limits, and ghosts that no longer matter to zero."""
+        """Limit the range of counters, and reset values without an effect on the future."""
 
     def violation(self) -> str | None:
-        """What must never be, or None."""
+        """Return a description of the violated requirement, or None."""
 
 
 @dataclass(frozen=True)
 class Searched:
+    """Result of a search."""
+
     states: int
     transitions: int
     violation: str | None = None
-    way: tuple[str, ...] = ()
-    """The moves that lead to it."""
+    path: tuple[str, ...] = ()
+    """Names of the moves to the violation."""
     reached: frozenset[str] = frozenset()
-    """Names of moves that were made: a search that cannot do what it claims shows here."""
+    """Names of all moves that were possible; tests check them for completeness."""
 
 
 PLAIN = frozenset({int, float, str, bytes, bool, type(None)})
 
 
 def frozen(value: Any, ignored: frozenset[str]) -> Any:
-    """A hashable picture of an object; attributes in `ignored` decide nothing."""
+    """Return a hashable copy of an object without the attributes in `ignored`."""
     kind = type(value)
     if kind in PLAIN or isinstance(value, Enum):
         return value
@@ -84,7 +89,7 @@ def frozen(value: Any, ignored: frozenset[str]) -> Any:
 def explore(
     first: World, ignored: frozenset[str] = frozenset(), most: int = MOST_STATES
 ) -> Searched:
-    """All states that the moves lead to. AssertionError if there are more than `most`: the world was not small."""
+    """Search all reachable states until a violation. Raises AssertionError beyond `most` states."""
     first.normalise()
     seen: dict[Any, tuple[Any, str]] = {frozen(first, ignored): (None, "")}
     waiting: deque[tuple[Any, bytes]] = deque([(frozen(first, ignored), pickle.dumps(first, 5))])
@@ -98,12 +103,12 @@ def explore(
             transitions += 1
             reached.add(name)
             if violated := world.violation():
-                way = [name]
+                path = [name]
                 while key is not None and seen[key][1]:
                     key, before = seen[key]
-                    way.append(before)
+                    path.append(before)
                 return Searched(
-                    len(seen), transitions, violated, tuple(reversed(way)), frozenset(reached)
+                    len(seen), transitions, violated, tuple(reversed(path)), frozenset(reached)
                 )
             world.normalise()
             following = frozen(world, ignored)

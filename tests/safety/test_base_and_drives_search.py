@@ -1,6 +1,7 @@
-"""A stop stays a stop, for the base robot and for CiA 402 drives: the same search, and the same test of every guard.
+"""No power after a stop, for the base robot and CiA 402 drives: search of all states and guards.
 
-Premises, and what these devices cannot refuse, are in the worlds' modules (`NOT_PROMISED`) and in docs/safety.md.
+The assumptions, and what these devices cannot reject, are in the modules of the models
+(`NOT_GUARANTEED`) and in docs/safety.md.
 """
 
 from __future__ import annotations
@@ -18,14 +19,14 @@ MODULES = {"base": whole_base, "drives": whole_drives}
 QUICK = {
     "one run, a link that becomes slow",
     "drives: two runs",
-    "a late set point is not followed",
-    "every step answers the statusword before",
+    "a late set point is not accepted",
+    "every step responds to the previous statusword",
 }
-"""Those of the default set."""
+"""Searches of the default test run; the others are marked as slow."""
 
 
 def of_all(what: str) -> list[object]:
-    """Every member of both modules, as (module, name)."""
+    """Return all entries of a table of both modules as parameters (module, name)."""
     return [
         pytest.param(
             module,
@@ -43,30 +44,28 @@ def module_of(name: str) -> ModuleType:
 
 
 @pytest.mark.parametrize(("module", "name"), of_all("WORLDS"))
-def test_no_path_leads_to_power_but_an_activation_that_a_run_has_asked_for(
-    module: str, name: str
-) -> None:
+def test_only_a_requested_activation_leads_to_power(module: str, name: str) -> None:
     worlds = module_of(module)
     found = explore(worlds.WORLDS[name](), worlds.IGNORED)
     print(f"\n{module}, {name}: {found.states} states, {found.transitions} transitions")
-    assert found.violation is None, f"{found.violation}: {' > '.join(found.way)}"
+    assert found.violation is None, f"{found.violation}: {' > '.join(found.path)}"
     assert "a run starts" in found.reached or "alone" in name
 
 
 @pytest.mark.parametrize(("module", "name"), of_all("GUARDS"))
-def test_without_this_guard_a_path_to_power_is_found(
+def test_without_this_guard_the_search_finds_a_path_to_power(
     module: str, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     worlds = module_of(module)
     world, patch = worlds.GUARDS[name]
     patch(monkeypatch)
     found = explore(world(), worlds.IGNORED)
-    assert found.violation is not None, f"{found.states} states, and it was not missed"
+    assert found.violation is not None, f"{found.states} states without a violation"
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("module", "name"), of_all("NOT_PROMISED"))
-def test_what_the_device_cannot_refuse_is_found(module: str, name: str) -> None:
-    """What docs/safety.md lists as not promised is no caution: there is a path."""
+@pytest.mark.parametrize(("module", "name"), of_all("NOT_GUARANTEED"))
+def test_every_limit_of_the_guarantee_has_a_path_to_power(module: str, name: str) -> None:
+    """The limits in docs/safety.md are real: a violation exists."""
     worlds = module_of(module)
-    assert explore(worlds.NOT_PROMISED[name](), worlds.IGNORED).violation is not None
+    assert explore(worlds.NOT_GUARANTEED[name](), worlds.IGNORED).violation is not None

@@ -1,7 +1,7 @@
-"""A stop stays a stop: every state that loop, device and link can come to, through the very functions that run.
+"""No power after a stop: search of all states of loop, arm and link with the product's functions.
 
-Two locks: the host's permit and the arm's session number. Each is searched alone, and both together; and every single guard of them is
-needed: without it a search finds the way to power.
+There are two locks: the permit of the host and the session number of the arm. Each is searched
+alone, and both together. Every guard is necessary: without it, the search finds a path to power.
 """
 
 from __future__ import annotations
@@ -24,8 +24,10 @@ from freeflyer_adapters.device.quality import QualityMonitor
 from freeflyer_adapters.facility.arm_logic import ArmLogic, Command
 
 HOST_ALONE: dict[str, Any] = {"watchdog": 1, "silence": 4, "implicit": True, "any_delay": False}
-"""An arm that cannot refuse an activation by itself, on a link that loses and doubles frames but holds none up. Such an arm must not
-forget its controller sooner than the loop stops for want of state frames: in the defaults 1 s and 20 ms, here 4 cycles and 2."""
+"""An arm that cannot reject an activation, on a link that loses and repeats frames without delay.
+
+Such an arm must keep its session for longer than the loop runs without state frames. The defaults
+are 1 s and 20 ms; here they are 4 and 2 cycles."""
 WORLDS: dict[str, tuple[Callable[[], World], frozenset[str]]] = {
     "the arm's lock alone, any frames": (DeviceAlone, IGNORED),
     "both locks, any delay": (lambda: Whole(arm_faults=False), HOST_IGNORED),
@@ -34,7 +36,7 @@ WORLDS: dict[str, tuple[Callable[[], World], frozenset[str]]] = {
         lambda: Whole(**HOST_ALONE, ages=False, arm_faults=False),
         HOST_IGNORED,
     ),
-    # Such an arm may have stopped unseen for want of commands: its link must lose none.
+    # The loop cannot detect that such an arm has stopped without commands: no frame may be lost.
     "the host's lock alone, neither life cycle nor echo": (
         lambda: Whole(
             **HOST_ALONE,
@@ -62,8 +64,8 @@ MUST_BE_REACHED = {
     "Whole": {
         "a run starts",
         "a reason to stop",
-        "the loop is held up after its answer",
-        "the loop goes on",
+        "the loop is suspended after its answer",
+        "the loop resumes",
         "the loop is killed",
     },
     "DeviceAlone": {"a new session", "frame 2 activate 0", "frame 1 torque 3"},
@@ -76,7 +78,7 @@ def searched(name: str) -> Searched:
 
 
 def _marked(name: str) -> object:
-    """The largest takes more than a minute: by hand, `-m benchmark`."""
+    """Mark the long searches. The largest takes more than a minute: run it with `-m benchmark`."""
     marks = (
         [pytest.mark.benchmark] if name == LONG[-1] else [pytest.mark.slow] if name in LONG else []
     )
@@ -84,16 +86,16 @@ def _marked(name: str) -> object:
 
 
 @pytest.mark.parametrize("name", [_marked(name) for name in WORLDS])
-def test_no_path_leads_to_power_but_an_activation_that_a_run_has_asked_for(name: str) -> None:
+def test_only_a_requested_activation_leads_to_power(name: str) -> None:
     found = searched(name)
     print(f"\n{name}: {found.states} states, {found.transitions} transitions")
-    assert found.violation is None, f"{found.violation}: {' > '.join(found.way)}"
+    assert found.violation is None, f"{found.violation}: {' > '.join(found.path)}"
     assert MUST_BE_REACHED[type(WORLDS[name][0]()).__name__] <= found.reached
 
 
 Patch = Callable[[pytest.MonkeyPatch], None]
 GUARDS: dict[str, tuple[str, Patch]] = {}
-"""What is taken away: the world that needs it, and how."""
+"""Guard -> model that needs it, and a patch that removes it."""
 
 
 def guard(world: str, what: str) -> Callable[[Patch], Patch]:
@@ -123,7 +125,7 @@ def _(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(ArmLogic, "_is_activation", any_torque)
 
 
-@guard(ALONE, "only the obeyed session's frames count")
+@guard(ALONE, "only frames of the accepted session count")
 def _(patch: pytest.MonkeyPatch) -> None:
     is_from_session = ArmLogic._is_from_session
     patch.setattr(
@@ -133,7 +135,7 @@ def _(patch: pytest.MonkeyPatch) -> None:
     )
 
 
-@guard(ALONE, "the activation answers a frame that carried the number")
+@guard(ALONE, "the activation answers a frame with the session number")
 def _(patch: pytest.MonkeyPatch) -> None:
     begin = ArmLogic.begin
 
@@ -171,7 +173,7 @@ def _(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(ArmLogic, "_is_activation", from_any)
 
 
-@guard(ALONE, "leaving active uses the number up")
+@guard(ALONE, "a number expires when the arm leaves active")
 def _(patch: pytest.MonkeyPatch) -> None:
     use_up = ArmLogic._use_up
     patch.setattr(
@@ -181,7 +183,7 @@ def _(patch: pytest.MonkeyPatch) -> None:
     )
 
 
-@guard(ALONE, "a brake command uses the number up")
+@guard(ALONE, "a number expires at a brake command")
 def _(patch: pytest.MonkeyPatch) -> None:
     use_up = ArmLogic._use_up
     patch.setattr(
@@ -191,44 +193,44 @@ def _(patch: pytest.MonkeyPatch) -> None:
     )
 
 
-@guard(ALONE, "a used number activates nothing")
+@guard(ALONE, "an expired number activates nothing")
 def _(patch: pytest.MonkeyPatch) -> None:
     is_activation = ArmLogic._is_activation
 
-    def forgetful(self: ArmLogic, command: Command) -> bool:
+    def without_used(self: ArmLogic, command: Command) -> bool:
         used, self.used = self.used, deque()
         try:
             return is_activation(self, command)
         finally:
             self.used = used
 
-    patch.setattr(ArmLogic, "_is_activation", forgetful)
+    patch.setattr(ArmLogic, "_is_activation", without_used)
 
 
-@guard(ALONE, "a used number claims nothing")
+@guard(ALONE, "an expired number claims nothing")
 def _(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(
         ArmLogic, "_may_begin_session", lambda self, c: c.mode is Mode.reset and not self.controller
     )
 
 
-@guard(ALONE, "used numbers outlive the session")
+@guard(ALONE, "expired numbers stay expired in the next session")
 def _(patch: pytest.MonkeyPatch) -> None:
     again = ArmLogic.again
 
-    def forgetful(self: ArmLogic) -> ArmLogic:
+    def without_used(self: ArmLogic) -> ArmLogic:
         made = again(self)
         made.used = deque()
         return made
 
-    patch.setattr(ArmLogic, "again", forgetful)
+    patch.setattr(ArmLogic, "again", without_used)
 
 
-@guard(ALONE, "a used number leaves no stop")
+@guard(ALONE, "an expired number ends no stop")
 def _(patch: pytest.MonkeyPatch) -> None:
     obey = ArmLogic._obey
 
-    def forgetful(self: ArmLogic, command: Command) -> None:
+    def without_used(self: ArmLogic, command: Command) -> None:
         if command.mode is Mode.reset and command.controller == self.controller:
             used, self.used = self.used, deque()
             obey(self, command)
@@ -236,10 +238,10 @@ def _(patch: pytest.MonkeyPatch) -> None:
         else:
             obey(self, command)
 
-    patch.setattr(ArmLogic, "_obey", forgetful)
+    patch.setattr(ArmLogic, "_obey", without_used)
 
 
-@guard(ALONE, "a claim takes no other session's place")
+@guard(ALONE, "a claim does not replace another session")
 def _(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(
         ArmLogic,
@@ -248,11 +250,11 @@ def _(patch: pytest.MonkeyPatch) -> None:
     )
 
 
-@guard(ALONE, "a stop is left with brakes engaged")
+@guard(ALONE, "a stop ends only with the brakes engaged")
 def _(patch: pytest.MonkeyPatch) -> None:
     obey = ArmLogic._obey
 
-    def careless(self: ArmLogic, command: Command) -> None:
+    def with_brakes(self: ArmLogic, command: Command) -> None:
         if (
             command.mode is Mode.reset
             and command.controller == self.controller
@@ -264,7 +266,7 @@ def _(patch: pytest.MonkeyPatch) -> None:
         else:
             obey(self, command)
 
-    patch.setattr(ArmLogic, "_obey", careless)
+    patch.setattr(ArmLogic, "_obey", with_brakes)
     patch.setattr(ArmLogic, "_use_up", lambda self: None)
 
 
@@ -272,12 +274,12 @@ def _(patch: pytest.MonkeyPatch) -> None:
 def _(patch: pytest.MonkeyPatch) -> None:
     command_ = ArmLogic._command
 
-    def anywhere(self: ArmLogic, command: Command) -> None:
+    def in_any_state(self: ArmLogic, command: Command) -> None:
         state, self.life.now = self.life.now, LifeCycle.active
         command_(self, command)
         self.life.now = state
 
-    patch.setattr(ArmLogic, "_command", anywhere)
+    patch.setattr(ArmLogic, "_command", in_any_state)
 
 
 @guard(ALONE, "torque as old as the watchdog, or older than the last, is not used")
@@ -289,12 +291,12 @@ def _(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(ArmLogic, "_command", any_age)
 
 
-@guard(ALONE, "the arm's own watchdog")
+@guard(ALONE, "the watchdog of the arm")
 def _(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(ArmLogic, "_stop", lambda self, reason: None)
 
 
-@guard(HOST, "a reason to stop takes the permit")
+@guard(HOST, "a reason to stop ends the permit")
 def _(patch: pytest.MonkeyPatch) -> None:
     lose = Permit.lose
     patch.setattr(
@@ -304,10 +306,10 @@ def _(patch: pytest.MonkeyPatch) -> None:
     )
 
 
-guard(HOST, "a hold-up takes the permit")(without_hold_ups)
+guard(HOST, "a delay of the loop ends the permit")(without_hold_ups)
 
 
-@guard(HOST, "a report of another state takes the permit")
+@guard(HOST, "a report of another state ends the permit")
 def _(patch: pytest.MonkeyPatch) -> None:
     lose = Permit.lose
     patch.setattr(
@@ -317,17 +319,17 @@ def _(patch: pytest.MonkeyPatch) -> None:
     )
 
 
-@guard(HOST, "the ramp-down needs a young report")
+@guard(HOST, "the ramp-down needs a recent report")
 def _(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(Permit, "may_ramp_down", lambda self, now: self._is_taken)
 
 
-@guard(HOST, "the last look before a frame goes out")
+@guard(HOST, "the last check before transmission")
 def _(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(ArmSession, "permits", lambda self, mode, now: True)
 
 
-@guard(HOST, "a stop in the activation ends it")
+@guard(HOST, "a stop during the activation ends the activation")
 def _(patch: pytest.MonkeyPatch) -> None:
     lose = Permit.lose
     patch.setattr(
@@ -339,13 +341,13 @@ def _(patch: pytest.MonkeyPatch) -> None:
 
 @guard(HOST, "no reset after the first frame that may activate")
 def _(patch: pytest.MonkeyPatch) -> None:
-    ask = ArmSession._ask
+    request_activation = ArmSession._request_activation
     lose = Permit.lose
 
     def again(self: ArmSession) -> Mode:
-        return Mode.reset if self.state in STOPPED else ask(self)
+        return Mode.reset if self.state in STOPPED else request_activation(self)
 
-    patch.setattr(ArmSession, "_ask", again)
+    patch.setattr(ArmSession, "_request_activation", again)
     patch.setattr(
         Permit,
         "lose",
@@ -364,15 +366,15 @@ def _(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(
         ArmSession,
         "report",
-        lambda self, state, obeyed, at, echoed: report(
-            self, LifeCycle.active if state is None else state, obeyed, at, echoed
+        lambda self, state, number, at, echoed: report(
+            self, LifeCycle.active if state is None else state, number, at, echoed
         ),
     )
 
 
-@guard(MUTE, "after a hold-up, an arm that reports nothing is not ramped down")
+@guard(MUTE, "after a delay of the loop, an arm without reports is not ramped down")
 def _(patch: pytest.MonkeyPatch) -> None:
-    def trusting(self: Permit, now: int) -> bool:
+    def without_delay_check(self: Permit, now: int) -> bool:
         self.allows(now)
         return (
             self._is_taken
@@ -380,14 +382,14 @@ def _(patch: pytest.MonkeyPatch) -> None:
             and now - self._active_at <= self.watchdog
         )
 
-    patch.setattr(Permit, "may_ramp_down", trusting)
+    patch.setattr(Permit, "may_ramp_down", without_delay_check)
 
 
 @pytest.mark.parametrize("what", GUARDS)
-def test_without_this_guard_a_path_to_power_is_found(
+def test_without_this_guard_the_search_finds_a_path_to_power(
     what: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     world, patch = GUARDS[what]
     patch(monkeypatch)
     found = searched(world)
-    assert found.violation is not None, f"{found.states} states, and it was not missed"
+    assert found.violation is not None, f"{found.states} states without a violation"

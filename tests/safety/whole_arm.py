@@ -1,7 +1,8 @@
-"""Controllers, arm and the link between them: the host's `ArmSession` and `Permit`, the arm's `ArmLogic`, and a link that does what links do.
+"""Search model of controllers, arm and link.
 
-A move is one of the arm's cycles. What the loop does in it is the calls that `CanArm` makes, in its order. Times are cycles; numbers that
-count on are kept relative, and delays are told apart only as far as a limit tells them apart.
+It uses `ArmSession` and `Permit` of the host and `ArmLogic` of the arm. The link loses, repeats and
+delays frames. A move is one cycle of the arm; the loop calls the session in the order of `CanArm`.
+Times are in cycles. Counters are relative, and delays are distinguished only up to the next limit.
 """
 
 from __future__ import annotations
@@ -22,17 +23,19 @@ from freeflyer_adapters.facility.arm_logic import Command
 
 NOW, CYCLE, MIDDLE = 20, 1_000_000, CYCLES // 2
 LOST, RAMP, QUEUE = 2, 1, 1
-"""Lost cycles that stop the loop; cycles of its ramp-down; frames that a link or a socket holds."""
+"""Lost cycles that stop the loop, cycles of its ramp-down, frames in the buffer of a socket."""
 HOST_IGNORED = IGNORED | {"_count", "_recent", "longest_row", "lost_reason", "_claims"}
 POWER = (Mode.reset, Mode.activate, Mode.torque)
 Frame = tuple[int, Mode, int]
-"""Session number, mode, cycle number that is answered."""
+"""Session number, mode, answered cycle number."""
 Report = tuple[LifeCycle, int, int, int | None]
-"""State, obeyed number, cycle number, echoed cycle number."""
+"""State, echoed session number, cycle number, echoed cycle number."""
 
 
 @dataclass
 class Numbers:
+    """Source of session numbers that always returns the same one."""
+
     number: int
 
     def __call__(self) -> int:
@@ -51,54 +54,55 @@ class Host:
         self.answered = MIDDLE
         self.inbox: list[Report] = []
         self.held: Mode | None = None
-        """A frame that was ready to be sent when the process was stopped."""
+        """Mode of a frame that was ready for transmission when the process was suspended."""
         self.is_held_up = False
-        self.has_asked = False
+        self.has_activated = False
+        """Whether the run has started its activation."""
         self.session.claim()
 
     def revoke(self) -> None:
-        """See `CanArm.revoke` and `graded_stop.stop`."""
+        """Corresponds to `CanArm.revoke` and `graded_stop.stop`."""
         self.session.permit.lose("a reason to stop")
         self.stage = "stopping"
 
     @property
-    def knows_active(self) -> bool:
-        """Whether the newest report says that the arm was active no longer ago than its watchdog."""
+    def has_recent_report(self) -> bool:
+        """Whether a report of active is not older than the watchdog."""
         permit = self.session.permit
         return (
             permit._active_at is not None and (NOW * CYCLE - permit._active_at) <= permit.watchdog
         )
 
     def receive(self) -> bool:
-        """See `StateFrames.wait` and `CanArm._take`."""
-        came = bool(self.inbox)
-        for state, obeyed, cycle, echoed in self.inbox:
+        """Corresponds to `StateFrames.wait` and `CanArm._take`."""
+        has_received = bool(self.inbox)
+        for state, number, cycle, echoed in self.inbox:
             self.answered = cycle
             self.session.report(
                 state if self.session.permit.reports_state else None,
-                obeyed,
+                number,
                 (NOW - 1) * CYCLE,
                 echoed,
             )
         self.inbox.clear()
-        return came
+        return has_received
 
     def answer(self) -> Mode | None:
-        """What the loop sends in this cycle; None: nothing."""
+        """Return the mode of the loop's frame in this cycle; None: no frame."""
         if self.stage == "over":
             return None
-        came, session, now = self.receive(), self.session, NOW * CYCLE
+        received, session, now = self.receive(), self.session, NOW * CYCLE
         if self.stage == "preparing" and session.is_claimed:
             session.activate(now)
-            self.stage, self.has_asked = "activating", True
-        reason = self.monitor.observe(lost=not came) if self.has_asked else None
+            self.stage, self.has_activated = "activating", True
+        reason = self.monitor.observe(lost=not received) if self.has_activated else None
         if self.stage == "activating":
-            if reason or session.permit.lost or session.is_obeyed_elsewhere:
+            if reason or session.permit.lost or session.has_other_controller:
                 self.revoke()
             elif session.phase is Phase.commanding:
                 self.stage = "running"
         elif self.stage == "running" and (
-            reason or session.is_obeyed_elsewhere or not session.permit.allows(now)
+            reason or session.has_other_controller or not session.permit.allows(now)
         ):
             self.revoke()
         if self.stage != "stopping":
@@ -112,7 +116,7 @@ class Host:
         return session.answer(now, brake=self.stopping > RAMP)
 
     def send(self, mode: Mode) -> Frame | None:
-        """See `CanArm._send`: the last look before the frame goes out."""
+        """Corresponds to `CanArm._send`, with the last check before transmission."""
         if not self.session.permits(mode, NOW * CYCLE):
             return None
         self.session.wrote(self.answered, NOW * CYCLE)
@@ -121,7 +125,10 @@ class Host:
 
 @dataclass
 class Whole:
-    """`any_delay`: the link holds frames up and repeats old ones, as often as it likes; else it loses and doubles them only."""
+    """Complete model. `any_delay`: the link delays frames, and repeats old ones at any time.
+
+    Without `any_delay`, the link only loses and doubles frames.
+    """
 
     watchdog: int = 2
     silence: int = 3
@@ -129,27 +136,28 @@ class Whole:
     reports_state: bool = True
     any_delay: bool = True
     ages: bool = True
-    """Whether commands say which cycle they answer, so that the arm can tell how old they are."""
+    """Whether commands contain the answered cycle, from which the arm derives their age."""
     arm_faults: bool = True
     """Whether the arm fails and restarts."""
     echoes: bool = True
-    """Whether state frames echo the cycle number of the answer that was used."""
+    """Whether state frames echo the cycle number of the last accepted command."""
     loses: bool = True
     """Whether the link loses frames."""
     starts: int = 1
     arm: Any = None
     hosts: list[Host] = field(default_factory=list)
     last: list[Frame] = field(default_factory=list)
-    """The frames of the cycle before."""
+    """Frames of the previous cycle."""
     to_host: list[Report] = field(default_factory=list)
     sent: set[tuple[int, Mode]] = field(default_factory=set)
-    """What was ever sent, and may come again at any time."""
+    """All sent frames, which the link may repeat at any time."""
     elapsed: int = 0
-    """Cycles since times were brought within their limits."""
+    """Cycles since the last call of `normalise`."""
     off: int = 0
-    """Cycles until the arm, switched off and on, is there again: longer than the loop goes on without state frames."""
+    """Cycles until the end of a restart, which takes longer than the loop runs without frames."""
     sending: list[Frame] = field(default_factory=list)
-    asked: set[int] = field(default_factory=set)
+    requested: set[int] = field(default_factory=set)
+    """Runs that have started their activation."""
     activated: set[int] = field(default_factory=set)
     bad: str | None = None
 
@@ -162,14 +170,14 @@ class Whole:
         ):
             yield name, lambda world, name=name: world.cycle(name)
         if self.any_delay:
-            yield "states held up", lambda world: world.cycle("states held up")
+            yield "states delayed", lambda world: world.cycle("states delayed")
             for frame in self.last:
                 yield (
-                    "a command of the cycle before",
+                    "a command of the previous cycle",
                     lambda world, f=frame: world.cycle("nothing", late=f),
                 )
                 yield (
-                    "a command held up",
+                    "a command delayed",
                     lambda world, f=frame: world.cycle("commands lost", late=f),
                 )
             for number, mode in sorted(self.sent):
@@ -190,11 +198,14 @@ class Whole:
             yield "a run starts", lambda world: (world.start(), world.cycle("nothing"))
         for i, host in enumerate(self.hosts):
             if host.is_held_up:
-                yield "the loop goes on", lambda world, i=i: world.go_on(i)
+                yield "the loop resumes", lambda world, i=i: world.go_on(i)
             else:
-                yield "the loop is held up", lambda world, i=i: world.hold_up(i, after_answer=False)
                 yield (
-                    "the loop is held up after its answer",
+                    "the loop is suspended",
+                    lambda world, i=i: world.hold_up(i, after_answer=False),
+                )
+                yield (
+                    "the loop is suspended after its answer",
                     lambda world, i=i: world.hold_up(i, after_answer=True),
                 )
                 if host.stage != "stopping":
@@ -219,12 +230,12 @@ class Whole:
         )
 
     def restart_arm(self) -> None:
-        """Power off and on: nothing is remembered, and cycle numbers are others."""
+        """Switch the arm off and on: its memory is empty, and its cycle numbers are different."""
         self.arm = arm(self.implicit, self.watchdog, self.silence)
         old = (MIDDLE - OLDEST) % CYCLES
         self.last = [(number, mode, old) for number, mode, _ in self.last]
         self.off = LOST + 1
-        # A run that has not seen its arm active is still in its one activation.
+        # A run without a report of active is still in its first activation.
         self.activated -= {
             host.session.number for host in self.hosts if host.stage in ("preparing", "activating")
         }
@@ -232,7 +243,7 @@ class Whole:
             host.session._answered_at.clear()
 
     def hold_up(self, i: int, *, after_answer: bool) -> None:
-        """Stop the process between two of its instants, or when a frame is ready to go out."""
+        """Suspend the process between two instants, or with a frame ready for transmission."""
         host = self.hosts[i]
         if after_answer:
             host.held = host.answer()
@@ -252,21 +263,25 @@ class Whole:
 
     def _put(self, host: Host, mode: Mode) -> None:
         frame = host.send(mode)
-        if host.has_asked:
-            self.asked.add(host.session.number)
+        if host.has_activated:
+            self.requested.add(host.session.number)
         if frame is None:
             return
         if mode is Mode.activate and not host.session.permit.is_held:
             self.bad = "an activation was sent without a permit"
         if host.stage == "stopping" and (
-            mode is Mode.activate or (mode is Mode.torque and not host.knows_active)
+            mode is Mode.activate or (mode is Mode.torque and not host.has_recent_report)
         ):
-            self.bad = f"{mode.name} was sent after a reason to stop, to an arm that was not known to be active"
+            self.bad = (
+                f"{mode.name} was sent after a reason to stop, without a recent report of active"
+            )
         self.sending.append(frame)
         if mode in POWER:
             self.sent.add(frame[:2])
 
     def cycle(self, link: str, late: Frame | None = None) -> None:
+        """Execute one cycle. `link`: behaviour of the link; `late`: old frame that arrives now."""
+        # The hosts send.
         self.elapsed += 1
         for host in self.hosts:
             if not host.is_held_up:
@@ -274,6 +289,7 @@ class Whole:
                 if mode is not None:
                     self._put(host, mode)
         self.hosts = [host for host in self.hosts if host.stage != "over"]
+        # The link loses, doubles or delays the commands.
         arriving, self.sending = self.sending, []
         self.last = [frame for frame in arriving if frame[1] in POWER] if self.any_delay else []
         if link in ("commands lost", "both lost"):
@@ -282,6 +298,7 @@ class Whole:
             arriving = [frame for frame in arriving for _ in range(2)]
         if late is not None:
             arriving.append(late)
+        # The arm executes its cycle, and sends its state.
         if self.off:
             self.off -= 1
             for host in self.hosts:
@@ -294,7 +311,7 @@ class Whole:
         )
         if link in ("states lost", "both lost"):
             self.to_host.pop()
-        elif link == "states held up":
+        elif link == "states delayed":
             self.to_host = self.to_host[-QUEUE:]
             return
         for host in self.hosts:
@@ -304,7 +321,7 @@ class Whole:
     def _arm_cycle(self, frames: list[Frame]) -> None:
         logic = self.arm
         for frame in frames or [None]:
-            # One at a time, so that it is seen which one did it; only the last begins a cycle.
+            # Pass the frames one by one, to find the one that activates the arm.
             before, braked = logic.life.now, logic.braked
             if frame is not None:
                 number, mode, answered = frame if self.ages else (*frame[:2], logic.cycle)
@@ -320,14 +337,14 @@ class Whole:
     def _activated(self, number: int) -> None:
         if number in self.activated:
             self.bad = f"run {number} has activated the arm twice"
-        if number not in self.asked:
-            self.bad = f"run {number} has activated the arm, and had not come to its activation"
+        if number not in self.requested:
+            self.bad = f"run {number} has activated the arm before its activation has started"
         self.activated.add(number)
 
     def normalise(self) -> None:
 
         def relative(number: int | None, most: int = self.watchdog) -> Any:
-            """What is older than the limit is old."""
+            """Return the number relative to the middle; OLDEST for ages beyond the limit."""
             if number is None:
                 return None
             age = (self.arm.cycle - number) % CYCLES
@@ -337,7 +354,7 @@ class Whole:
         self.sending = [
             (number, mode, relative(answered)) for number, mode, answered in self.sending
         ]
-        # How old the last used answer is matters only where nothing else shows that the arm is active.
+        # The age of the last answer matters only for an arm that does not report its state.
         echo = self.watchdog if self.reports_state else OLDEST
         self.to_host = [(s, o, relative(c), relative(e, echo)) for s, o, c, e in self.to_host]
         for host in self.hosts:

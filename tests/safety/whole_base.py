@@ -1,12 +1,18 @@
-"""Controllers, base robot and the link between them: the host's `Permit`, the base robot's `VirtualBase` and `BaseLogic`, and its `OdometryLink`.
+"""Search model of controllers, base robot and link.
 
-A move is one call of the base robot, which is a cycle of the host, too. The base robot's end is the product's own from the sample to
-the word whom it obeys. What the host does in a cycle is the calls that `ZenohBase` makes, in their order. It has no quality monitor and
-no limits: a reason to stop may come at any time, and is not needed for the promise.
+It uses `Permit` and `OdometryLink` of the host, and `VirtualBase` and `BaseLogic` of the base
+robot. A move is one call of the base robot, which is also one cycle of the host. The base robot's
+side is the product's code, from the received sample to the obedience token. The host makes the
+calls of `ZenohBase` in their order. It has no quality monitor and no limits: a reason to stop may
+occur at any time, and the guarantee does not depend on it.
 
-Premises. A link keeps one publisher's samples in their order (TCP), and the base robot looks at the freshest (RingChannel(1)). An
-ordinary delay is shorter than the base robot's watchdog. What is held up for longer comes at once, but where the base robot is active
-already; `playback` drops this premise: the link then gives back what it held up as slowly as it was sent, or once more. A base robot that is switched off is away for longer than its watchdog.
+Assumptions:
+- A link keeps the order of the samples of one publisher (TCP).
+- The base robot reads the newest sample (RingChannel(1)).
+- An ordinary delay is shorter than the watchdog of the base robot.
+- Samples that were delayed for longer arrive together, unless the base robot is active. `playback`
+  drops this assumption: the link then delivers delayed samples at their original rate, or again.
+- A base robot that is switched off stays off for longer than its watchdog.
 """
 
 from __future__ import annotations
@@ -32,23 +38,30 @@ from freeflyer_adapters.facility.settings import FacilitySettings
 from freeflyer_adapters.facility.virtual_base import VirtualBase
 
 CYCLE, PERIOD, NOW = 7_812_500, 2.0**-7, 26
-"""[ns, s] of a call: a number of nanoseconds that is a power of two in seconds, so that nothing is decided by rounding. The call now."""
+"""Period of a call [ns, s], and the number of the present call.
+
+The period is a power of two in seconds, to exclude rounding errors."""
 WATCHDOG, PROOF, SILENCE = 2, 2, 4
-"""Calls. By default both are 20 ms: a set point that is late by the watchdog is refused, and set points must have come for so long."""
+"""Times in calls; the defaults of the first two are 20 ms.
+
+A set point older than WATCHDOG is rejected. An activation needs set points for PROOF. A session
+ends after SILENCE."""
 RAMP = 2
 """Cycles of the graded stop."""
 OLDEST = 5
-"""Calls, more than two watchdogs. Older samples are left out: a base robot knows delays by their differences only, and these are all there."""
+"""Largest age of a sample [calls], more than two watchdogs.
+
+Older samples add no case: the base robot measures only differences of delays."""
 IGNORED = frozenset({
     "_environment", "options", "settings", "session", "_obedience", "_used", "counts", "_turns", "events", "refused", "steps", "step", "subject",
     "position", "orientation", "velocity", "jump", "_sequence",
 })  # fmt: skip
-"""Counters, constants, and `_used`, which is `logic.used`; set points are where the robot is in all samples."""
+"""Counters, constants, and `_used`, which is `logic.used`. All set points equal the pose."""
 PUBLISHERS = (1, 2)
 POSE = (np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))
 JUMP = (FacilitySettings().base_jump_m, FacilitySettings().base_jump_rad)
 HOLDS_ONLY_WHEN_ACTIVE = True
-"""Whether the graded stop's set points are for an activation that was through (`ZenohBase.ramp_down`)."""
+"""Whether the graded stop sends set points only after a complete activation."""
 REASON = "a reason to stop"
 SCRATCH = {
     "position_setpoint": np.zeros(3),
@@ -62,7 +75,7 @@ Move = Callable[[Any], None]
 
 
 def do(method: str, *arguments: Any, **keywords: Any) -> Move:
-    """A move that is one call."""
+    """Return a move that calls one method of the model."""
 
     def move(world: Any) -> None:
         getattr(world, method)(*arguments, **keywords)
@@ -71,6 +84,8 @@ def do(method: str, *arguments: Any, **keywords: Any) -> Move:
 
 
 def then(*moves: Move) -> Move:
+    """Return a move that executes several moves in order."""
+
     def move(world: Any) -> None:
         for one in moves:
             one(world)
@@ -79,13 +94,13 @@ def then(*moves: Move) -> Move:
 
 
 class Options:
-    """What of `LinkOptions` is read."""
+    """Used part of `LinkOptions`."""
 
     frame, child_frame, domain, setpoint_topic = "I", "B", 0, "setpoint"
 
 
 class Clock:
-    """The base robot's clock stands at the call now."""
+    """Clock of the base robot at the present call."""
 
     @staticmethod
     def monotonic_ns() -> int:
@@ -94,6 +109,8 @@ class Clock:
 
 @dataclass
 class Token:
+    """Liveliness token that records its withdrawal."""
+
     news: list[tuple[str, bool]]
     whom: str
 
@@ -103,10 +120,10 @@ class Token:
 
 @dataclass
 class Air:
-    """Of a Zenoh session: its liveliness tokens."""
+    """Test double of a Zenoh session with liveliness tokens."""
 
     news: list[tuple[str, bool]] = field(default_factory=list)
-    """Whom the base robot obeys (True), or ceased to obey, since the last call."""
+    """Obedience tokens by publisher since the last call: declared (True) or withdrawn."""
 
     def liveliness(self) -> Air:
         return self
@@ -121,8 +138,8 @@ def gid(publisher: int) -> bytes:
     return bytes([publisher]) * GID_BYTES
 
 
-class Ear(OdometryLink):
-    """The base robot's end of the link without Zenoh: `heard` is what came since the last call."""
+class BaseEnd(OdometryLink):
+    """Base robot's end of the link, without Zenoh. `heard`: sample since the last call."""
 
     def __post_init__(self) -> None:
         self._environment: Any = Clock
@@ -153,7 +170,7 @@ class Ear(OdometryLink):
 
 
 class StillLogic(BaseLogic):
-    """Copied without what never changes here: all set points are where the robot is."""
+    """BaseLogic whose copies omit constant attributes: all set points equal the pose."""
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in vars(self).items() if name not in IGNORED}
@@ -170,13 +187,13 @@ class StillLogic(BaseLogic):
 
 
 class Base(VirtualBase):
-    """The virtual base robot without a model and without faults: `receive` is one of its calls."""
+    """Virtual base robot without dynamics and without faults."""
 
     def __init__(self, watchdog: int, proof: int) -> None:
         self.watchdog, self.proof = watchdog, proof
         self.period, self.options = PERIOD, Options  # type: ignore[assignment]
         self._used: deque[bytes] = deque(maxlen=MOST_USED)
-        self._link: Any = Ear(Air(), Options, "", "")  # type: ignore[arg-type]
+        self._link: Any = BaseEnd(Air(), Options, "", "")  # type: ignore[arg-type]
         self.begin_session({})
 
     @property
@@ -209,27 +226,29 @@ class Base(VirtualBase):
     def _pose(self, pose: Any) -> None: ...
 
     def call(self, sample: Attachment | None) -> None:
-        """See `Facility`: a session that is over is followed by the next."""
+        """Execute one call with a sample. As in `Facility`, a new session follows an ended one."""
         self._link.heard = sample
         self.receive(SCRATCH)
         if self.logic.session_is_over:
             self.begin_session({})
 
     def shift(self, watchdog: int) -> None:
-        """The next call: all times are brought back by one, and those that are long ago to the limit."""
+        """Move all times back by one call, and limit their age."""
+        # Set points of the candidate for the next activation.
         logic, link, clock = self.logic, self._link, self._link.clock
         candidate, first, call, *came = tuple[Any, ...](logic._candidate)
         if candidate == logic.publisher:
-            candidate = b""  # its set points begin anew if it is obeyed again
+            candidate = b""  # a new activation would start with new set points
         gaps = [NOW - min(logic._calls - last, watchdog + 1) for last in came]
         if candidate == b"":
             found: tuple[Any, ...] = (b"", 0.0, NOW, *([NOW] * len(came)))
         else:
-            # Only how far the stamp was behind the call matters, and whether it was long enough ago.
+            # Only the delay of the first stamp and the elapsed time up to PROOF matter.
             late = round(first / PERIOD) - call
             passed = min(logic._calls - call, logic.proof)
             found = (candidate, (NOW - passed + late) * PERIOD, NOW - passed, *gaps)
         logic._candidate = found
+        # Times of the logic, of the link and of its clock.
         logic._heard = NOW - min(logic._calls - logic._heard, watchdog + SILENCE)
         if not logic.was_active:
             logic._heard = NOW
@@ -242,7 +261,7 @@ class Base(VirtualBase):
         if clock._quickest is None:
             clock.forget()
         else:
-            # What is quick is forgotten so slowly that it plays no part here.
+            # The smallest delay decays too slowly to matter here.
             clock._quickest = round(clock._quickest / CYCLE) * CYCLE
             clock._delay = round(clock._delay / CYCLE) * CYCLE
             arrived = max(clock._arrived - CYCLE, (NOW - OLDEST - 1) * CYCLE)
@@ -251,10 +270,12 @@ class Base(VirtualBase):
 
 @dataclass
 class Proof:
-    """One publisher's set points, as far as they prove that it is there."""
+    """Set points of one publisher that may lead to an activation."""
 
     chains: set[tuple[int, int, int]] = field(default_factory=set)
-    """Set points that come as their stamps advance: how late the first was, how long ago it and the last one came [calls]."""
+    """Sequences of set points that arrive at the rate of their stamps.
+
+    Delay of the first one, time since the first one, time since the last one [calls]."""
 
     def add(self, late: int, watchdog: int) -> None:
         self.chains |= {
@@ -262,7 +283,7 @@ class Proof:
         } | {(late, 0, 0)}
 
     def shift(self, watchdog: int, proof: int) -> None:
-        """A call later; a chain is broken by a gap that is longer than the watchdog."""
+        """Move the times back by one call. A gap longer than the watchdog ends a sequence."""
         self.chains = {
             (first, min(ago + 1, proof), last + 1)
             for first, ago, last in self.chains
@@ -271,15 +292,15 @@ class Proof:
 
 
 class BaseAlone:
-    """The base robot's own lock: in every call one sample of any publisher and stamp, or none."""
+    """Base robot that receives a sample of any publisher and stamp, or none, in every call."""
 
     def __init__(self, watchdog: int = WATCHDOG, proof: int = PROOF) -> None:
         self.watchdog, self.proof = watchdog, proof
         self.base = Base(watchdog, proof)
         self.was_active: set[int] = set()
         self.had_sent: set[int] = set()
-        """Sent while another publisher was obeyed."""
-        self.obeyed = 0
+        """Publishers that have sent while another one was accepted."""
+        self.accepted = 0
         self.proofs = {publisher: Proof() for publisher in PUBLISHERS}
         self.bad: str | None = None
 
@@ -304,31 +325,33 @@ class BaseAlone:
             self.bad = (
                 "active without a sample" if sample is None else self._bad_activation(publisher)
             )
-            self.obeyed = publisher
-        elif is_active and sample is not None and logic._heard == NOW and publisher != self.obeyed:
-            self.bad = "a set point of another publisher was followed"
-        if is_active and sample is not None and publisher != self.obeyed:
+            self.accepted = publisher
+        elif (
+            is_active and sample is not None and logic._heard == NOW and publisher != self.accepted
+        ):
+            self.bad = "a set point of another publisher was accepted"
+        if is_active and sample is not None and publisher != self.accepted:
             self.had_sent.add(publisher)
-        if self.obeyed and not is_active:
-            self.was_active.add(self.obeyed)
-            self.obeyed = 0
+        if self.accepted and not is_active:
+            self.was_active.add(self.accepted)
+            self.accepted = 0
 
     def _bad_activation(self, publisher: int) -> str | None:
         if publisher in self.was_active:
-            return "active by a publisher that was used up"
+            return "active by an expired publisher"
         if publisher in self.had_sent:
-            return "active by a publisher that had sent while another was obeyed"
+            return "active by a publisher that had sent while another was accepted"
         if not any(
             ago >= self.proof and last == 0 for _, ago, last in self.proofs[publisher].chains
         ):
-            return "active by set points that had not come for long enough as their stamps advance"
+            return "active without set points for long enough at the rate of their stamps"
         return None
 
     def normalise(self) -> None:
         self.base.shift(self.watchdog)
         is_active = self.base.logic.life.now is LifeCycle.active
         for publisher, proof in self.proofs.items():
-            used = publisher in self.was_active | self.had_sent | {self.obeyed}
+            used = publisher in self.was_active | self.had_sent | {self.accepted}
             if used or is_active:
                 proof.chains.clear()
             proof.shift(self.watchdog, self.proof)
@@ -338,52 +361,55 @@ class BaseAlone:
 
 
 class Host:
-    """One run of the controllers, with a publisher of its own."""
+    """One run of the controllers, with its own publisher.
 
-    def __init__(self, run: int, base: int, *, watchdog: int, tells: bool) -> None:
-        self.run, self.base, self.tells = run, base, tells
-        """`base`: the base robot whose measurements it uses, the first that it receives."""
+    `base`: number of the base robot whose measurements the run uses; `reports`: whether the base
+    robot reports which publisher it accepts.
+    """
+
+    def __init__(self, run: int, base: int, *, watchdog: int, reports: bool) -> None:
+        self.run, self.base, self.reports = run, base, reports
         self.permit = Permit("base", watchdog=watchdog * CYCLE, reports_state=False)
         self.stage = "preparing"
-        self.publishes = self.is_active = self.was_obeyed = self.has_sent = False
+        self.publishes = self.is_active = self.was_accepted = self.has_sent = False
         self.stopping = 0
         self.measured = False
-        """A measurement waits in the ring of one."""
+        """Whether a measurement is pending in the ring channel."""
         self.news: list[bool] = []
         self.late_news: list[bool] = []
-        """What the base robot has told, and is still on its way."""
+        """Obedience tokens that are still in transit."""
         self.is_held_up = False
         self.held_up = 0
-        """Calls that the process has been held up for."""
-        self.stops_at_look = False
-        self.looked: int | None = None
-        """A set point was allowed so many calls ago, and has not gone out yet: the process was held up between."""
+        """Calls since the process was suspended."""
+        self.stops_after_check = False
+        self.checked: int | None = None
+        """Calls since the last check of a set point that is not yet sent (suspended process)."""
 
     def _take(self) -> bool:
-        """See `ZenohBase._take`."""
-        came, self.measured = self.measured, False
-        if came:
+        """Corresponds to `ZenohBase._take`."""
+        has_received, self.measured = self.measured, False
+        if has_received:
             self.permit.report(True, NOW * CYCLE)
-        return came
+        return has_received
 
     def _obedience(self) -> bool | None:
-        """See `OdometryLink.obedience`."""
+        """Corresponds to `OdometryLink.obedience`."""
         return self.news.pop(0) if self.news else None
 
     def _publish(self) -> bool:
-        """See `ZenohBase._publish`; whether a set point goes out."""
+        """Return whether a set point is sent. Corresponds to `ZenohBase._publish`."""
         now = NOW * CYCLE
         if not (self.permit.allows(now) or self.permit.may_ramp_down(now)):
             return False
-        if self.stops_at_look:
-            self.stops_at_look, self.looked = False, 0
+        if self.stops_after_check:
+            self.stops_after_check, self.checked = False, 0
             return False
         self.permit.wrote(now)
         self.has_sent = True
         return self.publishes
 
     def stop(self) -> None:
-        """See `graded_stop.stop` and `ZenohBase.revoke`."""
+        """Corresponds to `graded_stop.stop` and `ZenohBase.revoke`."""
         self.permit.allows(NOW * CYCLE)
         self.permit.lose(REASON)
         if self.permit.was_held_up:
@@ -391,7 +417,7 @@ class Host:
         self.stage = "stopping" if self.has_sent else "over"  # see `ZenohBase.may_have_power`
 
     def cycle(self) -> bool:
-        """What the loop does in one of its cycles; whether a set point goes out."""
+        """Execute one cycle of the loop. Return whether a set point is sent."""
         now, permit = NOW * CYCLE, self.permit
         if self.stage == "over":
             return False
@@ -400,16 +426,16 @@ class Host:
                 return False
             self.publishes = True
             permit.take(now)
-            self.stage = "asking"
-        if self.stage == "asking":  # see `ZenohBase._be_obeyed`
-            goes_out = self._publish()
-            if not self.tells or self._obedience():
-                self.stage, self.is_active, self.was_obeyed = "running", True, self.tells
-                return self._publish() or goes_out
+            self.stage = "activating"
+        if self.stage == "activating":  # see `ZenohBase._be_obeyed`
+            is_sent = self._publish()
+            if not self.reports or self._obedience():
+                self.stage, self.is_active, self.was_accepted = "running", True, self.reports
+                return self._publish() or is_sent
             if permit.lost:
                 self.stop()
             self._take()
-            return goes_out
+            return is_sent
         if self.stage == "running":  # see `ZenohBase.read` and `write`
             permit.allows(now)
             if not permit.was_held_up:
@@ -420,7 +446,7 @@ class Host:
                     return self._publish()
             self.stop()
             return False
-        # See `ZenohBase.ramp_down`.
+        # Stage "stopping": see `ZenohBase.ramp_down`.
         self._take()
         self.stopping += 1
         if self.stopping > RAMP:
@@ -431,98 +457,101 @@ class Host:
     def shift(self, watchdog: int) -> None:
         permit, oldest = self.permit, (NOW - watchdog - 1) * CYCLE
         shift_permit(permit, CYCLE, oldest)
-        self.looked = None if self.looked is None else min(self.looked + 1, OLDEST + 1)
+        self.checked = None if self.checked is None else min(self.checked + 1, OLDEST + 1)
         self.held_up = (
             min(self.held_up + 1, 2 * watchdog + 1) if self.is_held_up and not permit.lost else 0
         )
 
 
 @dataclass
-class Way:
-    """One publisher's samples on their way, by their ages [calls], oldest first."""
+class Transit:
+    """Samples of one publisher in transit: `queue` has their ages [calls], oldest first."""
 
     queue: list[int] = field(default_factory=list)
-    came: int | None = None
-    """The last one that came, which may come again."""
+    arrived: int | None = None
+    """Age of the last sample that arrived, which may be repeated."""
     stopped: int | None = None
-    """Calls since the run's first reason to stop."""
+    """Calls since the first reason to stop of the run."""
     is_over: bool = False
 
 
 @dataclass
 class Whole:
-    """`limit`: how old [calls] a set point may be that activates the base robot after its run's stop."""
+    """Complete model.
+
+    `limit`: largest age [calls] of a set point that may activate the base robot after the stop of
+    its run.
+    """
 
     watchdog: int = WATCHDOG
     proof: int = PROOF
     limit: int = WATCHDOG
-    tells: bool = True
-    """Whether the base robot reports whom it obeys."""
+    reports: bool = True
+    """Whether the base robot reports which publisher it accepts."""
     playback: bool = False
-    """Whether a link gives back what it has held up, or sends it again, at any time."""
+    """Whether the link delivers delayed samples one by one, or again, at any time."""
     base_restarts: bool = True
     hold_ups: bool = True
-    """Whether the host's process is stopped and continued."""
-    stops_at_look: bool = False
-    """Whether the host's process may be stopped between its last look and the sample."""
+    """Whether the host's process is suspended and resumed."""
+    stops_after_check: bool = False
+    """Whether the host's process may be suspended between its last check and the sample."""
     queue: int = 2
     starts: int = 1
     base: Any = None
     bases: int = 1
     off: int = 0
     hosts: list[Host] = field(default_factory=list)
-    ways: dict[int, Way] = field(default_factory=dict)
+    transits: dict[int, Transit] = field(default_factory=dict)
     news: list[tuple[str, bool]] = field(default_factory=list)
     activated: set[int] = field(default_factory=set)
     quickest: int = OLDEST
-    """The least age of a set point that was followed in this activation."""
+    """Smallest age of an accepted set point in this activation."""
     bad: str | None = None
 
     def __post_init__(self) -> None:
         self.base = Base(self.watchdog, self.proof)
 
     def moves(self) -> Iterator[tuple[str, Move]]:
-        for run, way in sorted(self.ways.items()):
-            yield f"samples of run {run} come", do("call", run)
-            if len(way.queue) > 1:
-                yield f"the oldest sample of run {run} comes", do("call", run, only_oldest=True)
-            if way.came is not None:
-                yield f"a sample of run {run} comes again", do("call", again=run)
-        yield "samples are held up", do("call")
+        for run, transit in sorted(self.transits.items()):
+            yield f"samples of run {run} arrive", do("call", run)
+            if len(transit.queue) > 1:
+                yield f"the oldest sample of run {run} arrives", do("call", run, only_oldest=True)
+            if transit.arrived is not None:
+                yield f"a sample of run {run} is repeated", do("call", again=run)
+        yield "samples are delayed", do("call")
         yield "samples are lost", do("call", lost=True)
-        if (
-            self.starts and not self.hosts
-        ):  # another one's publisher is announced, and the run refused
+        # A run that detects the publisher of another run does not start.
+        if self.starts and not self.hosts:
             yield "a run starts", then(do("start"), do("call"))
         if self.base_restarts and not self.off and self.bases == 1:
             yield "the base restarts", then(do("restart"), do("call"))
         for i, host in enumerate(self.hosts):
             run, call = host.run, do("call", host.run)
-            yield f"run {run} gets no measurement", do("call", run, measured=False, told=False)
-            yield f"run {run} is told late", do("call", run, told=False)
+            yield f"run {run} gets no measurement", do("call", run, measured=False, reported=False)
+            yield f"run {run} gets a late report", do("call", run, reported=False)
             if host.is_held_up:
-                yield f"run {run} goes on", do("go_on", i, stamped=False)
-                if host.looked is not None:
+                yield f"run {run} resumes", do("go_on", i, stamped=False)
+                if host.checked is not None:
                     yield (
-                        f"run {run} goes on after its look at the clock",
+                        f"run {run} resumes after its reading of the clock",
                         do("go_on", i, stamped=True),
                     )
             elif self.hold_ups:
-                yield f"run {run} is held up", then(do("hold_up", i), call)
-                if self.stops_at_look:
+                yield f"run {run} is suspended", then(do("hold_up", i), call)
+                if self.stops_after_check:
                     yield (
-                        f"run {run} is held up after its look",
-                        then(do("hold_up_at_look", i), call),
+                        f"run {run} is suspended after its check",
+                        then(do("hold_up_after_check", i), call),
                     )
-            if not host.is_held_up and host.stage in ("asking", "running"):
+            if not host.is_held_up and host.stage in ("activating", "running"):
                 yield f"run {run} has a reason to stop", then(do("stop", i), call)
             yield f"run {run} is killed", then(do("kill", i), call)
 
     def start(self) -> None:
         self.starts -= 1
-        run = len(self.ways) + 1
-        self.ways[run] = Way()
-        self.hosts.append(Host(run, self.bases, watchdog=self.watchdog, tells=self.tells))
+        run = len(self.transits) + 1
+        self.transits[run] = Transit()
+        self.hosts.append(Host(run, self.bases, watchdog=self.watchdog, reports=self.reports))
 
     def stop(self, i: int) -> None:
         self.hosts[i].stop()
@@ -533,48 +562,48 @@ class Whole:
     def hold_up(self, i: int) -> None:
         self.hosts[i].is_held_up = True
 
-    def hold_up_at_look(self, i: int) -> None:
+    def hold_up_after_check(self, i: int) -> None:
         host = self.hosts[i]
-        host.stops_at_look = True
+        host.stops_after_check = True
         if host.cycle():
-            self.ways[host.run].queue.append(0)
-        host.stops_at_look, host.is_held_up = False, True
+            self.transits[host.run].queue.append(0)
+        host.stops_after_check, host.is_held_up = False, True
 
     def go_on(self, i: int, *, stamped: bool) -> None:
-        """`stamped`: the sample that waits to go out had its stamp already."""
+        """Resume the process. `stamped`: the pending sample already has its time stamp."""
         host = self.hosts[i]
-        if host.looked is not None:
-            host.permit.wrote((NOW - host.looked) * CYCLE)
+        if host.checked is not None:
+            host.permit.wrote((NOW - host.checked) * CYCLE)
             if host.publishes:
-                self._put(host, host.looked if stamped else 0)
-            self.call(come=host.run)
-            host.looked = None
+                self._put(host, host.checked if stamped else 0)
+            self.call(run=host.run)
+            host.checked = None
             host.is_held_up = False
         else:
             host.is_held_up = False
-            self.call(come=host.run)
+            self.call(run=host.run)
 
     def restart(self) -> None:
-        """Power off and on: what it knew of used publishers is lost, and its own publisher is another."""
+        """Switch the base robot off and on: it loses the expired publishers, and has a new one."""
         whom = self.base._link._told
         if whom not in ("", NOBODY):
             self.news.append((whom, False))
         self.base = Base(self.watchdog, self.proof)
         self.bases += 1
         self.off = self.watchdog + 1
-        # A run whose base robot was not yet seen to obey is still in its one activation.
-        self.activated -= {host.run for host in self.hosts if host.stage in ("preparing", "asking")}
+        # A run without a report of the base robot is still in its first activation.
+        self.activated -= {
+            host.run for host in self.hosts if host.stage in ("preparing", "activating")
+        }
 
     def _stopped(self, run: int) -> None:
-        way = self.ways[run]
-        way.stopped = 0 if way.stopped is None else way.stopped
+        transit = self.transits[run]
+        transit.stopped = 0 if transit.stopped is None else transit.stopped
 
     def _put(self, host: Host, age: int) -> None:
-        if self.tells and not (host.permit.is_held or host.was_obeyed):
-            self.bad = (
-                "a set point was sent without a permit to a base robot that was not known to obey"
-            )
-        queue = self.ways[host.run].queue
+        if self.reports and not (host.permit.is_held or host.was_accepted):
+            self.bad = "a set point was sent without a permit and without a report of the base"
+        queue = self.transits[host.run].queue
         if age == 0 and queue and queue[-1] == 0:
             return
         queue.append(age)
@@ -582,60 +611,70 @@ class Whole:
 
     def call(
         self,
-        come: int | None = None,
+        run: int | None = None,
         *,
         only_oldest: bool = False,
         again: int | None = None,
         lost: bool = False,
         measured: bool = True,
-        told: bool = True,
+        reported: bool = True,
     ) -> None:
+        """Execute one cycle of the hosts and one call of the base robot.
+
+        `run`: its samples arrive; `only_oldest`: only the oldest of them; `again`: run whose last
+        sample is repeated; `lost`: new samples are lost; `measured`, `reported`: whether the hosts
+        get the measurement and the obedience tokens.
+        """
+        # The hosts send.
         for host in self.hosts:
             if host.is_held_up:
-                # Stopped at its look, it sends what it has decided: within twice the watchdog a base robot cannot tell that from a delay.
-                longest = self.watchdog * (1 if host.looked is None else 2)
+                # A process that is suspended after its check sends its set point later. Within
+                # twice the watchdog, the base robot cannot distinguish that from a delay.
+                longest = self.watchdog * (1 if host.checked is None else 2)
                 if host.held_up > longest and host.stage != "preparing":
                     self._stopped(host.run)
                 continue
-            goes_out = host.cycle()
+            is_sent = host.cycle()
             if host.permit.lost or host.stage in ("stopping", "over"):
                 self._stopped(host.run)
-            if goes_out:
+            if is_sent:
                 self._put(host, 0)
         for host in self.hosts:
-            self.ways[host.run].is_over = host.stage == "over"
+            self.transits[host.run].is_over = host.stage == "over"
         self.hosts = [host for host in self.hosts if host.stage != "over"]
-        sample = self._sample(come, only_oldest, again, lost)
+        # The base robot receives a sample, and reports.
+        sample = self._sample(run, only_oldest, again, lost)
         if self.off:
             self.off -= 1
         else:
             self._base_called(sample)
-        self._tell(measured, told)
+        self._report(measured, reported)
 
     def _sample(
-        self, come: int | None, only_oldest: bool, again: int | None, lost: bool
+        self, run: int | None, only_oldest: bool, again: int | None, lost: bool
     ) -> tuple[int, int] | None:
-        """Run and age of the sample that the base robot finds, if one comes."""
+        """Return run and age of the sample that the base robot receives, or None."""
         if lost:
-            for way in self.ways.values():
-                way.queue = [age for age in way.queue if age]
+            for transit in self.transits.values():
+                transit.queue = [age for age in transit.queue if age]
             return None
         if again is not None:
-            age = self.ways[again].came
+            age = self.transits[again].arrived
             return None if age is None else (again, age)
-        if come is None or self.off:
+        if run is None or self.off:
             return None
-        way = self.ways[come]
-        if not way.queue:
+        transit = self.transits[run]
+        if not transit.queue:
             return None
-        arrived = way.queue[:1] if only_oldest else way.queue
-        way.queue = way.queue[len(arrived) :]
-        way.came = arrived[-1]
-        return come, way.came
+        arrived = transit.queue[:1] if only_oldest else transit.queue
+        transit.queue = transit.queue[len(arrived) :]
+        transit.arrived = arrived[-1]
+        return run, transit.arrived
 
     def _base_called(self, sample: tuple[int, int] | None) -> None:
+        """Call the base robot with a sample, and check the result."""
         base, logic = self.base, self.base.logic
-        before, obeyed = logic.life.now, logic.publisher
+        before, accepted = logic.life.now, logic.publisher
         attachment = None
         if sample is not None:
             run, age = sample
@@ -647,41 +686,41 @@ class Whole:
                 self.bad = self._bad_activation(run, age)
                 self.activated.add(run)
                 self.quickest = age
-            elif gid(run) != obeyed:
-                self.bad = "a set point of another publisher was followed"
+            elif gid(run) != accepted:
+                self.bad = "a set point of another publisher was accepted"
             else:
                 self.quickest = min(self.quickest, age)
                 if age > self.quickest + self.watchdog:
-                    self.bad = "a set point was followed that was late by more than the watchdog"
+                    self.bad = "a set point older than the watchdog was accepted"
         elif is_active and before is not LifeCycle.active:
             self.bad = "active without a set point"
 
     def _bad_activation(self, run: int, age: int) -> str | None:
-        stopped = self.ways[run].stopped
+        stopped = self.transits[run].stopped
         if run in self.activated:
             return f"run {run} has activated the base robot twice"
         if stopped is None:
             return None
         if age <= stopped:
-            return f"run {run} has activated the base robot with a set point that it sent after its stop"
+            return f"run {run} has activated the base robot with a set point from after its stop"
         if age > self.limit:
             return f"run {run} has activated the base robot after its stop, with a set point {age} calls old"
         return None
 
-    def _tell(self, measured: bool, told: bool) -> None:
-        """The base robot's measurement and its word to the hosts."""
+    def _report(self, measured: bool, reported: bool) -> None:
+        """Deliver measurement and obedience tokens of the base robot to the hosts."""
         air = self.base._link.session.news
         self.news += air
         air.clear()
-        for whom, obeys in self.news:
+        for publisher, is_accepted in self.news:
             for host in self.hosts:
-                if self.tells and whom == gid(host.run).hex():
-                    host.late_news = [*host.late_news, obeys]
+                if self.reports and publisher == gid(host.run).hex():
+                    host.late_news = [*host.late_news, is_accepted]
         self.news = []
         for host in self.hosts:
             if not self.off and measured and host.base == self.bases:
                 host.measured = True
-            if told:
+            if reported:
                 host.news, host.late_news = [*host.news, *host.late_news], []
 
     def normalise(self) -> None:
@@ -690,21 +729,24 @@ class Whole:
             self.quickest = OLDEST
         for host in self.hosts:
             host.shift(self.watchdog)
-        for run, way in self.ways.items():
-            way.queue = [age + 1 for age in way.queue if age < OLDEST]
-            comes_at_once = not self.playback and gid(run) != self.base.logic.publisher
-            if comes_at_once and len(way.queue) > 1 and way.queue[0] >= self.watchdog:
-                del way.queue[0]  # they come at once, and the freshest is looked at
-            if way.came is not None:
-                way.came = (
-                    way.came + 1
-                    if way.came + 1 < (OLDEST if self.playback else self.watchdog)
+        for run, transit in self.transits.items():
+            transit.queue = [age + 1 for age in transit.queue if age < OLDEST]
+            # Samples that arrive together: the base robot reads the newest one only.
+            arrive_together = not self.playback and gid(run) != self.base.logic.publisher
+            if arrive_together and len(transit.queue) > 1 and transit.queue[0] >= self.watchdog:
+                del transit.queue[0]
+            if transit.arrived is not None:
+                transit.arrived = (
+                    transit.arrived + 1
+                    if transit.arrived + 1 < (OLDEST if self.playback else self.watchdog)
                     else None
                 )
-            if way.stopped is not None:
-                way.stopped = min(way.stopped + 1, OLDEST)
-                if way.came is None and (not way.queue or way.queue[0] <= way.stopped):
-                    way.stopped = OLDEST  # nothing is on its way from before
+            if transit.stopped is not None:
+                transit.stopped = min(transit.stopped + 1, OLDEST)
+                if transit.arrived is None and (
+                    not transit.queue or transit.queue[0] <= transit.stopped
+                ):
+                    transit.stopped = OLDEST  # no sample from before the stop is in transit
 
     def violation(self) -> str | None:
         return self.bad
@@ -716,40 +758,42 @@ WORLDS: dict[str, Callable[[], Any]] = {
     "one run, a base robot that restarts": Whole,
     "two runs": lambda: Whole(starts=2, **NO_RESTART),
     "one run, a link that becomes slow": lambda: Whole(queue=3, hold_ups=False, **NO_RESTART),
-    "one run, a process that is stopped after its look": lambda: Whole(
-        stops_at_look=True, **NO_RESTART
+    "one run, a process that is suspended after its check": lambda: Whole(
+        stops_after_check=True, **NO_RESTART
     ),
 }
-NOT_PROMISED: dict[str, Callable[[], Any]] = {
-    "a link that plays back what it held up": lambda: Whole(playback=True, **NO_RESTART),
-    "a base robot that does not tell whom it obeys": lambda: Whole(tells=False, **NO_RESTART),
+NOT_GUARANTEED: dict[str, Callable[[], Any]] = {
+    "a link that plays delayed samples back": lambda: Whole(playback=True, **NO_RESTART),
+    "a base robot that does not report which publisher it accepts": lambda: Whole(
+        reports=False, **NO_RESTART
+    ),
 }
-"""A premise dropped, and the way is found: what a base robot cannot refuse."""
+"""Models without one assumption, in which the search finds a violation."""
 Patch = Callable[[pytest.MonkeyPatch], None]
 
 
-def _used_are_obeyed(patch: pytest.MonkeyPatch) -> None:
+def _expired_are_accepted(patch: pytest.MonkeyPatch) -> None:
     is_activated = BaseLogic._is_activated
 
-    def forgets(self: BaseLogic, *arguments: Any) -> bool | None:
+    def without_used(self: BaseLogic, *arguments: Any) -> bool | None:
         used, self.used = self.used, deque()
         activated = is_activated(self, *arguments)
         used.extend(self.used)
         self.used = used
         return activated
 
-    patch.setattr(BaseLogic, "_is_activated", forgets)
+    patch.setattr(BaseLogic, "_is_activated", without_used)
 
 
-def _used_end_with_the_session(patch: pytest.MonkeyPatch) -> None:
+def _expired_end_with_the_session(patch: pytest.MonkeyPatch) -> None:
     new_logic = Base._new_logic
 
-    def forgets(self: Base) -> BaseLogic:
+    def without_used(self: Base) -> BaseLogic:
         logic = new_logic(self)
         logic.used = deque()
         return logic
 
-    patch.setattr(Base, "_new_logic", forgets)
+    patch.setattr(Base, "_new_logic", without_used)
 
 
 def _stamps_do_not_count(patch: pytest.MonkeyPatch) -> None:
@@ -763,8 +807,8 @@ def _stamps_do_not_count(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(BaseLogic, "_comes_in_time", ignores)
 
 
-def _anybody_is_followed(patch: pytest.MonkeyPatch) -> None:
-    """Two guards: the link listens to one source, and the logic looks at the publisher again."""
+def _every_publisher_is_accepted(patch: pytest.MonkeyPatch) -> None:
+    """Remove two guards: the link accepts one source, and the logic checks the publisher again."""
     receive, take = OdometryLink.receive, BaseLogic.take
 
     def receives(self: OdometryLink, judge: Any) -> Any:
@@ -782,8 +826,8 @@ def _anybody_is_followed(patch: pytest.MonkeyPatch) -> None:
         publisher: bytes,
         *others: Any,
     ) -> Any:
-        obeyed = self.publisher if self.life.now is LifeCycle.active else publisher
-        return take(self, position, orientation, velocity, pose, obeyed, *others)
+        accepted = self.publisher if self.life.now is LifeCycle.active else publisher
+        return take(self, position, orientation, velocity, pose, accepted, *others)
 
     patch.setattr(OdometryLink, "receive", receives)
     patch.setattr(BaseLogic, "take", takes)
@@ -796,35 +840,35 @@ def _no_reason_to_stop(patch: pytest.MonkeyPatch) -> None:
     )
 
 
-ALONE, ONE, _, SLOW, LOOK = WORLDS.values()
+ALONE, ONE, _, SLOW, CHECK = WORLDS.values()
 GUARDS: dict[str, tuple[Callable[[], Any], Patch]] = {
-    "a used publisher is not obeyed again": (ALONE, _used_are_obeyed),
-    "used publishers outlive a session": (ALONE, _used_end_with_the_session),
-    "a publisher that sent while another was obeyed is refused": (
+    "an expired publisher is not accepted again": (ALONE, _expired_are_accepted),
+    "expired publishers stay expired in the next session": (ALONE, _expired_end_with_the_session),
+    "a publisher that sent while another was accepted is rejected": (
         ALONE,
         lambda patch: patch.setattr(BaseLogic, "refuse", lambda logic, publisher: None),
     ),
-    "set points must have come for a while": (
+    "an activation needs set points for some time": (
         ALONE,
         lambda patch: patch.setattr(
             BaseLogic, "_comes_in_time", lambda logic, publisher, stamp: True
         ),
     ),
-    "as their stamps advance": (ALONE, _stamps_do_not_count),
-    "one publisher is followed": (ALONE, _anybody_is_followed),
-    "a late set point is not followed": (
+    "set points must arrive at the rate of their stamps": (ALONE, _stamps_do_not_count),
+    "only one publisher is accepted": (ALONE, _every_publisher_is_accepted),
+    "a late set point is not accepted": (
         SLOW,
         lambda patch: patch.setattr(PeerClock, "delay", lambda clock, stamp, arrived: 0),
     ),
-    "a permit is lost by a hold-up": (LOOK, without_hold_ups),
-    "a permit is lost at the first reason to stop": (ONE, _no_reason_to_stop),
-    "a set point is held while measurements come only": (
+    "a delay of the loop ends the permit": (CHECK, without_hold_ups),
+    "the first reason to stop ends the permit": (ONE, _no_reason_to_stop),
+    "the graded stop needs recent measurements": (
         ONE,
         lambda patch: patch.setattr(Permit, "may_ramp_down", lambda permit, now: True),
     ),
-    "the graded stop holds only what was activated": (
+    "the graded stop sends set points only after a complete activation": (
         SLOW,
         lambda patch: patch.setattr(f"{__name__}.HOLDS_ONLY_WHEN_ACTIVE", False),
     ),
 }
-"""What is taken away, and the world that needs it."""
+"""Guard -> model that needs it, and a patch that removes it."""

@@ -1,12 +1,17 @@
-"""Controllers, CiA 402 drives and the bus between them: the host's `DriveSession`s and `Permit`, and a `DriveLogic` for each drive.
+"""Search model of controllers, CiA 402 drives and bus.
 
-A move is one SYNC period. What the host does in it is the calls that `Cia402Arm` makes, in their order; what a node does with a frame is
-what `VirtualDrive` does. Watchdogs are two periods at both ends, and three lost cycles stop the loop (by default four and five).
+It uses `DriveSession` and `Permit` of the host, and one `DriveLogic` per drive. A move is one SYNC
+period. The host makes the calls of `Cia402Arm` in their order, and a node processes frames as
+`VirtualDrive`. Watchdogs have two periods at both ends, and three lost cycles stop the loop (the
+defaults are four and five).
 
-CiA 402 has no session number, and an RPDO has no time: a drive in NMT state operational follows whatever comes. So the promise has these
-premises, of which the last two may be dropped. Another run starts only where no SYNC is heard (`Cia402Arm.configure`). A drive that
-restarts takes longer than the loop goes on without its TPDOs. A bus holds no RPDO up beyond one SYNC (`any_delay` drops this: an RPDO that
-was ever sent may come at any time). The process is not stopped between its decision and the RPDO (`stops_at_send` drops this).
+CiA 402 has no session number, and an RPDO has no time stamp: a drive in NMT state operational
+accepts every RPDO. The guarantee needs these assumptions:
+- Another run starts only where no SYNC is received (`Cia402Arm.configure`).
+- A restart of a drive takes longer than the loop runs without its TPDOs.
+- The bus delays an RPDO by at most one SYNC. `any_delay` drops this assumption: an RPDO may be
+  repeated at any time.
+- The process is not suspended between its decision and the RPDO. `stops_at_send` drops this.
 """
 
 from __future__ import annotations
@@ -36,20 +41,22 @@ from freeflyer_adapters.facility.drive_logic import STOPPING, DriveLogic
 
 S = DriveState
 NOW, CYCLE, PERIOD = 20, 4_000_000, 0.004
-WATCHDOG, LOST, RAMP, GIVE_UP, OLDEST = 2, 3, 1, 2, 5
-"""Periods: of the drives' and the permit's watchdog, lost ones that stop the loop, of the host's ramp-down and until it gives up waiting
-for the brakes. RPDOs that are older than OLDEST are alike."""
+WATCHDOG, LOST, RAMP, BRAKE_TIMEOUT, OLDEST = 2, 3, 1, 2, 5
+"""Times in periods.
+
+Watchdog of drives and permit, losses that stop the loop, ramp-down of the host, its longest wait
+for the brakes, largest distinguished age of an RPDO."""
 UPWARDS = {
     S.switch_on_disabled: (S.ready_to_switch_on,),
     S.ready_to_switch_on: (S.switched_on,),
     S.switched_on: (S.operation_enabled,),
 }
-LOOKS_BEFORE_SYNC = ("walking", "running", "stopping")
-"""Stages in which the loop looks at its permit before it sends SYNC."""
+CHECKS_BEFORE_SYNC = ("enabling", "running", "stopping")
+"""Stages in which the loop checks its permit before it sends SYNC."""
 SYNC_AFTER_HOLD_UP = False
-"""Whether the loop's end sends SYNC even after a hold-up: RPDOs from before it wait for that."""
+"""Whether the end of the loop sends SYNC after a delay, which would apply old RPDOs."""
 TARGET = 1.0
-"""[N m], so that a drive that stops by itself takes a period for it."""
+"""Target torque [N m]; not zero, so that the ramp of a stopping drive takes one period."""
 IGNORED = frozenset({
     "subject", "_count", "_recent", "longest_row", "error", "new_error", "syncs", "ramp", "torque", "_controlword", "tick", "watchdog",
     "sync_period", "host_patience", "_since_host",
@@ -59,42 +66,47 @@ IGNORED = frozenset({
 
 @dataclass(frozen=True)
 class Rpdo:
+    """RPDO of one run."""
+
     run: int
     command: Command
     answered: DriveState | None
-    """The state that the host knew when it decided."""
+    """Last state of the drive at the decision of the host."""
     age: int = 0
-    """Periods since that."""
+    """Periods since the decision."""
 
 
 @dataclass
 class Node:
-    """See `VirtualDrive`."""
+    """Drive on the bus; corresponds to `VirtualDrive`."""
 
     logic: DriveLogic
     is_operational: bool = False
     was_operational: bool = False
     pending: Rpdo | None = None
     late: Rpdo | None = None
-    """Held up on the bus until after the next SYNC."""
+    """RPDO that is delayed on the bus until after the next SYNC."""
     off: int = 0
-    """Periods until it is there again."""
+    """Periods until the end of a restart."""
 
     def on_sync(self) -> tuple[DriveState, Rpdo | None] | None:
-        """What it answers, and the RPDO that acts from now on; None: nothing. See `VirtualDrive.on_sync`."""
+        """Return the state in the TPDO and the applied RPDO; None: no response.
+
+        Corresponds to `VirtualDrive.on_sync`.
+        """
         if not self.is_operational or self.off:
             return None
-        said, acts, self.pending = self.logic.state, self.pending, None
-        self.logic.synchronise(None if acts is None else acts.command.value, TARGET)
-        return said, acts
+        state, applied, self.pending = self.logic.state, self.pending, None
+        self.logic.synchronise(None if applied is None else applied.command.value, TARGET)
+        return state, applied
 
     def take(self, rpdo: Rpdo) -> None:
-        """See `VirtualDrive._take`."""
+        """Corresponds to `VirtualDrive._take`."""
         if self.is_operational and not self.off:
             self.pending = rpdo
 
     def nmt(self, *, operational: bool) -> None:
-        """An NMT command, and what `VirtualDrive.advance` makes of it."""
+        """Process an NMT command as `VirtualDrive.advance`."""
         self.is_operational = operational
         if operational == self.was_operational:
             return
@@ -117,22 +129,25 @@ class Host:
         self.was_active = False
         self.stopping = 0
         self.fresh = [False] * drives
-        self.is_strange = False
-        """Another controller's frames came (`Cia402Arm._on_strange_sync`)."""
+        self.has_other_controller = False
+        """Whether frames of another controller were received (`Cia402Arm._on_foreign_frame`)."""
         self.is_held_up = False
         self.held_up = 0
         self.held: list[Rpdo] | None = None
-        """RPDOs that were decided when the process was stopped."""
+        """RPDOs that were ready for transmission when the process was suspended."""
 
     def stop(self) -> None:
-        """See `graded_stop.stop` and `Cia402Arm.revoke`."""
+        """Corresponds to `graded_stop.stop` and `Cia402Arm.revoke`."""
         self.permit.lose("a reason to stop")
         self.was_active = self.stage == "running"
         self.stage = "stopping"  # see `Cia402Arm.may_have_power`
 
     def may_exchange(self) -> bool:
-        """See the begin of `Cia402Arm.read` and the middle of `_walk`: whether the cycle begins with a SYNC."""
-        if self.stage in ("walking", "running") and self.stage in LOOKS_BEFORE_SYNC:
+        """Return whether the cycle starts with a SYNC.
+
+        Corresponds to the start of `Cia402Arm.read` and to the loop in `Cia402Arm._enable`.
+        """
+        if self.stage in ("enabling", "running") and self.stage in CHECKS_BEFORE_SYNC:
             self.permit.allows(NOW * CYCLE)
             if self.permit.was_held_up:
                 self.stop()
@@ -141,22 +156,25 @@ class Host:
 
     @property
     def only_measures(self) -> bool:
-        """See the begin of `Cia402Arm.ramp_down`."""
-        if self.stage in LOOKS_BEFORE_SYNC:
+        """Whether the graded stop sends no SYNC (start of `Cia402Arm.ramp_down`)."""
+        if self.stage in CHECKS_BEFORE_SYNC:
             self.permit.allows(NOW * CYCLE)
         return self.stage == "stopping" and self.permit.was_held_up and not SYNC_AFTER_HOLD_UP
 
     def measured(self, states: list[DriveState | None]) -> None:
-        """See `Cia402Arm.ramp_down`: statuswords by SDO, until the drives rest; None: no answer, which ends it."""
+        """Process statuswords that were read by SDO; None: no response, which ends the stop.
+
+        Corresponds to `Cia402Arm.ramp_down` after a delay.
+        """
         for j, state in enumerate(states):
             self.fresh[j] = state is not None
             self.sessions[j].report(state)
         self.stopping += 1
-        if self._at_rest or not all(self.fresh) or self.stopping > RAMP + GIVE_UP:
+        if self._at_rest or not all(self.fresh) or self.stopping > RAMP + BRAKE_TIMEOUT:
             self.stage = "over"
 
     def exchanged(self, answers: list[DriveState | None]) -> None:
-        """See `Cia402Arm._exchange` and `RemoteDrive._on_actual`."""
+        """Process the TPDOs. Corresponds to `Cia402Arm._exchange` and `RemoteDrive._on_actual`."""
         for j, state in enumerate(answers):
             self.fresh[j] = state is not None
             if state is not None:
@@ -167,36 +185,36 @@ class Host:
             )
 
     def write(self) -> list[Rpdo]:
-        """What follows in the cycle."""
+        """Return the RPDOs of the cycle."""
         permit, now = self.permit, NOW * CYCLE
         are_enabled = all(session.state is S.operation_enabled for session in self.sessions)
         if self.stage == "preparing":  # see `Cia402Arm._first_measurement` and `activate`
-            if self.is_strange:
+            if self.has_other_controller:
                 self.stage = "over"
-            if self.is_strange or not all(self.fresh):
+            if self.has_other_controller or not all(self.fresh):
                 return []
             permit.take(now)
-            self.stage = "walking"
+            self.stage = "enabling"
             return self._send_targets()
-        if self.stage == "walking":  # see `Cia402Arm._walk`
-            if permit.lost or self.is_strange:
+        if self.stage == "enabling":  # see `Cia402Arm._enable`
+            if permit.lost or self.has_other_controller:
                 self.stop()
                 return []
-            self.stage = "running" if are_enabled else "walking"
+            self.stage = "running" if are_enabled else "enabling"
             return self._send_targets()
         if self.stage == "running":  # see `Cia402Arm.read` and `write`
             is_lost = self.monitor.observe(lost=not all(self.fresh))
-            if is_lost or self.is_strange or not are_enabled or not permit.allows(now):
+            if is_lost or self.has_other_controller or not are_enabled or not permit.allows(now):
                 self.stop()
                 return []
             return self._send_targets()
         if self.stage == "over":
             return []
-        # See `Cia402Arm.ramp_down`.
+        # Stage "stopping": see `Cia402Arm.ramp_down`.
         self.stopping += 1
         brake = self.stopping > RAMP or not self.was_active
         sent = self._send_targets(brake=brake)
-        if brake and (self._at_rest or self.stopping > RAMP + GIVE_UP):
+        if brake and (self._at_rest or self.stopping > RAMP + BRAKE_TIMEOUT):
             self.stage = "over"
         return sent
 
@@ -205,7 +223,7 @@ class Host:
         return all(self.fresh) and all(session.state not in POWERED for session in self.sessions)
 
     def _send_targets(self, *, brake: bool = False) -> list[Rpdo]:
-        """See `Cia402Arm._send_targets`."""
+        """Corresponds to `Cia402Arm._send_targets`."""
         now = NOW * CYCLE
         sent = [
             Rpdo(self.run, session.answer(now, brake=brake), session.state)
@@ -215,7 +233,7 @@ class Host:
         return sent
 
     def brake(self) -> list[Rpdo]:
-        """See `Cia402Arm._stop_now`."""
+        """Corresponds to `Cia402Arm._stop_now`."""
         self.permit.allows(NOW * CYCLE)
         return self._send_targets(brake=True)
 
@@ -240,21 +258,23 @@ def logic() -> DriveLogic:
 
 @dataclass
 class Whole:
+    """Complete model."""
+
     drives: int = 1
     starts: int = 1
     any_delay: bool = False
     stops_at_send: bool = False
     drive_faults: bool = True
     hold_ups: bool = True
-    """Whether the host's process is stopped and continued."""
+    """Whether the host's process is suspended and resumed."""
     nodes: list[Node] = field(default_factory=list)
     hosts: list[Host] = field(default_factory=list)
     sent: set[Rpdo] = field(default_factory=set)
-    """RPDOs that would enable a drive and were ever sent, of the oldest age."""
+    """All sent RPDOs that would enable a drive, with the largest age."""
     stopped: dict[int, int | None] = field(default_factory=dict)
-    """Of each run: periods since its first reason to stop."""
+    """Periods since the first reason to stop, by run."""
     enabled: set[tuple[int, int]] = field(default_factory=set)
-    """Runs, and which drive they have enabled."""
+    """Pairs of a run and a drive that it has enabled."""
     bad: str | None = None
 
     def __post_init__(self) -> None:
@@ -274,7 +294,7 @@ class Whole:
         for rpdo in sorted(self.sent, key=str):
             yield (
                 f"late RPDO of run {rpdo.run}: {rpdo.command.name}",
-                then(do("comes_late", rpdo), cycle),
+                then(do("arrives_late", rpdo), cycle),
             )
         if self.drive_faults:
             yield "a drive fails", then(do("fail"), cycle)
@@ -284,34 +304,34 @@ class Whole:
             yield "a run starts", then(do("start"), cycle)
         for i, host in enumerate(self.hosts):
             if host.is_held_up:
-                yield "the loop goes on", then(do("go_on", i), cycle)
+                yield "the loop resumes", then(do("go_on", i), cycle)
                 yield (
-                    "the loop goes on, RPDOs lost",
+                    "the loop resumes, RPDOs lost",
                     then(do("go_on", i), do("cycle", "RPDOs lost")),
                 )
             elif self.hold_ups:
-                yield "the loop is held up", then(do("hold_up", i), cycle)
+                yield "the loop is suspended", then(do("hold_up", i), cycle)
                 if self.stops_at_send:
                     yield (
-                        "the loop is held up before it sends",
+                        "the loop is suspended before it sends",
                         do("cycle", "nothing is lost", hold_up=i),
                     )
-            if not host.is_held_up and host.stage in ("walking", "running"):
+            if not host.is_held_up and host.stage in ("enabling", "running"):
                 yield "a reason to stop", then(do("stop", i), cycle)
-            if self.hold_ups and not host.is_held_up and host.stage in ("walking", "running"):
+            if self.hold_ups and not host.is_held_up and host.stage in ("enabling", "running"):
                 yield (
-                    "a reason to stop, and the loop is held up",
+                    "a reason to stop, and the loop is suspended",
                     then(do("stop", i), do("hold_up", i), cycle),
                 )
             yield "the loop is killed", then(do("kill", i), cycle)
 
     def _may_start(self) -> bool:
-        """See `Cia402Arm.configure`: no SYNC is heard, and no drive is enabled."""
+        """Whether no SYNC is received and no drive is enabled. Corresponds to `configure`."""
         is_silent = all(host.is_held_up for host in self.hosts)
         return is_silent and not any(node.off or node.logic.state in POWERED for node in self.nodes)
 
     def start(self) -> None:
-        """See `Cia402Arm.prepare`."""
+        """Corresponds to `Cia402Arm.prepare`."""
         self.starts -= 1
         run = len(self.stopped) + 1
         self.stopped[run] = None
@@ -324,13 +344,13 @@ class Whole:
         self.hosts.append(Host(run, self.drives))
 
     def restart(self) -> None:
-        """It boots, and is pre-operational then."""
+        """Restart a drive, which boots into NMT state pre-operational."""
         self.nodes[0] = Node(logic(), off=LOST + 1)
 
     def fail(self) -> None:
         self.nodes[0].logic.fail(SYNC_LOST)
 
-    def comes_late(self, rpdo: Rpdo) -> None:
+    def arrives_late(self, rpdo: Rpdo) -> None:
         self.nodes[0].take(rpdo)
 
     def stop(self, i: int) -> None:
@@ -368,10 +388,12 @@ class Whole:
                 node.take(rpdo)
 
     def cycle(self, link: str, hold_up: int | None = None) -> None:
+        """Execute one period. `hold_up`: host that is suspended before it sends its RPDOs."""
         waiting = [node.late for node in self.nodes]
         for node in self.nodes:
             node.late = None
         synced = False
+        # Each host sends SYNC, receives the TPDOs and sends its RPDOs.
         for i, host in enumerate(self.hosts):
             if host.is_held_up:
                 if host.held_up > WATCHDOG and host.stage != "preparing":
@@ -381,7 +403,7 @@ class Whole:
                 host.measured([None if node.off else node.logic.state for node in self.nodes])
             elif host.may_exchange():
                 for other in self.hosts:
-                    other.is_strange = other.is_strange or other is not host
+                    other.has_other_controller = other.has_other_controller or other is not host
                 answers = self._sync(link)
                 self._arrive(waiting if not synced else [])
                 synced = True
@@ -399,6 +421,7 @@ class Whole:
                 self._stopped(host.run)
             if host.stage == "over" and not host.is_held_up:
                 self._deactivate(host, link)
+        # Without a SYNC, delayed RPDOs arrive at the end of the period.
         if not synced:
             self._arrive(waiting)
         self.hosts = [host for host in self.hosts if host.stage != "over" or host.is_held_up]
@@ -413,7 +436,7 @@ class Whole:
                 node.take(rpdo)
 
     def _deactivate(self, host: Host, link: str) -> None:
-        """See `Cia402Arm.deactivate`."""
+        """Corresponds to `Cia402Arm.deactivate`."""
         rpdos = host.brake()
         if link == "all lost":
             return
@@ -425,7 +448,7 @@ class Whole:
             node.nmt(operational=False)
 
     def _sync(self, link: str) -> list[DriveState | None]:
-        """A SYNC, and the states that the drives answer with."""
+        """Send SYNC, and return the states in the TPDOs."""
         answers: list[DriveState | None] = []
         for j, node in enumerate(self.nodes):
             before = node.logic.state
@@ -436,18 +459,20 @@ class Whole:
         return answers
 
     def _acted(self, j: int, before: DriveState, state: DriveState, rpdo: Rpdo) -> None:
-        """What an RPDO has made of a drive."""
+        """Check the effect of an RPDO on drive `j`."""
         if state is before or state not in UPWARDS.get(before, ()):
             return
         if rpdo.answered is not before:
-            self.bad = f"{rpdo.command.name} acted in {before.value}, and answers another state"
+            self.bad = (
+                f"{rpdo.command.name} acted in {before.value}, but was sent for another state"
+            )
         if state is not S.operation_enabled:
             return
         if (rpdo.run, j) in self.enabled:
             self.bad = f"run {rpdo.run} has enabled drive {j + 1} twice"
         stopped = self.stopped[rpdo.run]
         if stopped is not None and rpdo.age <= stopped:
-            self.bad = f"run {rpdo.run} has enabled a drive with an RPDO of after its stop"
+            self.bad = f"run {rpdo.run} has enabled a drive with an RPDO from after its stop"
         elif stopped is not None and rpdo.age > WATCHDOG:
             self.bad = f"run {rpdo.run} has enabled a drive after its stop, with an RPDO {rpdo.age} periods old"
         self.enabled.add((rpdo.run, j))
@@ -473,21 +498,21 @@ class Whole:
 
 WORLDS: dict[str, Callable[[], Whole]] = {
     "one drive": Whole,
-    "one drive, a process that is stopped before it sends": lambda: Whole(
+    "one drive, a process that is suspended before it sends": lambda: Whole(
         stops_at_send=True, drive_faults=False
     ),
     "two drives": lambda: Whole(drives=2, drive_faults=False),
     "two runs": lambda: Whole(starts=2, drive_faults=False, hold_ups=False),
 }
-NOT_PROMISED: dict[str, Callable[[], Whole]] = {
-    "an RPDO that comes late, in its own run": lambda: Whole(
+NOT_GUARANTEED: dict[str, Callable[[], Whole]] = {
+    "a late RPDO in the same run": lambda: Whole(
         any_delay=True, drive_faults=False, hold_ups=False
     ),
-    "an RPDO of one run that comes in the next": lambda: Whole(
+    "a late RPDO of the previous run": lambda: Whole(
         starts=2, stops_at_send=True, drive_faults=False
     ),
 }
-"""A premise dropped, and the way is found: what drives cannot refuse."""
+"""Models without one assumption, in which the search finds a violation."""
 Patch = Callable[[pytest.MonkeyPatch], None]
 
 
@@ -504,7 +529,7 @@ def _not_stepwise(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(DriveSession, "answer", enables)
 
 
-def _ramps_down_unseen(patch: pytest.MonkeyPatch) -> None:
+def _ramps_down_in_any_state(patch: pytest.MonkeyPatch) -> None:
     answer = DriveSession.answer
 
     def enables(self: DriveSession, now: int, *, brake: bool = False) -> Command:
@@ -541,7 +566,7 @@ def _keeps_pending(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(Node, "nmt", keeps)
 
 
-def _follows_anywhere(patch: pytest.MonkeyPatch) -> None:
+def _follows_in_any_nmt_state(patch: pytest.MonkeyPatch) -> None:
     on_sync = Node.on_sync
 
     def take(self: Node, rpdo: Rpdo) -> None:
@@ -556,35 +581,31 @@ def _follows_anywhere(patch: pytest.MonkeyPatch) -> None:
 
 
 def _two_at_a_time(patch: pytest.MonkeyPatch) -> None:
-    """Two guards: no run starts where another one's SYNC is heard or a drive is on, and a run stops when it hears another's."""
+    """Remove two guards: the check of the bus before a run, and the stop at foreign frames."""
     patch.setattr(Whole, "_may_start", lambda world: True)
-    patch.setattr(
-        Host, "is_strange", property(lambda host: False, lambda host, value: None), raising=False
-    )
+    never = property(lambda host: False, lambda host, value: None)
+    patch.setattr(Host, "has_other_controller", never, raising=False)
 
 
 GUARDS: dict[str, tuple[Callable[[], Whole], Patch]] = {
-    "a permit is lost by a hold-up": (WORLDS["two drives"], without_hold_ups),
-    "the walk looks at the permit before its SYNC": (
+    "a delay of the loop ends the permit": (WORLDS["two drives"], without_hold_ups),
+    "the activation checks the permit before its SYNC": (
         WORLDS["two drives"],
-        lambda patch: patch.setattr(f"{__name__}.LOOKS_BEFORE_SYNC", ("running", "stopping")),
+        lambda patch: patch.setattr(f"{__name__}.CHECKS_BEFORE_SYNC", ("running", "stopping")),
     ),
-    "the graded stop looks at the permit before its SYNC": (
+    "the graded stop checks the permit before its SYNC": (
         WORLDS["two drives"],
-        lambda patch: patch.setattr(f"{__name__}.LOOKS_BEFORE_SYNC", ("walking", "running")),
+        lambda patch: patch.setattr(f"{__name__}.CHECKS_BEFORE_SYNC", ("enabling", "running")),
     ),
-    "no SYNC after a hold-up": (
+    "no SYNC after a delay of the loop": (
         WORLDS["two drives"],
         lambda patch: patch.setattr(f"{__name__}.SYNC_AFTER_HOLD_UP", True),
     ),
-    "every step answers the statusword before": (WORLDS["two drives"], _not_stepwise),
-    "torque that falls is for drives that are known to be enabled": (
-        WORLDS["two drives"],
-        _ramps_down_unseen,
-    ),
+    "every step responds to the previous statusword": (WORLDS["two drives"], _not_stepwise),
+    "only enabled drives are ramped down": (WORLDS["two drives"], _ramps_down_in_any_state),
     "an RPDO never resets a fault": (WORLDS["two drives"], _resets),
-    "NMT start forgets what has come before": (WORLDS["two runs"], _keeps_pending),
-    "PDOs act in NMT state operational only": (WORLDS["one drive"], _follows_anywhere),
+    "NMT start discards earlier RPDOs": (WORLDS["two runs"], _keeps_pending),
+    "PDOs act in NMT state operational only": (WORLDS["one drive"], _follows_in_any_nmt_state),
     "one controller at a time": (WORLDS["two runs"], _two_at_a_time),
 }
-"""What is taken away, and the world that needs it."""
+"""Guard -> model that needs it, and a patch that removes it."""

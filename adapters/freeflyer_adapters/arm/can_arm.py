@@ -1,4 +1,4 @@
-"""The arm on CAN as a device: its state frame is the clock, and every state frame is answered with one command."""
+"""Device driver of an arm on CAN: one command answers each state frame, which paces the loop."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from freeflyer_adapters.foundation import environment
 from freeflyer_adapters.foundation.histogram import Histogram
 
 MEASURED = ("joint_position", "joint_velocity", "joint_torque")
-GIVE_UP = 4.0
-"""An arm that has not confirmed its brakes after so many ramp-down times is left to its own watchdog."""
-PATIENCE = 1.5
-"""A state frame is lost when it has not come after so many cycles since the last one."""
+BRAKE_TIMEOUT = 4.0
+"""Longest wait for the brakes in ramp-down times; after it, only the arm's watchdog remains."""
+FRAME_TIMEOUT = 1.5
+"""Cycles since the last state frame after which the next one counts as lost."""
 
 
 class CanArm:
-    """See `freeflyer_adapters.device.device.Device` for the calls."""
+    """Host side of an arm on CAN; implements `freeflyer_adapters.device.device.Device`."""
 
     is_clock = True
 
@@ -57,7 +57,7 @@ class CanArm:
         self._arrived = 0
         self._last_torque = np.zeros(n)
         self._stopping_torque: Array | None = None
-        self._state_said = "a stop" if not self._reports_state else self.session.state.name
+        self._state_text = "a stop" if not self._reports_state else self.session.state.name
         self._command_age = 0.0
         self._answered = True
         self._silent_cycles = 0
@@ -88,7 +88,7 @@ class CanArm:
 
     @property
     def cannot_refuse(self) -> list[str]:
-        """What this arm cannot refuse or report by itself, a sentence for each."""
+        """What this arm cannot reject or report by itself: one sentence for each limit."""
         return self.frames.cannot_refuse(self.implicit)
 
     @property
@@ -99,9 +99,10 @@ class CanArm:
     def step(self) -> float:
         return float(self.values["period"][0])
 
-    # Before anything moves
+    # Before the activation
 
     def configure(self) -> None:
+        # Check the settings and derive the limits.
         v = self.values
         all_settings.check(self.name, all_settings.ARM, v)
         self.cycle = self.step
@@ -117,6 +118,7 @@ class CanArm:
             time=float(v["ramp_down_time"][0]), damping=float(v["ramp_down_damping"][0])
         )
         self._age_limit = float(v["state_age_limit"][0])
+        # The signals of the DBC must hold the range of every command and measurement.
         effort = v["joint_effort_limit"]
         self.frames.check_ranges({
             "joint_torque_command": [(-e, e) for e in effort],
@@ -124,17 +126,19 @@ class CanArm:
             "joint_position": list(zip(v["joint_lower_limit"], v["joint_upper_limit"], strict=True)),
             "joint_velocity": [(-w, w) for w in v["joint_velocity_limit"]],
         })  # fmt: skip
+        # Open the bus. Command frames are received too, to detect a second controller.
         o = self.options
         description = self.frames.description
-        seen = [
+        received = [
             self.frames.state,
             self.frames.command,
             *([] if description is None else [description]),
         ]
-        self._bus = open_bus(o.interface, o.channel, self.frames.is_fd, seen, o.bus)
+        self._bus = open_bus(o.interface, o.channel, self.frames.is_fd, received, o.bus)
         self._sender = Sender(self._bus, self.frames.command)
         self._states = StateFrames(self._bus, self.frames, self._sender, self._take)
         self.session = self._new_session()
+        # Compare the arm with the scenario, then observe the bus before the first transmission.
         if description is not None:
             described = self._described(Receiver(description))
             compare(self._where, description, described, v, o.joints)
@@ -146,8 +150,11 @@ class CanArm:
         return f"{self.name} on CAN {self.options.interface}:{self.options.channel}"
 
     def _described(self, receiver: Receiver) -> dict[str, list[float]]:
-        """Waits for a description; an arm that is active for another controller sends none, but its state frames name it."""
-        end = self._patience_ends()
+        """Wait for a description frame, and return its values by role.
+
+        An active arm sends no description. Its state frames then show the other controller.
+        """
+        end = self._deadline()
         while (left := end - self._environment.monotonic()) > 0.0:
             message, _ = self._states.receive(left)
             if message is None:
@@ -158,31 +165,36 @@ class CanArm:
             state = self._states.receiver.take(message)
             if state is not None:
                 self._take(state, self._environment.monotonic_ns(), 0)
-                self._refuse_others()
+                self._check_conflicts()
         raise DeviceError(self._silence("description", receiver))
 
-    def _patience_ends(self) -> float:
+    def _deadline(self) -> float:
         return self._environment.monotonic() + float(self.values["configure_timeout"][0])
 
     def _silence(self, what: str, receiver: Receiver) -> str:
         return f"{self._where} {self._states.silence(what, receiver, float(self.values['configure_timeout'][0]))}"
 
     def _observe(self, frames: int) -> None:
-        """The newest of so many state frames; nothing is sent. DeviceError for silence, and for a second arm or controller."""
-        end = self._patience_ends() + 2 * frames * self.cycle
+        """Read this number of state frames without sending.
+
+        Raises DeviceError if none arrives, and for a second arm or controller.
+        """
+        end = self._deadline() + 2 * frames * self.cycle
         self._states.drain()
         for _ in range(frames):
             if not self._states.wait(end - self._environment.monotonic()):
                 raise DeviceError(self._silence("state", self._states.receiver))
-            self._refuse_others()
+            self._check_conflicts()
 
-    def _refuse_others(self) -> None:
+    def _check_conflicts(self) -> None:
+        """Raise DeviceError for a second arm, a second controller, or an arm that is active."""
         session = self.session
         if self._states.problem:
             raise DeviceError(f"{self._where}: {self._states.problem}")
-        if session.is_obeyed_elsewhere:
+        if session.has_other_controller:
             raise DeviceError(
-                f"{self._where} obeys controller {session.obeyed} already; this is controller {session.number}: stop that one first"
+                f"{self._where} accepts commands from controller {session.echoed_number} already; this is controller {session.number}: "
+                f"stop the other controller first"
             )
         if (
             self._reports_state
@@ -198,7 +210,7 @@ class CanArm:
         return self.session.permit.reports_state
 
     def stay(self) -> None:
-        """While other devices take their time: keeps the session, or an active arm's watchdog, from running out."""
+        """Send a command while other devices are activated, to keep the session alive."""
         if self.session.phase is Phase.claiming or self.state.now is LifeCycle.active:
             self._states.wait(0.0)
             self._send(np.zeros(self.options.joints))
@@ -215,99 +227,104 @@ class CanArm:
             )
 
     def prepare(self) -> None:
-        """Claims a session number, which leads from safe stop or fault to inactive. The brakes stay engaged."""
+        """Claim a session number, which takes the arm from safe stop or fault to inactive.
+
+        The brakes stay engaged. Raises DeviceError if the arm does not accept the claim.
+        """
         self.session = session = self._new_session()
         self._released, self._stopping_torque = False, None
         session.claim()
-        end = self._patience_ends()
-        has_come = False
+        end = self._deadline()
+        has_received = False
         while not session.is_claimed:
             self._send(np.zeros(self.options.joints))
-            has_come = (
+            has_received = (
                 self._states.wait(min(2 * self.cycle, end - self._environment.monotonic()))
-                or has_come
+                or has_received
             )
-            self._refuse_others()
+            self._check_conflicts()
             if self._environment.monotonic() > end:
-                if not has_come:
+                if not has_received:
                     raise DeviceError(self._silence("state", self._states.receiver))
                 raise DeviceError(
-                    f"{self._where} sends its state ({self._state_said}), but does not take this controller's commands: it obeys "
-                    f"{session.obeyed or 'none'}{self._states.errors}"
+                    f"{self._where} sends its state ({self._state_text}), but does not accept this controller's commands; the session "
+                    f"number that it echoes is {session.echoed_number or 'none'}{self._states.errors}"
                 )
 
     def activate(self, meanwhile: Callable[[], bool]) -> None:
-        """The arm stands braked; the first torque beyond gravity is none, which is what it holds now."""
+        """Activate the arm. The first torque beyond gravity is zero, which the braked arm holds."""
         session = self.session
         self._states.drain()
         if session.permit.lost:
             raise DeviceError(f"{self._where} was not activated: {session.permit.lost}")
         session.activate(self._environment.monotonic_ns())
         self._last_torque = np.zeros(self.options.joints)
-        end, silent = self._patience_ends(), 0
+        end, silent = self._deadline(), 0
         while session.phase is not Phase.commanding:
             self._released = True
             self._send(self._last_torque)
-            came = self._states.wait(min(2 * self.cycle, end - self._environment.monotonic()))
-            # An arm that was not received for long may have become active, stopped and forgotten this session meanwhile.
-            silent = 0 if came else silent + 1
+            received = self._states.wait(min(2 * self.cycle, end - self._environment.monotonic()))
+            # During a long silence, the arm may have become active, stopped and ended the session.
+            silent = 0 if received else silent + 1
             if 2 * silent * self.cycle > self._age_limit:
                 session.permit.lose(self._silence("state", self._states.receiver))
             if session.permit.lost:
                 raise DeviceError(f"{self._where} was not activated: {session.permit.lost}")
             if self._environment.monotonic() > end:
                 raise DeviceError(
-                    f"{self._where} does not become active; its state is {self._state_said}{self._states.errors}"
+                    f"{self._where} does not become active; its state is {self._state_text}{self._states.errors}"
                 )
-            self._refuse_others()
+            self._check_conflicts()
             if meanwhile():
-                return  # the loop ends before its first instant, and deactivation brakes
+                return  # the loop ends before its first instant; `deactivate` engages the brakes
         self._released = True
         self._send(self._last_torque)
         self.state.to(LifeCycle.active)
 
     def revoke(self, reason: str) -> None:
-        """A reason to stop: from now on only what lowers is sent."""
+        """End the permission for power: from now on only frames of the graded stop are sent."""
         self.session.permit.lose(reason)
         flush(self._bus)
 
-    # Every cycle
+    # In every cycle
 
     def read(self) -> None:
         permit = self.session.permit
-        left = self._arrived * 1e-9 + PATIENCE * self.cycle - self._environment.monotonic()
+        left = self._arrived * 1e-9 + FRAME_TIMEOUT * self.cycle - self._environment.monotonic()
         before = self._cycle_number
-        came = self._states.wait(max(left, 0.0))
-        if sentence := permit.hold_up(
-            self._environment.monotonic_ns()
-        ):  # the cause comes before its effects
+        received = self._states.wait(max(left, 0.0))
+        # Report a delay of the loop first: it causes the other errors.
+        if sentence := permit.hold_up(self._environment.monotonic_ns()):
             raise SafeStop(self.name, f"{sentence}{self._states.flood}")
-        if came:
-            # What is missing in the numbers is lost, but for what was counted as silence already. An arm whose own time has
-            # stood still is not ahead of us: its numbers come later than they were waited for.
+        # Count lost frames.
+        if received:
+            # Missing cycle numbers are lost frames. Those that were counted as silence are not
+            # counted again. After a pause of the arm itself, no number is missing.
             gap = (self._cycle_number - before) % self.frames.cycles
             missing = gap - 1 - self._silent_cycles
             reason = self.monitor.lose(max(missing, 0))
             self.monitor.observe(lost=False)
             self._silent_cycles = 0
         else:
-            self._deadline_moves()
+            self._expect_next()
             reason = self.monitor.lose(1)
         if self._silent_cycles * self.cycle > self._age_limit:
             reason = reason or (
                 f"the last state frame is {self._silent_cycles * self.cycle:.4g} s old, its limit is {self._age_limit:g} s"
             )
+        # Stop for conflicts on the bus, for lost frames, and for a state other than active.
         if self._states.problem:
             raise SafeStop(self.name, self._states.problem)
         if reason:
             raise SafeStop(self.name, f"{reason}{self._states.flood}{self._states.errors}")
-        if self.session.is_obeyed_elsewhere:
+        if self.session.has_other_controller:
             raise SafeStop(
                 self.name,
-                f"the arm obeys controller {self.session.obeyed}; this is controller {self.session.number}",
+                f"the arm accepts commands from controller {self.session.echoed_number}; this is controller {self.session.number}",
             )
         if permit.lost:
             raise SafeStop(self.name, self._lost_permit())
+        # Stop at the limits of position and speed.
         reason = self.limits.measured(self.values["joint_position"], self.values["joint_velocity"])
         if reason:
             raise SafeStop(self.name, reason)
@@ -315,13 +332,13 @@ class CanArm:
     def _lost_permit(self) -> str:
         if self._reports_state and self.session.state is not LifeCycle.active:
             return (
-                f"the arm went to {self._state_said} by itself; the last command that it had was {self._command_age:.0f} cycles old"
+                f"the arm went to {self._state_text} by itself; its last command was {self._command_age:.0f} cycles old"
                 f"{self._states.errors}"
             )
         return f"{self.session.permit.lost}{self._states.errors}"
 
-    def _deadline_moves(self) -> None:
-        """No frame: the next one is expected a cycle later. Its number is not made up: an answer names what was received."""
+    def _expect_next(self) -> None:
+        """Move the deadline by one cycle. The answered cycle number stays the last received one."""
         self._arrived += round(self.cycle * 1e9)
         self._silent_cycles += 1
 
@@ -340,36 +357,39 @@ class CanArm:
             raise SafeStop(self.name, reason)
         self._last_torque = torque
 
-    # The end
+    # During and after a stop
 
     def ramp_down(self, elapsed: float) -> bool:
         if self._bus is None or not self._released:
             return True
         if self._stopping_torque is None:
             self._stopping_torque = self._last_torque.copy()
-        if self._stops_itself:  # only watched: a command now would cut its own ramp short
-            self._states.wait(PATIENCE * self.cycle)
-            return self.at_rest or elapsed > GIVE_UP * self.ramp.time
+        if self._stops_itself:  # send nothing: a command would end the arm's own ramp early
+            self._states.wait(FRAME_TIMEOUT * self.cycle)
+            return self.at_rest or elapsed > BRAKE_TIMEOUT * self.ramp.time
         velocity = self.values["joint_velocity"]
         if self.ramp.over(velocity, elapsed) or self.state.now is not LifeCycle.active:
             self._send(np.zeros_like(velocity), brake=True)
             self._states.wait(2 * self.cycle)
-            return self.at_rest or elapsed > GIVE_UP * self.ramp.time
+            return self.at_rest or elapsed > BRAKE_TIMEOUT * self.ramp.time
         wanted = self.ramp.torque(self._stopping_torque, velocity, elapsed)
         torque, _ = self.limits.command(wanted, self._last_torque)
         self._send(torque)
         self._last_torque = torque
-        self._states.wait(PATIENCE * self.cycle)
+        self._states.wait(FRAME_TIMEOUT * self.cycle)
         return False
 
     @property
     def _stops_itself(self) -> bool:
-        """The arm reports that it is in a stop of its own."""
+        """Whether the arm reports a stop that it started itself."""
         return self._reports_state and self.session.state in STOPPED
 
     @property
     def at_rest(self) -> bool:
-        """As the arm reports it; of one that does not, a state frame since the brakes were commanded."""
+        """Whether the arm reports standstill.
+
+        For an arm that reports no state: whether a state frame followed the brake command.
+        """
         if "brakes" in self.frames.state:
             return self._braked
         if self._reports_state:
@@ -384,7 +404,7 @@ class CanArm:
     def deactivate(self) -> None:
         if self._bus is None:
             return
-        if self._released:  # also where activation was given up half-way
+        if self._released:  # including an incomplete activation
             self._brake()
         if self.state.now in (LifeCycle.active, LifeCycle.safe_stop):
             self.state.to(LifeCycle.inactive)
@@ -416,18 +436,22 @@ class CanArm:
     # Frames
 
     def _is_stale(self, numbers: Mapping[str, list[float]]) -> bool:
-        """Whether the frame, new as it is, says that it is from the cycle of the last one, or from one before."""
+        """Whether the frame has the cycle number of the last one, or an earlier number."""
         ahead = (int(numbers["cycle"][0]) - self._cycle_number) % self.frames.cycles
         return self.state.now is LifeCycle.active and not 0 < ahead < self.frames.cycles // 2
 
     def _take(self, numbers: Numbers, now: int, empty_at: int) -> bool:
-        """One state frame, read at `now` [ns]; it was not sent before `empty_at`. Whether it is used."""
+        """Process a state frame. Return whether it is used (a stale frame is not).
+
+        `now` [ns]: when it was read; `empty_at` [ns]: it was not sent before this time.
+        """
         if self._is_stale(numbers):
             self._states.receiver.rejected["stale"] += 1
             return False
         late = self._environment.time_ns() * 1e-9 - self._states.stamp
         if 0.0 <= late < 1.0 and self.state.now is LifeCycle.active:
             self.wake_up.add(int(late * 1e9))
+        # Measurements and cycle numbers.
         for name in MEASURED:
             self.values[name][:] = numbers[name]
         self._cycle_number = int(numbers["cycle"][0]) % self.frames.cycles
@@ -438,22 +462,23 @@ class CanArm:
             echoed = int(numbers["echoed_cycle"][0]) % self.frames.cycles
             if self.state.now is LifeCycle.active and session.state is LifeCycle.active:
                 self.late_commands += echoed != (self._cycle_number - 1) % self.frames.cycles
+        # State of the arm, for the session.
         self._command_age = numbers.get("command_age", (0.0,))[0]
         self._braked = numbers.get("brakes", (0.0,))[0] > 0.5
         state: LifeCycle | None = None
         if self._reports_state:
             number = numbers["life_cycle"][0]
             state = self.frames.life_cycle(number)
-            self._state_said = (
+            self._state_text = (
                 f"a state of the unknown number {number:g}" if state is None else state.name
             )
-            # A number without a meaning is no reason to go on.
+            # An unknown number counts as a fault.
             state = LifeCycle.fault if state is None else state
         session.report(state, int(numbers.get("obeyed_controller", (0,))[0]), empty_at, echoed)
         return True
 
     def _send(self, torque: Array, *, brake: bool = False) -> None:
-        """The command that the session allows now, with this torque if it is one of torque."""
+        """Send a command of the mode that the session allows; only mode torque uses `torque`."""
         self._put(self.session.answer(self._environment.monotonic_ns(), brake=brake), torque)
 
     def _put(self, mode: Mode, torque: Array) -> None:
@@ -463,7 +488,7 @@ class CanArm:
             and mode is not Mode.torque
             and not session.permits(Mode.torque, clock())
         ):
-            return  # without modes every frame is a torque frame
+            return  # without modes, every frame is a torque frame
         if mode is not Mode.torque:
             torque = np.zeros_like(torque)
         self._brake_sent = mode is Mode.brake

@@ -1,4 +1,4 @@
-"""What an arm says of itself against the robot that the controllers are for."""
+"""Comparison of an arm's description frame with the robot of the scenario."""
 
 from __future__ import annotations
 
@@ -21,10 +21,12 @@ def compare(
     expected: Mapping[str, Array],
     joints: int,
 ) -> None:
-    """DeviceError, with both numbers, where they differ by more than the frame's resolution.
+    """Raise DeviceError, with both values, if they differ by more than the frame's resolution.
 
-    Joint ranges tell one arm from another. Speeds and torques may be less here than the arm's own: who wants to be careful narrows them.
-    `described`: the frame's values by role [SI]; `expected`: settings of `freeflyer_adapters.device.settings.ARM`, joint by joint.
+    `where`: name of the arm in errors; `described`: values of `frame` by role [SI]; `expected`:
+    settings of `freeflyer_adapters.device.settings.ARM`, one value per joint. The speed and torque
+    limits of the scenario may be lower than those of the arm. The position limits must be equal, as
+    they identify the arm.
     """
     count, period = int(described["joint_count"][0]), float(expected["period"][0])
     if count != joints:
@@ -34,13 +36,13 @@ def compare(
             f"{where} has a cycle of {described['cycle_time'][0]:g} s, but the scenario's is {period:g} s"
         )
     for role in LIMIT_ROLES:
-        for j, (theirs, ours) in enumerate(
+        for j, (actual, limit) in enumerate(
             zip(described.get(role, ()), expected[role], strict=False)
         ):
             f = frame.fields[role][j]
-            beyond = min(max(float(ours), f.least), f.most) - theirs
+            beyond = min(max(float(limit), f.least), f.most) - actual
             if (beyond if role in MAY_BE_NARROWER else abs(beyond)) > f.resolution:
                 raise DeviceError(
-                    f"{where}: its {role.replace('_', ' ')} of joint {j + 1} is {theirs:g} {UNITS[role]}, but the scenario's robot has "
-                    f"{float(ours):g} {UNITS[role]}; it is another arm, or one of the two is set wrongly"
+                    f"{where}: its {role.replace('_', ' ')} of joint {j + 1} is {actual:g} {UNITS[role]}, but the scenario's robot has "
+                    f"{float(limit):g} {UNITS[role]}; it is another arm, or one of the two values is wrong"
                 )

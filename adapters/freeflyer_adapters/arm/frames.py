@@ -1,6 +1,8 @@
-"""The arm's frames: which signals of a DBC carry what. The shipped `arm.dbc` needs no mapping; a user's own needs the names.
+"""Command, state and description frames of an arm, and the mapping of their roles to DBC signals.
 
-One `ArmFrames` serves both ends of the link: the host packs commands and unpacks states, the virtual arm does the opposite.
+The shipped `arm.dbc` needs no mapping. A user's DBC needs the names of its messages and signals.
+Both ends of a link use `ArmFrames`: the host packs commands and unpacks states, the virtual arm
+does the opposite.
 """
 
 from __future__ import annotations
@@ -19,23 +21,24 @@ from freeflyer_adapters.device.device import DeviceError, LifeCycle
 SHIPPED_DBC = Path(__file__).parent / "arm.dbc"
 CYCLE_ROLES = ("cycle", "answered_cycle", "echoed_cycle")
 FEWEST_CYCLES = 64
+"""Smallest accepted number of cycle numbers."""
 
 
 class Mode(IntEnum):
-    """What a command frame asks of the arm."""
+    """Requested mode in a command frame."""
 
     idle = 0
     torque = 1
     brake = 2
     reset = 3
-    """Claims the session number, and leads from safe stop or fault to inactive."""
+    """Claims the session number, and takes the arm from safe stop or fault to inactive."""
     activate = 4
-    """Releases the brakes of an inactive arm whose echo of the session number it answers."""
+    """Releases the brakes of an inactive arm that has echoed the session number."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Role:
-    """Something that a frame carries: one signal, or one for each joint."""
+    """Quantity in a frame: one signal, or one signal per joint (`{}`: the number of the joint)."""
 
     name: str
     signal: str
@@ -75,18 +78,18 @@ ROLES: Mapping[str, tuple[Role, ...]] = {
         ("joint_effort_limit", "TorqueLimit{}", "N.m", True, False),
     ),
 }
-PROMISES: Mapping[str, str] = {
-    "mode_values.activate": "a torque frame alone activates the arm, also a late one",
-    "controller": "a command of an earlier run, or of another controller, counts as one of this run",
-    "obeyed_controller": "the controllers cannot see which run the arm obeys, nor that it obeys another one",
-    "answered_cycle": "the arm cannot tell a late command from a fresh one",
-    "life_cycle": "the controllers cannot see that the arm has stopped by itself",
-    "brakes": "the controllers do not see whether the brakes are engaged, and take the end of the ramp-down for rest",
-    "echoed_cycle": "late commands are not counted by the controllers, and a state frame that was held up on its way passes for a fresh one",
+CONSEQUENCES: Mapping[str, str] = {
+    "mode_values.activate": "a torque frame alone activates the arm, even a late one",
+    "controller": "the arm accepts commands of an earlier run, or of another controller",
+    "obeyed_controller": "the controllers cannot detect that the arm accepts commands from another run or controller",
+    "answered_cycle": "the arm cannot distinguish a late command from a fresh one",
+    "life_cycle": "the controllers cannot detect that the arm has stopped by itself",
+    "brakes": "the controllers cannot detect whether the brakes are engaged, and take the end of the ramp-down as standstill",
+    "echoed_cycle": "the controllers do not count late commands, and accept a delayed state frame as a fresh one",
 }
-"""What is lost without a role, or without a number for the mode `activate`."""
+"""Effect of a missing role, or of a missing number for the mode `activate`."""
 NEEDED = ("mode_values.activate", "controller", "obeyed_controller", "answered_cycle", "life_cycle")
-"""Without one of these the arm itself cannot refuse an activation that no run has asked for."""
+"""Without any one of these, the arm cannot reject an activation that no run has requested."""
 MESSAGES = {"command": "ArmCommand", "state": "ArmState", "description": "ArmDescription"}
 LIMIT_ROLES = (
     "joint_lower_limit",
@@ -98,10 +101,12 @@ LIMIT_ROLES = (
 
 @dataclass(frozen=True, kw_only=True)
 class FrameMapping:
-    """What a scenario says of its DBC. Empty tables stand for the shipped names.
+    """DBC of a scenario, and the names in it. Empty tables select the names of the shipped DBC.
 
-    `signals`: role -> signal name (`{}` stands for the joint's number, or a list of names); `data_ids`: frame -> E2E data ID, where
-    the DBC has no attribute E2eDataId; `mode_values`, `life_cycle_values`: the raw numbers of a DBC that has others.
+    `signals`: role -> signal name, with `{}` for the number of the joint, or a list of names;
+    `data_ids`: frame -> E2E data ID, where the DBC has no attribute E2eDataId;
+    `mode_values`, `life_cycle_values`: raw numbers of the DBC, where they differ from the shipped
+    ones.
     """
 
     dbc: Path = SHIPPED_DBC
@@ -114,7 +119,7 @@ class FrameMapping:
 
     @property
     def has_shipped_names(self) -> bool:
-        """Whether messages and signals are those of the shipped profile: in its own DBC, or in a copy of it with every name."""
+        """Whether messages and signals have the shipped names, in the shipped DBC or in a copy."""
         if self.dbc == SHIPPED_DBC:
             return True
         if self.messages or self.signals:
@@ -122,7 +127,7 @@ class FrameMapping:
         return self._names_all("command", "state")
 
     def _names_all(self, *kinds: str) -> bool:
-        """Whether the DBC has every message and signal of the shipped profile for these frames."""
+        """Whether the DBC has all shipped message and signal names of these frames."""
         frames = {
             message.name: {signal.name for signal in message.signals}
             for message in load(self.dbc).messages
@@ -135,7 +140,7 @@ class FrameMapping:
 
     @property
     def has_description(self) -> bool:
-        """Whether the arm describes itself: by a mapped message, or by that of the shipped profile."""
+        """Whether the arm sends a description frame: a mapped message, or the shipped one."""
         if "description" in self.messages or self.dbc == SHIPPED_DBC:
             return True
         return self.has_shipped_names and self._names_all("description")
@@ -161,9 +166,13 @@ def _frame(kind: str, mapping: FrameMapping, joints: int) -> Frame:
 
 
 def _names(role: Role, mapping: FrameMapping, joints: int, present: set[str]) -> list[str]:
+    """Return the signal names of a role; [] if an optional role is not mapped.
+
+    Raises DeviceError for a name that is not in `present`.
+    """
     given = mapping.signals.get(role.name)
     if given is None and not role.required and not mapping.has_shipped_names:
-        return []  # a user's own DBC has what its mapping says, and nothing by chance
+        return []  # in a user's DBC, only mapped signals are used
     pattern = role.signal if given is None else given
     if not role.per_joint:
         if not isinstance(pattern, str):
@@ -176,7 +185,7 @@ def _names(role: Role, mapping: FrameMapping, joints: int, present: set[str]) ->
     else:
         if not isinstance(pattern, list) or not all(isinstance(name, str) for name in pattern):
             raise DeviceError(
-                f"signals.{role.name} is {pattern!r}; a pattern with {{}} for the joint's number, or a list of names, is expected"
+                f"signals.{role.name} is {pattern!r}; a pattern with {{}} for the number of the joint, or a list of names, is expected"
             )
         names = list(pattern)
         if len(names) != joints:
@@ -192,11 +201,11 @@ def _names(role: Role, mapping: FrameMapping, joints: int, present: set[str]) ->
 
 
 def _check_values(title: str, numbers: Mapping[Any, int], fields: Sequence[Field] | None) -> None:
-    """Each its own number, which its signal can hold."""
+    """Raise DeviceError for a number that is used twice, or that its signal cannot hold."""
     for name, number in numbers.items():
         if list(numbers.values()).count(number) > 1:
             raise DeviceError(
-                f"{title}: {name.name} has the number {number}, and so has another; each its own is expected, also those not named"
+                f"{title}: {name.name} has the number {number}, and so has another; distinct numbers are expected, including the defaults"
             )
         if fields and not fields[0].least <= number <= fields[0].most:
             raise DeviceError(
@@ -205,7 +214,10 @@ def _check_values(title: str, numbers: Mapping[Any, int], fields: Sequence[Field
 
 
 def check_mapping(mapping: FrameMapping) -> None:
-    """Unknown names in the mapping's tables, before the DBC is read."""
+    """Raise DeviceError for unknown names and invalid values in the mapping's tables.
+
+    The DBC is not read.
+    """
     roles = [role.name for rows in ROLES.values() for role in rows]
     for table, known in (
         (mapping.signals, roles),
@@ -217,7 +229,7 @@ def check_mapping(mapping: FrameMapping) -> None:
         for key in table:
             if key not in known:
                 raise DeviceError(
-                    f"{key!r} in the DBC's mapping is not known{did_you_mean(key, known)}"
+                    f"{key!r} in the mapping of the DBC is unknown{did_you_mean(key, known)}"
                 )
     for name, message in mapping.messages.items():
         if not isinstance(message, str):
@@ -235,9 +247,11 @@ def check_mapping(mapping: FrameMapping) -> None:
 
 
 class ArmFrames:
-    """Command, state and (where the DBC has one) description."""
+    """Command and state frame of an arm, and its description frame if the DBC has one."""
 
     def __init__(self, mapping: FrameMapping, joints: int) -> None:
+        """Bind the roles to signals. Raises DeviceError if the DBC or the mapping is unusable."""
+        # Two nodes cannot send the same identifier.
         check_mapping(mapping)
         self.mapping, self.joints = mapping, joints
         self.command = _frame("command", mapping, joints)
@@ -248,20 +262,21 @@ class ArmFrames:
         ):
             raise DeviceError(
                 f"DBC {mapping.dbc}: {self.command.message.name} and {self.state.message.name} have one identifier, "
-                f"0x{self.state.identifier:X}, which two nodes cannot send; an identifier for each is expected"
+                f"0x{self.state.identifier:X}, which two nodes cannot send; different identifiers are expected"
             )
         self.description: Frame | None = None
         if mapping.has_description:
             self.description = _frame("description", mapping, joints)
+        # The narrowest signals limit the cycle numbers and the session numbers.
         numbers = [
             f.fields[r][0].most for f in (self.command, self.state) for r in CYCLE_ROLES if r in f
         ]
         self.cycles = int(min(numbers)) + 1
-        """Cycle numbers count modulo this: the narrowest field that holds one."""
+        """Modulus of the cycle numbers."""
         if self.cycles < FEWEST_CYCLES:
             raise DeviceError(
-                f"DBC {mapping.dbc}: a cycle number of {int(min(numbers)).bit_length()} bits is too narrow; {FEWEST_CYCLES} cycles must "
-                f"be told apart"
+                f"DBC {mapping.dbc}: a cycle number of {int(min(numbers)).bit_length()} bits is too narrow; at least {FEWEST_CYCLES} "
+                f"cycle numbers are expected"
             )
         named = [
             f.fields[r][0].most
@@ -269,7 +284,8 @@ class ArmFrames:
             if r in f
         ]
         self.controllers = int(min(named, default=0xFFFF))
-        """How many controllers can be told apart."""
+        """Largest session number."""
+        # Raw numbers of modes and states.
         self._modes = {mode: int(mapping.mode_values.get(mode.name, mode)) for mode in Mode}
         if not mapping.has_shipped_names and "activate" not in mapping.mode_values:
             del self._modes[Mode.activate]
@@ -284,21 +300,24 @@ class ArmFrames:
         )
         if len(self._states) < len(LifeCycle):
             raise DeviceError(
-                "life_cycle_values: two states have the same number; each its own is expected, also those not named"
+                "life_cycle_values: two states have the same number; distinct numbers are expected, including the defaults"
             )
         self._mode_of = {raw: mode for mode, raw in self._modes.items()}
         self._state_of = {state: raw for raw, state in self._states.items()}
 
     @property
-    def lacking(self) -> list[str]:
-        """What the DBC's mapping lacks of `PROMISES`."""
-        there = {"mode_values.activate": Mode.activate in self._modes and "mode" in self.command}
+    def missing(self) -> list[str]:
+        """The keys of `CONSEQUENCES` that the DBC or its mapping does not have."""
+        present = {"mode_values.activate": Mode.activate in self._modes and "mode" in self.command}
         roles = {*self.command.fields, *self.state.fields}
-        return [name for name in PROMISES if not there.get(name, name in roles)]
+        return [name for name in CONSEQUENCES if not present.get(name, name in roles)]
 
     def check_activation(self, subject: str, implicit: bool) -> None:
-        """DeviceError for an arm that cannot refuse an activation of its own accord, unless the scenario accepts that."""
-        missing = [name for name in self.lacking if name in NEEDED]
+        """Raise DeviceError if the arm cannot reject an unrequested activation.
+
+        `subject`: name of the arm in the error; `implicit`: the scenario accepts such an arm.
+        """
+        missing = [name for name in self.missing if name in NEEDED]
         if missing and not implicit:
             raise DeviceError(
                 f"{subject}: DBC {self.mapping.dbc} has no {', '.join(missing)}, so that the arm cannot refuse a late activation "
@@ -307,11 +326,11 @@ class ArmFrames:
             )
 
     def cannot_refuse(self, implicit: bool) -> list[str]:
-        """What this arm cannot refuse or report by itself, a sentence for each."""
-        said = [f"without {name} {PROMISES[name]}" for name in self.lacking]
-        if implicit and not any(name in NEEDED for name in self.lacking):
-            said.append(f'with activation = "implicit" {PROMISES["mode_values.activate"]}')
-        return said
+        """Return what this arm cannot reject or report by itself: one sentence for each limit."""
+        limits = [f"without {name}, {CONSEQUENCES[name]}" for name in self.missing]
+        if implicit and not any(name in NEEDED for name in self.missing):
+            limits.append(f'with activation = "implicit", {CONSEQUENCES["mode_values.activate"]}')
+        return limits
 
     @property
     def is_fd(self) -> bool:
@@ -330,7 +349,10 @@ class ArmFrames:
         return self._states.get(int(number))
 
     def check_ranges(self, needed: Mapping[str, Sequence[tuple[float, float]]]) -> None:
-        """Whether every signal can hold what the robot needs: role -> (least, largest) of each joint. DeviceError if not."""
+        """Raise DeviceError if a signal cannot hold the range that the robot needs.
+
+        `needed`: role -> (smallest, largest) value per joint [SI].
+        """
         for frame in (self.command, self.state):
             for role, ranges in needed.items():
                 if role not in frame:

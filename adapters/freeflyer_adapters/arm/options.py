@@ -1,4 +1,7 @@
-"""What a scenario's `[devices.NAME]` of kind "can_arm" may say besides `parameters`; both ends of the link read it."""
+"""Options of a scenario's `[devices.NAME]` of kind "can_arm"; both ends of the link use them.
+
+The numbers in `parameters` are in `freeflyer_adapters.device.settings`.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,11 @@ ACTIVATIONS = ("explicit", "implicit")
 
 @dataclass(frozen=True, kw_only=True)
 class ArmOptions:
-    """`bus`: further arguments of python-can's interface, for example bit rates; `joints`: how many the robot has."""
+    """Options of the link to one arm.
+
+    `bus`: further arguments of the python-can interface, for example bit rates; `joints`: number of
+    joints of the robot.
+    """
 
     interface: str = "local"
     channel: str = "freeflyer"

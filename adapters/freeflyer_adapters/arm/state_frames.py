@@ -1,6 +1,6 @@
-"""The host's reception from the arm: the newest state frame, how old it is at most, and what else is on the bus.
+"""Reception of state frames by the host, and detection of other senders on the bus.
 
-Every wait is bounded in frames and in time, so that a flood of frames cannot hold the loop.
+Every wait is limited in frames and in time, so that a flood of frames cannot block the loop.
 """
 
 from __future__ import annotations
@@ -15,19 +15,22 @@ from freeflyer_adapters.can.link import Receiver, Sender, driver_message
 from freeflyer_adapters.foundation import environment
 
 MOST_FRAMES = 64
-"""Taken at a time. A backlog of more is taken in the next cycles."""
+"""Largest number of frames per wait. The next cycles read the rest of a backlog."""
 FOREIGN, WITHIN = 3, 20
-"""Command frames of another controller within so many of the arm's cycles that make a second controller."""
+"""FOREIGN command frames of another controller within WITHIN cycles are a second controller."""
 FLOOD = 10
-"""Frames of other identifiers for each state frame that a sentence about lost cycles names."""
+"""Frames of other identifiers per state frame from which errors report a flood."""
 SLICE = 2e-4
-"""[s]"""
+"""Sleep during a flood [s]."""
 Numbers = Mapping[str, list[float]]
 
 
 class StateFrames:
-    """`take` gets the numbers of a new state frame, when it was read, and a time before which it was not sent [ns]; it returns whether
-    the frame is used.
+    """Reader of the state frames of one arm.
+
+    `take(numbers, now, empty_at)` processes a new state frame, and returns whether it is used.
+    `numbers`: values by role [SI]; `now` [ns]: when the frame was read; `empty_at` [ns]: time of
+    the last empty receive buffer, before which the frame was not sent.
     """
 
     def __init__(
@@ -41,11 +44,11 @@ class StateFrames:
         self._environment = environment.present()
         self.receiver = Receiver(frames.state)
         self.others = 0
-        """Frames of other identifiers."""
+        """Number of frames with other identifiers."""
         self.error = ""
-        """The driver's own text of the last failure to receive."""
+        """The driver's message for the last failed reception."""
         self.stamp = 0.0
-        """The interface's own time stamp of the newest frame [s]."""
+        """Time stamp of the newest frame, from the interface [s]."""
         self._commands = Receiver(frames.command)
         self._foreign: deque[int] = deque(maxlen=FOREIGN)
         self._foreign_number: float | None = None
@@ -53,7 +56,7 @@ class StateFrames:
 
     @property
     def problem(self) -> str | None:
-        """A second arm, or a second controller, in one sentence."""
+        """Message about a second arm or a second controller; None if neither was detected."""
         state, command = self._frames.state, self._frames.command
         if self.receiver.senders.found:
             first, second = self.receiver.senders.counters
@@ -61,49 +64,52 @@ class StateFrames:
                 f"two senders send the state frame {state.message.name} (0x{state.identifier:X}), with the counters {first} and "
                 f"{second}: two arms are on this channel; switch one of them off"
             )
-        seen = self._foreign
-        if len(seen) == FOREIGN and self.receiver.accepted - seen[0] < WITHIN:
+        foreign = self._foreign
+        if len(foreign) == FOREIGN and self.receiver.accepted - foreign[0] < WITHIN:
             number = (
                 "" if self._foreign_number is None else f", of session {self._foreign_number:.0f}"
             )
             return (
                 f"another controller sends the command frame {command.message.name} (0x{command.identifier:X}){number}; "
-                f"stop that one first"
+                f"stop the other controller first"
             )
         return None
 
     @property
     def errors(self) -> str:
-        """What the driver itself said of frames that it did not send or receive, to end a sentence with."""
-        said = []
+        """The driver's errors as the end of a sentence; empty if there are none."""
+        errors = []
         if self._sender.failed:
-            said.append(f"{self._sender.failed} frames could not be sent: {self._sender.error}")
+            errors.append(f"{self._sender.failed} frames could not be sent: {self._sender.error}")
         if self.error:
-            said.append(f"receiving failed: {self.error}")
-        return f" ({'; '.join(said)})" if said else ""
+            errors.append(f"receiving failed: {self.error}")
+        return f" ({'; '.join(errors)})" if errors else ""
 
     @property
     def flood(self) -> str:
-        """That other nodes send many times as much, to end a sentence with."""
+        """Note about a flood of other frames as the end of a sentence; empty if there is none."""
         if self.others < FLOOD * self.receiver.accepted:
             return ""
-        return f"; a flood of frames: {self.others} of other identifiers came beside {self.receiver.accepted} state frames"
+        return f"; a flood of frames: {self.others} with other identifiers were received beside {self.receiver.accepted} state frames"
 
     def silence(self, what: str, receiver: Receiver, waited: float) -> str:
-        """What to look at where no frame of a kind has come for `waited` [s]."""
+        """Return an error message for a frame type that was not received within `waited` [s]."""
         why = (
-            f"; frames came but were refused: {dict(receiver.rejected)}"
+            f"; frames were received but rejected: {dict(receiver.rejected)}"
             if receiver.rejected
             else ""
         )
-        why += f"; {self.others} frames of other identifiers came" if self.others else ""
+        why += f"; {self.others} frames with other identifiers were received" if self.others else ""
         return (
             f"sends no {what} frame within {waited:g} s{why}{self.errors}: is the arm (or `freeflyer facility`) running on this channel, "
             f"and not active for another controller?"
         )
 
     def wait(self, timeout: float) -> bool:
-        """Wait for a state frame for `timeout` [s], and take the newest of those that are there."""
+        """Wait up to `timeout` [s] for a state frame, and read all pending frames.
+
+        Return whether a state frame was used.
+        """
         clock, bus, identifier = (
             self._environment.monotonic_ns,
             self._bus,
@@ -111,36 +117,40 @@ class StateFrames:
         )
         before = clock()
         end = before + max(1, int(timeout * 1e9))
-        came, taken = False, 0
+        used, taken = False, 0
         while True:
+            # After MOST_FRAMES, wait on only if no state frame was used and time is left.
             left = end - before
-            if taken >= MOST_FRAMES and (came or left <= 0):
-                return came
+            if taken >= MOST_FRAMES and (used or left <= 0):
+                return used
             taken += 1
+            # Once a state frame was used, read only what is pending.
             try:
-                message = bus.recv(0.0 if came or left <= 0 else left * 1e-9)
+                message = bus.recv(0.0 if used or left <= 0 else left * 1e-9)
             except can.CanError as error:
                 self.error, message = driver_message(error), None
             else:
                 if message is None:
                     self._empty_at = before
+            # `take` decides about state frames; other frames are counted.
             now = clock()
             if message is None:
-                if came or now >= end:
-                    return came
+                if used or now >= end:
+                    return used
             else:
                 numbers = self.receiver.take(message)
                 self.stamp = message.timestamp
                 if numbers is not None:
-                    came = self._take(numbers, now, self._empty_at) or came
+                    used = self._take(numbers, now, self._empty_at) or used
                 elif message.arbitration_id != identifier:
                     self._note_other(message)
-                    if self.others and self.others % MOST_FRAMES == 0 and not came:
-                        # A flood: a loop at real-time priority that never sleeps would be throttled.
+                    if self.others and self.others % MOST_FRAMES == 0 and not used:
+                        # In a flood, sleep: the kernel throttles a real-time loop that never does.
                         self._environment.sleep(min(SLICE, max(left * 1e-9, 0.0)))
             before = now
 
     def _note_other(self, message: can.Message) -> None:
+        """Count a frame of another identifier, and record a command frame of another controller."""
         command = self._frames.command
         if (
             message.arbitration_id != command.identifier
@@ -148,7 +158,7 @@ class StateFrames:
         ):
             self.others += 1
             return
-        # What this controller has sent itself is given back by some interfaces.
+        # Some interfaces echo the frames that this controller has sent.
         if not message.is_rx or message.data in self._sender.recent:
             return
         numbers = self._commands.take(message)
@@ -157,7 +167,7 @@ class StateFrames:
             self._foreign_number = numbers["controller"][0] if "controller" in numbers else None
 
     def receive(self, timeout: float) -> tuple[can.Message | None, bool]:
-        """A frame, or None; and whether the interface has failed to receive."""
+        """Return a frame or None after `timeout` [s], and whether the reception failed."""
         try:
             return self._bus.recv(max(timeout, 0.0)), False
         except can.CanError as error:
@@ -165,7 +175,7 @@ class StateFrames:
             return None, True
 
     def drain(self) -> None:
-        """Throw away what waits, as far as it is bounded."""
+        """Discard the pending frames, up to a limit."""
         for _ in range(16 * MOST_FRAMES):
             before = self._environment.monotonic_ns()
             message, failed = self.receive(0.0)
@@ -173,4 +183,4 @@ class StateFrames:
                 if not failed:
                     self._empty_at = before
                 break
-        self.receiver.forget()
+        self.receiver.reset()

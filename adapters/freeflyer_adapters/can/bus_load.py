@@ -1,4 +1,4 @@
-"""How long frames occupy a CAN bus at most, and which share of it a link takes."""
+"""Worst-case transmission times of CAN frames, and the bus load of a link."""
 
 from __future__ import annotations
 
@@ -8,16 +8,23 @@ from collections.abc import Sequence
 def bus_load(
     frames: Sequence[tuple[int, bool]], cycle: float, nominal: float = 1e6, data: float = 5e6
 ) -> float:
-    """Worst share of the bus that frames of (bytes, is CAN FD) take, each once in a cycle [s] (with every stuff bit there can be)."""
+    """Return the worst-case bus load (a fraction) of frames that are each sent once per cycle.
+
+    `frames`: (payload bytes, is CAN FD); `cycle` [s]; `nominal`, `data`: bit rates [bit/s]. All
+    possible stuff bits are counted.
+    """
     return sum(frame_time(size, is_fd, nominal, data) for size, is_fd in frames) / cycle
 
 
 def frame_time(size: int, is_fd: bool, nominal: float = 1e6, data: float = 5e6) -> float:
-    """Longest time [s] that a frame with an 11-bit identifier occupies the bus, interframe space included (ISO 11898-1:2015).
+    """Return the longest transmission time [s] of a frame with an 11-bit identifier.
 
-    CAN FD with bit-rate switching: arbitration phase of SOF, identifier, r1, IDE, FDF, r0, BRS with stuff bits, and CRC delimiter,
-    ACK, EOF and intermission after the data phase; the data phase holds ESI, DLC, data (all with stuff bits), stuff count and CRC
-    with its fixed stuff bits.
+    `size`: payload [bytes]; `nominal`, `data`: bit rates [bit/s]. The interframe space is included
+    (ISO 11898-1:2015). A CAN FD frame switches the bit rate:
+
+    - Arbitration phase: SOF, identifier, r1, IDE, FDF, r0, BRS with stuff bits.
+    - Data phase: ESI, DLC and data with stuff bits, stuff count, CRC with fixed stuff bits.
+    - At the nominal rate again: CRC delimiter, ACK, EOF, intermission.
     """
     if not is_fd:
         bits = 44 + 8 * size

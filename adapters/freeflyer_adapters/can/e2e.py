@@ -1,7 +1,7 @@
-"""End-to-end protection of a frame by AUTOSAR E2E profile 5: a CRC-16 over data and data ID, and a counter.
+"""End-to-end protection by AUTOSAR E2E profile 5: a CRC-16 over data and data ID, and a counter.
 
-Reference: AUTOSAR FO, Specification of E2E Protocol (document 849), profile 5. The CRC is computed by the `autosar-e2e` package;
-the counter's rules (repetition, loss, wrong sequence) are here.
+Reference: AUTOSAR FO, Specification of E2E Protocol (document 849), profile 5. The `autosar-e2e`
+package computes the CRC. This module checks the counter (repetition, loss, wrong sequence).
 """
 
 from __future__ import annotations
@@ -16,6 +16,8 @@ HEADER_BYTES = 3
 
 
 class Status(Enum):
+    """Result of the check of one received frame."""
+
     ok = "ok"
     some_lost = "some lost"
     repeated = "repeated"
@@ -28,14 +30,17 @@ class Status(Enum):
 
 
 class Protector:
-    """The sender's side: one counter a frame."""
+    """Sender side: adds a CRC and a counter to every frame.
+
+    `offset`: first byte of the E2E header in the frame.
+    """
 
     def __init__(self, data_id: int, offset: int = 0) -> None:
         self.data_id, self.offset = data_id, offset
         self._counter = 0
 
     def protect(self, data: bytearray) -> None:
-        """Write counter and CRC into the frame's header."""
+        """Write the counter and the CRC into the E2E header of `data`."""
         data[self.offset + 2] = self._counter
         e2e_p05_protect(data, self.data_id, offset=self.offset, increment_counter=False)
         self._counter = (self._counter + 1) & 0xFF
@@ -43,7 +48,11 @@ class Protector:
 
 @dataclass
 class Checker:
-    """The receiver's side. `most_lost` is MaxDeltaCounter: how far the counter may have run since the last good frame."""
+    """Receiver side: checks the CRC and the counter of every frame.
+
+    `offset`: first byte of the E2E header; `most_lost`: MaxDeltaCounter, the largest step of the
+    counter since the last valid frame.
+    """
 
     data_id: int
     offset: int = 0
@@ -51,11 +60,12 @@ class Checker:
     counts: dict[Status, int] = field(default_factory=lambda: dict.fromkeys(Status, 0))
     _counter: int | None = None
 
-    def forget(self) -> None:
-        """Take the next good frame as the first, after frames were thrown away unread."""
+    def reset(self) -> None:
+        """Accept any counter in the next valid frame, after frames were discarded unread."""
         self._counter = None
 
     def check(self, data: bytes | bytearray) -> Status:
+        """Return the status of a received frame, and count it in `counts`."""
         status = self._status(data)
         self.counts[status] += 1
         return status
@@ -74,5 +84,5 @@ class Checker:
             return Status.repeated
         if step == 1:
             return Status.ok
-        # After too long a gap the frame is not used, but the next one is measured against it.
+        # After too large a gap the frame is rejected, but its counter is the new reference.
         return Status.some_lost if step <= self.most_lost else Status.wrong_sequence

@@ -1,4 +1,4 @@
-"""One message of a DBC, packed from values and unpacked into values, in SI, under the names of their roles."""
+"""Conversion between one DBC message and its values in SI units, by role name."""
 
 from __future__ import annotations
 
@@ -13,10 +13,13 @@ CAN_FD_SIZES = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 
 
 class Frame:
-    """A message whose roles are bound to signals.
+    """DBC message with a signal, or one signal per joint, for each role.
 
-    `data_id`: that of E2E profile 5 if it is not the message's attribute E2eDataId; without either the frame is not protected.
-    Raises DeviceError for a signal that is bound twice, a size that no frame has, or a signal within the E2E header.
+    `fields`: the signals by role; `subject`: name of the message in errors; `e2e_offset`: first
+    byte of the E2E header. `data_id`: data ID of E2E profile 5. None selects the attribute
+    E2eDataId of the message; a message without it is not protected.
+    Raises DeviceError for a signal that is mapped twice, for a size that is not a CAN FD frame
+    size, and for a signal inside the E2E header.
     """
 
     def __init__(
@@ -35,17 +38,21 @@ class Frame:
         twice = [name for name in bound if bound.count(name) > 1]
         if twice:
             raise DeviceError(
-                f"{subject}: signal {twice[0]} is mapped more than once; a signal for each joint and role is expected"
+                f"{subject}: signal {twice[0]} is mapped more than once; one signal for each joint and role is expected"
             )
         self.is_fd = bool(message.is_fd) or self.size > 8
         if self.size not in CAN_FD_SIZES:
             sizes = ", ".join(map(str, CAN_FD_SIZES))
             raise DeviceError(
-                f"{subject} is {self.size} bytes long, which no CAN FD frame is: one of {sizes} is expected"
+                f"{subject} has {self.size} bytes, which is not a CAN FD frame size: one of {sizes} is expected"
             )
-        known = message.dbc.attributes.get("E2eDataId") if message.dbc else None
+        attribute = message.dbc.attributes.get("E2eDataId") if message.dbc else None
         self.data_id = (
-            data_id if data_id is not None else int(known.value) if known and known.value else None
+            data_id
+            if data_id is not None
+            else int(attribute.value)
+            if attribute and attribute.value
+            else None
         )
         self.e2e_offset = e2e_offset
         if self.data_id is not None:
@@ -60,7 +67,10 @@ class Frame:
         return role in self.fields
 
     def pack(self, numbers: Mapping[str, Sequence[float]]) -> bytearray:
-        """Values in SI, by role, each brought within what its signal holds; a role that is left out keeps its last value."""
+        """Return the frame's bytes for values in SI units, by role.
+
+        Each value is clamped to the range of its signal. An omitted role keeps its last value.
+        """
         values = self._values
         for role, given in numbers.items():
             for f, value in zip(self.fields.get(role, ()), given, strict=False):
@@ -68,7 +78,7 @@ class Frame:
         return bytearray(self._codec.encode(values, strict=False))
 
     def unpack(self, data: bytes | bytearray) -> dict[str, list[float]]:
-        """Values in SI, by role."""
+        """Return the values of a frame in SI units, by role."""
         values = self._codec.decode(bytes(data), decode_choices=False)
         return {
             role: [f.factor * values[f.name] for f in fields]
@@ -77,7 +87,7 @@ class Frame:
 
 
 def _check_header(message: Any, subject: str, bound: set[str], offset: int) -> None:
-    """The three bytes of E2E profile 5 are within the frame, and nothing else is in them."""
+    """Raise DeviceError if the E2E header exceeds the frame or overlaps a mapped signal."""
     if not 0 <= offset <= message.length - HEADER_BYTES:
         raise DeviceError(
             f"{subject} has {message.length} bytes; the E2E header of {HEADER_BYTES} bytes at e2e_offset = {offset} is not within them"
@@ -87,5 +97,5 @@ def _check_header(message: Any, subject: str, bound: set[str], offset: int) -> N
         if signal.name in bound and header & occupied_bits(signal):
             raise DeviceError(
                 f"{subject}: signal {signal.name} lies in the E2E header (bytes {offset} to {offset + HEADER_BYTES - 1}); choose another "
-                f"e2e_offset, or leave data_ids out for a frame without protection"
+                f"e2e_offset, or omit data_ids for a frame without protection"
             )

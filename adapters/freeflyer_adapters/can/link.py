@@ -1,4 +1,4 @@
-"""Protected frames over a python-can bus: what both ends of the arm's link do alike."""
+"""Transmission and reception of protected frames on a python-can bus, for both ends of a link."""
 
 from __future__ import annotations
 
@@ -17,10 +17,13 @@ from freeflyer_adapters.device.device import DeviceError
 from freeflyer_adapters.foundation import environment
 
 FILTERING = ("local", "socketcan")
-"""Interfaces that filter before `recv` sees a frame. With the others, a frame for somebody else would end a `recv` that does not
-wait, so they get no filter; identifiers are compared in any case.
+"""Interfaces that filter before `recv` returns a frame.
+
+With the others, `recv` with timeout 0 would return None after a filtered frame. They get no filter.
+`Receiver.take` compares identifiers for every interface.
 """
 RECENT = 32
+"""Number of sent frames that `Sender.recent` keeps."""
 
 
 def open_bus(
@@ -30,11 +33,14 @@ def open_bus(
     identifiers: Sequence[Frame],
     options: Mapping[str, Any],
 ) -> can.BusABC:
-    """Any interface of python-can, seeing only the given frames. DeviceError with one sentence if it cannot be opened."""
-    known = sorted(can.VALID_INTERFACES)
-    if interface not in known:
+    """Return an open bus of any python-can interface; `identifiers`: the frames to receive.
+
+    `options`: further arguments of the interface. Raises DeviceError if it cannot be opened.
+    """
+    valid = sorted(can.VALID_INTERFACES)
+    if interface not in valid:
         raise DeviceError(
-            f"CAN interface {interface!r} is not known to python-can{did_you_mean(interface, known)}"
+            f"CAN interface {interface!r} is not supported by python-can{did_you_mean(interface, valid)}"
         )
     filters = [
         {
@@ -52,32 +58,32 @@ def open_bus(
             can_filters=filters if interface in FILTERING else None,
             **options,
         )
-    except Exception as error:  # every interface has errors of its own, and of its driver's
+    except Exception as error:  # each interface raises its own types, and those of its driver
         raise DeviceError(
             f"CAN interface {interface!r}, channel {channel!r}, cannot be opened: {driver_message(error)}"
         ) from error
 
 
 def driver_message(error: Exception) -> str:
-    """The driver's own text, on one line."""
+    """Return the message of a driver's exception on one line, with at most 300 characters."""
     return " ".join(str(error).split())[:300] or type(error).__name__
 
 
 def flush(bus: can.BusABC | None) -> None:
-    """Drop the frames that wait to be sent, where the interface can."""
+    """Discard queued transmissions, if the interface supports it."""
     if bus is not None:
         with suppress(NotImplementedError, can.CanError):
             bus.flush_tx_buffer()
 
 
 class Sending(Protocol):
-    """What is needed of a bus to send."""
+    """Part of python-can's `BusABC` that `Sender` uses."""
 
     def send(self, message: can.Message) -> None: ...
 
 
 class Sender:
-    """One kind of frame, protected if it has a data ID."""
+    """Sender of one frame type; protected by E2E profile 5 if the frame has a data ID."""
 
     def __init__(self, bus: Sending, frame: Frame) -> None:
         self.bus, self.frame = bus, frame
@@ -86,17 +92,18 @@ class Sender:
         )
         self.failed = 0
         self.error = ""
-        """The driver's own text of the last failure."""
+        """The driver's message for the last failure."""
         self.sent = 0
         self.recent: deque[bytearray] = deque(maxlen=RECENT)
-        """What went out last: some interfaces give own frames back."""
+        """The last sent frames, to recognise them where an interface echoes own frames."""
 
     def send(
         self, numbers: Mapping[str, Sequence[float]], permitted: Callable[[], bool] | None = None
     ) -> bool:
-        """Whether the interface took the frame; one that it did not take is a lost one, not an end.
+        """Send a frame of these values [SI], by role. Return whether the interface accepted it.
 
-        `permitted` is asked when the frame is ready, and only then it goes out.
+        A frame that the interface rejects counts as lost. `permitted` is called once the frame is
+        ready; the frame is sent only if it returns True.
         """
         data = self.frame.pack(numbers)
         if self._protector is not None:
@@ -123,12 +130,12 @@ class Sender:
 
 
 class Receiver:
-    """One kind of frame; `rejected` counts by reason those that came but were not used."""
+    """Receiver of one frame type; `rejected` counts rejected frames by reason."""
 
     def __init__(self, frame: Frame) -> None:
         self.frame = frame
         self._checker = None if frame.data_id is None else Checker(frame.data_id, frame.e2e_offset)
-        # Without E2E protection a state frame's cycle number serves as its counter.
+        # Without E2E protection, the cycle number of a state frame replaces the counter.
         self._counts_cycles = self._checker is None and "cycle" in frame
         self._counters = (
             1 << max(int(frame.fields["cycle"][0].most).bit_length(), 5)
@@ -138,21 +145,21 @@ class Receiver:
         self.rejected: Counter[str] = Counter()
         self.accepted = 0
         self.senders = SecondSender(self._counters)
-        """Sees every whole frame, also those that are not used."""
+        """Checks every complete frame, including the rejected ones."""
 
     @property
     def refused(self) -> int:
-        """Frames of this kind that came and were not used."""
+        """Number of received frames of this type that were rejected."""
         return sum(self.rejected.values())
 
-    def forget(self) -> None:
-        """After frames were thrown away unread."""
+    def reset(self) -> None:
+        """Accept any counter in the next frame, after frames were discarded unread."""
         if self._checker is not None:
-            self._checker.forget()
-        self.senders.forget()
+            self._checker.reset()
+        self.senders.reset()
 
     def take(self, message: can.Message) -> dict[str, list[float]] | None:
-        """The frame's values by role, or None for one that must not be used."""
+        """Return the values of a frame by role [SI], or None if it is rejected."""
         data = message.data
         if (
             message.arbitration_id != self.frame.identifier
@@ -168,12 +175,12 @@ class Receiver:
         if self._checker is not None:
             status = self._checker.check(data)
             if status is not Status.wrong_crc:
-                self.senders.see(data[self.frame.e2e_offset + 2], data)
+                self.senders.observe(data[self.frame.e2e_offset + 2], data)
             if not status.accepted:
                 self.rejected[status.value] += 1
                 return None
         self.accepted += 1
         numbers = self.frame.unpack(data)
         if self._counts_cycles:
-            self.senders.see(int(numbers["cycle"][0]) % self._counters, data)
+            self.senders.observe(int(numbers["cycle"][0]) % self._counters, data)
         return numbers

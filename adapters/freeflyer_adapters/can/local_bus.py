@@ -1,10 +1,17 @@
 """`interface = "local"`: a CAN bus between processes of one machine, without a kernel driver.
 
-Every bus object listens on a Unix socket (SOCK_SEQPACKET) in the channel's directory and is connected with every other one there,
-so that there is no server to die. A packet is one `struct canfd_frame` (linux/can.h, 72 bytes). For testing: there is no bit timing,
-no arbitration and no acknowledgement; a peer that does not read loses frames once its socket buffer is full, as a CAN controller
-does whose receive buffer overflows; the order of frames is kept for each sender only. Linux only (other systems have no
-SOCK_SEQPACKET for Unix sockets). Nobody but the user can connect: the directory is his (mode 0700).
+Every bus object listens on a Unix socket (SOCK_SEQPACKET) in the directory of its channel, and
+connects to all other sockets there. No server process is needed. A packet is one `struct
+canfd_frame` (linux/can.h, 72 bytes).
+
+Limits, as the interface is for tests:
+- It has no bit timing, no arbitration and no acknowledgement.
+- A peer that does not read loses frames once its socket buffer is full, as a CAN controller does
+  when its receive buffer overflows.
+- The order of frames is kept for each sender only.
+- It needs Linux: other systems have no SOCK_SEQPACKET for Unix sockets.
+
+Only processes of the same user can connect: the directory has mode 0700.
 """
 
 from __future__ import annotations
@@ -28,22 +35,25 @@ from can import BusABC, CanInitializationError, CanOperationError, CanProtocol, 
 from freeflyer_adapters.foundation import private_directory
 
 FRAME = struct.Struct("=IBBBB64s")
-"""can_id with its flags, len, flags, two reserved bytes, data."""
+"""can_id with its flags, length, flags, two reserved bytes, data."""
 EXTENDED, REMOTE, ERROR = 0x80000000, 0x40000000, 0x20000000
 BIT_RATE_SWITCH, ERROR_STATE, FD_FORMAT = 0x01, 0x02, 0x04
 CHANNEL = re.compile(r"[A-Za-z0-9._-]{1,32}")
 IGNORED = ("bitrate", "data_bitrate", "timing", "state", "single_handle", "ignore_config")
-"""Settings of real interfaces that mean nothing here, and do no harm."""
+"""Settings of real interfaces that this one accepts and ignores."""
 MOST_UNWANTED, MOST_PEERS = 64, 16
-"""Frames that the filters reject, and new nodes, in one receive: more cannot hold it."""
+"""Limits of filtered frames and of new nodes per receive call; they bound its duration."""
 SLICE = 2e-4
-"""[s] of sleep after so many rejected frames."""
+"""Sleep [s] after MOST_UNWANTED filtered frames."""
 SO_TIMESTAMPNS = 35
 TIMESPEC = struct.Struct("=qq")
 
 
 def directory(channel: str) -> Path:
-    """Where the sockets of a channel are: private to the user."""
+    """Create and return the directory with the sockets of a channel, private to the user.
+
+    Raises CanInitializationError for an invalid channel name or an unsafe directory.
+    """
     if not CHANNEL.fullmatch(channel) or set(channel) == {"."}:
         raise CanInitializationError(
             f"channel {channel!r} of the local CAN interface: up to 32 letters, digits, '.', '_' and '-' are expected"
@@ -59,7 +69,7 @@ def directory(channel: str) -> Path:
 
 
 class LocalBus(BusABC):
-    """One node on a local channel."""
+    """Node on a local channel."""
 
     def __init__(
         self,
@@ -69,12 +79,17 @@ class LocalBus(BusABC):
         can_filters: Any = None,
         **kwargs: object,
     ) -> None:
-        """`fd`: take part in CAN FD; a classic node neither sends nor sees FD frames. Raises CanInitializationError."""
+        """Join a channel. `fd`: enable CAN FD; a classic node neither sends nor receives FD frames.
+
+        Raises CanInitializationError for an unknown setting, or if the channel cannot be opened.
+        """
+        # Check the settings and the system.
         unknown = sorted(set(kwargs) - set(IGNORED))
         if unknown:
             raise CanInitializationError(f"the local CAN interface has no setting {unknown[0]!r}")
         if not hasattr(socket, "SOCK_SEQPACKET") or not hasattr(select, "epoll"):
             raise CanInitializationError("the local CAN interface needs Linux")
+        # State: one socket per peer, and the listener.
         self.channel_info = f"local channel {channel!r}"
         self._fd = fd
         self._can_protocol = CanProtocol.CAN_FD if fd else CanProtocol.CAN_20
@@ -82,10 +97,11 @@ class LocalBus(BusABC):
         self._own: socket.socket | None = None
         self._echo: socket.socket | None = None
         self.dropped = 0
-        """Frames that a peer did not take because its buffer was full."""
+        """Frames that were lost because a peer's socket buffer was full."""
         self._epoll = select.epoll()
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._path: Path | None = None
+        # Join the channel. After a failure, no socket may be left.
         try:
             self._join(directory(str(channel)))
             if receive_own_messages:
@@ -105,7 +121,7 @@ class LocalBus(BusABC):
     # Joining and leaving
 
     def _join(self, folder: Path) -> None:
-        """Listen, and connect to everybody who is there already; one node at a time, so that no pair connects twice."""
+        """Listen, then connect to all other nodes; the lock prevents double connections."""
         with _locked(folder / "lock"):
             path = folder / f"{os.getpid()}-{id(self):x}-{time.monotonic_ns():x}"
             self._listener.bind(str(path))
@@ -124,7 +140,7 @@ class LocalBus(BusABC):
             peer.connect(str(path))
         except ConnectionRefusedError:
             peer.close()
-            path.unlink(missing_ok=True)  # its owner has died
+            path.unlink(missing_ok=True)  # left by a process that was killed
         except OSError:
             peer.close()
             raise
@@ -164,20 +180,20 @@ class LocalBus(BusABC):
             self._path = None
 
     def shutdown(self) -> None:
-        """Leave the channel; may be called more than once."""
+        """Leave the channel. A second call has no effect."""
         if not self._is_shutdown:
             super().shutdown()
             self._close()
 
     @property
     def peers(self) -> int:
-        """How many other nodes are on the channel."""
+        """Number of other nodes on the channel."""
         self._check_open()
         self._accept()
         return len(self._peers) - (self._echo is not None)
 
     def fileno(self) -> int:
-        """Readable when a frame, or a new node, is there."""
+        """Return a descriptor that is readable while a frame or a new connection is pending."""
         return self._epoll.fileno()
 
     def _check_open(self) -> None:
@@ -187,7 +203,10 @@ class LocalBus(BusABC):
     # Frames
 
     def send(self, msg: Message, timeout: float | None = None) -> None:
-        """To every other node; never waits (see `dropped`)."""
+        """Send a frame to all other nodes without blocking (see `dropped`).
+
+        Raises CanOperationError for a frame that this node cannot send.
+        """
         self._check_open()
         packet = self._packed(msg)
         self._accept()
@@ -197,7 +216,7 @@ class LocalBus(BusABC):
             except BlockingIOError:
                 self.dropped += 1
             except OSError as error:
-                # One that has left is removed once what it sent before is read.
+                # A closed peer is removed by `_take`, after its last frames were read.
                 if error.errno not in (
                     errno.EPIPE,
                     errno.ECONNRESET,
@@ -215,22 +234,23 @@ class LocalBus(BusABC):
         unwanted = 0
         while True:
             left = -1.0 if deadline is None else max(0.0, deadline - time.monotonic())
-            # One frame at a time: the kernel hands out ready peers in turn, and `fileno` stays readable while frames are left.
+            # One event per poll: the kernel cycles through ready peers, so each gets its turn. The
+            # descriptor of `fileno` stays readable while frames are pending.
             events = self._epoll.poll(left, 1)
             for descriptor, _ in events:
                 if descriptor == self._listener.fileno():
                     self._accept()
                     continue
                 message = self._take(self._peers[descriptor])
-                # Filtered here, or a frame for others would end a `recv` that does not wait.
+                # Filter here: otherwise a filtered frame would end a `recv` with timeout 0.
                 if message is not None and self._matches_filters(message):
                     return message, True
                 unwanted += message is not None
                 if message is not None and unwanted % MOST_UNWANTED == 0 and left:
-                    time.sleep(SLICE)  # in a flood, too, the processor is not this process's alone
+                    time.sleep(SLICE)  # let other processes run during a flood of frames
             if deadline is not None and unwanted >= MOST_UNWANTED and time.monotonic() >= deadline:
                 raise CanOperationError(
-                    f"{self.channel_info}: a flood, {unwanted} frames that the filters reject in one receive"
+                    f"{self.channel_info}: a flood of frames, {unwanted} were rejected by the filters in one receive call"
                 )
             if not events and deadline is not None and time.monotonic() >= deadline:
                 return None, True
@@ -239,7 +259,8 @@ class LocalBus(BusABC):
         try:
             packet, extra, _, _ = peer.recvmsg(FRAME.size + 1, 64)
         except (BlockingIOError, ConnectionResetError):
-            return None  # reset, by a node that left with unread frames: what it sent before comes next, then its end
+            # ECONNRESET: the peer closed with unread frames; its last frames and EOF still follow.
+            return None
         except OSError:
             packet, extra = b"", []
         if not packet:  # the peer has left or died
@@ -293,7 +314,7 @@ class LocalBus(BusABC):
 
     @staticmethod
     def _detect_available_configs() -> list[Any]:
-        """Channels that somebody is on."""
+        """Return the channels that have at least one node."""
         root = (
             Path(os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir())
             / f"freeflyer-can-{os.getuid()}"
@@ -307,7 +328,7 @@ class LocalBus(BusABC):
 
 
 def _stamp(extra: list[Any]) -> float:
-    """When the kernel took the frame from its sender [s of CLOCK_REALTIME]; now, if it does not say."""
+    """Return the kernel's time stamp of a frame [s, CLOCK_REALTIME], or the present time."""
     for _, _, data in extra:
         if len(data) >= TIMESPEC.size:
             whole, nanoseconds = TIMESPEC.unpack_from(data)

@@ -1,4 +1,4 @@
-"""Messages and signals of a DBC file, read by `cantools`, with every mistake as one sentence."""
+"""Messages and signals of a DBC file, read by `cantools`; every error is one DeviceError."""
 
 from __future__ import annotations
 
@@ -18,21 +18,27 @@ from freeflyer.foundation.units import factor
 from freeflyer_adapters.device.device import DeviceError
 
 LARGEST = 4 << 20
-"""Bytes of a DBC. What whole cars have is below 3 MB."""
+"""Largest DBC file [bytes]. The DBC files of complete cars are below 3 MB."""
 LARGEST_MESSAGE = 1785
-"""Bytes, in any DBC: of a message in several frames by SAE J1939."""
+"""Largest message in a DBC [bytes]: a multi-packet message of SAE J1939."""
 MOST_BITS = 53
+"""Largest signal [bits]: the significand of a double."""
 MOST_VALUES = 100_000
-WORD = re.compile(r'"(?:\\"|[^"])*"|//[^\n]*|[A-Za-z0-9_.+-]+|\S')
+"""Largest number of multiplexer values in a DBC."""
+TOKEN = re.compile(r'"(?:\\"|[^"])*"|//[^\n]*|[A-Za-z0-9_.+-]+|\S')
 ENCODING = "cp1252"
-"""Of a DBC, as its tools write it."""
+"""Encoding of a DBC, as DBC editors write it."""
 SPELLINGS = {"Nm": "N.m", "°": "deg", "°/s": "deg/s", "degrees": "deg"}
-"""Units as DBCs spell them, and as FMI does."""
+"""Units in DBC files, and their FMI names."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Field:
-    """One signal of a message: `factor` turns its own unit into the one asked for, in which `least` and `most` are what it holds."""
+    """One signal of a message.
+
+    `factor` converts the signal's unit to the requested one. `least`, `most` (the range) and
+    `resolution` are in the requested unit.
+    """
 
     name: str
     factor: float
@@ -42,7 +48,12 @@ class Field:
 
 
 def field_of(message: Any, name: str, unit: str | None, path: Path) -> Field:
-    """DeviceError if there is no such signal, it is no scaled integer, or its unit cannot be converted."""
+    """Return the signal `name` of a message, converted to `unit` (None: no conversion).
+
+    Raises DeviceError if the signal is missing, is not a scaled integer, is multiplexed, has an
+    invalid scale or size, or has a unit that cannot be converted.
+    """
+    # The signal must exist, and be an integer that every frame contains.
     names: Mapping[str, Any] = {signal.name: signal for signal in message.signals}
     if name not in names:
         raise DeviceError(
@@ -51,12 +62,13 @@ def field_of(message: Any, name: str, unit: str | None, path: Path) -> Field:
     signal = names[name]
     if signal.is_float:
         raise DeviceError(
-            f"DBC {path}: signal {name} of {message.name} is a floating-point one; a scaled integer is expected"
+            f"DBC {path}: signal {name} of {message.name} is a floating-point number; a scaled integer is expected"
         )
     if signal.is_multiplexer or signal.multiplexer_ids:
         raise DeviceError(
-            f"DBC {path}: signal {name} of {message.name} is multiplexed; one that is always there is expected"
+            f"DBC {path}: signal {name} of {message.name} is multiplexed; a signal in every frame is expected"
         )
+    # cantools accepts infinite scales and negative positions.
     scale, offset = float(signal.scale), float(signal.offset)
     if not (scale and math.isfinite(scale) and math.isfinite(offset)):
         raise DeviceError(
@@ -66,12 +78,13 @@ def field_of(message: Any, name: str, unit: str | None, path: Path) -> Field:
     conversion = _conversion(signal, unit, path)
     if signal.start < 0:
         raise DeviceError(
-            f"DBC {path}: signal {name} of {message.name} begins at bit {signal.start}; 0 or more is expected"
+            f"DBC {path}: signal {name} of {message.name} starts at bit {signal.start}; 0 or more is expected"
         )
+    # A double must hold every raw value exactly, and every value in SI must be finite.
     bits = int(signal.length)
     if bits > MOST_BITS:
         raise DeviceError(
-            f"DBC {path}: signal {name} of {message.name} has {bits} bits; at most {MOST_BITS}, as a double has, are expected"
+            f"DBC {path}: signal {name} of {message.name} has {bits} bits; at most {MOST_BITS}, the precision of a double, are expected"
         )
     raw = (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if signal.is_signed else (0, (1 << bits) - 1)
     least, most = sorted(conversion * (scale * number + offset) for number in raw)
@@ -96,7 +109,7 @@ def _conversion(signal: Any, unit: str | None, path: Path) -> float:
 
 
 def occupied_bits(signal: Any) -> set[int]:
-    """Bits of the frame, counted through its bytes from each byte's least significant one."""
+    """Return the bits of a signal in the frame, numbered from the least significant of byte 0."""
     if signal.byte_order == "little_endian":
         return set(range(signal.start, signal.start + signal.length))
     byte, bit = divmod(int(signal.start), 8)
@@ -106,14 +119,16 @@ def occupied_bits(signal: Any) -> set[int]:
 
 @functools.lru_cache(maxsize=16)
 def _parsed(text: str) -> Any:
-    """Both ends of a link, and each of its frames, ask for the same file."""
+    """Parse a DBC. Cached, as both ends of a link and each of their frames load the same file."""
     _check_sizes(text)
     return cantools.database.load_string(text, database_format="dbc", strict=True)
 
 
 def only(message: Any, names: Set[str]) -> Any:
-    """The same frame with these signals alone: what else a sender puts into it (a multiplexer's value that stands for nothing) can
-    neither fail nor be needed.
+    """Return the same message with these signals only.
+
+    Other signals of a sender, such as invalid multiplexer values, then cannot cause a decoding
+    error.
     """
     return cantools.database.Message(
         frame_id=message.frame_id,
@@ -126,16 +141,20 @@ def only(message: Any, names: Set[str]) -> Any:
 
 
 def _check_sizes(text: str) -> None:
-    """ValueError for a DBC with sizes that no message has: cantools makes lists of as many bits, and of as many multiplexer values."""
-    words = [word for word in WORD.findall(text) if not word.startswith(('"', "//"))]
+    """Raise ValueError for a DBC with oversized messages, signals or multiplexer ranges.
+
+    cantools allocates lists of as many bits and values as the file declares.
+    """
+    tokens = [token for token in TOKEN.findall(text) if not token.startswith(('"', "//"))]
     sizes, values = [], 0
-    for i, word in enumerate(words):
-        if word == "BO_" and words[i + 3 : i + 4] == [":"]:  # BO_ identifier name : bytes
-            sizes += words[i + 4 : i + 5]
-        elif word == "|" and words[i + 2 : i + 3] == ["@"]:  # start | bits @
-            sizes += [words[i - 1], *words[i + 1 : i + 2]]
-        elif word == "SG_MUL_VAL_":  # SG_MUL_VAL_ identifier signal multiplexer first-last, ... ;
-            listed = words[i + 4 : words.index(";", i) if ";" in words[i : i + 2000] else i + 2000]
+    for i, token in enumerate(tokens):
+        if token == "BO_" and tokens[i + 3 : i + 4] == [":"]:  # BO_ identifier name : bytes
+            sizes += tokens[i + 4 : i + 5]
+        elif token == "|" and tokens[i + 2 : i + 3] == ["@"]:  # start | bits @
+            sizes += [tokens[i - 1], *tokens[i + 1 : i + 2]]
+        elif token == "SG_MUL_VAL_":  # SG_MUL_VAL_ identifier signal multiplexer first-last, ... ;
+            end = tokens.index(";", i) if ";" in tokens[i : i + 2000] else i + 2000
+            listed = tokens[i + 4 : end]
             ends = [int(number[:12]) for number in re.findall(r"\d+", " ".join(listed))]
             values += sum(
                 max(last - first, 0) + 1 for first, last in zip(ends[::2], ends[1::2], strict=False)
@@ -150,9 +169,9 @@ def _check_sizes(text: str) -> None:
 
 
 def load(path: Path) -> Any:
-    """A cantools database; DeviceError with one sentence for a file that is none.
+    """Return the cantools database of a DBC file. Raises DeviceError if it is not a valid DBC.
 
-    Other formats that cantools knows by a file's name are not for us, nor is the cache of pickled databases that it can be told of.
+    The other formats of cantools, and its cache of pickled databases, are not used.
     """
     if path.suffix.lower() != ".dbc":
         raise DeviceError(f"DBC {path}: a file whose name ends in .dbc is expected")
@@ -160,15 +179,14 @@ def load(path: Path) -> Any:
         return _parsed(content(path, LARGEST).decode(ENCODING))
     except OSError as error:
         raise DeviceError(f"DBC {path} cannot be read: {error.strerror or error}") from error
-    except (
-        Exception
-    ) as error:  # cantools has several kinds for a malformed file, and passes on its parser's
+    except Exception as error:  # cantools and its parser raise several types for a malformed file
         raise DeviceError(
             f"DBC {path} cannot be used: {' '.join(str(error).split())[:300]}"
         ) from error
 
 
 def message_of(database: Any, name: str, path: Path) -> Any:
+    """Return the message `name` of a DBC. Raises DeviceError if it is missing."""
     names = [message.name for message in database.messages]
     if name not in names:
         raise DeviceError(f"DBC {path} has no message {name!r}{did_you_mean(name, names)}")

@@ -1,8 +1,9 @@
-"""An arm of CiA 402 drives, one a joint, in cyclic synchronous torque mode, as one device.
+"""Device driver of an arm with one CiA 402 drive per joint, in cyclic synchronous torque mode.
 
-CANopen has no frame of the whole arm that could be the clock: the host is it, as the producer of SYNC, and the loop is paced by
-absolute deadlines (`is_clock = False`). A cycle: `read` sends SYNC at once, so that its jitter is that of waking up and nothing else,
-and waits for the TPDOs that every drive answers with; `write` sends the targets, which the drives apply at the next SYNC.
+CANopen has no frame for the whole arm that could pace the loop. The host is the producer of SYNC,
+and the loop waits for absolute deadlines (`is_clock = False`). In each cycle, `read` sends SYNC
+first, so that its jitter is only that of the wake-up. Then it waits for the TPDOs of all drives.
+`write` sends the targets, which the drives apply at the next SYNC.
 """
 
 from __future__ import annotations
@@ -31,20 +32,20 @@ from freeflyer_adapters.foundation.histogram import Histogram
 from freeflyer_adapters.foundation.pacing import Pacer
 
 ANSWER_SHARE = 0.6
-"""Share of the cycle in which the TPDOs of a SYNC must have come; the rest is for controllers and targets."""
+"""Share of the cycle for the TPDOs of a SYNC; the rest is for the controllers and the targets."""
 LISTEN = 0.1
-"""Before it sends anything, the host listens so long [s], and three cycles, for another SYNC producer."""
-GIVE_UP = 4.0
-"""Drives that have not confirmed their brakes after so many ramp-down times are left to their own watchdogs."""
-SHORT = 0.05
-"""[s] for an answer by SDO in the graded stop."""
-OTHERS = "SYNC, targets, or the host's heartbeat"
+"""Smallest time [s] for the detection of another SYNC producer before the first transmission."""
+BRAKE_TIMEOUT = 4.0
+"""Longest wait for the brakes in ramp-down times; after it, only the watchdogs remain."""
+STOP_SDO_TIMEOUT = 0.05
+"""Timeout of an SDO response in the graded stop [s]."""
+FOREIGN_FRAMES = "SYNC, targets, or the host's heartbeat"
 OPERATIONAL = b"\x05"
-"""NMT state in a heartbeat."""
+"""NMT state operational in a heartbeat."""
 
 
 class Cia402Arm:
-    """See `freeflyer_adapters.device.device.Device` for the calls."""
+    """Host side of the drives; implements `freeflyer_adapters.device.device.Device`."""
 
     is_clock = False
 
@@ -65,20 +66,20 @@ class Cia402Arm:
         self._last_torque = np.zeros(n)
         self._stopping_torque: Array | None = None
         self._is_prepared = False
-        """Whether the drives process PDOs."""
+        """Whether the drives are in NMT state operational, in which they process PDOs."""
         self._powered = False
         """Whether a controlword may have switched a drive on."""
-        self._walking = False
+        self._is_enabling = False
         self._targets_due = False
         self._synced = 0
         self._cycles = 0
         self._silent = np.zeros(n, dtype=int)
-        self._known = np.zeros(n, dtype=bool)
-        """Whose position was heard, so that a difference is a speed."""
-        self._strange_syncs = 0
+        self._has_position = np.zeros(n, dtype=bool)
+        """Joints with an earlier position, from which a speed can be estimated."""
+        self._foreign_frames = 0
         self._failed = 0
         self._is_host = False
-        """Whether SYNC goes out in every cycle, and with it the host's heartbeat."""
+        """Whether SYNC is sent in every cycle, together with the host's heartbeats."""
 
     @property
     def woken(self) -> int:
@@ -102,19 +103,20 @@ class Cia402Arm:
 
     @property
     def cannot_refuse(self) -> list[str]:
-        """What drives of this profile cannot refuse by themselves, a sentence for each."""
+        """What drives of this profile cannot reject by themselves: one sentence for each limit."""
         return [
-            "CiA 402 has no session number: a drive in NMT state operational follows any controller's controlwords; between runs NMT "
-            "state pre-operational keeps them out"
+            "CiA 402 has no session number: a drive in NMT state operational accepts the controlwords of any controller; between runs, "
+            "NMT state pre-operational prevents that"
         ]
 
     @property
     def _where(self) -> str:
         return f"{self.name} on CAN {self.options.interface}:{self.options.channel}"
 
-    # Before anything moves
+    # Before the activation
 
     def configure(self) -> None:
+        # Check settings and bus load, and derive the limits.
         o, v = self.options, self.values
         all_settings.check(self.name, DRIVES, v)
         self.cycle = self.step
@@ -138,21 +140,23 @@ class Cia402Arm:
         self.ramp = RampDown(
             time=float(v["ramp_down_time"][0]), damping=float(v["ramp_down_damping"][0])
         )
-        objects.dictionary(o.eds, o.node_ids[0])  # its mistakes are told before anything is opened
-        patience = float(v["configure_timeout"][0])
+        objects.dictionary(o.eds, o.node_ids[0])  # report errors in the EDS before the bus is open
+        # Open the bus, and check for another controller before the first transmission.
+        timeout = float(v["configure_timeout"][0])
         self._network = PolledNetwork(
             open_bus(o.interface, o.channel, False, [], {"bitrate": int(o.bitrate), **o.bus})
         )
-        self._network.subscribe(process_data.SYNC, self._on_strange_sync)
-        self._network.subscribe(process_data.HEARTBEAT + o.host_node_id, self._on_strange_sync)
+        self._network.subscribe(process_data.SYNC, self._on_foreign_frame)
+        self._network.subscribe(process_data.HEARTBEAT + o.host_node_id, self._on_foreign_frame)
         self._listen()
+        # Identify the drives by SDO, compare them with the scenario, and read the measurements.
         self.permit = permit = self._new_permit()
         self.drives = [
-            RemoteDrive(self.name, joint, node, o, self._network, patience, permit)
+            RemoteDrive(self.name, joint, node, o, self._network, timeout, permit)
             for joint, node in enumerate(o.node_ids)
         ]
         for node in o.node_ids:
-            self._network.subscribe(process_data.TARGET.base + node, self._on_strange_sync)
+            self._network.subscribe(process_data.TARGET.base + node, self._on_foreign_frame)
         for drive in self.drives:
             drive.identify()
         for drive, effort in zip(self.drives, v["joint_effort_limit"], strict=True):
@@ -161,36 +165,38 @@ class Cia402Arm:
         self.state.to(LifeCycle.inactive)
 
     def _measure(self) -> None:
-        """By SDO: the drives stay as they are."""
+        """Read the measurements of all drives by SDO, without a change of any object."""
         for drive in self.drives:
             drive.measure()
         self._take()
 
     def _listen(self) -> None:
-        """A bus has one SYNC producer. CANopen has no other word for a second controller."""
+        """Raise DeviceError if another controller (a SYNC producer) is on the bus."""
         assert self._network is not None
         end = self._environment.monotonic() + max(
             LISTEN, 3 * self.cycle, 1.5 * self.options.heartbeat
         )
         while (left := end - self._environment.monotonic()) > 0.0:
             self._network.poll(left)
-            self._refuse_another_controller()
+            self._check_single_controller()
 
-    def _on_strange_sync(self, can_id: int, data: object, timestamp: float) -> None:
-        """An interface does not give back what it has sent itself."""
-        self._strange_syncs += 1
+    def _on_foreign_frame(self, can_id: int, data: object, timestamp: float) -> None:
+        """Count a frame of another controller. The interface must not echo own frames."""
+        self._foreign_frames += 1
 
-    def _refuse_another_controller(self) -> None:
-        if self._strange_syncs:
+    def _check_single_controller(self) -> None:
+        if self._foreign_frames:
             raise DeviceError(
-                f"{self._where}: another controller sends {OTHERS} (node {self.options.host_node_id}), on this bus; stop that one first"
+                f"{self._where}: another controller sends {FOREIGN_FRAMES} (node {self.options.host_node_id}) on this bus; stop the other "
+                f"controller first"
             )
 
     def _first_measurement(self) -> None:
+        """Send SYNC until all drives respond. Raises DeviceError after `configure_timeout`."""
         end = self._environment.monotonic() + float(self.values["configure_timeout"][0])
         while True:
             self._exchange(max(ANSWER_SHARE * self.cycle, 0.05))
-            self._refuse_another_controller()
+            self._check_single_controller()
             silent = [drive for drive in self.drives if not drive.fresh]
             if not silent:
                 return
@@ -200,9 +206,13 @@ class Cia402Arm:
                 )
 
     def stay(self) -> None:
-        """While other devices take their time: SYNC tells everybody that the bus has its host, and keeps enabled drives from stopping."""
+        """Send SYNC and targets while other devices are activated.
+
+        SYNC prevents a watchdog stop of enabled drives, and shows other hosts that the bus is used.
+        """
         is_held_up = self.permit.hold_up(self._environment.monotonic_ns())
-        if self._network is not None and self._is_prepared and not self._walking and not is_held_up:
+        is_idle = self._is_prepared and not self._is_enabling and not is_held_up
+        if self._network is not None and is_idle:
             self._is_host = True
             self._exchange(0.0)
             self._send_targets(self._last_torque)
@@ -210,7 +220,7 @@ class Cia402Arm:
     def check_start(self) -> None:
         assert self._network is not None
         self._network.drain()
-        self._refuse_another_controller()
+        self._check_single_controller()
         self._measure()
         gap = np.abs(self.values["joint_position"] - self.values["start_joint_position"])
         tolerance = float(self.values["start_tolerance"][0])
@@ -222,7 +232,10 @@ class Cia402Arm:
             )
 
     def prepare(self) -> None:
-        """Mode, heartbeats and PDOs of every drive, a fault's reset, then NMT start. The drives rest in Switch on disabled."""
+        """Configure every drive, reset faults, then start NMT state operational.
+
+        The drives stay in Switch on disabled. Raises DeviceError if a drive does not respond.
+        """
         for drive in self.drives:
             drive.set_up(self.cycle)
         for drive in self.drives:
@@ -233,42 +246,44 @@ class Cia402Arm:
         self._first_measurement()
 
     def activate(self, meanwhile: Callable[[], bool]) -> None:
-        """Every drive to Operation enabled, with zero torque beyond gravity, which is what braked joints hold."""
+        """Enable all drives. The torque beyond gravity is zero, which the braked joints hold."""
         self._last_torque = np.zeros(self.options.joints)
-        self.scaling.forget()
-        # From the first one on the drives watch the host's heartbeat, so it begins with the cycles that do not cease any more.
+        self.scaling.reset()
+        # The first heartbeat starts the drives' heartbeat monitors: start with uninterrupted
+        # cycles.
         self._is_host, self._cycles = True, 0
         for drive in self.drives:
             drive.emergency = 0
         self.permit.take(self._environment.monotonic_ns())
         self._powered = True
-        if not self._walk(meanwhile):
-            return  # the loop ends before its first instant, and the stop switches off
+        if not self._enable(meanwhile):
+            return  # the loop ends before its first instant; `deactivate` disables the drives
         self._silent[:] = 0
         self._send_targets(self._last_torque)
         self.state.to(LifeCycle.active)
 
     def revoke(self, reason: str) -> None:
-        """A reason to stop: from now on only what lowers is sent."""
+        """End the permission for power: from now on only frames of the graded stop are sent."""
         self.permit.lose(reason)
         flush(None if self._network is None else self._network.bus)
 
-    def _walk(self, meanwhile: Callable[[], bool]) -> bool:
-        """One step of every drive's state machine in every cycle, until all are enabled; False if the user stops it. DeviceError names the
-        drive that is not.
+    def _enable(self, meanwhile: Callable[[], bool]) -> bool:
+        """Send one state transition per cycle to each drive, until all are in Operation enabled.
+
+        Return False if the user stops it. Raises DeviceError with the drive that is not enabled.
         """
         zero = np.zeros(self.options.joints)
         pacer = Pacer(round(self.cycle * 1e9))
         end = self._environment.monotonic() + float(self.values["configure_timeout"][0])
-        self._walking = True
+        self._is_enabling = True
         try:
             while not all(drive.state is DriveState.operation_enabled for drive in self.drives):
                 self._send_targets(zero)
                 pacer.wait()
-                # The targets act with the next SYNC, which must not come once they are old.
+                # SYNC applies the targets: do not send it after a delay of the loop.
                 if self.permit.allows(self._environment.monotonic_ns()):
                     self._exchange(ANSWER_SHARE * self.cycle)
-                self._refuse_another_controller()
+                self._check_single_controller()
                 if meanwhile():
                     return False
                 if self._environment.monotonic() > end or self.permit.lost:
@@ -278,26 +293,28 @@ class Cia402Arm:
                     )
                     why = f": {self.permit.lost}" if self.permit.lost else late.error_code
                     raise DeviceError(
-                        f"{late.where} does not come to {DriveState.operation_enabled.value}: it is in {late.says}{why}"
+                        f"{late.where} does not reach {DriveState.operation_enabled.value}: it is in {late.status_text}{why}"
                     )
             return True
         finally:
-            self._walking = False
+            self._is_enabling = False
 
-    # Every cycle
+    # In every cycle
 
     def read(self) -> None:
+        # Report a delay of the loop first: it causes the other errors.
         self._stop_if_held_up()
         self._exchange(ANSWER_SHARE * self.cycle)
-        self._stop_if_held_up()  # also while it waited: the cause comes before its effects
+        self._stop_if_held_up()
         self._targets_due = True
+        # Stop after too many lost TPDOs, and for a measurement that is too old.
         silent = [drive for drive in self.drives if not drive.fresh]
         reason = self.monitor.observe(lost=bool(silent))
         if reason:
             error = self._network.error if self._network is not None else ""
             raise SafeStop(
                 self.name,
-                f"{reason}; silent is {', '.join(f'node {d.node_id}' for d in silent)}"
+                f"{reason}; no TPDO from {', '.join(f'node {d.node_id}' for d in silent)}"
                 + (f" (the interface reported: {error})" if error else ""),
             )
         oldest = int(np.argmax(self._silent))
@@ -307,25 +324,29 @@ class Cia402Arm:
                 f"the last TPDO of joint {oldest + 1} is {self._silent[oldest] * self.cycle:.4g} s old, its limit is "
                 f"{float(self.values['state_age_limit'][0]):g} s",
             )
+        # Stop for the state, an emergency or a missing heartbeat of any drive.
         for drive in self.drives:
             if drive.state is not DriveState.operation_enabled:
                 raise SafeStop(
                     self.name,
-                    f"{drive.who} left Operation enabled by itself: it is in {drive.says}",
+                    f"{drive.label} left Operation enabled by itself: it is in {drive.status_text}",
                 )
             if drive.emergency:
-                raise SafeStop(self.name, f"{drive.who} sent an emergency: it is in {drive.says}")
+                raise SafeStop(
+                    self.name, f"{drive.label} sent an emergency: it is in {drive.status_text}"
+                )
             if (
                 drive.cycles_since_heartbeat * self.cycle
                 > HEARTBEATS_MISSED * self.options.heartbeat
             ):
                 raise SafeStop(
                     self.name,
-                    f"{drive.who} has sent no heartbeat for {drive.cycles_since_heartbeat * self.cycle:.3g} s; one every "
+                    f"{drive.label} has sent no heartbeat for {drive.cycles_since_heartbeat * self.cycle:.3g} s; one every "
                     f"{self.options.heartbeat:g} s is expected",
                 )
-        if self._strange_syncs:
-            raise SafeStop(self.name, f"another controller sends {OTHERS}, on this bus")
+        # Stop for a second controller, and at the limits of position and speed.
+        if self._foreign_frames:
+            raise SafeStop(self.name, f"another controller sends {FOREIGN_FRAMES} on this bus")
         reason = self.limits.measured(self.values["joint_position"], self.values["joint_velocity"])
         if reason:
             raise SafeStop(self.name, reason)
@@ -335,10 +356,10 @@ class Cia402Arm:
             raise SafeStop(self.name, sentence)
 
     def _exchange(self, timeout: float) -> None:
-        """One SYNC, and what came until all drives have answered it, or `timeout` [s]."""
+        """Send one SYNC, and receive until all drives have responded, at most `timeout` [s]."""
         network = self._network
         assert network is not None
-        network.drain()  # what came late belongs to an older SYNC
+        network.drain()  # pending frames belong to an earlier SYNC
         for drive in self.drives:
             drive.expect()
         network.sync.transmit()
@@ -347,6 +368,7 @@ class Cia402Arm:
         if self._is_host and self._cycles % every == 0:
             network.send_message(process_data.HEARTBEAT + self.options.host_node_id, OPERATIONAL)
         self._cycles += 1
+        # Receive until the TPDOs of all drives are complete.
         end = self._synced * 1e-9 + timeout
         missing = list(self.drives)
         while missing:
@@ -357,14 +379,14 @@ class Cia402Arm:
         if not missing and self.state.now is LifeCycle.active:
             self.answers.add(self._environment.monotonic_ns() - self._synced)
         if not missing:
-            # They answer this SYNC, so they were made after it.
+            # The TPDOs respond to this SYNC, so they are newer than it.
             self.permit.report(
                 all(d.state is DriveState.operation_enabled for d in self.drives), self._synced
             )
         self._take()
 
     def _take(self) -> None:
-        """Raw numbers to SI; a drive that was silent keeps what it said last."""
+        """Convert the raw numbers to SI. Without a new TPDO, the last measurement stays."""
         v, s = self.values, self.scaling
         fresh = np.array([drive.fresh for drive in self.drives])
         cycles = self._silent + 1
@@ -375,15 +397,15 @@ class Cia402Arm:
             )
         else:
             moved = (position - v["joint_position"]) / (cycles * self.cycle)
-            known = fresh & self._known
-            v["joint_velocity"][known] = moved[known]
-        self._known |= fresh
+            has_speed = fresh & self._has_position
+            v["joint_velocity"][has_speed] = moved[has_speed]
+        self._has_position |= fresh
         v["joint_position"][fresh] = position[fresh]
         v["joint_torque"][:] = np.array([drive.torque for drive in self.drives]) * s.torque_step
         self._silent = np.where(fresh, 0, cycles)
 
     def write(self) -> None:
-        if not self._targets_due:  # one target for each SYNC
+        if not self._targets_due:  # send one target per SYNC
             return
         torque, reason = self.limits.command(self.values["joint_torque_command"], self._last_torque)
         if reason is None and not self.permit.allows(self._environment.monotonic_ns()):
@@ -396,7 +418,7 @@ class Cia402Arm:
         self._last_torque = torque
 
     def _send_targets(self, torque: Array, *, brake: bool = False) -> None:
-        """One target to every drive, with the command that its session allows now."""
+        """Send one target to every drive, with the command that its session allows now."""
         now = self._environment.monotonic_ns()
         commands = [drive.session.answer(now, brake=brake) for drive in self.drives]
         if not all(command is Command.enable_operation for command in commands):
@@ -408,7 +430,7 @@ class Cia402Arm:
         self.permit.wrote(now)
         self.commands_sent += 1
 
-    # The end
+    # During and after a stop
 
     def ramp_down(self, elapsed: float) -> bool:
         if self._network is None or not self._powered:
@@ -416,16 +438,17 @@ class Cia402Arm:
         if self._stopping_torque is None:
             self._stopping_torque = self._last_torque.copy()
         if self.permit.hold_up(self._environment.monotonic_ns()):
-            # No SYNC any more: targets from before the hold-up wait in the drives for it. They have stopped by themselves.
+            # Do not send SYNC: it would apply the targets from before the delay. The watchdogs have
+            # stopped the drives by now.
             for drive in self.drives:
-                drive.node.sdo.RESPONSE_TIMEOUT = SHORT
+                drive.node.sdo.RESPONSE_TIMEOUT = STOP_SDO_TIMEOUT
             self._measure()
-            return self.at_rest or elapsed > GIVE_UP * self.ramp.time
+            return self.at_rest or elapsed > BRAKE_TIMEOUT * self.ramp.time
         self._exchange(ANSWER_SHARE * self.cycle)
         velocity = self.values["joint_velocity"]
         if self.ramp.over(velocity, elapsed) or self.state.now is not LifeCycle.active:
             self._brake()
-            return self.at_rest or elapsed > GIVE_UP * self.ramp.time
+            return self.at_rest or elapsed > BRAKE_TIMEOUT * self.ramp.time
         wanted = self.ramp.torque(self._stopping_torque, velocity, elapsed)
         self._last_torque, _ = self.limits.command(wanted, self._last_torque)
         self._send_targets(self._last_torque)
@@ -433,7 +456,7 @@ class Cia402Arm:
 
     @property
     def at_rest(self) -> bool:
-        """The drives' own words: the drive function is off, which engages the brakes."""
+        """Whether all drives report that the drive function is off, which engages the brakes."""
         return bool(self.drives) and all(
             drive.state is not None and not drive.powered and not silent
             for drive, silent in zip(self.drives, self._silent, strict=True)
@@ -447,9 +470,9 @@ class Cia402Arm:
     def deactivate(self) -> None:
         if self._network is None:
             return
-        if self._powered:  # also where activation was given up half-way
+        if self._powered:  # including an incomplete activation
             self._stop_now()
-        if self._is_prepared:  # in this state no PDO is processed, whichever controller sends it
+        if self._is_prepared:  # in pre-operational, the drives ignore PDOs of every controller
             for drive in self.drives:
                 drive.node.nmt.state = "PRE-OPERATIONAL"
         self._is_prepared = False
@@ -460,9 +483,9 @@ class Cia402Arm:
         self._network = None
 
     def _brake(self) -> None:
-        """Quick stop: from Operation enabled each drive ramps down by itself, switches its power off, and its brake holds."""
+        """Command a quick stop: the drives ramp down, disable power and engage their brakes."""
         self._last_torque = np.zeros(self.options.joints)
-        self.scaling.forget()
+        self.scaling.reset()
         self._send_targets(self._last_torque, brake=True)
 
     def _stop_now(self) -> None:
@@ -470,7 +493,7 @@ class Cia402Arm:
             is_held_up = self.permit.hold_up(self._environment.monotonic_ns())
             self._brake()
             if not is_held_up:
-                self._network.sync.transmit()  # targets act with the next SYNC
+                self._network.sync.transmit()  # the drives apply the targets at SYNC
 
     def report(self) -> Mapping[str, float]:
         counts = {

@@ -1,4 +1,4 @@
-"""The host's end of a drive's state machine: which command the next controlword may have."""
+"""Session of the host with a drive: determines the command of the next controlword."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from freeflyer_adapters.device.permit import Permit
 
 
 class DriveSession:
-    """Decides only: no clock is read and nothing is sent. Times are [ns] of the monotonic clock. All drives of an arm share one permit.
+    """Decision logic of a session; it reads no clock and sends nothing.
 
-    Each step towards Operation enabled answers the statusword of the step before. A fault is never reset by a cyclic
-    frame.
+    All drives of an arm share one permit. Times are [ns] of the monotonic clock. Each step towards
+    Operation enabled responds to the statusword of the previous step. Cyclic frames never reset a
+    fault.
     """
 
     def __init__(self, permit: Permit, subject: str) -> None:
@@ -19,7 +20,7 @@ class DriveSession:
         self._was_enabled = False
 
     def report(self, state: DriveState | None) -> None:
-        """A statusword."""
+        """Process the state from a statusword; None: unknown."""
         self.state = state
         if state is DriveState.operation_enabled:
             self._was_enabled = True
@@ -27,14 +28,15 @@ class DriveSession:
             self.permit.lose(f"{self.subject} left Operation enabled by itself")
 
     def answer(self, now: int, *, brake: bool = False) -> Command:
-        """The command of the next controlword; `brake`: the graded stop has come to its end."""
+        """Return the command of the next controlword; `brake`: the graded stop has ended."""
         if not brake:
             if self.permit.allows(now):
                 if self.state is None:
                     return Command.disable_voltage
                 return TOWARDS_ENABLED.get(self.state, Command.disable_voltage)
-            # The graded stop: torque that falls, of drives that are all known to be enabled.
+            # Graded stop: decreasing torque, while all drives are recently reported enabled.
             if self.permit.may_ramp_down(now) and self.state is DriveState.operation_enabled:
                 return Command.enable_operation
-        # From Operation enabled a drive ramps down by itself and switches off; elsewhere this switches off.
+        # Quick stop: an enabled drive ramps down by itself, then disables power. Other drives
+        # disable power immediately.
         return Command.quick_stop if self._was_enabled else Command.disable_voltage

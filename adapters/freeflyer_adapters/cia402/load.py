@@ -1,4 +1,4 @@
-"""What the drives' frames take of a classic CAN bus, at worst; a configuration that the bus cannot carry is refused."""
+"""Worst-case load of a classic CAN bus by the frames of the drives, and its check."""
 
 from __future__ import annotations
 
@@ -9,15 +9,19 @@ from freeflyer_adapters.cia402.process_data import ACTUAL, SPEED, TARGET
 from freeflyer_adapters.device.device import DeviceError
 
 SDO_FRAMES = 2
-"""Room for one request and one answer of 8 bytes in a cycle (or an EMCY): whatever is read while the drives run."""
+"""Reserve per cycle: one SDO request and one response of 8 bytes, or an EMCY."""
 LONGEST = 0.1
-"""Cycles are looked for up to this [s]."""
+"""Longest cycle that an error message suggests [s]."""
 
 
 def load(
     joints: int, cycle: float, bitrate: float, heartbeat: float, *, measured_velocity: bool
 ) -> float:
-    """Worst share of the bus: SYNC, PDOs and room for SDOs in a `cycle` [s], heartbeats of all drives and the host in `heartbeat` [s]."""
+    """Return the worst-case bus load (a fraction): SYNC, PDOs, SDO reserve and heartbeats.
+
+    `cycle`, `heartbeat`: periods [s]; `bitrate` [bit/s]; `measured_velocity`: whether TPDO2 is
+    sent.
+    """
 
     def taken(size: int) -> float:
         return frame_time(size, False, nominal=bitrate)
@@ -37,7 +41,7 @@ def check(
     *,
     measured_velocity: bool,
 ) -> float:
-    """The load; DeviceError with the load and what would fit if it is above `largest`."""
+    """Return the bus load. Raises DeviceError, with possible remedies, if it is above `largest`."""
     share = load(joints, cycle, bitrate, heartbeat, measured_velocity=measured_velocity)
     if share <= largest:
         return share
@@ -68,7 +72,7 @@ def table(
     cycles: Sequence[int] = (1, 2, 3, 4, 5, 8),
     heartbeat: float = 0.1,
 ) -> list[str]:
-    """Rows of Markdown for docs/cia402.md: cycles [ms] at 1 Mbit/s."""
+    """Return the Markdown table of bus loads in docs/cia402.md: `cycles` [ms], at 1 Mbit/s."""
     rows = [
         "| cycle | " + " | ".join(f"{n} drives | {n} drives, with TPDO2" for n in joints) + " |",
         "|---|" + "---|---|" * len(joints),

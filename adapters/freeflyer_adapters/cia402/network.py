@@ -1,8 +1,9 @@
-"""canopen without threads: its network is fed from a receive of our own, and nothing is sent but by a call.
+"""canopen network without threads: the caller polls for frames, and every transmission is a call.
 
-canopen's `connect` starts a python-can Notifier, a thread that takes the GIL from the loop whenever a frame comes, and its periodic
-tasks are threads, too. Here the loop itself receives (`poll`) and hands each frame to canopen's own `notify`; SDO clients poll
-while they wait; heartbeats are counted in cycles by who sends them.
+canopen's `connect` starts a python-can Notifier, whose thread takes the GIL from the loop at each
+received frame. Its periodic tasks are threads too. Here the loop receives (`poll`) and passes each
+frame to canopen's `notify`. SDO clients poll while they wait. The sender of a heartbeat counts
+cycles.
 """
 
 from __future__ import annotations
@@ -18,22 +19,22 @@ from freeflyer_adapters.can.link import driver_message
 from freeflyer_adapters.foundation import environment
 
 MOST_FRAMES = 512
-"""Taken at a time."""
+"""Largest number of frames per `drain`."""
 
 
 class PolledNetwork(canopen.Network):
-    """Over a bus that is open already; `disconnect` closes it."""
+    """Network on an open bus; `disconnect` closes the bus."""
 
     def __init__(self, bus: Any) -> None:
-        """`bus`: with python-can's `send`, `recv` and `shutdown`."""
+        """Use `bus`, an object with `send`, `recv` and `shutdown` of python-can."""
         super().__init__(bus)
         self.failed = 0
-        """Frames that the interface did not take: lost ones, as any other."""
+        """Number of frames that the interface rejected; they count as lost."""
         self.error = ""
-        """The driver's own text of the last failure to send or receive."""
+        """The driver's message for the last failed transmission or reception."""
 
     def poll(self, timeout: float) -> bool:
-        """Wait for one frame and hand it out; False if none came in time."""
+        """Receive one frame and process it. Return False if none arrived within `timeout` [s]."""
         assert self.bus is not None
         try:
             message = self.bus.recv(max(timeout, 0.0))
@@ -52,12 +53,13 @@ class PolledNetwork(canopen.Network):
         return True
 
     def drain(self) -> None:
-        """Whatever waits already, as far as it is bounded: a flood cannot hold the loop."""
+        """Process the pending frames, up to a limit, so that a flood cannot block the loop."""
         for _ in range(MOST_FRAMES):
             if not self.poll(0.0):
                 return
 
     def send_message(self, can_id: int, data: Any, remote: bool = False) -> None:
+        """Send a frame. A frame that the interface rejects is counted in `failed`."""
         assert self.bus is not None
         message = can.Message(
             arbitration_id=can_id, is_extended_id=False, is_remote_frame=remote, data=data
@@ -69,7 +71,7 @@ class PolledNetwork(canopen.Network):
             self.error = driver_message(error)
 
     def send_periodic(self, can_id: int, data: Any, period: float, remote: bool = False) -> Any:
-        """Nothing is sent by itself: the caller's own cycle does it."""
+        """Return a task that sends nothing: the caller sends in its own cycle."""
         return _NotPeriodic()
 
 
@@ -80,7 +82,7 @@ class _NotPeriodic:
 
 
 class PolledSdo(SdoClient):
-    """Waits for its answer by polling; the timeout is the caller's."""
+    """SDO client that polls the network for its response, up to RESPONSE_TIMEOUT."""
 
     network: PolledNetwork
 
@@ -95,7 +97,7 @@ class PolledSdo(SdoClient):
 
 
 class PolledNode(canopen.RemoteNode):
-    """A drive as the host sees it, through canopen, on a polled network."""
+    """canopen's remote node of a drive, on a polled network."""
 
     def add_sdo(self, rx_cobid: int, tx_cobid: int) -> Any:
         client = PolledSdo(rx_cobid, tx_cobid, self.object_dictionary)  # type: ignore[no-untyped-call]

@@ -1,4 +1,4 @@
-"""The entries of a drive's object dictionary that this profile uses (CiA 301 and CiA 402-2), and the shipped EDS file."""
+"""Object dictionary entries of a drive (CiA 301 and CiA 402-2), and the shipped EDS file."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from freeflyer.foundation.bounded_file import content
 from freeflyer_adapters.device.device import DeviceError
 
 LARGEST_EDS = 4 * 2**20
-"""Bytes; a drive's is some 100 KiB."""
+"""Largest EDS file [bytes]; a typical drive has about 100 KiB."""
 SHIPPED_EDS = Path(__file__).with_name("drive.eds")
 CYCLIC_SYNCHRONOUS_TORQUE = 10
 SUPPORTS_TORQUE = 1 << 9
-"""Bit of 6502h, supported drive modes, for mode 10."""
+"""Bit of mode 10 in 6502h, supported drive modes."""
 SERVO_DRIVE = 0x0002_0192
-"""1000h: additional information "servo drive" over device profile 402."""
+"""Value of 1000h: additional information "servo drive", device profile 402."""
 RAMP_AND_DISABLE = 2
-"""605Ah, 605Eh: slow down on the quick stop ramp, then power off."""
+"""Value of 605Ah and 605Eh: slow down on the quick stop ramp, then disable power."""
 
-# What canopen logs goes nowhere unless somebody asks for it; what matters is in our own sentences.
+# Without a handler of the user, canopen's log is discarded. DeviceError reports its errors.
 logging.getLogger("canopen").addHandler(logging.NullHandler())
 
 
 @dataclass(frozen=True, kw_only=True)
 class Entry:
-    """`optional`: a drive without it is used all the same."""
+    """Object in a drive's dictionary; `optional`: a drive without it is accepted."""
 
     index: int
     sub: int = 0
@@ -58,10 +58,10 @@ CONSUMER_HEARTBEAT = Entry(
     sub=1,
     name="Consumer heartbeat time",
     unit="ms",
-    use="written: the host's node and patience",
+    use="written: the host's node and the timeout",
 )
 PRODUCER_HEARTBEAT = Entry(index=0x1017, name="Producer heartbeat time", unit="ms", use="written")
-ERROR_CODE = Entry(index=0x603F, name="Error code", use="read for sentences", optional=True)
+ERROR_CODE = Entry(index=0x603F, name="Error code", use="read for error messages", optional=True)
 CONTROLWORD = Entry(index=0x6040, name="Controlword", use="RPDO1")
 STATUSWORD = Entry(index=0x6041, name="Statusword", use="TPDO1")
 QUICK_STOP = Entry(
@@ -116,23 +116,26 @@ ERRORS: Mapping[int, str] = {
     0x1000: "generic error",
     0x2310: "continuous overcurrent",
     0x3210: "overvoltage of the supply",
-    0x4310: "the drive is too hot",
+    0x4310: "drive temperature too high",
     0x7305: "incremental encoder",
     HEARTBEAT_LOST: "the host's heartbeat is missing",
-    RPDO_LOST: "no target came between two SYNCs",
+    RPDO_LOST: "no target between two SYNCs",
     SYNC_LOST: "no SYNC",
 }
-"""The error codes (603Fh, and of an EMCY) that the virtual drive has, with some common ones; the others are said by number and class."""
+"""Error codes (603Fh, EMCY) of the virtual drive, and common ones of real drives."""
 
 
 def error_text(code: int) -> str:
-    """A code and what it means, as far as CiA 301 and 402 fix it."""
+    """Return an error code with its meaning, or with its error class of CiA 301."""
     known = ERRORS.get(code) or canopen.emcy.EmcyError(code, 0, b"", 0.0).get_desc().lower()
     return f"0x{code:04X}" + (f" ({known})" if known else "")
 
 
 def dictionary(path: Path, node_id: int) -> Any:
-    """A canopen ObjectDictionary from an EDS or DCF file; DeviceError if it cannot be read or lacks what the profile needs."""
+    """Return canopen's ObjectDictionary of an EDS or DCF file.
+
+    Raises DeviceError if the file is unusable, or if a required object is missing.
+    """
     try:
         if path.suffix.lower() not in (".eds", ".dcf"):
             raise DeviceError(f"EDS {path}: a file whose name ends in .eds or .dcf is expected")
@@ -143,7 +146,7 @@ def dictionary(path: Path, node_id: int) -> Any:
         raise
     except OSError as error:
         raise DeviceError(f"EDS {path} cannot be read: {error.strerror or error}") from error
-    except Exception as error:  # the library passes on its parser's, of several kinds
+    except Exception as error:  # canopen and its parser raise several types
         text = " ".join(str(error).split())[:300] or type(error).__name__
         raise DeviceError(f"EDS {path} cannot be used: {text}") from error
     for entry in ENTRIES:
@@ -155,7 +158,7 @@ def dictionary(path: Path, node_id: int) -> Any:
 
 
 def table() -> list[str]:
-    """Rows of Markdown for docs/cia402.md."""
+    """Return the Markdown table of objects in docs/cia402.md."""
     rows = ["| object | name | unit | use |", "|---|---|---|---|"]
     return rows + [
         f"| {e} | {e.name} | {e.unit} | {e.use}{' (if the drive has it)' if e.optional else ''} |"

@@ -1,4 +1,7 @@
-"""What a scenario's `[devices.NAME]` of kind "cia402_arm" may say besides `parameters`; both ends of the bus read it."""
+"""Options of a scenario's `[devices.NAME]` of kind "cia402_arm"; both ends of the bus use them.
+
+The numbers in `parameters` are in `freeflyer_adapters.cia402.settings`.
+"""
 
 from __future__ import annotations
 
@@ -19,10 +22,12 @@ VELOCITIES = ("measured", "estimated")
 
 @dataclass(frozen=True, kw_only=True)
 class DriveOptions:
-    """`bus`: further arguments of python-can's interface; `bitrate` [bit/s]; `eds`: the drives' object dictionary.
+    """Options of a bus with one drive per joint.
 
-    `measured_velocity`: from TPDO2, else estimated from positions; `heartbeat` [s]: of the drives and the host; `largest_load`: share
-    of the bus that is allowed.
+    `bus`: further arguments of the python-can interface; `bitrate` [bit/s]; `node_ids`, `motors`:
+    joint by joint; `eds`: object dictionary of the drives; `measured_velocity`: from TPDO2, else
+    estimated from positions; `heartbeat`: period for drives and host [s]; `largest_load`: largest
+    allowed bus load (a fraction).
     """
 
     interface: str = "local"
@@ -43,7 +48,7 @@ class DriveOptions:
 
 
 def options_from(name: str, raw: Mapping[str, Any], directory: Path) -> DriveOptions:
-    """The device's table as options; DeviceError for a key or value that is none."""
+    """Return the options of a device's table. Raises DeviceError for an invalid key or value."""
     known_keys(name, raw, KEYS)
     joints = checked(name, raw, "joints", int, 6)
     if not 1 <= joints <= 126:
@@ -82,7 +87,7 @@ def options_from(name: str, raw: Mapping[str, Any], directory: Path) -> DriveOpt
 
 
 def _nodes(name: str, raw: Mapping[str, Any], joints: int) -> dict[str, Any]:
-    """Node numbers of the drives, joint by joint, and of the host's own heartbeat: all different, 1 to 127."""
+    """Return the node numbers of the drives and of the host: all different, 1 to 127."""
     nodes = checked(name, raw, "node_ids", list, list(range(1, joints + 1)))
     host = checked(name, raw, "host_node_id", int, 127)
     if len(nodes) != joints:
@@ -92,12 +97,12 @@ def _nodes(name: str, raw: Mapping[str, Any], joints: int) -> dict[str, Any]:
     for node in (*nodes, host):
         if isinstance(node, bool) or not isinstance(node, int) or not 1 <= node <= 127:
             raise DeviceError(
-                f"device {name}: node {node!r} is no CANopen node; a whole number from 1 to 127 is expected"
+                f"device {name}: node {node!r} is not a CANopen node number; a whole number from 1 to 127 is expected"
             )
     twice = [node for node in nodes if [*nodes, host].count(node) > 1]
     if twice:
         raise DeviceError(
-            f"device {name}: node {twice[0]} is there twice in node_ids and host_node_id; each needs its own"
+            f"device {name}: node {twice[0]} occurs twice in node_ids and host_node_id; distinct numbers are expected"
         )
     return {"node_ids": tuple(nodes), "host_node_id": host}
 
@@ -116,11 +121,11 @@ def _number(
 def _per_joint(
     name: str, raw: Mapping[str, Any], key: str, joints: int, default: float | None
 ) -> list[float]:
-    """A number for all joints, or a list with one each."""
+    """Return one number per joint, from a list or from one number for all joints."""
     value = raw.get(key, default)
     if value is None:
         raise DeviceError(
-            f"device {name}: {key} is missing; the drives' own is needed, a number or a list of one for each joint"
+            f"device {name}: {key} is missing; the value of the drives is expected, one number or a list with one for each joint"
         )
     values = value if isinstance(value, list) else [value] * joints
     if len(values) != joints:

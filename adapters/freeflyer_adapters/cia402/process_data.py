@@ -1,4 +1,7 @@
-"""The frames of every cycle: SYNC, one RPDO to and one or two TPDOs from each drive, in the predefined connection set of CiA 301."""
+"""Cyclic frames in the predefined connection set of CiA 301.
+
+They are SYNC, one RPDO to each drive, and one or two TPDOs from each drive.
+"""
 
 from __future__ import annotations
 
@@ -10,14 +13,18 @@ from freeflyer_adapters.cia402 import objects
 from freeflyer_adapters.cia402.objects import Entry
 
 NMT, SYNC, HEARTBEAT = 0x000, 0x080, 0x700
-"""COB-IDs; an EMCY has SYNC plus the node, a heartbeat HEARTBEAT plus the node."""
+"""COB-IDs. An EMCY has SYNC plus the node number; a heartbeat, HEARTBEAT plus the node number."""
 ON_SYNC = 1
-"""Transmission type: with every SYNC. A target then acts from the SYNC after the one that it answers."""
+"""Transmission type: at every SYNC. A drive applies a target at the SYNC after its reception."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ProcessData:
-    """One PDO: `number` counts from 1, `base` plus the node is its COB-ID, `mapping` its objects with their bits."""
+    """One PDO of a drive.
+
+    `number`: from 1; `base`: the COB-ID without the node number; `mapping`: objects with their
+    bits; `layout`: of the data.
+    """
 
     name: str
     number: int

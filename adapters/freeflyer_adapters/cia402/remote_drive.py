@@ -1,4 +1,4 @@
-"""One drive as the host sees it: what it is, compared by SDO; how it is set up; and what it says in every cycle."""
+"""Host side of one drive: identification and configuration by SDO, process data in every cycle."""
 
 from __future__ import annotations
 
@@ -23,13 +23,17 @@ from freeflyer_adapters.device.device import DeviceError
 from freeflyer_adapters.device.permit import Permit
 
 NOT_VALID = 1 << 31
-"""In a PDO's COB-ID: it is off."""
+"""Bit of a PDO's COB-ID: the PDO is disabled."""
 HEARTBEATS_MISSED = 2.5
-"""A heartbeat is missing after so many of its periods, at both ends."""
+"""Timeout of a heartbeat in heartbeat periods, at both ends."""
 
 
 class RemoteDrive:
-    """`torque`, `position`, `velocity` are raw numbers of the newest TPDOs; `fresh` while those of the present SYNC are there."""
+    """One drive of an arm.
+
+    `torque`, `position`, `velocity`: raw numbers of the newest TPDOs. `fresh`: whether all TPDOs of
+    the present SYNC were received. `timeout`: of an SDO response [s].
+    """
 
     def __init__(
         self,
@@ -38,24 +42,24 @@ class RemoteDrive:
         node_id: int,
         options: DriveOptions,
         network: PolledNetwork,
-        patience: float,
+        timeout: float,
         permit: Permit,
     ) -> None:
-        self.who = f"drive of joint {joint + 1} (node {node_id})"
-        self.where = f"{arm}: {self.who}"
+        self.label = f"drive of joint {joint + 1} (node {node_id})"
+        self.where = f"{arm}: {self.label}"
         self.joint, self.node_id, self.options = joint, node_id, options
         self.motor = options.motors[joint]
         self.node = PolledNode(node_id, objects.dictionary(options.eds, node_id))
-        self.node.sdo.RESPONSE_TIMEOUT = patience
+        self.node.sdo.RESPONSE_TIMEOUT = timeout
         network.add_node(self.node)
         self._network = network
         self._expected = 1 + options.measured_velocity
-        self._came: set[int] = set()
+        self._received: set[int] = set()
         self.torque = self.position = self.velocity = 0
-        self.session = DriveSession(permit, self.who)
+        self.session = DriveSession(permit, self.label)
         self.statusword = 0
         self.emergency = 0
-        """Error code of the last EMCY that was none of all-clear; 0 once it is cleared."""
+        """Error code of the last EMCY; 0 after an EMCY that reports the end of the error."""
         self.emergencies = 0
         self.accepted = 0
         self.cycles_since_heartbeat = 0
@@ -66,13 +70,16 @@ class RemoteDrive:
 
     @property
     def state(self) -> DriveState | None:
-        """None before the first statusword, and for a pattern that the standard does not have."""
+        """State of the drive; None before the first statusword, and for an undefined pattern."""
         return self.session.state
 
-    # Before anything moves
+    # Before the activation
 
     def identify(self) -> None:
-        """The device is a drive of this profile, with the scenario's motor, and nobody drives it. DeviceError with both numbers."""
+        """Check by SDO that the device is a drive with torque mode, and that it is not enabled.
+
+        Raises DeviceError with the actual and the expected value.
+        """
         device_type = self.read(objects.DEVICE_TYPE)
         if device_type & 0xFFFF != 402:
             raise DeviceError(
@@ -88,7 +95,7 @@ class RemoteDrive:
         self._read_state()
         if self.state is not None and self.powered:
             raise DeviceError(
-                f"{self.where} is in {self.state.value} already: another controller drives it; stop that one first"
+                f"{self.where} is in {self.state.value} already: another controller drives it; stop the other controller first"
             )
 
     def _read_state(self) -> None:
@@ -96,50 +103,58 @@ class RemoteDrive:
         self.session.report(state_of(self.statusword))
 
     def measure(self) -> None:
-        """Statusword and measurements by SDO, which changes nothing in the drive."""
+        """Read statusword and measurements by SDO, without a change of any object."""
         self._read_state()
         self.torque, self.position = self.read(objects.ACTUAL_TORQUE), self.read(objects.POSITION)
         if self.options.measured_velocity:
             self.velocity = self.read(objects.VELOCITY)
-        self._came |= {ACTUAL.number, SPEED.number}
+        self._received |= {ACTUAL.number, SPEED.number}
 
     def reset_fault(self) -> None:
-        """Reset a fault once: the rising edge of bit 7 by SDO, before PDOs are processed. DeviceError if it stays."""
+        """Reset a fault once, by a rising edge of controlword bit 7, before PDOs are processed.
+
+        Raises DeviceError if the fault remains.
+        """
         if self.state is not DriveState.fault:
             return
-        for word in (Command.disable_voltage.value, FAULT_RESET, Command.disable_voltage.value):
-            self.write(objects.CONTROLWORD, word)
+        for value in (Command.disable_voltage.value, FAULT_RESET, Command.disable_voltage.value):
+            self.write(objects.CONTROLWORD, value)
         self.emergency = 0
         self._read_state()
         if self.state is DriveState.fault:
             raise DeviceError(
-                f"{self.where} stays in {self.says} after a fault reset{self.error_code}; find its cause first"
+                f"{self.where} stays in {self.status_text} after a fault reset{self.error_code}; remove the cause first"
             )
 
     @property
     def error_code(self) -> str:
-        """What the drive itself says of its error, to end a sentence with."""
+        """The drive's error code as the end of a sentence; empty if there is no error."""
         if objects.ERROR_CODE.index not in self.node.object_dictionary:
             return ""
         try:
             code = self.read(objects.ERROR_CODE)
         except DeviceError:
-            return "; it gives no error code"
+            return "; its error code cannot be read"
         return (
             f"; its error code ({objects.ERROR_CODE}) is {objects.error_text(code)}" if code else ""
         )
 
     def compare(self, effort: float) -> None:
-        """The drive's own scales against the scenario's; `effort` [N m] is the largest torque that the joint may be given."""
+        """Compare the drive's scales and torque limit with the scenario.
+
+        `effort`: effort limit of the joint [N m]. Raises DeviceError with both values.
+        """
         m = self.motor
         rated = 1e-3 * self.read(objects.RATED_TORQUE)
-        self._same("rated torque", rated, m.rated_torque, "N m", objects.RATED_TORQUE, 0.5e-3)
+        self._compare_value(
+            "rated torque", rated, m.rated_torque, "N m", objects.RATED_TORQUE, 0.5e-3
+        )
         gear = self._ratio(objects.GEAR_MOTOR_TURNS, objects.GEAR_SHAFT_TURNS)
-        self._same(
+        self._compare_value(
             "gear ratio", gear, m.gear_ratio, "", objects.GEAR_MOTOR_TURNS, 1e-9 * m.gear_ratio
         )
         encoder = self._ratio(objects.ENCODER_INCREMENTS, objects.ENCODER_TURNS)
-        self._same(
+        self._compare_value(
             "encoder resolution",
             encoder,
             m.encoder_resolution,
@@ -150,18 +165,19 @@ class RemoteDrive:
         most = self.read(objects.MAX_TORQUE) * m.torque_step
         if most < effort * (1.0 - 1e-3):
             raise DeviceError(
-                f"{self.where}: its max torque ({objects.MAX_TORQUE}) is {most:.4g} N m at the joint, but the scenario's robot may be given "
-                f"{effort:.4g} N m (joint_effort_limit): raise the one or lower the other"
+                f"{self.where}: its max torque ({objects.MAX_TORQUE}) is {most:.4g} N m at the joint, but the scenario's joint_effort_limit is "
+                f"{effort:.4g} N m: raise the max torque or lower joint_effort_limit"
             )
 
-    def _same(
-        self, what: str, theirs: float, ours: float, unit: str, entry: Entry, tolerance: float
+    def _compare_value(
+        self, what: str, actual: float, expected: float, unit: str, entry: Entry, tolerance: float
     ) -> None:
-        if not abs(theirs - ours) <= tolerance:
+        """Raise DeviceError if a value of the drive differs from the scenario."""
+        if not abs(actual - expected) <= tolerance:
             raise DeviceError(
-                f"{self.where}: its {what} ({entry}) is {theirs:.9g} {unit}".rstrip()
-                + f", but the scenario's is {ours:.9g} {unit}".rstrip()
-                + "; it is another drive, or one of the two is set wrongly"
+                f"{self.where}: its {what} ({entry}) is {actual:.9g} {unit}".rstrip()
+                + f", but the scenario's is {expected:.9g} {unit}".rstrip()
+                + "; it is another drive, or one of the two values is wrong"
             )
 
     def _ratio(self, above: Entry, below: Entry) -> float:
@@ -171,7 +187,10 @@ class RemoteDrive:
         return self.read(above) / divisor
 
     def set_up(self, cycle: float) -> None:
-        """Mode, cycle, heartbeats and PDOs, in NMT state pre-operational."""
+        """Write mode, cycle [s], heartbeats and PDOs, in NMT state pre-operational.
+
+        Raises DeviceError if the drive does not accept them.
+        """
         self.node.nmt.state = "PRE-OPERATIONAL"
         self.write(objects.MODE, objects.CYCLIC_SYNCHRONOUS_TORQUE)
         mode = self.read(objects.MODE_DISPLAY)
@@ -194,11 +213,11 @@ class RemoteDrive:
         self._map(self.node.rpdo, TARGET, used=True)
         self._map(self.node.tpdo, ACTUAL, used=True)
         self._map(self.node.tpdo, SPEED, used=self.options.measured_velocity)
-        self._silence_others()
+        self._disable_other_pdos()
         self.cycles_since_heartbeat = 0
 
-    def _silence_others(self) -> None:
-        """PDOs that the drive has besides these would take bus time that nobody has counted."""
+    def _disable_other_pdos(self) -> None:
+        """Disable the drive's other PDOs, whose bus load is not accounted for."""
         for maps, used in (
             (self.node.rpdo, {TARGET.number}),
             (self.node.tpdo, {ACTUAL.number, SPEED.number}),
@@ -213,11 +232,11 @@ class RemoteDrive:
                 except SdoError as error:
                     record = f"its further PDO ({pdo.com_record.od.index:04X}h)"
                     raise DeviceError(
-                        self._refused("does not switch off", record, error)
+                        self._sdo_message("does not disable", record, error)
                     ) from error
 
     def _map(self, maps: Any, pdo: ProcessData, *, used: bool) -> None:
-        """canopen writes the mapping: PDO off, count 0, entries, count, PDO on."""
+        """Write the mapping of a PDO: PDO off, count 0, entries, count, PDO on if `used`."""
         what = f"the mapping of {pdo.name}"
         try:
             chosen = maps[pdo.number]
@@ -236,9 +255,10 @@ class RemoteDrive:
                 return
             raise DeviceError(f"{self.where}: its EDS has no {pdo.name}") from error
         except SdoError as error:
-            raise DeviceError(self._refused("does not take", what, error)) from error
+            raise DeviceError(self._sdo_message("does not accept", what, error)) from error
         finally:
-            # canopen would copy every frame behind a lock; these are taken by `_on_actual` and `_on_speed`.
+            # Remove canopen's own handlers, which copy every frame under a lock. `_on_actual` and
+            # `_on_speed` process these frames.
             for subscribers in self._network.subscribers.values():
                 subscribers[:] = [
                     s
@@ -250,21 +270,22 @@ class RemoteDrive:
         return self.node.object_dictionary.get_variable(entry.index, entry.sub) is not None
 
     def read(self, entry: Entry) -> int:
-        """One object by SDO; DeviceError that says which drive and object."""
+        """Read one object by SDO. Raises DeviceError with the drive and the object."""
         try:
             return int(self._variable(entry).raw)
         except (SdoError, ValueError, TypeError) as error:
             raise DeviceError(
-                self._refused("does not give", f"{entry.name.lower()} ({entry})", error)
+                self._sdo_message("does not return", f"{entry.name.lower()} ({entry})", error)
             ) from error
 
     def write(self, entry: Entry, value: int) -> None:
+        """Write one object by SDO. Raises DeviceError with the drive and the object."""
         try:
             self._variable(entry).raw = value
         except (SdoError, ValueError) as error:
             raise DeviceError(
-                self._refused(
-                    f"does not take {value} for", f"{entry.name.lower()} ({entry})", error
+                self._sdo_message(
+                    f"does not accept {value} for", f"{entry.name.lower()} ({entry})", error
                 )
             ) from error
 
@@ -272,7 +293,7 @@ class RemoteDrive:
         found = self.node.sdo[entry.index]
         return found[entry.sub] if entry.sub else found
 
-    def _refused(self, verb: str, what: str, error: Exception) -> str:
+    def _sdo_message(self, verb: str, what: str, error: Exception) -> str:
         if isinstance(error, SdoAbortedError):
             return f"{self.where} {verb} {what}: SDO abort, {' '.join(str(error).split())}"
         if isinstance(error, SdoError):
@@ -282,16 +303,16 @@ class RemoteDrive:
             )
         return f"{self.where} {verb} {what}: {' '.join(str(error).split())}"
 
-    # Every cycle
+    # In every cycle
 
     def expect(self) -> None:
-        """A SYNC goes out: what has come belongs to the last one."""
-        self._came.clear()
+        """Start a cycle: discard the TPDOs of the last SYNC."""
+        self._received.clear()
         self.cycles_since_heartbeat += 1
 
     @property
     def fresh(self) -> bool:
-        return len(self._came) >= self._expected
+        return len(self._received) >= self._expected
 
     def _on_actual(self, can_id: int, data: Any, timestamp: float) -> None:
         if len(data) != ACTUAL.layout.size:
@@ -299,12 +320,12 @@ class RemoteDrive:
         self.statusword, self.torque, self.position = ACTUAL.layout.unpack(data)
         self.session.report(state_of(self.statusword))
         self.accepted += 1
-        self._came.add(ACTUAL.number)
+        self._received.add(ACTUAL.number)
 
     def _on_speed(self, can_id: int, data: Any, timestamp: float) -> None:
         if len(data) == SPEED.layout.size:
             (self.velocity,) = SPEED.layout.unpack(data)
-            self._came.add(SPEED.number)
+            self._received.add(SPEED.number)
 
     def _on_emergency(self, can_id: int, data: Any, timestamp: float) -> None:
         if len(data) >= 2:
@@ -315,16 +336,17 @@ class RemoteDrive:
         self.cycles_since_heartbeat = 0
 
     def send(self, command: Command, raw_torque: int) -> None:
+        """Send the RPDO with controlword and target torque [0.001 rated torque]."""
         self._network.send_message(
             TARGET.base + self.node_id, TARGET.layout.pack(command.value, raw_torque)
         )
 
     @property
-    def says(self) -> str:
-        """Its state in words, with what it said of an error."""
-        state = "a state of no known statusword" if self.state is None else self.state.value
-        told = f", EMCY {objects.error_text(self.emergency)}" if self.emergency else ""
-        return f"{state} (statusword 0x{self.statusword:04X}{told})"
+    def status_text(self) -> str:
+        """The drive's state with its statusword and its last emergency, for messages."""
+        state = "an undefined state" if self.state is None else self.state.value
+        emergency = f", EMCY {objects.error_text(self.emergency)}" if self.emergency else ""
+        return f"{state} (statusword 0x{self.statusword:04X}{emergency})"
 
     @property
     def powered(self) -> bool:
@@ -332,7 +354,10 @@ class RemoteDrive:
 
 
 def _period(cycle: float) -> tuple[int, int]:
-    """60C2h: value and power of ten of a period [s]; DeviceError if a byte cannot hold it."""
+    """Return value and power of ten of a period [s] for 60C2h.
+
+    Raises DeviceError if a byte cannot hold the value.
+    """
     for index in (-3, -4, -5, -6):
         value = cycle / 10.0**index
         if abs(value - round(value)) < 1e-6 and 1 <= round(value) <= 255:

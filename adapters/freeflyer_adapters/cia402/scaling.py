@@ -1,4 +1,4 @@
-"""Raw numbers of the drives and SI at the joints. Torques: per mille of the motor's rated torque, times the gear; positions: increments."""
+"""Conversion between the raw numbers of the drives and SI units at the joints."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ MOST_RAW_TORQUE = 0x7FFF
 
 @dataclass(frozen=True, kw_only=True)
 class Motor:
-    """One joint's motor, encoder and gear as the drive's objects have them.
+    """Motor, encoder and gear of one joint, as in the objects of the drive.
 
-    `rated_torque` [N m] at the motor (6076h), `encoder_resolution` increments a turn of the motor (608Fh), `gear_ratio` turns of the
-    motor a turn of the joint (6091h), `velocity_scale`: units of 606Ch to one increment a second.
+    `rated_torque`: at the motor [N m] (6076h); `encoder_resolution`: increments per motor
+    revolution (608Fh); `gear_ratio`: motor revolutions per joint revolution (6091h);
+    `velocity_scale`: units of 606Ch per increment per second.
     """
 
     rated_torque: float
@@ -27,22 +28,22 @@ class Motor:
 
     @property
     def joint_torque(self) -> float:
-        """Rated torque at the joint [N m]; the gear is taken to lose nothing."""
+        """Rated torque at the joint [N m], for a gear without losses."""
         return self.rated_torque * self.gear_ratio
 
     @property
     def torque_step(self) -> float:
-        """One unit of 6071h and 6077h at the joint [N m]."""
+        """One unit of 6071h and 6077h (per mille of rated torque) at the joint [N m]."""
         return self.joint_torque / 1000.0
 
     @property
     def position_step(self) -> float:
-        """One unit of 6064h at the joint [rad]."""
+        """One unit of 6064h (an increment) at the joint [rad]."""
         return 2.0 * np.pi / (self.encoder_resolution * self.gear_ratio)
 
 
 class Scaling:
-    """Of all joints."""
+    """Scales of all joints: N m, rad and rad/s per raw unit, shape (n)."""
 
     def __init__(self, motors: Sequence[Motor]) -> None:
         self.torque_step = np.array([m.torque_step for m in motors])
@@ -50,13 +51,15 @@ class Scaling:
         self.velocity_step = np.array([m.position_step / m.velocity_scale for m in motors])
         self._left = np.zeros(len(motors))
 
-    def forget(self) -> None:
-        """Nothing is carried over."""
+    def reset(self) -> None:
+        """Discard the rounding errors of earlier cycles."""
         self._left[:] = 0.0
 
     def raw_torque(self, torque: Array) -> Array:
-        """(n) [N m] to whole units. What rounding leaves is added to the next cycle's torque, so that the mean is kept: a unit is a
-        thousandth of the rated torque, and the torques of a slow motion are a few of them.
+        """Return joint torques, shape (n) [N m], in whole raw units.
+
+        The rounding error is added to the torque of the next cycle, so that the mean is exact. The
+        torques of a slow motion are only a few units.
         """
         wanted = torque / self.torque_step + self._left
         raw: Array = np.minimum(np.maximum(np.rint(wanted), -MOST_RAW_TORQUE), MOST_RAW_TORQUE)

@@ -1,4 +1,4 @@
-"""Numbers of `[devices.NAME.parameters]` for an arm of drives: those of every arm, with the defaults of a slower cycle."""
+"""Settings of an arm of drives (`[devices.NAME.parameters]`), with defaults for a slower cycle."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ DESCRIPTIONS = {
     "period": "Cycle of SYNC, and the arm's communication step",
     "state_age_limit": "Largest age of a drive's last TPDO",
     "lost_consecutive": "Lost cycles in a row (20 ms, as libfranka's 20 of 1 ms)",
-    "configure_timeout": "How long a drive may take for an answer, and all of them to become enabled",
+    "configure_timeout": "Longest time for a response of a drive, and for all drives to become enabled",
 }
 
 DRIVES = tuple(

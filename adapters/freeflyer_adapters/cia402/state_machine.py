@@ -1,6 +1,7 @@
-"""The power drive system's state machine (IEC 61800-7-201, "FSA"; CiA 402-2) as tables: statusword, controlword, transitions.
+"""State machine of a power drive system (CiA 402-2; IEC 61800-7-201, "FSA") as tables.
 
-Pure data and decisions: nothing is sent here, and both ends, the host and the virtual drive, use the same tables.
+The tables are statusword, controlword and transitions. The host and the virtual drive use the same
+tables.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from enum import Enum
 
 
 class DriveState(Enum):
-    """Named as the standard names them; the value is how a sentence says it."""
+    """State with its name in the standard; the value is its text in messages."""
 
     not_ready_to_switch_on = "Not ready to switch on"
     switch_on_disabled = "Switch on disabled"
@@ -34,17 +35,17 @@ STATUSWORD: Mapping[DriveState, tuple[int, int]] = {
     S.fault_reaction_active: (0x4F, 0x0F),
     S.fault: (0x4F, 0x08),
 }
-"""Mask and value of the statusword (6041h); in the states with the wider mask, bit 5 (quick stop) is 0 while one is active."""
+"""Mask and value of the statusword (6041h) by state. Bit 5 is 0 while a quick stop is active."""
 
 VOLTAGE_ENABLED, REMOTE, LIMIT_ACTIVE, FOLLOWS_COMMAND = 1 << 4, 1 << 9, 1 << 11, 1 << 12
-"""Further bits of the statusword; bit 12 in mode CST: the drive follows the command value."""
+"""Further bits of the statusword. Bit 12 in mode CST: the drive follows the command value."""
 
 POWERED = frozenset({S.operation_enabled, S.quick_stop_active, S.fault_reaction_active})
-"""Where the drive function is on: in all other states there is no torque, and the brake holds."""
+"""States with torque. In all other states the torque is zero and the brake is engaged."""
 
 
 def state_of(statusword: int) -> DriveState | None:
-    """None for a pattern that the standard does not have."""
+    """Return the state in a statusword; None for an undefined pattern."""
     for state, (mask, value) in STATUSWORD.items():
         if statusword & mask == value:
             return state
@@ -52,20 +53,23 @@ def state_of(statusword: int) -> DriveState | None:
 
 
 def statusword_of(state: DriveState, *, limit_active: bool = False) -> int:
-    """As a drive in mode CST with its supply on says it."""
-    word = STATUSWORD[state][1] | VOLTAGE_ENABLED | REMOTE
-    word |= LIMIT_ACTIVE if limit_active else 0
-    return word | (FOLLOWS_COMMAND if state is S.operation_enabled else 0)
+    """Return the statusword of a drive in mode CST with its supply on."""
+    bits = STATUSWORD[state][1] | VOLTAGE_ENABLED | REMOTE
+    bits |= LIMIT_ACTIVE if limit_active else 0
+    return bits | (FOLLOWS_COMMAND if state is S.operation_enabled else 0)
 
 
 class Command(Enum):
-    """What bits 0 to 3 of the controlword (6040h) mean; bit 7 resets a fault by its rising edge. The value is what the host sends."""
+    """Command in bits 0 to 3 of the controlword (6040h); the value is what the host sends.
+
+    A rising edge of bit 7 resets a fault.
+    """
 
     disable_voltage = 0x00
     quick_stop = 0x02
     shutdown = 0x06
     switch_on = 0x07
-    """From Operation enabled the same bits mean "disable operation"."""
+    """In Operation enabled, the same bits mean "disable operation"."""
     enable_operation = 0x0F
 
 
@@ -74,7 +78,11 @@ FAULT_RESET = 0x80
 
 
 def command_of(controlword: int) -> Command:
-    """Bit 1 is enable voltage, bit 2 quick stop (active low), bit 0 switch on, bit 3 enable operation; the others are modes' own."""
+    """Return the command in a controlword.
+
+    Bit 0: switch on; bit 1: enable voltage; bit 2: quick stop (active low); bit 3: enable
+    operation. The modes define the other bits.
+    """
     if not controlword & 0x02:
         return C.disable_voltage
     if not controlword & 0x04:
@@ -87,7 +95,7 @@ def command_of(controlword: int) -> Command:
 TRANSITIONS: Mapping[tuple[DriveState, Command], tuple[int, DriveState]] = {
     (S.switch_on_disabled, C.shutdown): (2, S.ready_to_switch_on),
     (S.ready_to_switch_on, C.switch_on): (3, S.switched_on),
-    # Enable operation has the bits of switch on, too; the second step follows at the next controlword.
+    # Enable operation includes the bits of switch on. The next controlword causes the second step.
     (S.ready_to_switch_on, C.enable_operation): (3, S.switched_on),
     (S.switched_on, C.enable_operation): (4, S.operation_enabled),
     (S.operation_enabled, C.switch_on): (5, S.switched_on),
@@ -101,8 +109,10 @@ TRANSITIONS: Mapping[tuple[DriveState, Command], tuple[int, DriveState]] = {
     (S.operation_enabled, C.quick_stop): (11, S.quick_stop_active),
     (S.quick_stop_active, C.disable_voltage): (12, S.switch_on_disabled),
 }
-"""Number in the standard, and where it leads. Not commanded: 0 and 1 at power on, 12 at the end of a quick stop, 13 at a fault, 14
-after its reaction; 15 is the fault reset. 16 (back from a quick stop) is optional there and not used here."""
+"""Number in the standard and next state, by state and command.
+
+Automatic transitions: 0 and 1 at power on, 12 at the end of a quick stop, 13 at a fault, 14 after
+the fault reaction. 15 is the fault reset. 16 (back from a quick stop) is optional and not used."""
 
 TOWARDS_ENABLED: Mapping[DriveState, Command] = {
     S.switch_on_disabled: C.shutdown,
@@ -111,11 +121,16 @@ TOWARDS_ENABLED: Mapping[DriveState, Command] = {
     S.operation_enabled: C.enable_operation,
     S.quick_stop_active: C.disable_voltage,
 }
-"""What the host commands next on the way to Operation enabled; in the states that are not here it waits, or resets the fault."""
+"""Next command of the host towards Operation enabled, by state.
+
+In the other states the host waits, or resets the fault."""
 
 
 def following(state: DriveState, controlword: int, before: int) -> DriveState:
-    """Where one controlword leads, after the controlword `before`; the same state where the standard has no transition."""
+    """Return the next state after a controlword; the same state if no transition is defined.
+
+    `before`: the previous controlword, for the edge of the fault reset.
+    """
     if state is S.fault:
         rises = controlword & FAULT_RESET and not before & FAULT_RESET
         return S.switch_on_disabled if rises else state

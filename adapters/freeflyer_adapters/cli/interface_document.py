@@ -7,9 +7,9 @@ from dataclasses import fields, replace
 from pathlib import Path
 
 from freeflyer_adapters.arm.frames import (
+    CONSEQUENCES,
     MESSAGES,
     NEEDED,
-    PROMISES,
     SHIPPED_DBC,
     ArmFrames,
     FrameMapping,
@@ -113,7 +113,7 @@ def _can() -> Iterator[str]:
         "want of state frames (`lost_consecutive`, `state_age_limit`).\n"
     )
     yield "| missing | needed for | promise lost: without it |\n|---|---|---|"
-    for name, lost in PROMISES.items():
+    for name, lost in CONSEQUENCES.items():
         yield f"| `{name}` | {'*explicit*' if name in NEEDED else ''} | {lost} |"
     yield (
         "\nA DBC with every message and signal name of the shipped profile, and without mappings, counts as the shipped profile. Command and "
