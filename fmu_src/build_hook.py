@@ -1,4 +1,4 @@
-"""Builds the shipped FMUs and the master's native core for this machine's platform while the package is being installed."""
+"""Wheel build hook: build the shipped FMUs and the native core for the host platform."""
 
 from __future__ import annotations
 
@@ -24,9 +24,8 @@ class BuildHook(BuildHookInterface):  # type: ignore[misc]
 
             robot = load_robot_file()
             directory = Path(self.root) / "fmu_src" / "freeflyer_fmus" / "prebuilt"
-            shutil.rmtree(
-                directory, ignore_errors=True
-            )  # no FMU of an earlier build stays in the wheel
+            # No FMU of an earlier build may remain in the wheel.
+            shutil.rmtree(directory, ignore_errors=True)
             core = Path(self.root) / "cosim" / "freeflyer" / "master" / "core"
             compile_core(core, core / "prebuilt" / "core.so", host_platform())
             for _ in build_all([make(robot) for make in BLOCKS.values()], directory):

@@ -1,4 +1,4 @@
-"""Robots and FMUs that the tests share, and how tests are shared out to processes."""
+"""Fixtures for robots and FMUs, and the distribution of tests to processes."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 settings.load_profile("default")
-# One thread a test process: two of them run side by side.
+# One thread per test process: two processes run in parallel.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
-# A shell's background jobs ignore Ctrl-C, and so would every process that the tests start.
+# Background jobs of a shell ignore SIGINT, and child processes of the tests would inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Benchmarks import other projects' simulators: not for a run that leaves them out."""
+    """Ignore benchmarks if they are deselected, since they import other projects' simulators."""
     return (
         True
         if collection_path.name == "benchmarks" and "not benchmark" in config.option.markexpr
@@ -41,13 +41,20 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 
 def group_of(nodeid: str) -> str:
-    """A file's tests share what they build; all that run in real time share one process, so that two loops never compete."""
+    """Return the group of tests that run in one process.
+
+    The tests of a file share fixtures. All real-time tests are one group, so that two loops never
+    compete for the CPU.
+    """
     file = nodeid.partition("::")[0]
     return "real time" if file.split("/")[-2] in ("facility", "recording") else file
 
 
 class Groups(LoadScopeScheduling):
-    """Each group stays on one process. (`--dist loadgroup` of pytest-xdist 3.8 groups nothing under pytest 9.2.)"""
+    """Scheduler that keeps each group on one process.
+
+    `--dist loadgroup` of pytest-xdist 3.8 groups nothing under pytest 9.2.
+    """
 
     def _split_scope(self, nodeid: str) -> str:
         return group_of(nodeid)
@@ -64,7 +71,7 @@ def cpu(those: int) -> float:
 
 
 EARLIER = cpu(resource.RUSAGE_CHILDREN)
-"""Of what a shell did before it became this process: `pip install ... && pytest`."""
+"""CPU time of earlier child processes, for example of the shell in `pip install ... && pytest`."""
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
@@ -84,7 +91,7 @@ def robot() -> Robot:
 
 @pytest.fixture(scope="session")
 def fmus() -> Path:
-    """The FMUs built at install."""
+    """Return the directory of the FMUs built at installation."""
     found = directory()
     assert (found / "fmi2" / "free_flyer.fmu").is_file(), (
         "the package was installed without its FMUs"

@@ -1,4 +1,4 @@
-"""The robots that the laws are tried on."""
+"""Robots for the tests of the equations."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def ur5_path() -> Path:
 
 
 def ur5() -> Robot:
-    """The UR5 that example-robot-data ships, as a free-flyer: rpy angles that are no exact quarter turns, other axes."""
+    """Return the UR5 of example-robot-data as a free-flyer; its rpy angles are rounded."""
     return load_urdf(
         ur5_path(),
         base_link="base_link",
@@ -28,7 +28,11 @@ def ur5() -> Robot:
 
 
 def gantry() -> Robot:
-    """Prismatic and revolute joints on skew axes, a base whose centre of mass is not its origin, a side branch, a locked joint."""
+    """Return a robot with the geometry that the others lack.
+
+    It has prismatic and revolute joints on skew axes, a base whose centre of mass is not at its
+    origin, a side branch, and a locked joint.
+    """
     return load_urdf(
         DATA / "gantry.urdf",
         end_effector="hand",
@@ -46,7 +50,7 @@ def gantry() -> Robot:
 
 
 def lwr4_redundant() -> Robot:
-    """All seven joints of the shipped arm."""
+    """Return the shipped robot with all seven joints."""
     return load_robot_file(SHIPPED / "lwr4_redundant.toml")
 
 

@@ -1,6 +1,7 @@
-"""The free-flyer as FMUs: robot, equations, blocks, export.
+"""FMUs of the free-flyer: robot, equations, blocks, export.
 
-Public names are those of `__all__`, declared in __init__.pyi and loaded when first used. Every module is private and may move.
+The public names are those in `__all__`. __init__.pyi declares them; they are loaded on first use.
+All modules are private and may move.
 """
 
 import lazy_loader

@@ -1,4 +1,4 @@
-"""`freeflyer fmus`: build the FMUs of a robot, or of a block of the user's own."""
+"""Command `freeflyer fmus`: build the FMUs of a robot or of a user-defined block."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from freeflyer_fmus.robot.urdf import (
 )
 
 SOURCES = "sources"
-"""Stands among the platforms for a target that compiles the FMU itself."""
+"""Platform name that adds C sources, for importers that compile the FMU themselves."""
 AGREEMENT = 1e-8
-"""Largest relative difference from Pinocchio's forward dynamics that a user's robot may have."""
+"""Largest accepted relative difference from Pinocchio's forward dynamics, for a user's robot."""
 
 
 class FmusCommand:
@@ -40,7 +40,9 @@ class FmusCommand:
             "--base-link", metavar="L", help="the floating base (default: the URDF's root)"
         )
         parser.add_argument(
-            "--end-effector", metavar="L", help="the hand's link (default: the only last link)"
+            "--end-effector",
+            metavar="L",
+            help="the end-effector's link (default: the only last link)",
         )
         parser.add_argument(
             "--tool-link",
@@ -89,7 +91,7 @@ class FmusCommand:
             if arguments.block is None
             else {arguments.block.stem: load_block(arguments.block)}
         )
-        # Everything is declared and checked before the first file is written.
+        # Declare and check every block before the first file is written.
         blocks = [make(robot) for make in makers.values()]
         for block in blocks:
             _ = block.functions
@@ -98,7 +100,7 @@ class FmusCommand:
             if not difference < AGREEMENT:
                 raise RobotError(
                     f"robot {robot.name}: the generated forward dynamics differ from Pinocchio's by {difference:.1e}; less than "
-                    f"{AGREEMENT:g} is expected: the inertias are too far apart in size to compute with"
+                    f"{AGREEMENT:g} is expected: choose inertias that differ less in magnitude"
                 )
             console.print(
                 f"{robot.name}: {robot.joint_count} free joints; dynamics agree with Pinocchio's to {difference:.1e}"
@@ -115,31 +117,32 @@ class FmusCommand:
 
 
 def chosen_platforms(text: str) -> tuple[list[Platform], bool]:
-    """The platforms to compile for, and whether the sources go with the FMUs."""
+    """Return the platforms to compile for, and whether to add the C sources to the FMUs."""
     chosen: dict[str, Platform] = {}
-    words = [word.strip() for word in text.split(",")]
-    for word in words:
-        if word == "all":
+    names = [name.strip() for name in text.split(",")]
+    for name in names:
+        if name == "all":
             chosen |= PLATFORMS
-        elif word == "host":
+        elif name == "host":
             chosen[host_platform().fmi3] = host_platform()
-        elif word in PLATFORMS:
-            chosen[word] = PLATFORMS[word]
-        elif word != SOURCES:
+        elif name in PLATFORMS:
+            chosen[name] = PLATFORMS[name]
+        elif name != SOURCES:
             raise FmuSourceError(
-                f"--platforms {text}: {word!r} is none of {', '.join((*PLATFORMS, SOURCES))}, host, all"
+                f"--platforms {text}: {name!r} is none of {', '.join((*PLATFORMS, SOURCES))}, host, all"
             )
-    return list(chosen.values()), SOURCES in words or "all" in words
+    return list(chosen.values()), SOURCES in names or "all" in names
 
 
 def chosen_robot(arguments: argparse.Namespace) -> Robot:
+    """Load the robot of the command line; raise RobotError for options that do not apply."""
     lock = dict(assignment(text, "--lock") for text in arguments.lock)
     posture = posture_of(arguments.posture)
     given = [arguments.base_link, arguments.end_effector, arguments.tool_link, posture, *lock]
     if arguments.robot is None or arguments.robot.suffix == ".toml":
         if any(value is not None for value in given):
             raise RobotError(
-                "--base-link, --end-effector, --tool-link, --lock and --posture belong to a URDF; give one with --robot"
+                "--base-link, --end-effector, --tool-link, --lock and --posture apply only to a URDF; give one with --robot"
             )
         return load_robot_file(arguments.robot) if arguments.robot else load_robot_file()
     return load_urdf(
@@ -162,14 +165,14 @@ def assignment(text: str, option: str) -> tuple[str, float]:
         ) from error
 
 
-def posture_of(words: Sequence[str] | None) -> dict[str, float] | list[float] | None:
-    if words is None:
+def posture_of(texts: Sequence[str] | None) -> dict[str, float] | list[float] | None:
+    if texts is None:
         return None
-    if any("=" in word for word in words):
-        return dict(assignment(word, "--posture") for word in words)
+    if any("=" in text for text in texts):
+        return dict(assignment(text, "--posture") for text in texts)
     try:
-        return [float(word) for word in words]
+        return [float(text) for text in texts]
     except ValueError as error:
         raise RobotError(
-            f"--posture {' '.join(words)}: numbers, or JOINT=VALUE for each joint, are expected"
+            f"--posture {' '.join(texts)}: numbers, or JOINT=VALUE for each joint, are expected"
         ) from error

@@ -1,4 +1,4 @@
-"""What can go wrong between a URDF and an FMU; every message is one sentence for the user."""
+"""Errors between a URDF and an FMU; every message is one sentence for the user."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ class FmuSourceError(Exception):
 
 
 class RobotError(FmuSourceError):
-    """A robot description that is broken or physically impossible."""
+    """A robot description that is malformed or physically impossible."""
 
 
 class BlockError(FmuSourceError):
-    """A block whose variables and equations do not fit each other."""
+    """A block whose variables and equations are inconsistent."""
 
 
 class BuildError(FmuSourceError):

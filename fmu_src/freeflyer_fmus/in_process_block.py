@@ -1,6 +1,8 @@
-"""The Python twin of a block: the same equations in process, sampled and integrated as the C runtime does.
+"""In-process block: a block's equations, evaluated in Python.
 
-It leaves out what guards a binary against strangers (call order, contiguous steps) and the runtime's compensated summation. It needs no compiler, can be stepped in a debugger, and takes an FMU's place in any scenario (`kind = "twin"`).
+Sampling and integration are those of the C runtime.
+It omits the runtime's call-order checks and compensated summation. It needs no compiler, can be
+stepped in a debugger, and can replace an FMU in any scenario (`kind = "twin"`).
 """
 
 from __future__ import annotations
@@ -23,20 +25,20 @@ from freeflyer_fmus.robot.urdf import DEFAULT_ROBOT, load_robot_file, robot_path
 
 
 class InProcessError(Exception):
-    """A value that is refused, or a step that cannot be made."""
+    """A rejected value or a rejected step."""
 
     left_validity = False
 
 
 class RequirementError(InProcessError):
-    """The run has left what the equations hold for."""
+    """A violated requirement: the equations are no longer valid."""
 
     left_validity = True
 
 
 @dataclass(frozen=True, kw_only=True)
 class BlockPort:
-    """A variable as the master sees it."""
+    """A block variable, in the interface that the master expects."""
 
     name: str
     size: int
@@ -56,6 +58,7 @@ class BlockPort:
 
 
 def ports(block: Block) -> dict[str, BlockPort]:
+    """Return the ports of a block by variable name."""
     owner = {element: v.name for v in block.having("input") for element in v.element_names}
     result = {}
     for variable in block.variables.values():
@@ -91,7 +94,7 @@ def _causality(variable: Variable) -> str:
 
 
 class InProcessBlock:
-    """One instance. `values` are flat vectors: parameters p, inputs u, states x, outputs y."""
+    """One instance of a block; `_vectors` holds parameters p, inputs u, states x and outputs y."""
 
     variable_step = True
 
@@ -115,13 +118,16 @@ class InProcessBlock:
         return self.block.terminals
 
     def value(self, name: str) -> Array:
-        """A view of one variable (size)."""
+        """Return a view (size) of the variable's values."""
         variable = self.block.variables[name]
         first = self.block.offset(name)
         return self._vectors[variable.causality][first : first + variable.size]
 
     def set(self, name: str, value: object) -> None:
-        """Parameters and start values before, inputs and tunable parameters also between steps."""
+        """Set a variable; only inputs and tunable parameters may change after initialisation.
+
+        Raises InProcessError if a value is not finite.
+        """
         numbers = np.asarray(value, dtype=float)
         if not np.isfinite(numbers).all():
             raise InProcessError(
@@ -144,7 +150,10 @@ class InProcessBlock:
         self._outputs()
 
     def step(self, time: float, size: float) -> None:
-        """InProcessError if a requirement is not met, or if the step would pass over a sample."""
+        """Advance from `time` by `size` [s].
+
+        Raises InProcessError if a requirement is not met or if a sample lies inside the step.
+        """
         self._time = time
         if self.block.period is not None:
             self._sample(time, size)
@@ -175,7 +184,7 @@ class InProcessBlock:
 
         return read
 
-    # Stepping, as in c/instance.c
+    # Stepping, as in c/step.c
 
     def _sample(self, time: float, size: float) -> None:
         period = float(self.value(str(self.block.period))[0])
@@ -212,11 +221,11 @@ class InProcessBlock:
         if not np.isfinite(x).all():
             x[:] = before
             raise RequirementError(
-                f"the states did not stay finite in a step of {size:g} s; the step was not made: check the inputs"
+                f"the states did not stay finite in a step of {size:g} s; the step was rejected: check the inputs"
             )
 
     def rates(self) -> Array:
-        """dx/dt of a continuous block at its present time, inputs and states."""
+        """Return dx/dt of a continuous block at its present time, inputs and states."""
         return self._rates(self._time, self._vectors["state"])
 
     def _rates(self, t: float, x: Array) -> Array:
@@ -249,7 +258,7 @@ class InProcessBlock:
 
 
 class _Evaluator:
-    """A CasADi function called through its buffer interface: no conversion per call."""
+    """A CasADi function called through its buffer interface, without conversions per call."""
 
     def __init__(self, function: ca.Function) -> None:
         self._buffer, self._evaluate = cast(tuple[Any, Callable[[], None]], function.buffer())
@@ -267,17 +276,24 @@ class _Evaluator:
         return [result.copy() for result in self._results]
 
 
-def _views(twin: InProcessBlock, names: Sequence[str], buffer: Array) -> list[tuple[Array, Array]]:
+def _views(
+    component: InProcessBlock, names: Sequence[str], buffer: Array
+) -> list[tuple[Array, Array]]:
     parts, first = [], 0
     for name in names:
-        own = twin.value(name)
+        own = component.value(name)
         parts.append((own, buffer[first : first + own.size]))
         first += own.size
     return parts
 
 
 def in_process_component(name: str, options: Mapping[str, Any], directory: Path) -> InProcessBlock:
-    """For scenarios: `block`, a shipped one or a FILE.py (default: the component's name), and `robot`, a shipped robot or the path of a robot file (default: the LWR 4+ with six joints)."""
+    """Create an in-process block from a scenario's component table.
+
+    `options["block"]` is a shipped block or a FILE.py (default: the component's name).
+    `options["robot"]` is a shipped robot or the path of a robot file (default: the LWR 4+ with six
+    joints). Raises BlockError for an unknown option or block.
+    """
     for key in options:
         if key not in ("block", "robot"):
             raise BlockError(

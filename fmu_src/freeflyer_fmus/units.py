@@ -1,4 +1,4 @@
-"""The units that blocks may use, as products of SI base units with their exponents, and how to display them."""
+"""Units of block variables as products of SI base units, and their display units."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ DISPLAY = {"rad": ("deg", 57.29577951308232), "rad/s": ("deg/s", 57.295779513082
 
 
 def rate(unit: str) -> str | None:
-    """The unit of a time derivative, if it is one of these."""
+    """Return the unit of the time derivative, or None if UNITS does not contain it."""
     wanted = dict(UNITS[unit])
     wanted["s"] = wanted.get("s", 0) - 1
     wanted = {base: power for base, power in wanted.items() if power}

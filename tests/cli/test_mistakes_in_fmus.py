@@ -58,7 +58,7 @@ GANTRY = ("--end-effector", "hand", "--lock", "swivel=0.4")
         ([('xyz="0 -1 0.3"', 'xyz="0 -1"')], "three finite numbers are expected"),
         (
             [('<child link="hand"/>', '<child link="palm"/>')],
-            "not a tree: link 'palm' hangs on both joints",
+            "not a tree: link 'palm' is the child of both joints",
         ),
         ([('<link name="hand"/>', '<link name="bus"/>')], "link 'bus' is defined twice"),
     ],
@@ -89,7 +89,7 @@ def test_urdfs_that_cannot_be_used(
         (("--end-effector", "hand", "--lock", "swivel"), "JOINT=VALUE with a number is expected"),
         (
             (*GANTRY, "--lock", "turn_4=0"),
-            "needs at least six free joints so that the hand can move every way, got 5",
+            "needs at least six free joints so that the end-effector can move in all directions, got 5",
         ),
         ((*GANTRY, "--posture", "1", "2"), "posture has 2 values; one for each of the free joints"),
         (
@@ -114,7 +114,7 @@ def test_urdfs_that_cannot_be_used(
         (("--end-effector", "antenna"), "not a serial chain: joint 'slide_x' moves a branch"),
         (
             ("--base-link", "palm", "--end-effector", "hand"),
-            "have mass but do not hang below the base link 'palm'",
+            "have mass but are not below the base link 'palm'",
         ),
     ],
 )
@@ -166,7 +166,7 @@ def test_robot_files_and_missing_urdfs(capsys: pytest.CaptureFixture[str], tmp_p
         "cannot be read: No such file"
         in run_command(capsys, "fmus", "--robot", str(tmp_path / "none.urdf"))[1]
     )
-    assert "belong to a URDF" in run_command(capsys, "fmus", "--end-effector", "hand")[1]
+    assert "apply only to a URDF" in run_command(capsys, "fmus", "--end-effector", "hand")[1]
     shutil.copy(SHIPPED_ROBOTS / "lwr4_free_flyer.urdf", tmp_path)
     robot.write_text('urdf = "lwr4_free_flyer.urdf"\nposture = [0, 0.1, -1.6, 0, -1.4, 0]\n')
     assert (
@@ -187,15 +187,15 @@ def test_robot_files_and_missing_urdfs(capsys: pytest.CaptureFixture[str], tmp_p
         ),
         (
             "from freeflyer_fmus.blocks.block import Block\ndef block(robot):\n    b = Block('b', '')\n    b.input('time', 0.0, 'm', '')\n",
-            "which every FMU has",
+            "the reserved name 'time'",
         ),
         (
             "from freeflyer_fmus.blocks.block import Block\ndef block(robot):\n    b = Block('b', '')\n    b.input('x', 0.0, 'furlong', '')\n",
-            "the unit 'furlong', which is not known",
+            "the unit 'furlong', which is unknown",
         ),
         (
             "from freeflyer_fmus.blocks.block import Block\ndef block(robot):\n    b = Block('b', '')\n    b.parameter('x', -1.0, 'm', '', above=0.0)\n",
-            "beyond its own bound 0",
+            "which violates its bound 0",
         ),
         (
             "from freeflyer_fmus.blocks.block import Block\ndef block(robot):\n    return Block('b', '')\n",
@@ -203,9 +203,9 @@ def test_robot_files_and_missing_urdfs(capsys: pytest.CaptureFixture[str], tmp_p
         ),
         (
             "from freeflyer_fmus.blocks.block import Block\ndef block(robot):\n    b = Block('b', '')\n    x = b.state('x', 0.0, 'm', '')\n    b.update('x', x)\n    return b\n",
-            "it is continuous, so `update` has no meaning",
+            "it is continuous, so `update` is not applicable",
         ),
-        ("def block(robot):\n    return 5\n", "block(robot) gave a int; a Block is expected"),
+        ("def block(robot):\n    return 5\n", "block(robot) returned a int; a Block is expected"),
         ("def block(:\n", "does not define block(robot)"),
         (
             "from freeflyer_fmus.blocks.block import Block\ndef block(robot):\n    b = Block('b', '')\n    b.state('x', 0.0, 'm', '')\n    return b\n",

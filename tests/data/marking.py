@@ -1,4 +1,4 @@
-"""A component for tests of sweeps: it marks that it ran, takes its time, and can take its process with it."""
+"""Component for tests of sweeps: it records that it ran, sleeps, and can kill its process."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def parameter(name: str) -> Port:
 
 
 class Marking(PythonComponent):
-    """`y` is `x` squared after one step of `nap` seconds; the process dies if `x` equals `deadly`."""
+    """`y` is `x` squared after a step of `nap` seconds; `x` equal to `deadly` kills the process."""
 
     def __init__(self, name: str) -> None:
         output = Port(name="y", size=1, causality="output", units=("1",))

@@ -1,10 +1,10 @@
-"""The same PD law by PythonFMU3 (FMI 3.0): arrays, and units where all elements share one."""
+"""PD base controller by PythonFMU3 (FMI 3.0): arrays, with a unit if all elements have the same."""
 
 import numpy as np
 from pythonfmu3 import Dimension, Float64, Fmi3Causality, Fmi3Slave, Fmi3Variability, Unit
 
 
-def turned(q, d):
+def rotation_error(q, d):
     return 2.0 * (q @ d) * (d[3] * q[:3] - q[3] * d[:3] - np.cross(q[:3], d[:3]))
 
 
@@ -40,13 +40,15 @@ class PdBaseController3(Fmi3Slave):
         array = Float64(
             name, causality=causality, variability=variability, dimensions=size, unit=unit
         )
-        # PythonFMU3 0.3.4's own setter calls numpy.reshape(newshape=...), which NumPy 2.4 no longer has.
+        # PythonFMU3 0.3.4's setter calls numpy.reshape(newshape=...), which NumPy 2.4 removed.
         array.setter = lambda value: setattr(self, name, np.array(value))
         self.register_variable(array)
 
     def do_step(self, current_time, step_size):
         moved = self.base_position - self.position_setpoint
-        error = np.concatenate([moved, turned(self.base_orientation, self.orientation_setpoint)])
+        error = np.concatenate(
+            [moved, rotation_error(self.base_orientation, self.orientation_setpoint)]
+        )
         force, torque = self.end_effector_wrench[:3], self.end_effector_wrench[3:]
         lever = self.end_effector_position - self.base_position
         reaction = np.concatenate([force, torque + np.cross(lever, force)])

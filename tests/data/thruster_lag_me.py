@@ -1,4 +1,4 @@
-"""A lag of the thrusters for model exchange, by PythonFMU3: its master integrates it. States are scalars."""
+"""Thruster lag for model exchange, by PythonFMU3: the master integrates it. States are scalars."""
 
 from pythonfmu3 import (
     Float64,

@@ -1,5 +1,5 @@
-/* Ten million steps of 1 ms: `clock TOKEN SUMMED` prints, in FMI 2.0, the time that the FMU has come to and its first output.
-   SUMMED 1: the importer adds the steps up instead of multiplying, so that its time drifts. */
+/* Ten million steps of 1 ms with FMI 2.0. `clock TOKEN SUMMED REFERENCE` prints the FMU's time and
+   one value. SUMMED 1: the importer adds up the step sizes, so that its time drifts. */
 #include <stdio.h>
 #include <stdlib.h>
 
@@ -7,8 +7,8 @@
 
 #define STEPS 10000000
 
-static void say(fmi2ComponentEnvironment e, fmi2String name, fmi2Status s, fmi2String category,
-                fmi2String text, ...)
+static void on_log(fmi2ComponentEnvironment e, fmi2String name, fmi2Status s, fmi2String category,
+                   fmi2String text, ...)
 {
     (void)e;
     fprintf(stderr, "%s %d %s %s\n", name, (int)s, category, text);
@@ -16,7 +16,7 @@ static void say(fmi2ComponentEnvironment e, fmi2String name, fmi2Status s, fmi2S
 
 int main(int count, char **arguments)
 {
-    fmi2CallbackFunctions callbacks = {say, calloc, free, NULL, NULL};
+    fmi2CallbackFunctions callbacks = {on_log, calloc, free, NULL, NULL};
     fmi2Component c =
         count > 2 ? fmi2Instantiate("clock", fmi2CoSimulation, arguments[1], "", &callbacks, 0, 0)
                   : NULL;

@@ -1,8 +1,9 @@
-/* Drives one FMU's library, loaded at run time, through FMI 2.0 co-simulation: the values of every step as bits.
+/* Steps an FMU's library, loaded at run time, through FMI 2.0; prints the values as bits.
 
-   drive LIBRARY TOKEN < VECTOR. The vector is words with white space between them: the number of steps, of inputs and of
-   values to read; the step size; the value references of both; then the inputs of every step. Doubles are 16 hexadecimal
-   digits, in and out: no library's idea of decimals or of "%a" is asked. */
+   drive LIBRARY TOKEN < VECTOR. The vector has fields separated by white space: the numbers of
+   steps, of inputs and of values to read; the step size; the value references of both; the inputs
+   of every step. Doubles are 16 hexadecimal digits, so that no C library's number format
+   matters. */
 #ifdef _WIN32
 #include <windows.h>
 #else
@@ -30,7 +31,7 @@ static void *library;
 static void open_library(const char *path) { library = dlopen(path, RTLD_NOW); }
 #endif
 
-/* ISO C converts no object pointer to a function's, and POSIX gives one: the bytes are copied. */
+/* ISO C does not convert object pointers to function pointers: the bytes are copied. */
 static void find(const char *name, void *function, size_t size)
 {
 #ifdef _WIN32
@@ -47,8 +48,8 @@ static void find(const char *name, void *function, size_t size)
     name##TYPE *name; \
     find(#name, &name, sizeof name)
 
-static void say(fmi2ComponentEnvironment e, fmi2String name, fmi2Status s, fmi2String category,
-                fmi2String format, ...)
+static void on_log(fmi2ComponentEnvironment e, fmi2String name, fmi2Status s, fmi2String category,
+                   fmi2String format, ...)
 {
     va_list arguments;
     va_start(arguments, format);
@@ -64,27 +65,27 @@ static void check(fmi2Status status, const char *call)
         stop(call);
 }
 
-static uint64_t word(int base)
+static uint64_t field(int base)
 {
     char text[32];
     if (scanf("%31s", text) != 1)
-        stop("the vector ends too early");
+        stop("the vector is too short");
     return strtoull(text, NULL, base);
 }
 
 static double real(void)
 {
-    uint64_t bits = word(16);
+    uint64_t bits = field(16);
     double value;
     memcpy(&value, &bits, sizeof value);
     return value;
 }
 
-static void *room(size_t count, size_t size)
+static void *allocate(size_t count, size_t size)
 {
     void *memory = calloc(count + 1, size);
     if (!memory)
-        stop("no memory");
+        stop("out of memory");
     return memory;
 }
 
@@ -105,16 +106,18 @@ int main(int argc, char **argv)
     FIND(fmi2Terminate);
     FIND(fmi2FreeInstance);
 
-    size_t steps = word(10), inputs = word(10), outputs = word(10);
+    /* The head of the test vector. */
+    size_t steps = field(10), inputs = field(10), outputs = field(10);
     double size = real();
-    fmi2ValueReference *in = room(inputs, sizeof *in), *out = room(outputs, sizeof *out);
-    fmi2Real *u = room(inputs, sizeof *u), *y = room(outputs, sizeof *y);
+    fmi2ValueReference *in = allocate(inputs, sizeof *in), *out = allocate(outputs, sizeof *out);
+    fmi2Real *u = allocate(inputs, sizeof *u), *y = allocate(outputs, sizeof *y);
     for (size_t i = 0; i < inputs; i++)
-        in[i] = (fmi2ValueReference)word(10);
+        in[i] = (fmi2ValueReference)field(10);
     for (size_t i = 0; i < outputs; i++)
-        out[i] = (fmi2ValueReference)word(10);
+        out[i] = (fmi2ValueReference)field(10);
 
-    fmi2CallbackFunctions callbacks = {say, calloc, free, NULL, NULL};
+    /* Instantiate and initialise. */
+    fmi2CallbackFunctions callbacks = {on_log, calloc, free, NULL, NULL};
     fmi2Component c =
         fmi2Instantiate("driven", fmi2CoSimulation, argv[2], "", &callbacks, fmi2False, fmi2False);
     if (!c)
@@ -122,6 +125,7 @@ int main(int argc, char **argv)
     check(fmi2SetupExperiment(c, fmi2False, 0.0, 0.0, fmi2False, 0.0), "fmi2SetupExperiment");
     check(fmi2EnterInitializationMode(c), "fmi2EnterInitializationMode");
     check(fmi2ExitInitializationMode(c), "fmi2ExitInitializationMode");
+    /* One line per value and step. */
     for (size_t k = 0; k < steps; k++) {
         for (size_t i = 0; i < inputs; i++)
             u[i] = real();

@@ -1,4 +1,4 @@
-/* Drives one FMU, linked in, through both interfaces: legal life cycles, then every kind of illegal call. */
+/* Calls one statically linked FMU through both interfaces: legal life cycles and illegal calls. */
 #include <math.h>
 #include <stdarg.h>
 #include <stdio.h>
@@ -18,10 +18,10 @@
         }                                                                   \
     } while (0)
 
-static int said;
+static int logged;
 
-static void say2(fmi2ComponentEnvironment e, fmi2String name, fmi2Status s, fmi2String category,
-                 fmi2String format, ...)
+static void on_log2(fmi2ComponentEnvironment e, fmi2String name, fmi2Status s, fmi2String category,
+                    fmi2String format, ...)
 {
     char text[512];
     va_list arguments;
@@ -31,24 +31,25 @@ static void say2(fmi2ComponentEnvironment e, fmi2String name, fmi2Status s, fmi2
     (void)e;
     (void)s;
     EXPECT(name && category && strlen(text) > 0);
-    said++;
+    logged++;
 }
 
-static void say3(fmi3InstanceEnvironment e, fmi3Status s, fmi3String category, fmi3String text)
+static void on_log3(fmi3InstanceEnvironment e, fmi3Status s, fmi3String category, fmi3String text)
 {
     (void)e;
     (void)s;
     EXPECT(category && strlen(text) > 0);
-    said++;
+    logged++;
 }
 
 static void drive2(const char *token, int sampled)
 {
-    fmi2CallbackFunctions callbacks = {say2, calloc, free, NULL, NULL};
+    fmi2CallbackFunctions callbacks = {on_log2, calloc, free, NULL, NULL};
     EXPECT(!fmi2Instantiate("x", fmi2CoSimulation, "wrong token", "", &callbacks, 0, 0));
     EXPECT(!sampled || !fmi2Instantiate("x", fmi2ModelExchange, token, "", &callbacks, 0, 0));
     fmi2Component c = fmi2Instantiate("a name", fmi2CoSimulation, token, "", &callbacks, 0, 0);
     EXPECT(c);
+    /* Calls in the wrong state, then a legal initialisation. */
     fmi2Real x;
     fmi2ValueReference references[] = {1, 100000, 4294967295u};
     EXPECT(fmi2DoStep(c, 0, 0.001, 1) == fmi2Error);
@@ -57,6 +58,7 @@ static void drive2(const char *token, int sampled)
     EXPECT(fmi2SetupExperiment(c, 0, 0, 0, 0, 0) == fmi2OK);
     EXPECT(fmi2EnterInitializationMode(c) == fmi2OK);
     EXPECT(fmi2ExitInitializationMode(c) == fmi2OK);
+    /* Invalid references and values. */
     EXPECT(fmi2GetReal(c, references + 1, 1, &x) == fmi2Error);
     EXPECT(fmi2GetReal(c, references + 2, 1, &x) == fmi2Error);
     for (int k = 0; k < 400; k++)
@@ -72,6 +74,7 @@ static void drive2(const char *token, int sampled)
         s = fmi2SetReal(c, &r, 1, &x);
         EXPECT(s == fmi2Discard || s == fmi2Error);
     }
+    /* Saved states. */
     fmi2FMUstate saved = NULL, copy = NULL;
     EXPECT(fmi2GetFMUstate(c, &saved) == fmi2OK);
     size_t size;
@@ -86,6 +89,7 @@ static void drive2(const char *token, int sampled)
     free(bytes);
     EXPECT(fmi2FreeFMUstate(c, &saved) == fmi2OK && fmi2FreeFMUstate(c, &copy) == fmi2OK &&
            !saved && !copy);
+    /* Wrong times and sizes of steps; reset; stop time. */
     EXPECT(fmi2DoStep(c, 7.0, 0.001, 1) == fmi2Error);
     EXPECT(fmi2DoStep(c, 0.401, 0.001, 1) == fmi2OK);
     EXPECT(fmi2Reset(c) == fmi2OK);
@@ -107,7 +111,7 @@ static void drive2(const char *token, int sampled)
 
 static void drive_model_exchange2(const char *token)
 {
-    fmi2CallbackFunctions callbacks = {say2, calloc, free, NULL, NULL};
+    fmi2CallbackFunctions callbacks = {on_log2, calloc, free, NULL, NULL};
     fmi2Component c = fmi2Instantiate("x", fmi2ModelExchange, token, "", &callbacks, 0, 0);
     fmi2EventInfo info;
     fmi2Real x[64], dx[64];
@@ -127,7 +131,7 @@ static void drive_model_exchange2(const char *token)
     if (n > 0) {
         x[n - 1] = NAN;
         EXPECT(fmi2SetContinuousStates(c, x, n) == fmi2Discard);
-        /* Whatever the equations make of absurd states, no derivative that is not finite is handed out as a good one. */
+        /* Extreme states must not give derivatives that are not finite with status OK. */
         for (size_t i = 0; i < n; i++)
             x[i] = 1e200;
         EXPECT(fmi2SetContinuousStates(c, x, n) == fmi2OK &&
@@ -140,7 +144,7 @@ static void drive_model_exchange2(const char *token)
 
 static void drive_model_exchange3(const char *token)
 {
-    fmi3Instance c = fmi3InstantiateModelExchange("x", token, "", 0, 0, NULL, say3);
+    fmi3Instance c = fmi3InstantiateModelExchange("x", token, "", 0, 0, NULL, on_log3);
     fmi3Boolean a, b, d, e, f, enter, terminate;
     fmi3Float64 next, x[64], dx[64];
     size_t n = 99;
@@ -159,10 +163,11 @@ static void drive_model_exchange3(const char *token)
 
 static void drive3(const char *token)
 {
-    EXPECT(!fmi3InstantiateCoSimulation("x", token, "", 0, 0, 1, 0, NULL, 0, NULL, say3, NULL));
-    EXPECT(!fmi3InstantiateCoSimulation("x", "wrong", "", 0, 0, 0, 0, NULL, 0, NULL, say3, NULL));
+    EXPECT(!fmi3InstantiateCoSimulation("x", token, "", 0, 0, 1, 0, NULL, 0, NULL, on_log3, NULL));
+    EXPECT(
+        !fmi3InstantiateCoSimulation("x", "wrong", "", 0, 0, 0, 0, NULL, 0, NULL, on_log3, NULL));
     fmi3Instance c =
-        fmi3InstantiateCoSimulation("x", token, "", 0, 0, 0, 0, NULL, 0, NULL, say3, NULL);
+        fmi3InstantiateCoSimulation("x", token, "", 0, 0, 0, 0, NULL, 0, NULL, on_log3, NULL);
     fmi3Boolean event, terminate, early;
     fmi3Float64 last, values[64];
     EXPECT(c && fmi3DoStep(c, 0, 0.001, 1, &event, &terminate, &early, &last) == fmi3Error);
@@ -198,7 +203,7 @@ int main(int argc, char **argv)
         drive_model_exchange3(argv[1]);
     }
     drive3(argv[1]);
-    EXPECT(said > 100);
+    EXPECT(logged > 100);
     puts("all calls made");
     return 0;
 }

@@ -1,14 +1,18 @@
-/* Random legal and illegal FMI calls on one FMU, linked in, against a model of the standards' state machines.
+/* Random legal and illegal FMI calls on one statically linked FMU, checked against a model of the
+   standards' state machines.
 
-   fuzz TOKEN SAMPLED FIRST COUNT: sequences of calls with the seeds FIRST, FIRST + 1, ... Whatever goes wrong, a sanitizer's
-   finding included, is told with the seed and all calls of that sequence; `fuzz TOKEN SAMPLED SEED 1` makes them again.
-   Laws, of every call:
-   - in a state that does not permit it: Error, a message with its name and the state (or what the FMU has not);
-   - permitted, with good arguments, on an instance that was given sensible values: OK;
-   - with bad arguments: Error or Discard, a message with that status, which names the variable where a value is at fault;
-   - not OK, or only reading: the saved state is as it was, and so is everything that can be read;
-   - whatever it does: no other instance notices, and the state that is then saved can be read back from its bytes;
-   - after any of it: a good step from good inputs is made. */
+   fuzz TOKEN SAMPLED FIRST COUNT: sequences of calls with the seeds FIRST, FIRST + 1, ... Every
+   failure, including a sanitizer's finding, is printed with the seed and all calls of its sequence;
+   `fuzz TOKEN SAMPLED SEED 1` reproduces it.
+   Properties of every call:
+   - in a state that does not permit it: Error, and a message with its name and the state (or with
+     the unsupported feature);
+   - permitted, with good arguments, on an instance with plausible values: OK;
+   - with bad arguments: Error or Discard, and a message with that status, which names the variable
+     if a value is invalid;
+   - not OK, or only reading: the saved state and all readable values are unchanged;
+   - any result: no other instance changes, and the state saved afterwards can be deserialized;
+   - afterwards, a good step from good inputs succeeds. */
 #include <math.h>
 #include <signal.h>
 #include <stdarg.h>
@@ -23,19 +27,19 @@
 #include "fmi2Functions.h"
 #include "fmi3Functions.h"
 
-/* Of the runtime only: names for the states, the table of the block's variables, and where a saved state keeps what. */
+/* From the runtime: state names, the table of the block's variables, layout of a saved state. */
 #include "instance.h"
 #include "fuzz_model.h"
 
 #include "fuzz_calls.h"
 
-/* The table of the standards: 2.0.5, 3.2.3 and 4.2.4; 3.0.2, 2.3, 3.2 and 4.2. */
+/* The call tables of the standards: 2.0.5, 3.2.3 and 4.2.4; 3.0.2, 2.3, 3.2 and 4.2. */
 
 typedef struct {
     const char *name;
     int (*run)(Slot *);
-    const char *cs, *me; /* states that permit it in co-simulation and in model exchange */
-    State next;          /* after OK; 0: as before, or as the call itself says */
+    const char *cs, *me; /* permitting states in co-simulation and model exchange */
+    State next;          /* after OK; 0: unchanged, or set by the call */
 } Call;
 
 #define ROW(Function, ...) {#Function, run_##Function, __VA_ARGS__}
@@ -156,10 +160,10 @@ static int permitted(const Slot *s, const Call *call)
                      strstr(call->name, "Shift"));
         if (!clock && strncmp(pattern, call->name, pattern[n] ? n : strlen(call->name) + 1))
             continue;
-        int other =
-            deviations[i].instead == MADE || (deviations[i].instead == MADE_IF_EMPTY && want.empty);
+        int other = deviations[i].instead == ALLOWED ||
+                    (deviations[i].instead == ALLOWED_IF_EMPTY && expected.empty);
         if (is_in(s->m.state, s->model_exchange ? deviations[i].me : deviations[i].cs) &&
-            allowed != other && (other || deviations[i].instead == REFUSED)) {
+            allowed != other && (other || deviations[i].instead == REJECTED)) {
             deviations[i].met++;
             return other;
         }
@@ -167,39 +171,41 @@ static int permitted(const Slot *s, const Call *call)
     return allowed;
 }
 
-static void judge(Slot *s, const Call *call, int status)
+static void check_result(Slot *s, const Call *call, int status)
 {
     const char *state = "";
     for (size_t i = 0; i < sizeof states / sizeof *states; i++)
         state = states[i].state == s->m.state ? states[i].name : state;
     LAW(status == 0 || status == 2 || status == 3, "status %d", status);
-    LAW(status == 0 || s->mute || want.given == UNSAID ||
-            (said.count == 1 && said.status == status),
-        "%d messages, the last with status %d", said.count, said.status);
-    int about_fmu = s->mute || strstr(said.text, "this FMU has no ") ||
-                    strstr(said.text, "belongs to model exchange");
+    LAW(status == 0 || s->mute || expected.given == SILENT ||
+            (logged.count == 1 && logged.status == status),
+        "%d messages, the last with status %d", logged.count, logged.status);
+    int about_fmu = s->mute || strstr(logged.text, "this FMU has no ") ||
+                    strstr(logged.text, "belongs to model exchange");
     if (!permitted(s, call)) {
-        refused++;
-        LAW(status == 3, "%s in %s is not refused", call->name, state);
-        int about_variable =
-            want.given == BAD && strstr(call->name, "Set") && strstr(said.text, want.named);
+        rejected++;
+        LAW(status == 3, "%s in %s is not rejected", call->name, state);
+        int about_variable = expected.given == BAD && strstr(call->name, "Set") &&
+                             strstr(logged.text, expected.named);
         LAW(about_fmu || about_variable ||
-                (strstr(said.text, call->name) && strstr(said.text, state)),
+                (strstr(logged.text, call->name) && strstr(logged.text, state)),
             "the message does not name %s and %s", call->name, state);
         return;
     }
-    LAW(want.given != GOOD || status == 0, "a good call fails");
-    LAW(want.given != UNSAID || status == 2, "there is no such status");
-    LAW((want.given != BAD && want.given != LACKED) || status != 0, "a bad call succeeds");
-    LAW(want.given != LACKED || (status == 3 && about_fmu),
-        "the message does not say what is lacking");
-    LAW(want.given != BAD || s->mute || strstr(said.text, want.named),
-        "the message does not say %s", want.named);
+    LAW(expected.given != GOOD || status == 0, "a valid call fails");
+    LAW(expected.given != SILENT || status == 2, "an unexpected status");
+    LAW((expected.given != BAD && expected.given != LACKED) || status != 0,
+        "an invalid call succeeds");
+    LAW(expected.given != LACKED || (status == 3 && about_fmu),
+        "the message does not name the unsupported feature");
+    LAW(expected.given != BAD || s->mute || strstr(logged.text, expected.named),
+        "the message does not contain %s", expected.named);
     if (s->m.failed && status == 0 && !strstr(call->name, "Get") && !strstr(call->name, "Reset") &&
         !strstr(call->name, "State") && !strstr(call->name, "state"))
         deviates("no error state");
 }
 
+/* Makes one call on an instance and checks it against the properties above. */
 static void perform(Slot *s, const Call *call)
 {
     static unsigned char *after;
@@ -211,32 +217,35 @@ static void perform(Slot *s, const Call *call)
     note("%*s%td.%s%s(", inner ? 4 : 0, "", s - slots, none ? "null." : "", call->name);
     if (watched)
         read_all(s, seen[0]);
+    /* States before the call. */
     for (int i = 0; i < slot_count && !inner; i++)
         snapshot(&slots[i], slots[i].bytes);
-    memset(&want, 0, sizeof want);
-    memset(&said, 0, sizeof said);
-    want.after = s->m;
+    memset(&expected, 0, sizeof expected);
+    memset(&logged, 0, sizeof logged);
+    expected.after = s->m;
+    /* The call, in one of 100 cases without an instance. */
     void *c = s->c;
     s->c = none ? NULL : c;
     int status = call->run(s);
     s->c = c;
-    note(") = %d  %s\n", status, said.text);
+    note(") = %d  %s\n", status, logged.text);
     if (none)
-        LAW(status == 3 && said.count == 0, "a call without an instance");
+        LAW(status == 3 && logged.count == 0, "a call without an instance");
     else
-        judge(s, call, status);
+        check_result(s, call, status);
     if (status == 0) {
-        s->m = want.after;
+        s->m = expected.after;
         s->m.state = strstr(call->name, "ExitInit") && s->model_exchange ? EVENT
                      : call->next                                        ? call->next
                                                                          : s->m.state;
     }
     s->m.failed |= status == 3;
+    /* States after the call: only this instance may have changed, and only by a successful call. */
     after = realloc(after, memory_size);
     for (int i = 0; i < slot_count && !inner; i++) {
         snapshot(&slots[i], after);
         int may_change = &slots[i] == s && status == 0 && !strstr(call->name, "Get");
-        void *again = NULL; /* what was saved can be read back */
+        void *again = NULL; /* the saved state must be deserializable */
         if (&slots[i] == s && !(s->m.wild & 2))
             LAW((s->version == 2
                      ? (int)fmi2DeSerializeFMUstate(s->c, (char *)after, memory_size, &again)
@@ -275,12 +284,12 @@ static void on_update(fmi3InstanceEnvironment e, fmi3Float64 time, fmi3Boolean s
     s->m.state = INTERMEDIATE;
     note("\n    update at %.17g\n", time);
     for (unsigned n = below(4) ? 0 : 1 + below(2); n > 0; n--) {
-        Want outer_want = want;
-        Said outer_said = said;
+        Expected outer_expected = expected;
+        Logged outer_logged = logged;
         perform(s, below(3) ? &table3[below(sizeof table3 / sizeof *table3)]
                             : named(s, below(2) ? "GetFloat64" : "SetFloat64"));
-        want = outer_want;
-        said = outer_said;
+        expected = outer_expected;
+        logged = outer_logged;
     }
     s->m.state = STEP;
     if (below(6) == 0) {
@@ -294,7 +303,7 @@ static void on_update(fmi3InstanceEnvironment e, fmi3Float64 time, fmi3Boolean s
 
 static void *instantiate(Slot *s, const char *name, const char *key)
 {
-    static fmi2CallbackFunctions callbacks = {hear2, calloc, free, NULL, NULL};
+    static fmi2CallbackFunctions callbacks = {on_log2, calloc, free, NULL, NULL};
     int logging = (int)below(2);
     callbacks.componentEnvironment = s;
     s->silent = !logging && !s->mute;
@@ -307,9 +316,10 @@ static void *instantiate(Slot *s, const char *name, const char *key)
         return fmi2Instantiate(name, s->model_exchange ? fmi2ModelExchange : fmi2CoSimulation, key,
                                "", s->mute ? NULL : &callbacks, 0, logging);
     if (s->model_exchange)
-        return fmi3InstantiateModelExchange(name, key, NULL, 0, logging, s, s->mute ? NULL : hear3);
+        return fmi3InstantiateModelExchange(name, key, NULL, 0, logging, s,
+                                            s->mute ? NULL : on_log3);
     return fmi3InstantiateCoSimulation(name, key, NULL, 0, logging, 0, s->early, some, below(3), s,
-                                       s->mute ? NULL : hear3, s->callback ? on_update : NULL);
+                                       s->mute ? NULL : on_log3, s->callback ? on_update : NULL);
 }
 
 static void begin(Slot *s, int version)
@@ -325,11 +335,11 @@ static void begin(Slot *s, int version)
     if (once_in(8)) {
         int mute = s->mute, what = (int)below(3), kind = s->model_exchange;
         s->mute = 0;
-        said.count = 0;
+        logged.count = 0;
         s->model_exchange |= what == 2 && sampled;
         if (what < 2 || sampled)
             LAW(!instantiate(s, what == 0 ? NULL : "x", what == 1 ? "wrong" : token) &&
-                    said.count == 1 && said.status == 3,
+                    logged.count == 1 && logged.status == 3,
                 "a bad instance");
         s->mute = mute;
         s->model_exchange = kind;
@@ -349,7 +359,7 @@ static void end(Slot *s)
         fmi3FreeInstance(s->c);
 }
 
-/* What a master would do next. */
+/* The usual next call of a master. */
 static const char *usual(const Slot *s)
 {
     static const char *const event[] = {"EnterContinuousTimeMode", "EnterContinuousTimeMode",
@@ -371,7 +381,7 @@ static const char *usual(const Slot *s)
     }
 }
 
-/* Good inputs, and then a step or a derivative goes through, whatever was refused before. */
+/* With good inputs, a step or derivative succeeds, whatever was rejected before. */
 static void recover(Slot *s)
 {
     if (s->m.wild || !is_in(s->m.state, "s"))
@@ -429,7 +439,7 @@ static void sequence(void)
     }
     for (int j = 0; j < 4; j++) {
         free_state(&slots[0], &stash[j].state);
-        LAW(!stash[j].state, "a freed state's pointer is kept");
+        LAW(!stash[j].state, "the pointer to a freed state is not reset");
     }
     free(written.bytes);
     written.bytes = NULL;
@@ -448,14 +458,14 @@ int main(int argc, char **argv)
     void *c = fmi2Instantiate("size", fmi2CoSimulation, token, "", NULL, 0, 0), *state = NULL;
     LAW(c && fmi2GetFMUstate(c, &state) == fmi2OK &&
             fmi2SerializedFMUstateSize(c, state, &memory_size) == fmi2OK,
-        "no instance at all");
+        "no instance");
     fmi2FreeFMUstate(c, &state);
     fmi2FreeInstance(c);
     fmi2FreeInstance(NULL);
     fmi3FreeInstance(NULL);
     for (int i = 0; i < 3; i++)
         slots[i].bytes = malloc(memory_size);
-    __sanitizer_set_death_callback(tell);
+    __sanitizer_set_death_callback(print_trace);
     signal(SIGABRT, aborted);
     for (seed = first; seed < first + count; seed++) {
         sequence();
@@ -464,6 +474,6 @@ int main(int argc, char **argv)
     }
     for (size_t i = 0; i < sizeof deviations / sizeof *deviations; i++)
         printf("deviation %ld: %s\n", deviations[i].met, deviations[i].call);
-    printf("%llu sequences, %llu calls, %llu refused by the state\n", count, calls, refused);
+    printf("%llu sequences, %llu calls, %llu rejected by the state\n", count, calls, rejected);
     return 0;
 }

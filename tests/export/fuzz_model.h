@@ -1,5 +1,6 @@
-/* What fuzz.c knows of the standards' states, of what the importer has done, and how to tell what went wrong. */
-/* Which calls a state permits is written in letters: i instantiated, n initialization, s step, e event, c continuous-time,
+/* For fuzz.c: model of the standards' states and of the importer's history; failure reports. */
+
+/* Letters of the states: i instantiated, n initialization, s step, e event, c continuous-time,
    u intermediate update, t terminated. */
 static const struct {
     char letter;
@@ -13,99 +14,100 @@ static const struct {
               {'u', INTERMEDIATE, "intermediate update mode"},
               {'t', TERMINATED, "terminated"}};
 
-/* Where this FMU knowingly does other than the standards (FMI 2.0.5, 3.0.2). `call` with a * stands for all that begin so; a
-   row without states is about arguments or about what a state is. Each must be met, or it is no deviation any more. */
+/* Known deviations of this FMU from the standards (FMI 2.0.5, 3.0.2). A `call` with a * is a
+   prefix. A row without states is about arguments or about the definition of a state. Each row must
+   occur in some sequence; otherwise it is no longer a deviation. */
 static struct {
-    const char *call, *cs,
-        *me; /* the states in question, of a co-simulation and of a model exchange instance */
-    enum { REFUSED, MADE, MADE_IF_EMPTY } instead;
+    const char *call;
+    const char *cs, *me; /* states, in co-simulation and in model exchange */
+    enum { REJECTED, ALLOWED, ALLOWED_IF_EMPTY } instead;
     const char *clause;
     long met;
 } deviations[] = {
-    {"fmi2SetTime", "", "e", MADE,
+    {"fmi2SetTime", "", "e", ALLOWED,
      "2.0: 3.2.3 table, condition 8: in event mode for purely discrete FMUs only", 0},
-    {"fmi2SetReal", "t", "t", MADE_IF_EMPTY,
+    {"fmi2SetReal", "t", "t", ALLOWED_IF_EMPTY,
      "2.0: 3.2.3, 4.2.4 tables: no setting; without references nothing is set", 0},
-    {"fmi2SetInteger", "t", "ct", MADE_IF_EMPTY, "as fmi2SetReal", 0},
-    {"fmi2SetBoolean", "t", "ct", MADE_IF_EMPTY, "as fmi2SetReal", 0},
-    {"fmi2SetString", "t", "ct", MADE_IF_EMPTY, "as fmi2SetReal", 0},
-    {"fmi2SetRealInputDerivatives", "", "in", MADE_IF_EMPTY, "2.0: 4.2.4 table: co-simulation only",
+    {"fmi2SetInteger", "t", "ct", ALLOWED_IF_EMPTY, "as fmi2SetReal", 0},
+    {"fmi2SetBoolean", "t", "ct", ALLOWED_IF_EMPTY, "as fmi2SetReal", 0},
+    {"fmi2SetString", "t", "ct", ALLOWED_IF_EMPTY, "as fmi2SetReal", 0},
+    {"fmi2SetRealInputDerivatives", "", "in", ALLOWED_IF_EMPTY,
+     "2.0: 4.2.4 table: co-simulation only", 0},
+    {"fmi2GetRealOutputDerivatives", "", "t", ALLOWED_IF_EMPTY,
+     "2.0: 4.2.4 table: co-simulation only", 0},
+    {"fmi2GetStatus", "", "t", ALLOWED, "2.0: 4.2.4 table: co-simulation only (and the other four)",
      0},
-    {"fmi2GetRealOutputDerivatives", "", "t", MADE_IF_EMPTY, "2.0: 4.2.4 table: co-simulation only",
-     0},
-    {"fmi2GetStatus", "", "t", MADE, "2.0: 4.2.4 table: co-simulation only (and the other four)",
-     0},
-    {"fmi2GetRealStatus", "", "t", MADE, "as fmi2GetStatus", 0},
-    {"fmi2GetIntegerStatus", "", "t", MADE, "as fmi2GetStatus", 0},
-    {"fmi2GetBooleanStatus", "", "t", MADE, "as fmi2GetStatus", 0},
-    {"fmi2GetStringStatus", "", "t", MADE, "as fmi2GetStatus", 0},
-    {"fmi3GetFloat64", "i", "i", REFUSED,
+    {"fmi2GetRealStatus", "", "t", ALLOWED, "as fmi2GetStatus", 0},
+    {"fmi2GetIntegerStatus", "", "t", ALLOWED, "as fmi2GetStatus", 0},
+    {"fmi2GetBooleanStatus", "", "t", ALLOWED, "as fmi2GetStatus", 0},
+    {"fmi2GetStringStatus", "", "t", ALLOWED, "as fmi2GetStatus", 0},
+    {"fmi3GetFloat64", "i", "i", REJECTED,
      "3.0: 2.3.2 table of equations: start values may be read (not in its list of calls)", 0},
-    {"fmi3GetInt64", "i", "i", REFUSED, "as fmi3GetFloat64", 0},
-    {"fmi3GetBoolean", "i", "i", REFUSED, "as fmi3GetFloat64", 0},
-    {"fmi3Set*", "t", "t", MADE_IF_EMPTY,
+    {"fmi3GetInt64", "i", "i", REJECTED, "as fmi3GetFloat64", 0},
+    {"fmi3GetBoolean", "i", "i", REJECTED, "as fmi3GetFloat64", 0},
+    {"fmi3Set*", "t", "t", ALLOWED_IF_EMPTY,
      "3.0: 2.3.8: no setting; without references nothing is set", 0},
-    {"fmi3EvaluateDiscreteStates", "n", "ne", MADE,
+    {"fmi3EvaluateDiscreteStates", "n", "ne", ALLOWED,
      "3.0: 2.3.5: in event mode, if providesEvaluateDiscreteStates", 0},
-    {"fmi3FreeFMUState", "u", "", MADE, "3.0: 4.2.2: values only, during an intermediate update",
+    {"fmi3FreeFMUState", "u", "", ALLOWED, "3.0: 4.2.2: values only, during an intermediate update",
      0},
-    {"fmi3GetNumberOfEventIndicators", "", "nct", MADE,
+    {"fmi3GetNumberOfEventIndicators", "", "nct", ALLOWED,
      "3.0: 2.3.2, 2.3.5: when instantiated and in event mode", 0},
-    {"fmi3GetNumberOfContinuousStates", "", "nct", MADE, "as fmi3GetNumberOfEventIndicators", 0},
-    {"fmi3GetOutputDerivatives", "", "t", MADE_IF_EMPTY, "3.0: 2.3.8: not in model exchange", 0},
-    {"clock functions", "insut", "inect", MADE_IF_EMPTY,
+    {"fmi3GetNumberOfContinuousStates", "", "nct", ALLOWED, "as fmi3GetNumberOfEventIndicators", 0},
+    {"fmi3GetOutputDerivatives", "", "t", ALLOWED_IF_EMPTY, "3.0: 2.3.8: not in model exchange", 0},
+    {"clock functions", "insut", "inect", ALLOWED_IF_EMPTY,
      "3.0: 2.3.3, 2.3.5: clocks in some states only; without references nothing is done", 0},
-    {"no error state", "", "", MADE,
+    {"no error state", "", "", ALLOWED,
      "2.0: 2.1.3, 3.2.3, 4.2.4; 3.0: 2.2.3, 2.3.1: after an Error only reading, restoring, "
      "resetting and freeing",
      0},
-    {"no set-up", "", "", MADE,
+    {"no set-up", "", "", ALLOWED,
      "2.0: 2.1.6: fmi2SetupExperiment before fmi2EnterInitializationMode", 0},
-    {"reading after setting", "", "", MADE,
+    {"reading after setting", "", "", ALLOWED,
      "2.0: 4.2.4, 3.0: 4.2.1: a step between setting and getting in co-simulation", 0},
-    {"any variable", "", "", MADE,
+    {"any variable", "", "", ALLOWED,
      "2.0: 3.2.3, 4.2.4, condition 2: in initialization mode outputs and initial unknowns only", 0},
-    {"any intermediate variable", "", "", MADE,
+    {"any intermediate variable", "", "", ALLOWED,
      "3.0: 4.2.2: those named at instantiation only, no reading after setting", 0},
-    {"state set one by one", "", "", REFUSED,
+    {"state set one by one", "", "", REJECTED,
      "2.0: 3.2.3, condition 5; 3.0: 2.3.5, 3.2.1: a state by fmiXSetReal/Float64 after "
      "initialization",
      0},
-    {"step of no size", "", "", MADE, "2.0: 4.2.2, 3.0: 4.2.1: a step's size is above 0", 0},
-    {"time goes back", "", "", MADE,
+    {"step of no size", "", "", ALLOWED, "2.0: 4.2.2, 3.0: 4.2.1: a step's size is above 0", 0},
+    {"time goes back", "", "", ALLOWED,
      "2.0: 3.2.1, 3.0: 3.2.1: not before the start, the last event or the second last completed "
      "step",
      0},
-    {"any known", "", "", MADE,
+    {"any known", "", "", ALLOWED,
      "2.0: 2.1.9, 3.0: 2.2.11: derivatives by and of what a state's equations have only", 0},
-    {"blank name", "", "", MADE, "2.0: 2.1.5, 3.0: 2.3.1: an instance's name is not empty", 0},
-    {"told all the same", "", "", MADE,
+    {"blank name", "", "", ALLOWED, "2.0: 2.1.5, 3.0: 2.3.1: an instance's name is not empty", 0},
+    {"logged although logging is off", "", "", ALLOWED,
      "2.0: 2.1.5, 3.0: 2.3.1: no messages if logging is off, or of a category that is", 0},
-    {"status without a word", "", "", MADE,
-     "3.0: 2.3.1, 2.0: 2.1.3: what is not OK is told (fmi2GetXxxStatus is not)", 0},
-    {"another instance's state", "", "", MADE,
+    {"status without a message", "", "", ALLOWED,
+     "3.0: 2.3.1, 2.0: 2.1.3: results other than OK are logged (not of fmi2GetXxxStatus)", 0},
+    {"another instance's state", "", "", ALLOWED,
      "2.0: 2.1.8, 3.0: 2.2.4: a saved state is one of this instance", 0},
 };
 
-#define LATEST 2e9 /* s; no time beyond it */
-#define RUN 1000.0 /* s; where a stop time is given */
+#define LATEST 2e9 /* s; latest valid time */
+#define RUN 1000.0 /* s; duration if a stop time is set */
 
 typedef struct {
     State state;
-    double start, time;          /* as the importer knows them */
-    long samples;                /* taken by a sampled block */
+    double start, time;          /* of the importer */
+    long samples;                /* of a sampled block */
     int set_up, failed, written; /* for the deviations */
-    int wild_inputs,
-        wild; /* inputs; parameters, states or times: were given senseless values, so that a refusal is no surprise */
+    /* Extreme inputs were set; extreme parameters, states or times. Rejections are expected. */
+    int wild_inputs, wild;
 } Model;
 
 typedef struct {
     void *c;
     int version, model_exchange, mute, silent, early, callback;
     Model m;
-    double begin, end, seen; /* the step that is being made, and the intermediate updates so far */
+    double begin, end, seen; /* present step, and last intermediate update */
     int inner_sets, asked;
-    void *before; /* a saved state, only to compare */
+    void *before; /* a saved state for comparisons */
     unsigned char *bytes;
 } Slot;
 
@@ -126,27 +128,27 @@ static size_t memory_size;
 static const char *token;
 static int sampled, rough, forced;
 
-/* What the call under way was given: what must come of it. */
+/* Kind of the present call's arguments, and the expected result. */
 typedef struct {
-    enum { GOOD, BAD, LACKED, OPEN, UNSAID } given; /* UNSAID: Discard or Error without a message */
+    enum { GOOD, BAD, LACKED, OPEN, SILENT } given; /* SILENT: Discard or Error, no message */
     int empty;
     char named[200]; /* what the message must contain */
     Model after;
-} Want;
+} Expected;
 
 typedef struct {
     int count, status;
     char text[512];
-} Said;
+} Logged;
 
-static Want want;
-static Said said;
+static Expected expected;
+static Logged logged;
 
-/* Telling */
+/* Failure reports */
 
 static char trace[1 << 17];
 static size_t traced;
-static unsigned long long seed, calls, refused;
+static unsigned long long seed, calls, rejected;
 
 static void note(const char *format, ...)
 {
@@ -158,7 +160,10 @@ static void note(const char *format, ...)
         traced += (size_t)n;
 }
 
-static void tell(void) { fprintf(stderr, "\nthe sequence with seed %llu:\n%s\n", seed, trace); }
+static void print_trace(void)
+{
+    fprintf(stderr, "\nthe sequence with seed %llu:\n%s\n", seed, trace);
+}
 
 /* The undefined-behaviour sanitizer ends with a signal, the address sanitizer with its own call. */
 const char *__ubsan_default_options(void);
@@ -167,18 +172,18 @@ const char *__ubsan_default_options(void) { return "abort_on_error=1:print_stack
 static void aborted(int signal)
 {
     (void)signal;
-    tell();
+    print_trace();
     _Exit(1);
 }
 
 static void fail(const char *format, ...)
 {
     va_list arguments;
-    tell();
+    print_trace();
     va_start(arguments, format);
     vfprintf(stderr, format, arguments);
     va_end(arguments);
-    fprintf(stderr, "\nlast message: %s\n", said.text);
+    fprintf(stderr, "\nlast message: %s\n", logged.text);
     _Exit(1);
 }
 
@@ -197,26 +202,26 @@ static int deviates(const char *call)
     return 0;
 }
 
-static void hear(Slot *s, int status, const char *category, const char *text)
+static void on_log(Slot *s, int status, const char *category, const char *text)
 {
-    said.count++;
-    said.status = status;
-    snprintf(said.text, sizeof said.text, "%s", text);
+    logged.count++;
+    logged.status = status;
+    snprintf(logged.text, sizeof logged.text, "%s", text);
     LAW(category && (!strcmp(category, "logStatusError") || !strcmp(category, "logRequirement")),
         "category %s", category);
     LAW(strlen(text) > 10, "an empty message");
     for (const char *p = text; *p; p++)
-        LAW(*p >= ' ' && *p <= '~', "a message that cannot be read: %s", text);
+        LAW(*p >= ' ' && *p <= '~', "an unreadable message: %s", text);
     for (const char *e = strchr(text, 'e'); e; e = strchr(e + 1, 'e'))
         LAW(!((e[1] == '-' || e[1] == '+') && e[2] >= '0' && e[2] <= '9') ||
                 (e > text && e[-1] >= '0' && e[-1] <= '9'),
-            "a number that cannot be read: %s", text);
+            "an unreadable number: %s", text);
     if (s && s->silent)
-        deviates("told all the same");
+        deviates("logged although logging is off");
 }
 
-static void hear2(fmi2ComponentEnvironment e, fmi2String name, fmi2Status status,
-                  fmi2String category, fmi2String format, ...)
+static void on_log2(fmi2ComponentEnvironment e, fmi2String name, fmi2Status status,
+                    fmi2String category, fmi2String format, ...)
 {
     char text[512];
     va_list arguments;
@@ -224,16 +229,16 @@ static void hear2(fmi2ComponentEnvironment e, fmi2String name, fmi2Status status
     vsnprintf(text, sizeof text, format, arguments);
     va_end(arguments);
     LAW(name, "a message without the instance's name");
-    hear(e, (int)status, category, text);
+    on_log(e, (int)status, category, text);
 }
 
-static void hear3(fmi3InstanceEnvironment e, fmi3Status status, fmi3String category,
-                  fmi3String text)
+static void on_log3(fmi3InstanceEnvironment e, fmi3Status status, fmi3String category,
+                    fmi3String text)
 {
-    hear(e, (int)status, category, text);
+    on_log(e, (int)status, category, text);
 }
 
-/* Chance */
+/* Random numbers */
 
 static uint64_t chance;
 
@@ -279,7 +284,7 @@ static int within(unsigned r, Range range)
 
 static int doubtful(const Slot *s) { return s->m.wild || s->m.wild_inputs; }
 
-/* The standards' conditions on what may be set where. */
+/* The standards' conditions for setting a variable. */
 static int settable(const Slot *s, unsigned r)
 {
     int access = block.value[r].access, c = letter(s->m.state);
@@ -292,11 +297,11 @@ static int settable(const Slot *s, unsigned r)
                                   : (c == 'c' || c == 'u') && access == INPUT;
 }
 
-static void want_bad(const char *name)
+static void expect_failure(const char *name)
 {
-    if (want.given == GOOD || want.given == OPEN) {
-        want.given = BAD;
-        snprintf(want.named, sizeof want.named, "%s", name);
+    if (expected.given == GOOD || expected.given == OPEN) {
+        expected.given = BAD;
+        snprintf(expected.named, sizeof expected.named, "%s", name);
     }
 }
 
@@ -308,14 +313,14 @@ static double good_value(unsigned r)
 
 static double period(void) { return block.start[block.period]; }
 
-/* The end of the longest step from here that passes over no sample. */
+/* Returns the end of the longest step from the present time that passes over no sample. */
 static double limit(const Model *m)
 {
     int due = m->time >= m->start + (double)m->samples * period() - 1e-9;
     return m->start + (double)(m->samples + due) * period();
 }
 
-/* Pointers into the interface, by version. */
+/* Functions of both FMI versions. */
 
 static int get_state(Slot *s, void **state)
 {
@@ -337,7 +342,7 @@ static void snapshot(Slot *s, unsigned char *bytes)
     LAW(ok, "the state cannot be saved");
 }
 
-/* Whether two saved states are the same but for what is only kept to save a computation. `inputs`: the importer set them. */
+/* Compares two saved states without cached results. `inputs`: the importer has set inputs. */
 static int same(const Slot *s, const unsigned char *a, const unsigned char *b, int inputs)
 {
     const size_t values = offsetof(Memory, value);
@@ -348,9 +353,8 @@ static int same(const Slot *s, const unsigned char *a, const unsigned char *b, i
         x.next_sample != y.next_sample || memcmp(&x.clock, &y.clock, sizeof x.clock))
         return 0;
     for (unsigned r = 1; r < (unsigned)(block.values + block.states.count); r++) {
-        int held =
-            sampled &&
-            !is_in(s->m.state, "in"); /* outputs are a sampled block's memory between samples */
+        /* Outputs are a sampled block's memory between samples. */
+        int held = sampled && !is_in(s->m.state, "in");
         int computed = within(r, block.derivatives) || (within(r, block.outputs) && !held);
         if (!computed && !(inputs && within(r, block.inputs)) &&
             memcmp(a + values + r * sizeof(double), b + values + r * sizeof(double),
@@ -360,7 +364,8 @@ static int same(const Slot *s, const unsigned char *a, const unsigned char *b, i
     return 1;
 }
 
-/* Everything that can be read, read one by one; NaN where it cannot. */
+/* Reads all values one by one; NaN for unreadable ones. */
+
 static void read_all(Slot *s, double *value)
 {
     for (int r = 0; r < block.values; r++)

@@ -1,4 +1,4 @@
-"""One instance of an FMU through FMPy, with arrays by name, the same for both FMI versions: what the importer sees."""
+"""One FMU instance through FMPy, with arrays by name, for both FMI versions."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from freeflyer_fmus.robot.robot import Array
 
 
 class Instance:
-    """Not initialised yet. `model_exchange` as the interface type; `options` go to FMPy's instantiate."""
+    """A new instance; `options` are arguments of FMPy's `instantiate`."""
 
     def __init__(self, path: Path, *, model_exchange: bool = False, **options: Any) -> None:
         self.description = read_model_description(str(path))
@@ -41,9 +41,9 @@ class Instance:
             modelIdentifier=path.stem,
             instanceName="instance",
         )
-        self.said: list[str] = []
+        self.messages: list[str] = []
         if self.version == 3:
-            options["logMessage"] = lambda _, status, category, message: self.said.append(
+            options["logMessage"] = lambda _, status, category, message: self.messages.append(
                 message.decode()
             )
         self.fmu.instantiate(**options)

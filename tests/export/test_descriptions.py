@@ -1,4 +1,4 @@
-"""What the descriptions say: capabilities, units, terminals; and how large the files are."""
+"""Content of the descriptions: capabilities, units, terminals; size of the FMU files."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_an_fmu_is_small(fmus: Path, version: int, name: str) -> None:
 
 
 @pytest.mark.parametrize(("version", "name"), EVERY)
-def test_capabilities_are_told_as_they_are(
+def test_declared_capabilities_match_the_block(
     fmus: Path, robot: Robot, version: int, name: str
 ) -> None:
     with ZipFile(path_of(fmus, version, name)) as archive:
@@ -56,8 +56,8 @@ def test_capabilities_are_told_as_they_are(
     )
     memory = ["canNotUseMemoryManagementFunctions"] if version == 2 else []
     common = {*state, *derivatives[version], *memory}
-    told = {key for key, value in slave.attrib.items() if value == "true"}
-    assert told == {*common, *inner, "canHandleVariableCommunicationStepSize"}
+    declared = {key for key, value in slave.attrib.items() if value == "true"}
+    assert declared == {*common, *inner, "canHandleVariableCommunicationStepSize"}
     if model is not None:
         assert {key for key, value in model.attrib.items() if value == "true"} - common <= {
             "completedIntegratorStepNotNeeded"
@@ -79,7 +79,7 @@ def test_angles_are_displayed_in_degrees_and_units_are_products_of_si_units(
     assert names[element].unit == "rad/s2"
 
 
-GESTURES = (
+TERMINAL_CONNECTIONS = (
     "free_flyer.base <-> manipulator_controller.base",
     "free_flyer.base <-> base_controller.base",
     "free_flyer.arm <-> manipulator_controller.arm",
@@ -92,12 +92,12 @@ GESTURES = (
 
 
 @pytest.mark.parametrize("fmi", VERSIONS)
-def test_terminals_connect_the_loop_in_nine_gestures(tmp_path: Path, fmi: int) -> None:
-    """The same connections, and the same numbers, as one by one."""
+def test_terminals_connect_the_loop_with_nine_lines(tmp_path: Path, fmi: int) -> None:
+    """Connections and results are the same as with single connections."""
     written = scenario.load("multirate_passive", ["stop_s=0.6"])
     text = written.source.partition("connections = [")[
         0
-    ] + f"connections = {list(GESTURES)}\n".replace("'", '"')
+    ] + f"connections = {list(TERMINAL_CONNECTIONS)}\n".replace("'", '"')
     text += 'delayed = ["base_controller.applied <-> manipulator_controller.applied"]\n'
     text += "[record]" + written.source.partition("[record]")[2]
     (tmp_path / "by_terminals.toml").write_text(text)
@@ -110,12 +110,12 @@ def test_terminals_connect_the_loop_in_nine_gestures(tmp_path: Path, fmi: int) -
     assert records[0] == records[1]
 
 
-def test_wrong_terminals_are_named(tmp_path: Path) -> None:
+def test_invalid_terminals_are_reported_by_name(tmp_path: Path) -> None:
     (tmp_path / "same.toml").write_text(
         'extends = "multirate_passive"\nconnections = ["free_flyer.arm <-> manipulator_controller.arm"]\n'
     )
     with assembled(scenario.load(str(tmp_path / "same.toml"))) as (master, _):
-        assert len(master.graph.connections) == 25  # the same wires as one by one, and no others
+        assert len(master.graph.connections) == 25  # the same as with single connections
     for wrong, sentence in (
         (
             "free_flyer.bas <-> base_controller.base",
@@ -137,7 +137,7 @@ def test_wrong_terminals_are_named(tmp_path: Path) -> None:
             pass
 
 
-def test_terminals_are_valid_by_the_standards_schema(fmus: Path) -> None:
+def test_terminals_conform_to_the_standards_schema(fmus: Path) -> None:
     from lxml import etree
 
     schema = etree.XMLSchema(

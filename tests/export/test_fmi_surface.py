@@ -1,4 +1,7 @@
-"""What the FMUs say that they can do, done through FMPy: saved states, changes in mid-run, any steps, inner instants, model exchange."""
+"""Capabilities of the FMUs through FMPy.
+
+Saved states, changes during a run, variable steps, intermediate updates, model exchange.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +39,7 @@ def path_of(fmus: Path, version: int, name: str) -> Path:
 
 
 def driven(instance: Instance, robot: Robot, random: np.random.Generator) -> Callable[[], None]:
-    """Gives the inputs new values beside their start values."""
+    """Return a function that sets the inputs to random values near their start values."""
     block = BLOCKS[instance.description.modelName](robot)
     starts = {name: block.start_of(name) for name in instance.inputs}
 
@@ -56,7 +59,7 @@ def driven(instance: Instance, robot: Robot, random: np.random.Generator) -> Cal
 def test_a_state_saved_at_any_instant_resumes_bit_for_bit(
     fmus: Path, robot: Robot, version: int, name: str
 ) -> None:
-    """In the same instance and, from its bytes, in another one."""
+    """In the same instance, and from its bytes in another one."""
     random = np.random.default_rng(version)
     one = Instance(path_of(fmus, version, name)).initialise()
     instant = int(random.integers(1, 40))
@@ -84,9 +87,7 @@ def test_a_state_saved_at_any_instant_resumes_bit_for_bit(
 
 @pytest.mark.parametrize("version", family(VERSIONS))
 @given(data=st.data())
-def test_bytes_that_are_no_saved_state_are_refused(
-    fmus: Path, version: int, data: st.DataObject
-) -> None:
+def test_damaged_saved_states_are_rejected(fmus: Path, version: int, data: st.DataObject) -> None:
     instance = Instance(path_of(fmus, version, "manipulator_controller")).initialise()
     try:
         saved = bytearray(instance.save())
@@ -105,18 +106,18 @@ def test_bytes_that_are_no_saved_state_are_refused(
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_a_state_of_another_fmu_is_refused(fmus: Path, version: int) -> None:
+def test_a_state_of_another_fmu_is_rejected(fmus: Path, version: int) -> None:
     one = Instance(path_of(fmus, version, "reference_trajectory")).initialise()
     other = Instance(path_of(fmus, version, "free_flyer")).initialise()
     model = Instance(path_of(fmus, version, "free_flyer"), model_exchange=True).initialise()
-    for stranger in (one, model):
+    for foreign in (one, model):
         with pytest.raises(FMICallException):
-            other.restore(stranger.save())
+            other.restore(foreign.save())
     for instance in (one, other, model):
         instance.close()
 
 
-# Changes in mid-run
+# Changes during a run
 
 
 @pytest.mark.parametrize("version", VERSIONS)
@@ -126,7 +127,7 @@ def test_tunable_parameters_take_effect_at_the_next_sample(fmus: Path, version: 
     controller.step(0.0, 0.3)
     assert controller.get("base_wrench")[0] == pytest.approx(-1.5)
     controller.set("stiffness", [300.0] * 3 + [40.0] * 3)
-    assert controller.get("base_wrench")[0] == pytest.approx(-1.5)  # held until then
+    assert controller.get("base_wrench")[0] == pytest.approx(-1.5)  # held until the next sample
     controller.step(0.3, 0.3)
     assert controller.get("base_wrench")[0] == pytest.approx(-3.0)
     controller.set("stiffness", [-1.0] * 6)
@@ -139,13 +140,15 @@ def test_tunable_parameters_take_effect_at_the_next_sample(fmus: Path, version: 
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_passivity_control_and_observer_change_in_mid_run(fmus: Path, version: int) -> None:
+def test_passivity_control_and_observer_can_change_during_a_run(fmus: Path, version: int) -> None:
     controller = Instance(path_of(fmus, version, "manipulator_controller"))
     controller.set("manipulator_initial_energy", [0.0] * 6)
     controller.initialise()
     velocity = np.array([0.01, 0.0, 0.0, 0.0, 0.0, 0.0])
     controller.set("end_effector_velocity", velocity)
-    controller.set("desired_velocity", 5.0 * velocity)  # pushed along: energy comes out of the port
+    controller.set(
+        "desired_velocity", 5.0 * velocity
+    )  # accelerated by the reference: an active port
     for k in range(5):
         controller.step(k * MS, MS)
     assert controller.get("end_effector_damping")[0] > 0.0
@@ -183,7 +186,7 @@ def test_variable_communication_steps_change_nothing_but_rounding(fmus: Path, ve
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_a_run_may_begin_at_any_time(fmus: Path, version: int) -> None:
+def test_a_run_may_start_at_any_time(fmus: Path, version: int) -> None:
     for start in (-3.0, 0.0, 1e6, 1.7e9):
         controller = Instance(path_of(fmus, version, "base_controller")).initialise(start)
         for k in range(7):
@@ -193,11 +196,11 @@ def test_a_run_may_begin_at_any_time(fmus: Path, version: int) -> None:
         controller.close()
 
 
-# Inner instants (FMI 3.0)
+# Intermediate updates (FMI 3.0)
 
 
-def test_an_importer_may_look_and_act_inside_a_communication_step(fmus: Path) -> None:
-    """Torques changed at inner instants give what steps of 1 ms give."""
+def test_an_importer_may_read_and_set_values_during_a_communication_step(fmus: Path) -> None:
+    """Torques changed at intermediate updates have the same effect as in steps of 1 ms."""
     seen: list[float] = []
     positions = []
 
@@ -227,7 +230,7 @@ def test_an_importer_may_look_and_act_inside_a_communication_step(fmus: Path) ->
         assert k == 4 or outer.get("joint_position")[1] == pytest.approx(positions[k], abs=1e-13)
     assert seen == pytest.approx([MS, 2 * MS, 3 * MS, 4 * MS])
     np.testing.assert_allclose(inner.all_outputs(), outer.all_outputs(), rtol=0.0, atol=1e-13)
-    assert "fmi3DoStep is not allowed in the state intermediate update mode" in inner.said[0]
+    assert "fmi3DoStep is not allowed in the state intermediate update mode" in inner.messages[0]
     inner.close()
     outer.close()
 
@@ -252,8 +255,8 @@ def test_an_importer_may_end_a_communication_step_early(fmus: Path, allowed: boo
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_an_importers_solver_comes_to_the_co_simulations_result(fmus: Path, version: int) -> None:
-    """DOP853, of variable step, on derivatives through FMI; its Jacobian is that of differences."""
+def test_an_importers_solver_reproduces_the_co_simulation_result(fmus: Path, version: int) -> None:
+    """DOP853 with variable step on FMI derivatives; the Jacobian agrees with differences."""
     path = path_of(fmus, version, "free_flyer")
     torque, velocity = [0.3, -0.2, 0.25, 0.1, 0.05, -0.1], [0.2, -0.3, 0.1, 0.2, -0.1, 0.3]
     model, slave = Instance(path, model_exchange=True), Instance(path)
@@ -284,10 +287,12 @@ def test_an_importers_solver_comes_to_the_co_simulations_result(fmus: Path, vers
 
     nominals = np.empty_like(x0)
     (fmu.getNominalsOfContinuousStates)(pointer(nominals), nominals.size)
-    told = {
+    declared = {
         v.name.partition("[")[0]: float(v.nominal or 1.0) for v in model.description.modelVariables
     }
-    assert nominals.tolist() == [told[name] for name in states for _ in range(model.sizes[name])]
+    expected = [declared[name] for name in states for _ in range(model.sizes[name])]
+    assert nominals.tolist() == expected
+    # One second by the importer's solver and by communication steps.
     solver = DOP853(rates, 0.0, x0, 1.0, rtol=1e-11, atol=1e-12 * nominals)
     while solver.status == "running":
         solver.step()
@@ -295,6 +300,7 @@ def test_an_importers_solver_comes_to_the_co_simulations_result(fmus: Path, vers
         slave.step(k * MS, MS)
     expected = np.concatenate([slave.get(name) for name in states])
     np.testing.assert_allclose(solver.y, expected, rtol=0.0, atol=2e-9)
+    # Directional derivatives, column by column.
     rates(1.0, solver.y)
     derivatives = [f"der({name})" for name in states]
     for column in range(x0.size):
@@ -312,33 +318,31 @@ def pointer(array: Array) -> object:
     return array.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
 
 
-# Wrong values
+# Invalid values
 
 
 @pytest.mark.parametrize(("version", "name"), EVERY)
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e300, -1e200])
-def test_a_wrong_input_leaves_everything_as_it_was(
+def test_an_invalid_input_leaves_the_instance_unchanged(
     fmus: Path, version: int, name: str, value: float, capfd: object
 ) -> None:
-    """Refused with the variable's name when it is set, or when a step with it would end beyond numbers."""
+    """It is rejected when set, or by the step, whose result would not be finite."""
     instance = Instance(path_of(fmus, version, name)).initialise()
     instance.step(0.0, MS)
     for wrong in instance.inputs:
         good = {name: instance.get(name) for name in instance.inputs}
-        outputs, saved = (
-            instance.all_outputs(),
-            instance.save(),
-        )  # in this order: outputs are computed when they are read
+        # In this order: outputs are computed when they are read.
+        outputs, saved = instance.all_outputs(), instance.save()
         numbers = good[wrong].copy()
         numbers[-1] = value
-        refused = False
+        rejected = False
         try:
             instance.set(wrong, numbers)
             instance.step(MS, MS)
         except FMICallException:
-            refused = True
-        assert refused or abs(value) < np.inf
-        if refused:
+            rejected = True
+        assert rejected or abs(value) < np.inf
+        if rejected:
             for key, numbers in good.items():
                 instance.set(key, numbers)
             assert instance.all_outputs().tobytes() == outputs.tobytes()
@@ -353,7 +357,7 @@ def test_a_wrong_input_leaves_everything_as_it_was(
 # Many instances
 
 
-def test_a_hundred_instances_on_eight_threads_compute_the_same_and_give_their_memory_back(
+def test_a_hundred_instances_on_eight_threads_agree_and_release_their_memory(
     fmus: Path,
 ) -> None:
     path = path_of(fmus, 3, "free_flyer")
@@ -396,7 +400,8 @@ def test_a_hundred_instances_on_eight_threads_compute_the_same_and_give_their_me
         return results[0]
 
     assert once() == once()
-    # Memory: often enough that FMPy's own of an importer (4 kB each) cannot be mistaken for ours (9 kB each).
+    # FMPy leaks 4 kB per instance; 4000 repetitions distinguish that from a leaked FMU instance (9
+    # kB).
     slave = FMU3Slave(
         guid=description.guid,
         unzipDirectory=folder,
@@ -413,12 +418,12 @@ def test_a_hundred_instances_on_eight_threads_compute_the_same_and_give_their_me
     again(200)
     before = resident()
     again(4000)
-    assert resident() - before < 10e6  # 36e6 would be kept otherwise
+    assert resident() - before < 10e6  # 36e6 if instances were leaked
     shutil.rmtree(folder)
 
 
 def resident() -> float:
-    """Bytes of this process in memory."""
+    """Return the resident memory of this process [bytes]."""
     pages = (
         int(Path("/proc/self/statm").read_text().split()[1])
         if Path("/proc/self/statm").exists()

@@ -1,4 +1,4 @@
-"""Every FMU: valid, sound alone at its start values, reproducible, and its own clock."""
+"""All FMUs: validity, simulation with start values, reproducibility, sampling, errors, states."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ EVERY = [(version, name) for version in VERSIONS for name in BLOCKS]
 
 
 @pytest.mark.parametrize(("version", "name"), family(EVERY, alternating(VERSIONS, BLOCKS)))
-def test_fmpy_finds_nothing_to_complain_about(fmus: Path, version: str, name: str) -> None:
+def test_fmpy_validation_has_no_findings(fmus: Path, version: str, name: str) -> None:
     assert validate_fmu(str(fmus / version / f"{name}.fmu")) == []
 
 
 @pytest.mark.parametrize(("version", "name"), EVERY)
-def test_fmpy_simulates_it_alone_with_its_defaults(fmus: Path, version: str, name: str) -> None:
+def test_fmpy_simulates_each_fmu_with_its_defaults(fmus: Path, version: str, name: str) -> None:
     result = fmpy.simulate_fmu(str(fmus / version / f"{name}.fmu"))
     assert len(result) == 101
     for column in result.dtype.names:
@@ -55,7 +55,7 @@ def test_model_exchange_and_co_simulation_of_the_plant_agree(fmus: Path) -> None
 
 @pytest.fixture(scope="module")
 def fresh_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """The compiler finds nothing that the build at the installation has left."""
+    """An empty compiler cache, without results of the build at installation."""
     directory = tmp_path_factory.mktemp("zig")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ZIG_GLOBAL_CACHE_DIR", str(directory / "global"))
@@ -74,7 +74,7 @@ def test_two_builds_of_the_same_source_are_the_same_files(
         assert path.read_bytes() == (fmus / f"fmi{version}" / path.name).read_bytes(), path
 
 
-def test_an_archive_holds_nothing_of_this_machine(fmus: Path) -> None:
+def test_an_archive_contains_no_paths_of_this_machine(fmus: Path) -> None:
     for path in fmus.glob("*/*.fmu"):
         with zipfile.ZipFile(path) as archive:
             for entry in archive.infolist():
@@ -127,7 +127,7 @@ def test_a_step_over_a_sample_is_an_error_that_names_both(
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_a_last_step_of_almost_no_length_is_harmless(fmus: Path, version: str) -> None:
+def test_a_last_step_of_almost_zero_size_is_accepted(fmus: Path, version: str) -> None:
     for name in BLOCKS:
         component = FmuComponent(name, fmus / version / f"{name}.fmu")
         component.enter_initialization(0.0, {})
@@ -139,7 +139,8 @@ def test_a_last_step_of_almost_no_length_is_harmless(fmus: Path, version: str) -
         component.close()
 
 
-def bad(fmus: Path, name: str, values: dict[str, object], version: str = "fmi2") -> str:
+def rejection(fmus: Path, name: str, values: dict[str, object], version: str = "fmi2") -> str:
+    """Return the error message of an initialisation with these values."""
     component = FmuComponent(name, fmus / version / f"{name}.fmu")
     try:
         component.enter_initialization(
@@ -150,35 +151,35 @@ def bad(fmus: Path, name: str, values: dict[str, object], version: str = "fmi2")
         return str(error)
     finally:
         component.close()
-    return "nothing was refused"
+    return "nothing was rejected"
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_impossible_parameters_are_refused_with_name_and_value(fmus: Path, version: str) -> None:
-    def said(name: str, **values: object) -> str:
-        return bad(fmus, name, values, version)
+def test_invalid_parameters_are_rejected_with_name_and_value(fmus: Path, version: str) -> None:
+    def message(name: str, **values: object) -> str:
+        return rejection(fmus, name, values, version)
 
-    assert "base_mass is -1; more than 0 is expected" in said("free_flyer", base_mass=-1.0)
-    assert "base_mass cannot be set to NaN" in said("free_flyer", base_mass=np.nan)
-    assert "base_inertia[2] cannot be set to infinity" in said(
+    assert "base_mass is -1; more than 0 is expected" in message("free_flyer", base_mass=-1.0)
+    assert "base_mass cannot be set to NaN" in message("free_flyer", base_mass=np.nan)
+    assert "base_inertia[2] cannot be set to infinity" in message(
         "free_flyer", base_inertia=[1, np.inf, 1, 0, 0, 0]
     )
-    assert "triangle inequality" in said("free_flyer", base_inertia=[1, 1, 5, 0, 0, 0])
-    assert "positive definite" in said("free_flyer", base_inertia=[1, 1, 1, 2, 0, 0])
-    assert "squared norm of base_orientation is 0" in said(
+    assert "triangle inequality" in message("free_flyer", base_inertia=[1, 1, 5, 0, 0, 0])
+    assert "positive definite" in message("free_flyer", base_inertia=[1, 1, 1, 2, 0, 0])
+    assert "squared norm of base_orientation is 0" in message(
         "free_flyer", base_orientation=[0, 0, 0, 0]
     )
-    assert "period is 0; more than 0 is expected" in said("base_controller", period=0.0)
-    assert "none of the enumeration's items" in said("manipulator_controller", observer=9)
-    singular = said("manipulator_controller", joint_position=[0, 0, 0, 0, 0, 0])
+    assert "period is 0; more than 0 is expected" in message("base_controller", period=0.0)
+    assert "it is not an item of the enumeration" in message("manipulator_controller", observer=9)
+    singular = message("manipulator_controller", joint_position=[0, 0, 0, 0, 0, 0])
     assert re.search(
         r"smallest singular value of J_m is \d\S*; at least 0.02 is expected", singular
     ), singular
-    assert "is computed" in said("manipulator_controller", manipulator_observed_energy=[5.0] * 6)
+    assert "is computed" in message("manipulator_controller", manipulator_observed_energy=[5.0] * 6)
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_a_step_that_blows_up_is_discarded_and_the_next_good_one_works(
+def test_a_diverging_step_is_rejected_and_the_next_valid_one_succeeds(
     fmus: Path, version: str
 ) -> None:
     plant = FmuComponent("free_flyer", fmus / version / "free_flyer.fmu")
@@ -191,7 +192,7 @@ def test_a_step_that_blows_up_is_discarded_and_the_next_good_one_works(
     before = y.copy()
     u[6:] = 1e200
     write()
-    with pytest.raises(StepFailed, match="is not finite after this step; the step was not made"):
+    with pytest.raises(StepFailed, match="is not finite after this step; the step was rejected"):
         plant.step(0.0, 0.001)
     read()
     assert np.array_equal(y, before)

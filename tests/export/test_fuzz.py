@@ -1,4 +1,4 @@
-"""Random FMI calls on every block's C, under the sanitizers, against the standards' state machines: fuzz.c."""
+"""Random FMI calls on every block's C code, under sanitizers, against the standards (fuzz.c)."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ STRICT = [
     "-fsanitize=address,undefined",
     "-fno-sanitize-recover=all",
 ]
-# The equations are straight lines, whose arithmetic test_runtime_c.py compiles with every check: here without optimisation, and
-# with checks of the arrays that they read and write only, which takes seconds a block where -O1 with all checks takes a minute in all.
+# test_runtime_c.py compiles the equations with all checks. Here they have no optimisation and only
+# checks of array accesses: seconds per block instead of about a minute in total.
 STRAIGHT = [
     "-std=c99",
     "-g0",
@@ -49,7 +49,7 @@ pytestmark = pytest.mark.skipif(
 
 @pytest.fixture(scope="module")
 def runtime(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
-    """The runtime and the driver, compiled once for all blocks."""
+    """Runtime and driver, compiled once for all blocks."""
     directory = tmp_path_factory.mktemp("fuzz")
 
     def compiled(source: Path) -> str:
@@ -77,12 +77,12 @@ def runtime(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
 
 @pytest.fixture(scope="module")
 def met() -> dict[str, int]:
-    """How often each deviation from the standards was met, over all blocks."""
+    """Number of occurrences of each deviation from the standards, over all blocks."""
     return {}
 
 
 @pytest.mark.parametrize("name", family(BLOCKS, ["hand_kinematics"]))
-def test_any_sequence_of_calls_is_survived(
+def test_random_call_sequences_satisfy_the_standards(
     robot: Robot, tmp_path: Path, runtime: list[str], met: dict[str, int], name: str
 ) -> None:
     block = BLOCKS[name](robot)
@@ -119,8 +119,8 @@ def test_any_sequence_of_calls_is_survived(
 
 
 @pytest.mark.slow
-def test_every_deviation_from_the_standards_is_met(met: dict[str, int]) -> None:
-    """What fuzz.c lists and nothing does any more is no deviation."""
+def test_every_listed_deviation_from_the_standards_occurs(met: dict[str, int]) -> None:
+    """A deviation in fuzz.c that never occurs must be removed from its list."""
     if not met:
         pytest.skip("runs after all blocks")
     assert [deviation for deviation, times in met.items() if times == 0] == []

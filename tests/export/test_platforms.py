@@ -1,4 +1,4 @@
-"""The FMUs of other platforms, run here by an emulator, and those compiled from their own sources: the same bits as this machine's."""
+"""FMUs of other platforms under emulation, and FMUs compiled from their sources: identical bits."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ from freeflyer_fmus.robot.robot import Array, Robot
 DRIVE = Path(__file__).parent / "drive.c"
 STEPS = 200
 FROM_THE_C_LIBRARY = re.compile(r"\b(exp|log|tan|asin|acos|atan|sinh|cosh|tanh|pow|atan2|fmod)\(")
-"""No two C libraries need agree on these to the last bit."""
+"""C libraries differ in the last bit of these functions."""
 DRIVEN = (
     "free_flyer",
     "reference_trajectory",
@@ -52,12 +52,12 @@ DRIVEN = (
     "arm_drive",
     "base_robot",
 )
-"""The closed loop, and blocks with friction and noise: what is driven on other platforms (each compilation takes seconds)."""
+"""Blocks run on other platforms: closed loop, friction, noise (compilation takes seconds)."""
 
 
 def every_operation(_: Robot) -> Block:
-    """Whatever a block's equations may ask of the C library."""
-    block = Block("every_operation", "Every function that the equations of a block may use")
+    """A block with every C library function that equations may use."""
+    block = Block("every_operation", "All functions available to a block's equations")
     x = block.input("x", [0.3, 0.6], "1", "Arguments")
     one = [
         ca.sin,
@@ -90,7 +90,7 @@ Built = Callable[..., Path]
 
 @pytest.fixture(scope="module")
 def built(robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> Built:
-    """The directory of a block's FMUs for this machine and others, with sources, as `freeflyer fmus --platforms` makes them."""
+    """Directory of a block's FMUs for the host and other platforms, with sources, built once."""
 
     @cache
     def directory(name: str, *platforms: Platform) -> Path:
@@ -111,7 +111,7 @@ def library(built: Path, name: str, target: Platform, directory: Path) -> Path:
 
 @dataclass(frozen=True)
 class Machine:
-    """What runs a platform's programs here. `drive` is drive.c, compiled for it."""
+    """Execution of a platform's programs on this machine. `drive` is drive.c, compiled for it."""
 
     target: Platform
     directory: Path
@@ -119,7 +119,7 @@ class Machine:
     environment: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        # The library's own flags: the parts of the C library that the compiler brings along are then built once, not twice.
+        # With the library's flags, the compiler builds its part of the C library once, not twice.
         flags = [*FLAGS, "-fPIC", "-Wl,-s", "-isystem", str(fmi_headers())]
         system = ["-ldl"] if "linux" in self.target.target else []
         run(
@@ -132,7 +132,7 @@ class Machine:
         return self.directory / "drive.exe"
 
     def values(self, block: Block, library: Path) -> Array:
-        """All that can be read from the block, after each step (steps, values)."""
+        """Return all readable values of the block after each step (steps, values)."""
         vector, count = test_vector(block)
         done = subprocess.run(
             [*self.command, str(self.drive), f"./{library.name}", content_token(block)],
@@ -149,7 +149,7 @@ class Machine:
 
 
 def test_vector(block: Block) -> tuple[str, int]:
-    """What drive.c reads: inputs that wander about their start values; and how many values it then writes after each step."""
+    """Return the input of drive.c (random inputs near the start values) and its output's width."""
     plan = layout(block)
     first, inputs = plan.ranges["inputs"]
     start = np.array(plan.start[first : first + inputs])
@@ -162,7 +162,7 @@ def test_vector(block: Block) -> tuple[str, int]:
     values = start + 1e-2 * (1.0 + np.abs(start)) * np.random.default_rng(1).uniform(
         -1.0, 1.0, (STEPS, inputs)
     )
-    words = [
+    fields = [
         STEPS,
         inputs,
         len(read),
@@ -171,7 +171,7 @@ def test_vector(block: Block) -> tuple[str, int]:
         *read,
         *map(bits, values.flat),
     ]
-    return "\n".join(map(str, words)), len(read)
+    return "\n".join(map(str, fields)), len(read)
 
 
 test_vector.__test__ = False  # type: ignore[attr-defined]
@@ -188,7 +188,7 @@ def here(tmp_path_factory: pytest.TempPathFactory) -> Machine:
 
 @pytest.fixture(scope="module")
 def aarch64_linux(tmp_path_factory: pytest.TempPathFactory) -> Machine:
-    """On Debian from the packages qemu-user and libc6-arm64-cross."""
+    """Needs the Debian packages qemu-user and libc6-arm64-cross."""
     program = shutil.which("qemu-aarch64") or shutil.which("qemu-aarch64-static")
     if program is None:
         pytest.skip(
@@ -204,10 +204,11 @@ def aarch64_linux(tmp_path_factory: pytest.TempPathFactory) -> Machine:
 
 @pytest.fixture(scope="module")
 def x86_64_windows(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Machine]:
-    """On Debian from the packages wine and wine64.
+    """Needs the Debian packages wine and wine64.
 
-    A prefix as Wine sets it up takes seconds and 700 MB. A console program needs none of it: told that the prefix is being
-    set up already, Wine takes its libraries from where they are installed, and "disable" keeps it from setting up anything.
+    A full Wine prefix takes seconds and 700 MB, and a console program does not need it. With
+    WINEBOOTSTRAPMODE, Wine assumes that the prefix is being set up and uses its installed
+    libraries. The "disable" time stamp prevents a setup.
     """
     program = shutil.which("wine64") or shutil.which("wine")
     if program is None:
@@ -220,17 +221,17 @@ def x86_64_windows(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Machine
             "WINEDEBUG": "-all",
             "DISPLAY": "",
         }
-        environment["WINEDLLOVERRIDES"] = "mscoree,mshtml="  # or Wine asks whether to download them
+        environment["WINEDLLOVERRIDES"] = "mscoree,mshtml="  # prevents a download dialog
         yield Machine(
             PLATFORMS["x86_64-windows"], tmp_path_factory.mktemp("windows"), (program,), environment
         )
-        # The server stays a little longer than its last program, and works in the prefix.
+        # The Wine server outlives its last program and still uses the prefix.
         if server := shutil.which("wineserver"):
             subprocess.run([server, "-w"], env=os.environ | environment, timeout=60, check=False)
 
 
 def assert_same(block: Block, values: Array, expected: Array) -> None:
-    """Bit for bit, but for what comes from the C library."""
+    """Compare bit for bit, or within 1e-12 if the C library's functions are used."""
     assert np.isfinite(values).all()
     if FROM_THE_C_LIBRARY.search(print_block(block, "")):
         np.testing.assert_allclose(values, expected, rtol=1e-12, atol=1e-12)
@@ -263,7 +264,7 @@ def test_another_platform_computes_the_same_bits(
 
 @pytest.mark.parametrize("name", family(MAKERS, ["base_robot"]))
 @pytest.mark.parametrize("version", [2, 3])
-def test_fmus_with_all_their_parts_are_valid(built: Built, version: int, name: str) -> None:
+def test_fmus_with_binaries_and_sources_are_valid(built: Built, version: int, name: str) -> None:
     path = built(name, PLATFORMS["aarch64-linux"]) / f"fmi{version}" / f"{name}.fmu"
     assert validate_fmu(str(path)) == []
     if version == 3:
@@ -277,10 +278,10 @@ def test_fmus_with_all_their_parts_are_valid(built: Built, version: int, name: s
 @pytest.mark.slow
 @pytest.mark.parametrize("version", [2, 3])
 @pytest.mark.parametrize("program", ["gcc", "clang"])
-def test_the_sources_compile_alone_without_a_warning(
+def test_the_sources_compile_without_warnings(
     built: Built, tmp_path: Path, program: str, version: int
 ) -> None:
-    """C99, and nothing of the C library but mathematics and memory."""
+    """They are C99 and use only mathematics and memory functions of the C library."""
     if shutil.which(program) is None:
         pytest.skip(f"no {program} on this machine (CI has it)")
     flags = [
@@ -302,7 +303,7 @@ def test_the_sources_compile_alone_without_a_warning(
             ]
             assert sources == [f"sources/{name}.c"]
             (tmp_path / f"{name}.c").write_bytes(archive.read(sources[0]))
-        headers = tmp_path / "headers"  # the standard's, and no others
+        headers = tmp_path / "headers"  # only those of the standard
         headers.mkdir(exist_ok=True)
         for header in fmi_headers().glob(f"fmi{version}*.h"):
             shutil.copy(header, headers)
@@ -321,7 +322,7 @@ def test_the_sources_compile_alone_without_a_warning(
             ],
             program,
         )
-    # Two FMUs in one program: no name of one is in the way of the other's. (FMPy's header of FMI 2.0 knows no prefix.)
+    # Two FMUs can be linked into one program. (FMPy's FMI 2.0 header supports no prefix.)
     objects = [str(tmp_path / f"{name}.o") for name in SMALL]
     own = [set(re.findall(r" [A-TV-Z] (\w+)", symbols(path))) for path in objects]
     assert all(len(names) > 10 for names in own)
@@ -359,15 +360,15 @@ MEMORY = {
     "memset",
     "strlen",
     "_GLOBAL_OFFSET_TABLE_",
-}  # strlen: gcc's own idea
+}  # strlen: generated by gcc
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("version", [2, 3])
-def test_an_importer_compiles_the_sources_and_gets_the_same_bits(
+def test_an_importers_build_of_the_sources_computes_the_same_bits(
     robot: Robot, built: Built, fmus: Path, tmp_path: Path, version: int
 ) -> None:
-    """FMPy's own build from sources/, in place of our binary."""
+    """FMPy's build of sources/, compared with the shipped binary."""
     if shutil.which("cmake") is None or shutil.which("gcc") is None:
         pytest.skip("no cmake and gcc on this machine (CI has them)")
     name = "manipulator_controller"
@@ -403,12 +404,12 @@ def test_an_importer_compiles_the_sources_and_gets_the_same_bits(
     assert records[0].tobytes() == records[1].tobytes()
 
 
-# What a library needs of its platform
+# Dependencies of a library
 
 
 @pytest.fixture(scope="module")
 def small(robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, int], bytes]:
-    """A library's bytes, by platform, of two builds. What it needs from elsewhere stands in them by name, whatever the format."""
+    """Bytes of a library by platform and build; they contain the names of imported libraries."""
 
     @cache
     def needs(platform: str, which: int = 0) -> bytes:
@@ -420,15 +421,13 @@ def small(robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> Callable[[s
 
 
 @pytest.mark.parametrize("platform", family(PLATFORMS))
-def test_a_library_is_the_same_wherever_it_is_built(
-    small: Callable[[str, int], bytes], platform: str
-) -> None:
+def test_library_builds_are_reproducible(small: Callable[[str, int], bytes], platform: str) -> None:
     assert tempfile.gettempdir().encode() not in small(platform, 0)
     assert small(platform, 0) == small(platform, 1)
 
 
 @pytest.mark.parametrize("platform", family(["x86_64-linux", "aarch64-linux"]))
-def test_on_linux_a_c_library_of_2012_is_enough(
+def test_linux_libraries_need_only_a_c_library_of_2012(
     small: Callable[[str, int], bytes], platform: str
 ) -> None:
     data = small(platform, 0)
@@ -439,7 +438,7 @@ def test_on_linux_a_c_library_of_2012_is_enough(
 
 
 @pytest.mark.slow
-def test_on_windows_nothing_but_the_system_is_needed(small: Callable[[str, int], bytes]) -> None:
+def test_windows_libraries_need_only_the_system(small: Callable[[str, int], bytes]) -> None:
     needed = {
         name.lower()
         for name in re.findall(rb"[\w.-]+\.dll", small("x86_64-windows", 0), re.IGNORECASE)
@@ -451,13 +450,13 @@ def test_on_windows_nothing_but_the_system_is_needed(small: Callable[[str, int],
 
 @pytest.mark.slow
 @pytest.mark.parametrize("platform", ["x86_64-darwin", "aarch64-darwin"])
-def test_on_macos_nothing_but_the_system_is_needed(
+def test_macos_libraries_need_only_the_system(
     small: Callable[[str, int], bytes], platform: str
 ) -> None:
     data = small(platform, 0)
     named = set(re.findall(rb"[@\w.+-]*/[\w./+-]+\.dylib", data))
     assert named == {b"@rpath/every_operation.dylib", b"/usr/lib/libSystem.B.dylib"}
-    # LC_BUILD_VERSION for macOS: the oldest release that the library says it is for.
+    # LC_BUILD_VERSION for macOS: the oldest supported release.
     head = struct.pack("<3I", 0x32, 32, 1)
     (oldest,) = struct.unpack_from("<I", data, data.index(head) + len(head))
     assert oldest >> 16 == 11

@@ -1,4 +1,4 @@
-"""The C runtime: our own sine and cosine, its sentences, no warning from another compiler, and the sanitizers."""
+"""C runtime: sine and cosine, messages, time over many steps, gcc warnings, sanitizers."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def test_numbers_in_messages_are_written_with_six_digits(tmp_path: Path, value: 
 def counter(_: Robot) -> Block:
     block = Block("counter", "Counts its samples")
     block.sampled_every("period", 0.004, "Period")
-    count = block.state("count", 0.0, "1", "Samples taken")
+    count = block.state("count", 0.0, "1", "Number of samples")
     block.update("count", count + 1.0)
     return block
 
@@ -118,10 +118,10 @@ def watch(_: Robot) -> Block:
 
 @pytest.mark.parametrize(("make", "expected"), [(counter, 2.5e6), (watch, 1e4)])
 @pytest.mark.parametrize("summed", family([True, False]))
-def test_ten_million_steps_end_exactly_where_they_should(
+def test_ten_million_steps_end_at_the_exact_time(
     robot: Robot, tmp_path: Path, make: Callable[[Robot], Block], expected: float, summed: bool
 ) -> None:
-    """Also for an importer that adds its steps up: after ten million of them it is 1.6e-6 s off."""
+    """Also for an importer that adds up its step sizes, whose time is then off by 1.6e-6 s."""
     block = make(robot)
     token = content_token(block)
     (tmp_path / "block.c").write_text(print_block(block, token))
@@ -140,19 +140,18 @@ def test_ten_million_steps_end_exactly_where_they_should(
         float, subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
     )
     assert value == pytest.approx(expected, abs=1e-9)
-    assert abs(last - 1e4) < (
-        2e-6 if summed else 2e-12
-    )  # one rounding of the last step's begin and size
+    # One rounding of start and size of the last step.
+    assert abs(last - 1e4) < (2e-6 if summed else 2e-12)
 
 
 @pytest.mark.skipif(
     shutil.which("gcc") is None, reason="no system gcc: the sanitizers need one (CI has it)"
 )
 @pytest.mark.parametrize("name", family(BLOCKS, ["hand_kinematics"]))
-def test_the_runtime_is_clean_under_sanitizers_and_gcc_warnings(
+def test_the_runtime_has_no_sanitizer_findings_and_no_gcc_warnings(
     robot: Robot, tmp_path: Path, name: str
 ) -> None:
-    """Both interfaces, legal and illegal calls, with address, leak and undefined-behaviour checks."""
+    """Legal and illegal calls of both interfaces; address, leak and undefined-behaviour checks."""
     block = BLOCKS[name](robot)
     source = tmp_path / "block.c"
     token = content_token(block)

@@ -1,4 +1,4 @@
-"""Directional and adjoint derivatives against differences, and the dependencies that the descriptions tell against both."""
+"""Directional and adjoint derivatives and declared dependencies, against finite differences."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ RANDOM = np.random.default_rng
 @pytest.fixture
 def instance(fmus: Path, request: pytest.FixtureRequest) -> Iterator[Instance]:
     version, name = request.param
-    made = Instance(fmus / f"fmi{version}" / f"{name}.fmu")
-    yield made
-    made.close()
+    opened = Instance(fmus / f"fmi{version}" / f"{name}.fmu")
+    yield opened
+    opened.close()
 
 
 def disturb(instance: Instance, block: Block, random: np.random.Generator) -> dict[str, Array]:
-    """Inputs beside their start values, where nothing is zero by accident."""
+    """Set random inputs near their start values, so that no value is zero by coincidence."""
     values = {}
     for name in instance.inputs:
         start = block.start_of(name)
@@ -39,7 +39,7 @@ def disturb(instance: Instance, block: Block, random: np.random.Generator) -> di
 def outputs_after(
     instance: Instance, block: Block, saved: bytes, values: dict[str, Array]
 ) -> Array:
-    """What the inputs make of the outputs: at this instant of a continuous block, at the next sample of a sampled one."""
+    """Return all outputs for these inputs: now (continuous block) or at the next sample."""
     instance.restore(saved)
     for name, value in values.items():
         instance.set(name, value)
@@ -74,7 +74,7 @@ def test_the_directional_derivative_is_the_limit_of_differences(
     ]
     difference = (sides[0] - sides[1]) / (2.0 * h)
     scale = 1.0 + np.abs(exact).max()
-    if block.name == "arm_drive":  # quantised positions: steps with a slope of zero
+    if block.name == "arm_drive":  # quantised positions have zero slope
         unquantised = np.concatenate(
             [np.full(instance.sizes[name], name != "joint_position") for name in instance.outputs]
         )
@@ -84,7 +84,7 @@ def test_the_directional_derivative_is_the_limit_of_differences(
 
 @pytest.mark.parametrize("instance", [(3, name) for name in BLOCKS], indirect=True)
 def test_the_adjoint_is_the_transpose(robot: Robot, instance: Instance) -> None:
-    """w . (J v) = (J' w) . v for knowns and unknowns of every kind, in initialization and in step mode."""
+    """w . (J v) = (J' w) . v for all kinds of knowns and unknowns, in both modes."""
     block = BLOCKS[instance.description.modelName](robot)
     random = RANDOM(5)
     states = [variable.name for variable in block.having("state")]
@@ -111,7 +111,7 @@ def test_the_adjoint_is_the_transpose(robot: Robot, instance: Instance) -> None:
 
 
 @pytest.mark.parametrize("instance", EVERY, indirect=True)
-def test_in_initialization_mode_parameters_and_start_values_count(
+def test_in_initialization_mode_derivatives_by_parameters_and_start_values_are_exact(
     robot: Robot, instance: Instance
 ) -> None:
     block = BLOCKS[instance.description.modelName](robot)
@@ -127,7 +127,7 @@ def test_in_initialization_mode_parameters_and_start_values_count(
         if not name.endswith(("inertia", "period", "seed", "velocity_floor"))
     ]
     instance.enter()
-    # The nearer of two joint limits changes in the middle of the range, where some joints begin.
+    # The nearer joint limit changes in the middle of the range, where some joints start.
     values = {
         name: block.start_of(name) + (0.01 if name == "joint_position" else 0.0) for name in knowns
     }
@@ -141,7 +141,7 @@ def test_in_initialization_mode_parameters_and_start_values_count(
         instance.outputs, knowns, np.concatenate([seed[name] for name in knowns])
     )
     h, sides = 1e-6, []
-    for factor in (0.0, 1.0, 2.0):  # one-sided: some parameters begin at their bounds
+    for factor in (0.0, 1.0, 2.0):  # one-sided: some parameters start at their bounds
         for name, value in values.items():
             instance.set(name, value + factor * h * seed[name])
         sides.append(instance.all_outputs())
@@ -172,15 +172,16 @@ BRANCHES = {
     },
     "base_robot": {"base_acceleration"},
 }
-"""Outputs that some inputs reach only while a damper is at work, a brake holds, a step of a sensor is passed or a delay has run."""
+"""Outputs that depend on some inputs only if a damper, brake, quantiser step or delay is active."""
 
 
 @pytest.mark.parametrize("instance", EVERY, indirect=True)
-def test_dependencies_are_true(robot: Robot, instance: Instance) -> None:
-    """What is not listed has no influence at any of some random points; what is listed has one somewhere."""
+def test_declared_dependencies_are_correct(robot: Robot, instance: Instance) -> None:
+    """An unlisted dependency has no influence at any random point; a listed one has some."""
     block = BLOCKS[instance.description.modelName](robot)
     random = RANDOM(11)
     description = instance.description
+    # Declared dependencies by value reference.
     listed = {
         unknown.variable.valueReference: {known.valueReference for known in unknown.dependencies}
         for unknown in [*description.outputs, *description.derivatives]
@@ -196,6 +197,7 @@ def test_dependencies_are_true(robot: Robot, instance: Instance) -> None:
         for name in ["time", *instance.inputs, *(v.name for v in states)]
         for r in instance.references[name]
     ]
+    # A start with motion along every axis.
     for variable in states:
         start = block.start_of(variable.name)
         instance.set(variable.name, start + 0.1 * random.uniform(0.2, 1.0, start.shape))
@@ -204,6 +206,7 @@ def test_dependencies_are_true(robot: Robot, instance: Instance) -> None:
             instance.set(name, random.uniform(0.1, 0.2, instance.sizes[name]))
     instance.initialise(0.37)
     choices = [variable for variable in block.having("parameter") if variable.kind == "enumeration"]
+    # Largest influence of each known on each unknown over random points and all enumeration values.
     influence: dict[tuple[int, int], float] = {}
     for repetition in range(4):
         disturb(instance, block, random)
@@ -222,17 +225,17 @@ def test_dependencies_are_true(robot: Robot, instance: Instance) -> None:
     for (unknown, known), size in influence.items():
         pair = f"{names[unknown]} to {names[known]}"
         if known not in listed[unknown]:
-            assert size == 0.0, f"an influence that is not listed: {pair}"
+            assert size == 0.0, f"unlisted influence: {pair}"
         elif names[unknown] not in BRANCHES.get(block.name, ()):
-            # An element of an array may by symmetry have none here, but the array has.
+            # By symmetry, a single element may have no influence here, but its array has.
             others = [k for k in instance.references[names[known]] if k in listed[unknown]]
             assert max(influence[unknown, k] for k in others) > 0.0, (
-                f"listed, without influence: {pair}"
+                f"listed without influence: {pair}"
             )
 
 
 @pytest.mark.parametrize("version", [2, 3])
-def test_a_wrong_reference_or_size_is_refused_by_name(
+def test_a_wrong_reference_or_size_is_rejected_with_a_message(
     fmus: Path, version: int, capfd: pytest.CaptureFixture[str]
 ) -> None:
     instance = Instance(fmus / f"fmi{version}" / "free_flyer.fmu").initialise()
@@ -243,7 +246,10 @@ def test_a_wrong_reference_or_size_is_refused_by_name(
     if version == 3:
         with pytest.raises(FMICallException):
             instance.directional(["kinetic_energy"], ["joint_torque"], np.zeros(5))
-        assert "is no output, state or derivative of this FMU" in instance.said[0]
-        assert "is no time, real parameter, input or state of this FMU" in instance.said[1]
-        assert "seed and sensitivity have other numbers of them" in instance.said[2]
+        assert "is not an output, state or derivative of this FMU" in instance.messages[0]
+        assert (
+            "is not the time, a real parameter, an input or a state of this FMU"
+            in instance.messages[1]
+        )
+        assert "the lengths of seed and sensitivity differ from these" in instance.messages[2]
     instance.close()

@@ -1,4 +1,4 @@
-"""The control laws: (7) and (8) against the matrices they stand for, (15) and W along the exact closed loop."""
+"""Control laws: (7) and (8) against their matrices, (15) and W along the exact closed loop."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def state_symbols(n: int) -> tuple[list[SX], State]:
 
 
 @pytest.mark.parametrize("name", ["lwr4", "ur5", "gantry"])
-def test_feed_forward_is_the_reference_columns_of_M_and_Gamma(name: str) -> None:
+def test_feed_forward_equals_the_reference_columns_of_M_and_Gamma(name: str) -> None:
     robot = ROBOTS[name]()
     arguments, s = state_symbols(robot.joint_count)
     xd, xdd = SX.sym("xd", 6), SX.sym("xdd", 6)
@@ -48,11 +48,11 @@ def test_feed_forward_is_the_reference_columns_of_M_and_Gamma(name: str) -> None
             posture,
             *random.normal(size=(3, 6)),
         ]
-        ours, matrices = (np.array(part).ravel() for part in both(*values))
-        assert np.abs(ours - matrices).max() <= 1e-11 * np.abs(matrices).max()
+        found, matrices = (np.array(part).ravel() for part in both(*values))
+        assert np.abs(found - matrices).max() <= 1e-11 * np.abs(matrices).max()
 
 
-def test_M_and_Gamma_are_symmetric_and_skew_in_task_space(robot: Robot) -> None:
+def test_M_is_symmetric_and_its_rate_minus_twice_Gamma_is_skew(robot: Robot) -> None:
     arguments, s = state_symbols(6)
     m = constant_mechanism(robot)
     M, Gamma = task_space.inertia_and_coriolis_in_task_space(m, s)
@@ -71,7 +71,7 @@ def test_M_and_Gamma_are_symmetric_and_skew_in_task_space(robot: Robot) -> None:
 
 
 class Loop:
-    """The continuous closed loop with its Lyapunov function, its rate by the chain rule, and W with the paper's expression."""
+    """The continuous closed loop with V, dV/dt by the chain rule, and the dissipated power."""
 
     def __init__(self, robot: Robot) -> None:
         self.block, self.joints = continuous_loop(robot), robot.joint_count
@@ -87,7 +87,7 @@ class Loop:
         self.V = ca.Function("V", [t, p, x], [V, dV, dissipated])
 
     def start(self, seed: int) -> np.ndarray:
-        """Random non-zero errors and velocities around the start posture."""
+        """Return random nonzero errors and velocities near the start posture."""
         random = np.random.default_rng(seed)
         x = self.block.start_values("state").copy()
         x[:3] += random.uniform(-0.05, 0.05, 3)
@@ -120,8 +120,8 @@ def loop_of(name: str) -> Loop:
 
 @pytest.mark.parametrize("seed", family(range(4)))
 @pytest.mark.parametrize("name", family(["lwr4", "lwr4_redundant"]))
-def test_V_never_rises_and_falls_as_equation_15_says(name: str, seed: int) -> None:
-    """With seven joints: as (15) and the damper in the null space say."""
+def test_V_decreases_as_in_equation_15(name: str, seed: int) -> None:
+    """With seven joints, the null-space damper adds to (15)."""
     loop = loop_of(name)
     times, states = loop.solve(seed, 6.0)
     values = np.array(
@@ -131,14 +131,15 @@ def test_V_never_rises_and_falls_as_equation_15_says(name: str, seed: int) -> No
         ]
     )
     V, dV, dissipated = values.T
-    assert V[0] > 1e-3, "the start must not be at rest"
+    assert V[0] > 1e-3, "the start must have an error"
     assert (np.diff(V) < 0.0).all()
     assert np.abs(dV + dissipated).max() <= 1e-7 * dissipated.max()
 
 
 @pytest.mark.slow
-def test_rate_of_W_is_the_papers_expression_and_negative_where_V_does_not_fall() -> None:
-    """W = dx^T M dx'. The paper differentiates dx to dx', which for the rotation holds to first order in the angle."""
+def test_rate_of_W_is_the_papers_expression_and_negative_where_V_is_constant() -> None:
+    """W = dx^T M dx'. The paper's d(dx)/dt = dx' is exact for rotations to first order only."""
+    # Errors and error rates as functions of the loop's states.
     robot = load_robot_file()
     loop = loop_of("lwr4")
     block = loop.block
@@ -159,14 +160,15 @@ def test_rate_of_W_is_the_papers_expression_and_negative_where_V_does_not_fall()
     )
     dx_b = tracking_control.pose_error(x[:3], o, SX(3, 1), SX([0, 0, 0, 1]))
     desired_velocity = ca.jtimes(out("desired_position", 3), t, SX(1))
-    turn_rate = ca.jtimes(out("desired_orientation", 4), t, SX(1))
+    quaternion_rate = ca.jtimes(out("desired_orientation", 4), t, SX(1))
     w_d = 2 * (
-        out("desired_orientation", 4)[3] * turn_rate[:3]
-        - turn_rate[3] * out("desired_orientation", 4)[:3]
-        + ca.cross(out("desired_orientation", 4)[:3], turn_rate[:3])
+        out("desired_orientation", 4)[3] * quaternion_rate[:3]
+        - quaternion_rate[3] * out("desired_orientation", 4)[:3]
+        + ca.cross(out("desired_orientation", 4)[:3], quaternion_rate[:3])
     )
     error_rate = ca.vertcat(v, out("end_effector_velocity", 6) - ca.vertcat(desired_velocity, w_d))
     error = ca.vertcat(dx_b, dx_m)
+    # dW/dt by the chain rule, by the paper, and by the paper with the exact error rate.
     M, Gamma = task_space.inertia_and_coriolis_in_task_space(m, s)
     rates = block.functions["derivatives"](t, p, u, x)
     W = ca.dot(error, M @ error_rate)
@@ -201,7 +203,7 @@ def test_rate_of_W_is_the_papers_expression_and_negative_where_V_does_not_fall()
         scale = abs(exact) + stored
         assert abs(exact - with_true_rate) <= 1e-7 * scale
         assert abs(exact - paper) <= 0.05 * scale
-    # Where V does not fall (x_b' = dx_m' = 0) but errors remain, dW/dt = -dx^T K dx < 0.
+    # V is constant at x_b' = dx_m' = 0. If errors remain there, dW/dt = -dx^T K dx < 0.
     state = loop.start(2)
     state[7:13] = 0.0
     state[19:25] = 0.0
@@ -243,7 +245,7 @@ def test_the_reference_is_consistent_in_position_velocity_and_acceleration(time:
         assert np.abs(np.array(part)).max() < 1e-12
 
 
-def test_smallest_singular_value_is_a_lower_bound_and_sharp_near_a_singularity() -> None:
+def test_the_singular_value_bound_is_tight_near_a_singularity() -> None:
     random = np.random.default_rng(5)
     J = SX.sym("J", 6, 6)
     f = ca.Function(

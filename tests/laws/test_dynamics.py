@@ -1,4 +1,4 @@
-"""The equations of motion against Pinocchio, which reads the same URDF by its own parser."""
+"""Equations of motion against Pinocchio, which parses the same URDF."""
 
 from __future__ import annotations
 
@@ -25,8 +25,11 @@ SX = ca.SX
 TOLERANCE = 1e-11
 
 
-class Oracle:
-    """Pinocchio's model, and the base frame B at the base body's centre of mass `c` (its link origin is Pinocchio's)."""
+class PinocchioReference:
+    """Pinocchio's model of a URDF, as an independent reference implementation.
+
+    Its base frame is the base link's frame; B is at the base body's centre of mass `c`.
+    """
 
     def __init__(self, path: Path, locked: dict[str, float], end_effector: str, root: str) -> None:
         model = pin.buildModelFromUrdf(str(path), pin.JointModelFreeFlyer())
@@ -59,7 +62,7 @@ class Oracle:
         return q, np.concatenate([v, R.T @ s.velocity[3:], s.qd])
 
     def to_inertial(self, s: Sample) -> np.ndarray:
-        """T with [v; w; q'] of Pinocchio (link axes and origin) = T [v_b; w_b; q'] (I, centre of mass)."""
+        """Return T: [v; w; q'] of Pinocchio (link axes, link origin) = T [v_b; w_b; q'] (I, B)."""
         R, n = pin.Quaternion(s.orientation).matrix(), len(s.q)
         T = np.eye(6 + n)
         T[:3, :3], T[3:6, 3:6] = R.T, R.T
@@ -89,14 +92,14 @@ def sample(seed: int, n: int) -> Sample:
     )
 
 
-class Ours(NamedTuple):
+class Generated(NamedTuple):
     forward: Any
     matrices: Any
     jacobians: Any
     rates: Any
 
 
-def functions(robot: Robot) -> Ours:
+def functions(robot: Robot) -> Generated:
     n = robot.joint_count
     m = constant_mechanism(robot)
     o, v, q, qd = (SX.sym(name, size) for name, size in (("o", 4), ("v", 6), ("q", n), ("qd", n)))
@@ -104,12 +107,12 @@ def functions(robot: Robot) -> Ours:
     s = State(o, v[:3], v[3:], q, qd)
     Jb, Jm = task_space.jacobians(m, s)
     R = rotation.matrix(o)
-    turn = ca.diagcat(R, R)
-    dJm_y = turn @ kinematics.manipulator_jacobian_rate_times(
+    R_6 = ca.diagcat(R, R)
+    dJm_y = R_6 @ kinematics.manipulator_jacobian_rate_times(
         m, kinematics.axes(m, q), R.T @ s.v, R.T @ s.w, qd, y
     )
     p, Q = kinematics.end_effector_pose(m, SX(3, 1), o, q)
-    return Ours(
+    return Generated(
         ca.Function(
             "f", [o, v, q, qd, F, tau], [ca.vertcat(*dynamics.forward_dynamics(m, s, F, tau))]
         ),
@@ -129,7 +132,7 @@ def functions(robot: Robot) -> Ours:
 
 
 @cache
-def case(name: str) -> tuple[Robot, Oracle, Ours]:
+def case(name: str) -> tuple[Robot, PinocchioReference, Generated]:
     robot = ROBOTS[name]()
     path, locked, tip, root = {
         "lwr4": (
@@ -142,98 +145,105 @@ def case(name: str) -> tuple[Robot, Oracle, Ours]:
         "lwr4_redundant": (SHIPPED_ROBOTS / "lwr4_free_flyer.urdf", {}, "end_effector", "base"),
         "gantry": (DATA / "gantry.urdf", {"swivel": 0.4}, "hand", "bus"),
     }[name]
-    return robot, Oracle(path, locked, tip, root), functions(robot)
+    return robot, PinocchioReference(path, locked, tip, root), functions(robot)
 
 
 CASES = ("lwr4", "ur5", "gantry", "lwr4_redundant")
 
 
-def close(ours: object, theirs: np.ndarray) -> None:
-    ours = np.array(ours).reshape(theirs.shape)
-    assert np.abs(ours - theirs).max() <= TOLERANCE * max(np.abs(theirs).max(), 1e-3)
+def close(generated: object, expected: np.ndarray) -> None:
+    generated = np.array(generated).reshape(expected.shape)
+    assert np.abs(generated - expected).max() <= TOLERANCE * max(np.abs(expected).max(), 1e-3)
 
 
 @pytest.mark.parametrize("name", CASES)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_forward_dynamics_agree_with_pinocchio(name: str, seed: int) -> None:
-    robot, oracle, ours = case(name)
+    robot, reference, generated = case(name)
     s = sample(seed, robot.joint_count)
-    q, v = oracle.configuration(s)
-    T = oracle.to_inertial(s)
+    q, v = reference.configuration(s)
+    T = reference.to_inertial(s)
     # A wrench about the centre of mass does the same work in both coordinates.
     acceleration = pin.aba(
-        oracle.model, oracle.data, q, v, np.linalg.solve(T.T, np.concatenate([s.wrench, s.torque]))
+        reference.model,
+        reference.data,
+        q,
+        v,
+        np.linalg.solve(T.T, np.concatenate([s.wrench, s.torque])),
     )
     R = pin.Quaternion(s.orientation).matrix()
     alpha = R @ acceleration[3:6]
-    w, c = s.velocity[3:], R @ oracle.c
+    w, c = s.velocity[3:], R @ reference.c
     origin = R @ (acceleration[:3] + np.cross(v[3:6], v[:3]))
-    theirs = np.concatenate(
+    expected = np.concatenate(
         [origin + np.cross(alpha, c) + np.cross(w, np.cross(w, c)), alpha, acceleration[6:]]
     )
-    close(ours.forward(s.orientation, s.velocity, s.q, s.qd, s.wrench, s.torque), theirs)
+    close(generated.forward(s.orientation, s.velocity, s.q, s.qd, s.wrench, s.torque), expected)
 
 
 @pytest.mark.parametrize("name", CASES)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_inertia_matrix_and_coriolis_forces_agree_with_pinocchio(name: str, seed: int) -> None:
-    robot, oracle, ours = case(name)
+    robot, reference, generated = case(name)
     s = sample(seed, robot.joint_count)
-    q, v = oracle.configuration(s)
-    T = oracle.to_inertial(s)
-    H_pin = pin.crba(oracle.model, oracle.data, q)
+    q, v = reference.configuration(s)
+    T = reference.to_inertial(s)
+    H_pin = pin.crba(reference.model, reference.data, q)
     H_pin = np.triu(H_pin) + np.triu(H_pin, 1).T
-    H, C, M_base, M_hand, J = (
-        np.array(part) for part in ours.matrices(s.orientation, s.velocity, s.q, s.qd)
+    H, C, M_base, M_e, J = (
+        np.array(part) for part in generated.matrices(s.orientation, s.velocity, s.q, s.qd)
     )
     close(H, T.T @ H_pin @ T)
-    # Forces at zero acceleration of B's origin in I: the spatial acceleration of Pinocchio's origin is then not zero.
+    # At zero acceleration of B in I, the spatial acceleration of Pinocchio's base is not zero.
     R = pin.Quaternion(s.orientation).matrix()
-    w, c = R.T @ s.velocity[3:], oracle.c
+    w, c = R.T @ s.velocity[3:], reference.c
     a = np.zeros(len(v))
     a[:3] = -np.cross(w, np.cross(w, c)) - np.cross(w, v[:3])
     close(
-        C @ np.concatenate([s.velocity, s.qd]), T.T @ pin.rnea(oracle.model, oracle.data, q, v, a)
+        C @ np.concatenate([s.velocity, s.qd]),
+        T.T @ pin.rnea(reference.model, reference.data, q, v, a),
     )
-    # M~: the base's inertia with no torque in the joints is the inverse of H^-1's base block.
-    turn = np.kron(np.eye(2), R)
-    close(turn @ M_base @ turn.T, np.linalg.inv(np.linalg.inv(H)[:6, :6]))
-    # The hand's, with no wrench on the base and no torque in the joints: what a wrench at the hand moves.
-    close(np.linalg.inv(M_hand), J @ np.linalg.inv(H) @ J.T)
+    # M~, the base inertia at zero joint torques, is the inverse of the base block of H^-1.
+    R_6 = np.kron(np.eye(2), R)
+    close(R_6 @ M_base @ R_6.T, np.linalg.inv(np.linalg.inv(H)[:6, :6]))
+    # The end-effector inertia, with zero base wrench and joint torques.
+    close(np.linalg.inv(M_e), J @ np.linalg.inv(H) @ J.T)
 
 
 @pytest.mark.parametrize("name", CASES)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_jacobians_and_their_rates_agree_with_pinocchio(name: str, seed: int) -> None:
-    robot, oracle, ours = case(name)
+    robot, reference, generated = case(name)
     s = sample(seed, robot.joint_count)
-    q, v = oracle.configuration(s)
-    T = oracle.to_inertial(s)
+    q, v = reference.configuration(s)
+    T = reference.to_inertial(s)
     frame = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-    pin.computeJointJacobiansTimeVariation(oracle.model, oracle.data, q, v)
-    pin.updateFramePlacements(oracle.model, oracle.data)
-    J = pin.getFrameJacobian(oracle.model, oracle.data, oracle.frame, frame)
-    dJ = pin.getFrameJacobianTimeVariation(oracle.model, oracle.data, oracle.frame, frame)
+    pin.computeJointJacobiansTimeVariation(reference.model, reference.data, q, v)
+    pin.updateFramePlacements(reference.model, reference.data)
+    J = pin.getFrameJacobian(reference.model, reference.data, reference.frame, frame)
+    dJ = pin.getFrameJacobianTimeVariation(reference.model, reference.data, reference.frame, frame)
     Jb, Jm, velocity, p, Q = (
-        np.array(part) for part in ours.jacobians(s.orientation, s.velocity, s.q, s.qd)
+        np.array(part) for part in generated.jacobians(s.orientation, s.velocity, s.q, s.qd)
     )
     close(np.hstack([Jb, Jm]), J @ T)
     close(velocity.ravel(), J @ v)
-    close(p.ravel(), oracle.data.oMf[oracle.frame].translation)
-    close(np.array(pin.Quaternion(Q.ravel()).matrix()), oracle.data.oMf[oracle.frame].rotation)
+    close(p.ravel(), reference.data.oMf[reference.frame].translation)
+    close(
+        np.array(pin.Quaternion(Q.ravel()).matrix()), reference.data.oMf[reference.frame].rotation
+    )
     y = np.random.default_rng(seed).normal(size=len(s.q))
-    recursion, symbolic = ours.rates(s.orientation, s.velocity, s.q, s.qd, y)
-    theirs = dJ[:, 6:] @ y
-    close(symbolic, theirs)
-    close(recursion, theirs)
+    recursion, symbolic = generated.rates(s.orientation, s.velocity, s.q, s.qd, y)
+    expected = dJ[:, 6:] @ y
+    close(symbolic, expected)
+    close(recursion, expected)
 
 
 @pytest.mark.parametrize("name", CASES)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_rate_of_inertia_minus_twice_coriolis_is_skew(name: str, seed: int) -> None:
-    robot, _, ours = case(name)
+def test_rate_of_H_minus_twice_C_is_skew(name: str, seed: int) -> None:
+    robot, _, generated = case(name)
     s = sample(seed, robot.joint_count)
-    H, C, *_ = (np.array(part) for part in ours.matrices(s.orientation, s.velocity, s.q, s.qd))
+    H, C, *_ = (np.array(part) for part in generated.matrices(s.orientation, s.velocity, s.q, s.qd))
     rate = np.array(rate_of_H(name)(s.orientation, s.velocity, s.q, s.qd))
     N = rate - 2 * C
     assert np.abs(N + N.T).max() <= TOLERANCE * np.abs(C).max()
@@ -251,5 +261,5 @@ def rate_of_H(name: str) -> Any:
     return ca.Function("dH", [o, v, q, qd], [task_space.rate(m, H, s)])
 
 
-def test_a_robots_own_check_against_pinocchio(any_robot: Robot) -> None:
+def test_the_check_of_user_robots_against_pinocchio_succeeds(any_robot: Robot) -> None:
     assert disagreement(any_robot) < 1e-12

@@ -1,4 +1,4 @@
-"""The facility's blocks: the arm alone against Pinocchio, the satellite against the free-flyer, the robot within its limits."""
+"""Facility blocks: arm against Pinocchio, satellite against free-flyer, base robot's limits."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ def test_the_arm_on_a_moving_base_in_gravity_agrees_with_pinocchio(robot: Robot)
     m = constant_mechanism(robot)
     qdd = arm_on_moving_base(m, state, s["a"], s["tau"], SX(ca.DM(GRAVITY)))
     still = gravity_model(m, s["o"], s["q"], SX(ca.DM(GRAVITY)))
-    ours = ca.Function("f", list(s.values()), [qdd, still])
+    generated = ca.Function("f", list(s.values()), [qdd, still])
     model = pinocchio_model(robot)
     model.gravity.linear = GRAVITY
     data, random = model.createData(), np.random.default_rng(2)
     for _ in range(20):
         x = {name: random.normal(size=size) for name, size in names.items()}
         x["o"] /= np.linalg.norm(x["o"])
-        found, holding = (np.array(part).ravel() for part in ours(*x.values()))
-        # Inverse dynamics with the motion found must give back the torque.
+        found, holding = (np.array(part).ravel() for part in generated(*x.values()))
+        # Inverse dynamics at the computed acceleration must return the torque.
         R = pin.Quaternion(x["o"]).matrix()
         v, w = R.T @ x["v"][:3], R.T @ x["v"][3:]
         q = np.concatenate([np.zeros(3), x["o"], x["q"]])
@@ -48,7 +48,7 @@ def test_the_arm_on_a_moving_base_in_gravity_agrees_with_pinocchio(robot: Robot)
         assert np.abs(holding - gravity).max() < 1e-11 * np.abs(gravity).max()
 
 
-def test_the_satellite_moves_as_the_free_flyers_base_where_the_arm_is_measured_exactly(
+def test_the_satellite_moves_as_the_free_flyers_base_for_an_exactly_measured_arm(
     robot: Robot,
 ) -> None:
     satellite = InProcessBlock(BLOCKS["satellite"](robot))
@@ -78,23 +78,23 @@ def test_the_satellite_moves_as_the_free_flyers_base_where_the_arm_is_measured_e
 def driven(
     robot: Robot, setpoint: np.ndarray, steps: int, **parameters: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Position x and speed of the base robot after each sample, asked for a jump."""
-    twin = InProcessBlock(BLOCKS["base_robot"](robot))
+    """Return position x and speed of the base robot after each sample of a set-point step."""
+    component = InProcessBlock(BLOCKS["base_robot"](robot))
     quiet = {"position_noise": 0.0, "orientation_noise": 0.0} | parameters
-    twin.enter_initialization(0.0, {name: np.array([value]) for name, value in quiet.items()})
-    twin.exit_initialization()
-    twin.set("position_setpoint", setpoint)
+    component.enter_initialization(0.0, {name: np.array([value]) for name, value in quiet.items()})
+    component.exit_initialization()
+    component.set("position_setpoint", setpoint)
     position, speed = [], []
     for k in range(steps):
-        twin.step(k * 1e-3, 1e-3)
-        position.append(twin.value("base_position")[0])
-        speed.append(twin.value("base_velocity")[0])
+        component.step(k * 1e-3, 1e-3)
+        position.append(component.value("base_position")[0])
+        speed.append(component.value("base_velocity")[0])
     return np.array(position), np.array(speed)
 
 
-def test_the_base_robot_waits_its_delay_arrives_and_keeps_its_limits(robot: Robot) -> None:
+def test_the_base_robot_follows_with_its_delay_and_within_its_limits(robot: Robot) -> None:
     position, speed = driven(robot, np.array([1.0, 0.0, 0.0]), 3000, delay_cycles=3.0)
-    # Taken at sample 0, acted on three cycles of 4 ms later, seen one sample after that.
+    # Accepted at sample 0, applied after three cycles of 4 ms, visible one sample later.
     assert np.flatnonzero(position)[0] == 13
     assert position[-1] == pytest.approx(1.0, abs=1e-6)
     assert np.abs(speed).max() <= 1.5 + 1e-9
@@ -103,7 +103,7 @@ def test_the_base_robot_waits_its_delay_arrives_and_keeps_its_limits(robot: Robo
     assert np.flatnonzero(prompt)[0] == 1
 
 
-def test_noise_is_standard_normal_enough_seeded_and_exact() -> None:
+def test_noise_is_nearly_standard_normal_and_exactly_reproducible() -> None:
     state = SX.sym("s")
     following, numbers = noise.normal(state, 50)
     f = ca.Function("f", [state], [following, numbers])
@@ -116,7 +116,7 @@ def test_noise_is_standard_normal_enough_seeded_and_exact() -> None:
     assert abs(sample.mean()) < 0.03
     assert sample.std() == pytest.approx(1.0, rel=0.03)
     assert abs(np.mean(((sample - sample.mean()) / sample.std()) ** 3)) < 0.1  # skewness
-    # The generator against Python's own integers.
+    # The generator against Python's integers.
     integer = int(first)
     for _ in range(400 * 200):
         integer = integer * 16807 % 2147483647
@@ -124,15 +124,18 @@ def test_noise_is_standard_normal_enough_seeded_and_exact() -> None:
 
 
 def test_the_facility_experiment_in_one_fmi_system() -> None:
-    """The paper: at most 0.008 m and 1.1 deg while tracking, 0.012 m and 2 deg left at the base. Our parameters are assumptions."""
+    """The paper's errors: 0.008 m and 1.1 deg at the end-effector, 0.012 m and 2 deg at the base.
+
+    The parameters are this project's assumptions.
+    """
     result = experiment.run(scenario.load("facility"))
     assert not result.outcome.diverged, result.outcome.cause
     assert result.summary["end_effector_position_error_m"]["max"] < 0.008
     assert result.summary["end_effector_orientation_error_deg"]["max"] < 1.1
     assert result.summary["base_position_error_m"]["last_10_s"] < 0.012
     assert result.summary["base_orientation_error_deg"]["last_10_s"] < 2.0
-    hand = result.outcome.record["hand_kinematics.end_effector_position"]
-    assert hand[-1, 2] - hand[0, 2] == pytest.approx(-0.2, abs=0.008)
+    position = result.outcome.record["hand_kinematics.end_effector_position"]
+    assert position[-1, 2] - position[0, 2] == pytest.approx(-0.2, abs=0.008)
     assert result.outcome.record["manipulator_controller.joint_limit_margin"].min() > 0.1
     start = Rotation.from_quat(result.outcome.record["base_robot.base_orientation"][0]).as_euler(
         "xyz", degrees=True
@@ -140,7 +143,7 @@ def test_the_facility_experiment_in_one_fmi_system() -> None:
     assert start == pytest.approx([10.0, 0.0, 0.0], abs=0.01)
 
 
-def test_the_same_seed_gives_the_same_run_and_another_another() -> None:
+def test_runs_are_equal_for_equal_seeds_and_differ_for_others() -> None:
     def final(*overrides: str) -> np.ndarray:
         result = experiment.run(scenario.load("facility", ["stop_s=0.5", *overrides]))
         return np.array(result.outcome.record["hand_kinematics.end_effector_position"][-1])

@@ -1,4 +1,4 @@
-"""The observers' energy is what the controller absorbs, the dampers take out what is missing, and nothing explodes at rest."""
+"""Passivity: observed energy is absorbed energy; dampers dissipate deficits and stay finite."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def value(expression: SX) -> float:
 
 
 def test_a_spring_damper_absorbs_energy_in_both_bookkeepings() -> None:
-    """The printed sign calls it active: F, the force on the robot, times v is energy given to the robot."""
+    """By the printed sign it would be active: F v, with F on the robot, is supplied energy."""
     x, v, E_printed, E_applied, F_before, v_before = 0.1, 0.0, 0.0, 0.0, 0.0, 0.0
     for _ in range(5000):
         F = -100.0 * x - 20.0 * v
@@ -34,7 +34,7 @@ def test_a_spring_damper_absorbs_energy_in_both_bookkeepings() -> None:
         )
         F_before, v_before = F, v
         x, v = x + T * v + 0.5 * T * T * F, v + T * F
-    # The spring's 0.5 J went into the mass and came back: what the damper has taken, less what the spring gave.
+    # The spring's 0.5 J went into the mass and back: energy of the damper minus that of the spring.
     assert E_applied == pytest.approx(-0.5 * v * v, abs=1e-6)
     assert E_printed == pytest.approx(E_applied, abs=2e-3)
 
@@ -47,13 +47,13 @@ def test_the_applied_energy_of_a_held_force_is_force_times_displacement() -> Non
 
 
 @given(st.floats(-1.0, -1e-9), st.floats(1e-2, 2.0))
-def test_a_damper_takes_out_the_deficit_in_one_period(E: float, v: float) -> None:
+def test_a_damper_dissipates_the_deficit_in_one_period(E: float, v: float) -> None:
     beta = value(passivity.damper(SX(E), SX(v), SX(0.3), SX(1e-8)))
     assert beta * v * v * 0.3 == pytest.approx(-E, rel=1e-9)
 
 
 @given(st.floats(-1e3, 1e3), st.floats(-1e-9, 1e-9))
-def test_a_damper_stays_finite_at_rest_and_never_pushes(E: float, v: float) -> None:
+def test_a_damper_is_finite_at_rest_and_never_supplies_energy(E: float, v: float) -> None:
     beta = value(passivity.damper(SX(E), SX(v), SX(1e-3), SX(1e-8)))
     assert 0.0 <= beta <= 1e12
     assert -beta * v * v <= 0.0
@@ -61,7 +61,7 @@ def test_a_damper_stays_finite_at_rest_and_never_pushes(E: float, v: float) -> N
 
 
 @given(st.floats(0.0, 1e9), st.floats(1.0, 200.0), st.floats(0.0, 500.0), st.floats(1e-3, 1.0))
-def test_a_bounded_damper_with_the_laws_own_stays_below_what_a_held_damper_may_be(
+def test_a_bounded_damper_plus_the_laws_damping_is_below_the_limit_of_a_held_damper(
     beta: float, m: float, K_D: float, period: float
 ) -> None:
     bounded = value(passivity.bounded(SX(beta), SX(0.5), SX(m), SX(K_D), SX(period)))
@@ -70,11 +70,11 @@ def test_a_bounded_damper_with_the_laws_own_stays_below_what_a_held_damper_may_b
 
 
 def test_the_energy_at_the_derived_ports_closes_to_the_stated_residual(tmp_path: Path) -> None:
-    """(F_b, tau) is what is held; F_B and F_m are derived from it, and their powers close less exactly: 3e-6 J in 20 s."""
+    """(F_b, tau) is held; the powers of the derived F_B and F_m are less exact: 3e-6 J in 20 s."""
     path = tmp_path / "audit.toml"
     path.write_text('extends = "multirate_passive"\nstop_s = 20.0\n[record]\nevery_s = 0.001\n')
     record = experiment.run(scenario.load(str(path))).outcome.record
-    hand = np.asarray(
+    lever = np.asarray(
         record["free_flyer.end_effector_position"] - record["free_flyer.base_position"]
     )
     F_m, F_b = (
@@ -82,7 +82,7 @@ def test_the_energy_at_the_derived_ports_closes_to_the_stated_residual(tmp_path:
         record["base_controller.base_wrench"],
     )
     at_base = F_m.copy()
-    at_base[:, 3:] += np.cross(hand, F_m[:, :3])
+    at_base[:, 3:] += np.cross(lever, F_m[:, :3])
     moved = {
         name: 0.5 * T * (record[f"free_flyer.{name}"][1:] + record[f"free_flyer.{name}"][:-1])
         for name in ("base_velocity", "end_effector_velocity")

@@ -1,4 +1,4 @@
-"""The null space of a redundant arm: against Pinocchio's matrices, and against what it must not do to the hand."""
+"""Null space of a redundant manipulator: Pinocchio's matrices, effect on the end-effector."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ N = ROBOT.joint_count
 MECHANISM = constant_mechanism(ROBOT)
 
 
-def oracle_matrices(q: Array) -> tuple[Array, Array]:
-    """H_q and J_m (in B's axes) of the URDF as Pinocchio reads it, the base fixed."""
+def pinocchio_matrices(q: Array) -> tuple[Array, Array]:
+    """Return H_q and J_m (in B's axes) by Pinocchio's URDF parser, with a fixed base."""
     model = pin.buildModelFromUrdf(str(SHIPPED / "lwr4_free_flyer.urdf"))
     data = model.createData()
     tip = model.getFrameId("end_effector")
@@ -51,21 +51,21 @@ def functions() -> ca.Function:
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_the_inverse_is_the_one_of_the_arms_inertia(seed: int) -> None:
+def test_the_inverse_is_weighted_with_the_manipulators_inertia(seed: int) -> None:
     random = np.random.default_rng(seed)
     q, torque = ROBOT.posture + random.uniform(-0.4, 0.4, N), random.normal(size=N)
-    H, J = oracle_matrices(q)
-    ours = [np.array(part) for part in functions()(q, torque)]
+    H, J = pinocchio_matrices(q)
+    generated = [np.array(part) for part in functions()(q, torque)]
     weighted = np.linalg.solve(H, J.T)
     inverse = weighted @ np.linalg.inv(J @ weighted)
     for found, expected in zip(
-        ours, (H, J, inverse, (torque - J.T @ (inverse.T @ torque))[:, None]), strict=True
+        generated, (H, J, inverse, (torque - J.T @ (inverse.T @ torque))[:, None]), strict=True
     ):
         assert np.abs(found - expected).max() <= 1e-10 * np.abs(expected).max()
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_torque_in_the_null_space_does_not_move_the_hand_of_a_base_at_rest(seed: int) -> None:
+def test_a_null_space_torque_does_not_move_the_end_effector_of_a_base_at_rest(seed: int) -> None:
     random = np.random.default_rng(seed)
     q, qd = ROBOT.posture + random.uniform(-0.4, 0.4, N), random.normal(size=N)
     s = State(SX([0, 0, 0, 1]), SX(3, 1), SX(3, 1), SX(q), SX(qd))
@@ -81,9 +81,9 @@ def test_a_torque_in_the_null_space_does_not_move_the_hand_of_a_base_at_rest(see
         [torque],
         [at.Jm @ (accelerations[1] - accelerations[0]), accelerations[1] - accelerations[0]],
     )
-    hand, joints = (np.array(part) for part in moved(random.normal(size=N)))
+    end_effector, joints = (np.array(part) for part in moved(random.normal(size=N)))
     assert np.abs(joints).max() > 0.1
-    assert np.abs(hand).max() < 1e-11 * np.abs(joints).max()
+    assert np.abs(end_effector).max() < 1e-11 * np.abs(joints).max()
 
 
 def test_the_reference_acceleration_is_the_derivative_of_the_reference_velocity() -> None:
@@ -94,9 +94,9 @@ def test_the_reference_acceleration_is_the_derivative_of_the_reference_velocity(
     at = consistent_inverse(MECHANISM, q)
     exact = ca.jtimes(at.inverse @ SX(u), q, qd) + at.inverse @ SX(du)
     f = ca.Function("f", [q, qd], [reference_acceleration(MECHANISM, s, at, SX(u), SX(du)), exact])
-    ours, derivative = (np.array(part) for part in f(ROBOT.posture + 0.1, random.normal(size=N)))
-    np.testing.assert_allclose(ours, derivative, rtol=1e-10, atol=1e-10)
-    # And its part along the task is the derivative of J_m q_r'.
+    found, derivative = (np.array(part) for part in f(ROBOT.posture + 0.1, random.normal(size=N)))
+    np.testing.assert_allclose(found, derivative, rtol=1e-10, atol=1e-10)
+    # Its part along the task is the derivative of J_m q_r'.
     rate = manipulator_jacobian_rate_times(
         MECHANISM, axes(MECHANISM, q), SX(3, 1), SX(3, 1), qd, at.inverse @ SX(u)
     )
@@ -108,9 +108,9 @@ def test_the_reference_acceleration_is_the_derivative_of_the_reference_velocity(
     )
 
 
-def test_seven_joints_track_as_six_do_and_the_null_space_comes_to_rest(tmp_path: Path) -> None:
-    """The paper's multi-rate loop with the redundant arm, by the blocks' twins."""
-    twins = "\n".join(
+def test_seven_joints_track_like_six_and_the_null_space_comes_to_rest(tmp_path: Path) -> None:
+    """The paper's multi-rate loop with the redundant arm, with in-process blocks."""
+    components = "\n".join(
         f'[components.{name}]\nkind = "twin"\nrobot = "lwr4_redundant"'
         for name in (
             "free_flyer",
@@ -119,8 +119,9 @@ def test_seven_joints_track_as_six_do_and_the_null_space_comes_to_rest(tmp_path:
             "base_controller",
         )
     )
-    (tmp_path / "seven.toml").write_text(f'extends = "multirate_passive"\nstop_s = 6.0\n{twins}\n')
-    velocity = "[0, 0, 0.3, 0, 0, 0, 0]"  # of the elbow: most of it in the null space
+    text = f'extends = "multirate_passive"\nstop_s = 6.0\n{components}\n'
+    (tmp_path / "seven.toml").write_text(text)
+    velocity = "[0, 0, 0.3, 0, 0, 0, 0]"  # of the elbow: mostly in the null space
     chosen = scenario.load(str(tmp_path / "seven.toml"), [f"free_flyer.joint_velocity={velocity}"])
     result = experiment.run(chosen)
     assert result.outcome.cause is None
@@ -141,22 +142,22 @@ def test_seven_joints_track_as_six_do_and_the_null_space_comes_to_rest(tmp_path:
     assert np.abs(result.outcome.record["free_flyer.base_position"]).max() < 0.02
 
 
-def test_a_spring_in_the_null_space_pushes_towards_its_posture_only() -> None:
-    """Two controllers that differ by the spring: the difference of their torques is P K (q_0 - q)."""
+def test_a_null_space_spring_pulls_only_towards_its_posture() -> None:
+    """The torque difference of two controllers with and without spring is P K (q_0 - q)."""
     torques = []
     for stiffness in (0.0, 5.0):
-        twin = InProcessBlock(manipulator_controller(ROBOT))
-        twin.enter_initialization(
+        controller = InProcessBlock(manipulator_controller(ROBOT))
+        controller.enter_initialization(
             0.0,
             {
                 "null_space_stiffness": np.full(N, stiffness),
                 "null_space_posture": ROBOT.posture + 0.2,
             },
         )
-        twin.exit_initialization()
-        twin.step(0.0, 1e-3)
-        torques.append(twin.value("joint_torque").copy())
-    H, J = oracle_matrices(ROBOT.posture)
+        controller.exit_initialization()
+        controller.step(0.0, 1e-3)
+        torques.append(controller.value("joint_torque").copy())
+    H, J = pinocchio_matrices(ROBOT.posture)
     weighted = np.linalg.solve(H, J.T)
     inverse = weighted @ np.linalg.inv(J @ weighted)
     spring = np.full(N, 5.0 * 0.2)
@@ -165,7 +166,7 @@ def test_a_spring_in_the_null_space_pushes_towards_its_posture_only() -> None:
     )
 
 
-def test_fewer_than_six_joints_are_refused() -> None:
+def test_fewer_than_six_joints_are_rejected() -> None:
     robot = load_urdf(
         SHIPPED / "lwr4_free_flyer.urdf",
         base_link="base",
@@ -175,6 +176,6 @@ def test_fewer_than_six_joints_are_refused() -> None:
     )
     with pytest.raises(
         RobotError,
-        match="needs at least six free joints so that the hand can move every way, got 5",
+        match="needs at least six free joints so that the end-effector can move in all directions, got 5",
     ):
         manipulator_controller(robot)

@@ -1,4 +1,4 @@
-"""The matched law: what it holds makes no energy, whatever the gains and the period, on the mass that it is made for."""
+"""Matched law: for a mass equal to its model it generates no energy, for all gains and periods."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ seeds, periods = st.integers(0, 2**32 - 1), st.floats(1e-3, 1.0)
 
 
 def positive(random: np.random.Generator, size: float) -> np.ndarray:
-    """A full symmetric positive definite 6x6 matrix with eigenvalues over two decades about `size`."""
-    turn = np.linalg.qr(random.normal(size=(6, 6)))[0]
-    return np.asarray(turn @ np.diag(size * 10.0 ** random.uniform(-1, 1, 6)) @ turn.T)
+    """Return a full symmetric positive definite 6x6 matrix; eigenvalues over two decades."""
+    Q = np.linalg.qr(random.normal(size=(6, 6)))[0]
+    return np.asarray(Q @ np.diag(size * 10.0 ** random.uniform(-1, 1, 6)) @ Q.T)
 
 
 def case(seed: int) -> tuple[np.random.Generator, np.ndarray, np.ndarray, np.ndarray]:
@@ -38,15 +38,13 @@ def case(seed: int) -> tuple[np.random.Generator, np.ndarray, np.ndarray, np.nda
 def held_motion(
     M: np.ndarray, F: np.ndarray, T: float, x: np.ndarray, v: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A mass under a constant wrench, exactly."""
+    """Return position and velocity of a mass after T under a constant wrench, exactly."""
     a = np.linalg.solve(M, F)
     return x + T * v + 0.5 * T * T * a, v + T * a
 
 
 @given(seeds, periods)
-def test_the_held_wrench_works_as_a_spring_and_a_damper_to_the_last_digit(
-    seed: int, T: float
-) -> None:
+def test_the_work_of_the_held_wrench_is_that_of_a_spring_and_a_damper(seed: int, T: float) -> None:
     random, M, K, D = case(seed)
     x, v = random.normal(size=6), random.normal(size=6)
     F = np.array(WRENCH(M, K, D, T, x, v)).ravel()
@@ -61,6 +59,7 @@ def test_the_held_wrench_works_as_a_spring_and_a_damper_to_the_last_digit(
 def spectral_radius(
     M_true: np.ndarray, M: np.ndarray, K: np.ndarray, D: np.ndarray, T: float
 ) -> float:
+    # Columns of the transition matrix from sample to sample.
     K_d, D_d = (-np.array(part) for part in GAINS(M, K, D, T))
     columns = []
     for state in np.eye(12):
@@ -73,7 +72,7 @@ def spectral_radius(
 
 
 @given(seeds, periods)
-def test_it_is_stable_for_every_gain_and_period(seed: int, T: float) -> None:
+def test_the_matched_law_is_stable_for_every_gain_and_period(seed: int, T: float) -> None:
     _, M, K, D = case(seed)
     assert spectral_radius(M, M, K, D, T) < 1.0
 
@@ -81,7 +80,7 @@ def test_it_is_stable_for_every_gain_and_period(seed: int, T: float) -> None:
 @given(
     st.floats(1.0, 200.0), st.floats(0.1, 1e4), st.floats(0.1, 1e4), periods, st.floats(1.0, 100.0)
 )
-def test_along_one_axis_also_on_every_mass_above_its_model(
+def test_along_one_axis_it_is_stable_for_every_mass_above_its_model(
     m: float, k: float, d: float, T: float, factor: float
 ) -> None:
     assert (
@@ -90,13 +89,13 @@ def test_along_one_axis_also_on_every_mass_above_its_model(
     )
 
 
-def test_on_a_mass_far_below_its_model_it_can_be_unstable() -> None:
+def test_for_a_mass_far_below_its_model_it_can_be_unstable() -> None:
     _, M, K, D = case(1)
     assert spectral_radius(0.2 * M, M, K, D, 1.0) > 1.0
 
 
 @given(seeds)
-def test_it_tends_to_the_continuous_law(seed: int) -> None:
+def test_the_matched_law_tends_to_the_continuous_law(seed: int) -> None:
     _, M, K, D = case(seed)
     errors = []
     for T in (1e-4, 1e-5):
@@ -108,7 +107,7 @@ def test_it_tends_to_the_continuous_law(seed: int) -> None:
 
 
 @given(st.floats(1.0, 200.0), st.floats(0.0, 1e4), st.floats(0.0, 1e4), periods)
-def test_its_damping_leaves_room_below_what_a_held_damper_may_be(
+def test_its_damping_is_below_the_limit_of_a_held_damper(
     m: float, k: float, d: float, T: float
 ) -> None:
     damping = float(ca.evalf(sampled_damping(SX(m), SX(k), SX(d), SX(T))))

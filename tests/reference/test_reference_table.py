@@ -1,7 +1,8 @@
-"""The reference figures of an independent prototype of the same equations (RK4 at 1 ms, 100 s), row by row.
+"""Results against an independent prototype of the same equations (RK4 at 1 ms, 100 s), row by row.
 
-The verdict always; each error within a factor of three. Errors are maxima over the last 10 s: hand [m], base [m], base [deg].
-One row comes out otherwise, and says why: docs/reference_results.md.
+The verdict must agree, and each error within a factor of three. Errors are maxima over the last 10
+s: end-effector [m], base [m], base [deg]. One row differs; docs/reference_results.md gives the
+reason.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ def test_stable_rows(row: str) -> None:
 
 
 def growth(series: np.ndarray, time: np.ndarray) -> float:
-    """Fitted growth rate [1/s] of an oscillation's amplitude, from its maxima in stretches of 10 s after the first 20 s."""
+    """Return the growth rate [1/s] of an oscillation, from maxima over 10 s each, after 20 s."""
     edges = np.arange(20.0, time[-1], 10.0)
     peaks = [series[(time >= a) & (time < a + 10.0)].max() for a in edges[:-1]]
     return float(np.polyfit(edges[:-1], np.log(peaks), 1)[0])
@@ -73,30 +74,34 @@ def test_period_of_150_ms_without_pc_grows() -> None:
 
 
 def test_period_of_300_ms_without_pc_diverges() -> None:
-    result, (_, _, turn) = last_10_s("multirate_unstable")
+    result, (_, _, orientation_error) = last_10_s("multirate_unstable")
     assert result.outcome.diverged
     assert 45.0 / 1.5 < result.outcome.simulated < 45.0 * 1.5
-    assert turn > 20.0
+    assert orientation_error > 20.0
 
 
 @pytest.mark.slow
 def test_as_printed_with_the_papers_observer_depends_on_the_initial_energy() -> None:
-    """The prototype's row (hand of the order of 1e-2 m or late divergence, base 4e-2 m and 9 deg) is what happens when the
-    manipulator's passivity controller fights the feed-forward. With E_m(0) = 0.05 J it never acts here, and the row is
-    three orders better; with 0.02 J it does. That fight is chaotic: a change of 1e-12 in the base's mass changes the base's
-    errors by a factor of up to three either way (16 runs: 0.5e-2 to 3.9e-2 m), so one run's number says nothing."""
+    """The prototype's row results from conflicts of passivity controller and feed-forward.
+
+    It has an end-effector error of about 1e-2 m or late divergence, and a base error of 4e-2 m and
+    9 deg. With E_m(0) = 0.05 J the manipulator's passivity controller is never active, and the
+    errors are three orders of magnitude smaller; with 0.02 J it is active. The motion is then
+    chaotic: a change of 1e-12 in the base mass changes the base errors by up to a factor of three
+    (16 runs: 0.5e-2 to 3.9e-2 m). A single run is therefore not significant.
+    """
     row = (f"{M}.bookkeeping=as_printed", f"{M}.observer=paper")
-    covered, found = last_10_s("multirate_passive", *row)
-    assert not covered.outcome.diverged
-    assert np.abs(covered.outcome.record[f"{M}.passivity_wrench"]).max() == 0.0
+    inactive, found = last_10_s("multirate_passive", *row)
+    assert not inactive.outcome.diverged
+    assert np.abs(inactive.outcome.record[f"{M}.passivity_wrench"]).max() == 0.0
     assert found[0] < 1e-5
     errors = []
     for k in range(5):
         mass = f"free_flyer.base_mass={150.0 * (1.0 + 1e-12 * k)!r}"
-        fighting, found = last_10_s(
+        active, found = last_10_s(
             "multirate_passive", *row, f"{M}.manipulator_initial_energy=0.02", mass
         )
-        assert np.abs(fighting.outcome.record[f"{M}.passivity_wrench"]).max() > 0.1
+        assert np.abs(active.outcome.record[f"{M}.passivity_wrench"]).max() > 0.1
         assert found[0] > 1e-2
         errors.append(found)
     for value, reference in zip(np.median(errors, axis=0)[1:], (1.1e-2, 2.6), strict=True):
@@ -115,13 +120,13 @@ def test_the_overdamped_base_diverges_and_an_unbounded_damper_makes_it_worse() -
     unbounded, _ = last_10_s("overdamped_base", f"{B}.damper_bound=0")
     assert bounded.as_expected
     assert bounded.outcome.simulated == pytest.approx(without.outcome.simulated, rel=0.2), (
-        "the bound lets the PC stand aside"
+        "with the bound, the PC must have little effect"
     )
     assert unbounded.outcome.simulated < 0.8 * without.outcome.simulated
 
 
 @pytest.mark.slow
-def test_the_continuous_scenario_beside_the_loop_in_continuous_time() -> None:
+def test_the_continuous_scenario_agrees_with_the_loop_in_continuous_time() -> None:
     result, found = last_10_s("continuous")
     record = result.outcome.record
     for value, reference in zip(found, (2.5e-7, 3.6e-7, 1.3e-5), strict=True):
@@ -130,7 +135,7 @@ def test_the_continuous_scenario_beside_the_loop_in_continuous_time() -> None:
         record["continuous_loop.end_effector_position"] - record["continuous_loop.desired_position"]
     )
     assert np.abs(exact).max() < 1e-12
-    # The desired motion is one: the block's and the reference's.
+    # Both blocks compute the same desired motion.
     assert (
         np.abs(
             record["continuous_loop.desired_position"] - record["reference_trajectory.position"]
@@ -141,7 +146,7 @@ def test_the_continuous_scenario_beside_the_loop_in_continuous_time() -> None:
     assert record["manipulator_controller.joint_limit_margin"].min() > 0.16
 
 
-def test_every_slave_at_1_ms_gives_the_same_numbers_as_1_and_300_ms() -> None:
+def test_steps_of_1_ms_for_every_slave_give_the_same_results_as_1_and_300_ms() -> None:
     fast = experiment.run(scenario.load("multirate_passive", [f"{B}.step_s=0.001"])).outcome
     slow = experiment.run(scenario.load("multirate_passive")).outcome
     assert fast.steps[B] == 100_000
@@ -169,7 +174,7 @@ class Kick(PythonComponent):
 
 
 @pytest.mark.parametrize(("observer", "diverges"), [("port", True), ("tracking", False)])
-def test_a_push_uses_up_the_port_observers_energy_but_not_the_tracking_ones(
+def test_a_disturbance_exhausts_the_port_observers_energy_but_not_the_tracking_observers(
     tmp_path: Path, observer: str, diverges: bool
 ) -> None:
     (tmp_path / "kick.py").write_text(KICK)
@@ -178,8 +183,10 @@ def test_a_push_uses_up_the_port_observers_energy_but_not_the_tracking_ones(
         'connections = ["manipulator_controller.joint_torque -> kick.command", "kick.torque -> free_flyer.joint_torque"]\n'
         '[components.kick]\nkind = "python"\nobject = "kick.py:Kick"\nstep_s = 0.001\n'
     )
-    result, (hand, _, _) = last_10_s(str(tmp_path / "kick.toml"), f"{M}.observer={observer}")
+    result, (position_error, _, _) = last_10_s(
+        str(tmp_path / "kick.toml"), f"{M}.observer={observer}"
+    )
     assert result.outcome.diverged == diverges
     if not diverges:
         assert 0.005 < result.summary["end_effector_position_error_m"]["max"] < 0.02
-        assert hand < 1e-3
+        assert position_error < 1e-3

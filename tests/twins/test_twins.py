@@ -1,4 +1,4 @@
-"""One block, five forms: symbolic, C by two compilers, FMI 2.0, FMI 3.0, Python twin. They must agree to 1e-12."""
+"""Forms of a block that agree to 1e-12: symbolic, C (two compilers), FMI 2.0, 3.0, in-process."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def agree(one: np.ndarray, other: np.ndarray, what: str) -> None:
 
 
 def disturbed(name: str, random: np.random.Generator, start: np.ndarray) -> np.ndarray:
-    """Random inputs near the start values, so that quaternions stay quaternions and J_m stays regular."""
+    """Return random inputs near the start values: quaternions stay valid and J_m regular."""
     return start + random.normal(size=start.size) * 0.03
 
 
@@ -45,7 +45,7 @@ def outputs_of(
     period: float,
     values: dict[str, np.ndarray] | None = None,
 ) -> np.ndarray:
-    """Outputs after every step, under the same random inputs."""
+    """Return the outputs after every step, under random inputs that depend only on the seed."""
     ports = component.ports  # type: ignore[attr-defined]
     names = [name for name, port in ports.items() if port.causality == "input"]
     results = [name for name, port in ports.items() if port.causality == "output"]
@@ -73,19 +73,19 @@ def outputs_of(
 @pytest.mark.parametrize("name", BLOCKS)
 @settings(max_examples=5)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_twin_and_both_fmus_give_the_same_numbers(name: str, seed: int) -> None:
+def test_in_process_block_and_both_fmus_give_the_same_results(name: str, seed: int) -> None:
     block = declared(name)
     period = block.default_step
-    twin = outputs_of(InProcessBlock(block), 40, seed, period)
+    in_process = outputs_of(InProcessBlock(block), 40, seed, period)
     two, three = (
         outputs_of(FmuComponent(name, directory() / f"fmi{v}" / f"{name}.fmu"), 40, seed, period)
         for v in (2, 3)
     )
-    assert np.abs(twin).max() > 0.0
+    assert np.abs(in_process).max() > 0.0
     assert np.array_equal(two, three), (
         "the same binary must give the same bits through both interfaces"
     )
-    agree(twin, two, name)
+    agree(in_process, two, name)
 
 
 @pytest.mark.parametrize("bookkeeping", [1, 2])
@@ -93,29 +93,29 @@ def test_twin_and_both_fmus_give_the_same_numbers(name: str, seed: int) -> None:
     ("name", "choice", "options"),
     [("manipulator_controller", "observer", 3), ("base_controller", "discretisation", 2)],
 )
-def test_twin_and_fmu_agree_in_every_mode(
+def test_in_process_block_and_fmu_agree_in_every_mode(
     name: str, choice: str, options: int, bookkeeping: int
 ) -> None:
     for option in range(1, options + 1):
         values = {choice: np.array([float(option)]), "bookkeeping": np.array([float(bookkeeping)])}
         if name == "manipulator_controller":
-            values["manipulator_initial_energy"] = np.zeros(6)  # so that both dampers act
+            values["manipulator_initial_energy"] = np.zeros(6)  # so that both dampers are active
         period = declared(name).default_step
-        twin = outputs_of(InProcessBlock(declared(name)), 30, 5, period, values)
+        in_process = outputs_of(InProcessBlock(declared(name)), 30, 5, period, values)
         fmu = outputs_of(
             FmuComponent(name, directory() / "fmi2" / f"{name}.fmu"), 30, 5, period, values
         )
-        agree(twin, fmu, f"{name} {option} {bookkeeping}")
+        agree(in_process, fmu, f"{name} {option} {bookkeeping}")
 
 
-def test_ports_of_twin_and_fmus_are_the_same(fmus: Path) -> None:
+def test_ports_of_in_process_block_and_fmus_are_the_same(fmus: Path) -> None:
     for name in BLOCKS:
         block = declared(name)
-        twin = InProcessBlock(block).ports
+        expected = InProcessBlock(block).ports
         for version in (2, 3):
             component = FmuComponent(name, fmus / f"fmi{version}" / f"{name}.fmu")
             ports = component.ports
-            for variable, port in twin.items():
+            for variable, port in expected.items():
                 assert ports[variable].size == port.size
                 assert ports[variable].causality == port.causality
                 assert port.causality != "output" or ports[variable].direct == port.direct, (
@@ -129,10 +129,8 @@ def test_ports_of_twin_and_fmus_are_the_same(fmus: Path) -> None:
 
 @pytest.mark.parametrize("version", [2, 3])
 @pytest.mark.parametrize("name", BLOCKS)
-def test_two_instances_in_one_process_do_not_touch_each_other(
-    fmus: Path, name: str, version: int
-) -> None:
-    """Stepped in turn under different inputs, each gives what it gives alone."""
+def test_two_instances_in_one_process_are_independent(fmus: Path, name: str, version: int) -> None:
+    """Stepped alternately with different inputs, each gives the same outputs as alone."""
     path = fmus / f"fmi{version}" / f"{name}.fmu"
     period = declared(name).default_step
     alone = [outputs_of(FmuComponent(name, path), 12, seed, period) for seed in (1, 2)]
@@ -175,8 +173,8 @@ def test_two_instances_in_one_process_do_not_touch_each_other(
     ),
 )
 @pytest.mark.parametrize("robot_name", family(["gantry", "ur5"]))
-def test_other_robots_go_the_whole_way(robot_name: str, name: str, tmp_path: Path) -> None:
+def test_other_robots_can_be_exported_and_agree(robot_name: str, name: str, tmp_path: Path) -> None:
     block = BLOCKS[name](ROBOTS[robot_name]())
     path = build(block, tmp_path)[2]
-    twin = outputs_of(InProcessBlock(block), 5, 3, block.default_step)
-    agree(twin, outputs_of(FmuComponent(name, path), 5, 3, block.default_step), name)
+    in_process = outputs_of(InProcessBlock(block), 5, 3, block.default_step)
+    agree(in_process, outputs_of(FmuComponent(name, path), 5, 3, block.default_step), name)

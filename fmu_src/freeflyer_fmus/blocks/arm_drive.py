@@ -1,6 +1,9 @@
-"""The facility's arm with its drives: rigid-body arm on a moving base in 1 g, friction, ripple, imperfect gravity compensation,
-and what its sensors show. A sampled block at the arm's own cycle: it hands out the state of the present cycle, reached under the
-torque that acted since the last one (a delayed input, as a real arm's command is).
+"""The facility's arm with its drives and sensors: a rigid-body arm on a moving base in 1 g.
+
+The model includes friction, torque ripple, imperfect gravity compensation, noise and quantisation.
+It is a sampled block at the arm's cycle. Its outputs are the state at the present cycle, which
+results from the torque applied since the last cycle. The torque command is therefore a delayed
+input, as for a real arm.
 """
 
 from __future__ import annotations
@@ -24,7 +27,7 @@ from freeflyer_fmus.robot.robot import Robot
 
 SX = ca.SX
 SMOOTHING = 1e-2
-"""Speed [rad/s] over which Coulomb friction turns its sign."""
+"""Width [rad/s] of the smooth sign change of Coulomb friction at zero speed."""
 
 
 def arm_drive(robot: Robot) -> Block:
@@ -38,6 +41,7 @@ def arm_drive(robot: Robot) -> Block:
         "arm_drive",
         "Torque-controlled arm on a moving base in 1 g, with friction, ripple, noise and quantisation",
     )
+    # Model parameters. The paper gives no drive data: the defaults of the drives are assumptions.
     T = block.sampled_every("period", 1e-3, "Cycle of the arm")
     mechanism = mass_parameters(block, robot)
     gravity, compensation = gravity_parameters(block)
@@ -89,7 +93,7 @@ def arm_drive(robot: Robot) -> Block:
     seed = block.parameter("seed", 1.0, "1", "Seed of the noise")
     limits = joint_limits(block, robot)
 
-    # Delayed: what acted, and how the base moved, since the last cycle.
+    # Delayed inputs: command, brake and base motion since the last cycle.
     command = block.input(
         "joint_torque_command",
         np.zeros(n),
@@ -120,16 +124,19 @@ def arm_drive(robot: Robot) -> Block:
         ACCELERATION,
         "Acceleration of the base robot since then, in I (delayed)",
     )
-    q = block.state("true_joint_position", robot.posture, rad, "Joint positions, as they are")
-    qd = block.state("true_joint_velocity", np.zeros(n), rad_s, "Joint velocities, as they are")
+    q = block.state("true_joint_position", robot.posture, rad, "True joint positions")
+    qd = block.state("true_joint_velocity", np.zeros(n), rad_s, "True joint velocities")
     random = block.state("random", 1.0, "1", "State of the noise generator", local=True)
-    begun = block.state("begun", 0.0, "1", "1 once the first cycle is over", local=True)
+    begun = block.state("begun", 0.0, "1", "1 after the first cycle", local=True)
     block.initial("random", noise.first_state(seed))
 
     drive = ca.fmin(ca.fmax(command, -limits.effort), limits.effort)
 
     def link_torque(position: SX, speed: SX) -> SX:
-        """What the sensor behind the gear sees: the command, the compensation's idea of gravity, ripple, less friction."""
+        """Return the torque at the sensor behind the gear (n).
+
+        It is command plus modelled gravity torque plus ripple minus friction.
+        """
         friction = coulomb * ca.tanh(speed / SMOOTHING) + viscous * speed
         model = compensation * gravity_model(mechanism, R_b, position, gravity)
         return drive + model + ripple * ca.sin(waves * position) - friction
@@ -140,7 +147,7 @@ def arm_drive(robot: Robot) -> Block:
             mechanism, state, a_b, link_torque(position, speed), gravity
         )
 
-    # One classical Runge-Kutta step over the cycle that has passed.
+    # One classical Runge-Kutta step over the last cycle.
     h = T * begun
     k1 = rates(SX(0), q, qd)
     k2 = rates(h / 2, q + h / 2 * k1[0], qd + h / 2 * k1[1])
@@ -155,6 +162,7 @@ def arm_drive(robot: Robot) -> Block:
         for held, moved in zip((q, SX(n, 1)), free, strict=True)
     )
 
+    # New states, and measurements with noise and quantisation.
     next_random, normal = noise.normal(random, 2 * n)
     block.update("true_joint_position", q)
     block.update("true_joint_velocity", qd)

@@ -1,4 +1,4 @@
-"""The base's controller at T_b: law (17) and the passivity controller's damper, (25), (26)."""
+"""Base controller at T_b: law (17) and the damper of the passivity controller, (25), (26)."""
 
 from __future__ import annotations
 
@@ -37,6 +37,7 @@ SX = ca.SX
 def base_controller(robot: Robot) -> Block:
     require_full_jacobian(robot, "base_controller")
     block = Block("base_controller", "Regulation of the base with its passivity controller")
+    # Parameters. The manipulator gains enter J_b^T F'_m of the matched law.
     T_b = block.sampled_every("period", 0.3, "T_b: sampling time of this controller")
     mechanism = mass_parameters(block, robot)
     K_P, K_D = gains(block, BASE)
@@ -74,13 +75,14 @@ def base_controller(robot: Robot) -> Block:
         tunable=True,
     )
 
+    # Inputs: measurements, reference, and the values of the manipulator controller at this instant.
     p_b = block.input("base_position", np.zeros(3), "m", "Measured position of B in I")
     state = measured_state(block, robot)
     v_d, a_d = desired_motion(block)
     F_m = block.input("end_effector_wrench", np.zeros(6), WRENCH, "F'_m of the same instant, in I")
     beta_b = block.input("base_damping", np.zeros(6), DAMPING, "beta_b from the passivity observer")
 
-    # M~ of B in I: what a base wrench moves while nothing acts at the hand.
+    # M~ of B in I: the base inertia without a wrench at the end-effector.
     M = (
         articulated_base_inertia(mechanism, state.q)
         .turned(rotation.matrix(state.orientation))
@@ -88,20 +90,20 @@ def base_controller(robot: Robot) -> Block:
     )
     is_matched = discretisation == int(Discretisation.matched)
 
-    # Eq. (17), its last term apart.
+    # Eq. (17) without its last term.
     star = feed_forward(mechanism, state, v_d, a_d)
     v_b = ca.vertcat(state.v, state.w)
     dx_b = pose_error(p_b, state.orientation, p_bd, R_bd)
     held_law = mean_wrench(M, ca.diag(K_P), ca.diag(K_D), T_b, -K_P * dx_b, v_b)
     F_b = star.F_b + ca.if_else(is_matched, held_law, spring_damper(K_P, K_D, dx_b, v_b))
-    # J_b^T F'_m: matched, with the mean of the hand's spring and damper over T_b in place of their value now.
+    # J_b^T F'_m. The matched law uses the mean of the end-effector's spring and damper over T_b.
     dv_m = end_effector_velocity(mechanism, state) - v_d
     spring_m = F_m - star.F_m + K_Dm * dv_m
-    M_hand = articulated_end_effector_inertia(mechanism, state)
-    mean_m = mean_wrench(M_hand, ca.diag(K_Pm), ca.diag(K_Dm), T_b, spring_m, dv_m)
+    M_e = articulated_end_effector_inertia(mechanism, state)
+    mean_m = mean_wrench(M_e, ca.diag(K_Pm), ca.diag(K_Dm), T_b, spring_m, dv_m)
     Jb_F = base_jacobian_transposed_times(star.p_be, ca.if_else(is_matched, star.F_m + mean_m, F_m))
-    # Eq. (25), beta_b for the printed beta_m, and (26); bounded so that the held damper makes no energy itself.
-    # As printed, the damper is credited in full, so it must not be bounded.
+    # Eq. (25) with beta_b for the printed beta_m, and (26). The bound keeps the held damper from
+    # generating energy. `as_printed` credits the damper in full, so there it must not be bounded.
     is_bounded = ca.logic_and(bookkeeping == int(Bookkeeping.applied), share > 0)
     own_damping = ca.if_else(is_matched, sampled_damping(ca.diag(M), K_P, K_D, T_b), K_D)
     beta = ca.if_else(
@@ -121,7 +123,7 @@ def base_controller(robot: Robot) -> Block:
         "port_wrench", at_port, WRENCH, "F'_B(k_b) = F'_b - J_b^T F'_m at this sample, in I"
     )
     block.output(
-        "passivity_wrench", F_pcb, WRENCH, "F_pcb: share of the passivity controller, (25), in I"
+        "passivity_wrench", F_pcb, WRENCH, "F_pcb: wrench of the passivity controller, (25), in I"
     )
     require_quaternions(
         block, {"base_orientation": state.orientation, "orientation_setpoint": R_bd}

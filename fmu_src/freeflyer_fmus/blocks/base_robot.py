@@ -1,7 +1,8 @@
-"""The facility's base robot: an industrial, position-controlled robot that follows set points in its own cycle.
+"""The facility's base robot: a position-controlled industrial robot that follows set points.
 
-It sees a set point some cycles late, follows it as a critically damped second-order system of a given bandwidth, and keeps to its
-limits of speed and acceleration. A sampled block: at every sample it hands out where it is, and how it accelerates until the next.
+It follows a set point with a delay of some cycles, as a critically damped second-order system of a
+given bandwidth, within limits of speed and acceleration. It is a sampled block. Its outputs are the
+motion at the sample and the acceleration until the next sample.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from freeflyer_fmus.robot.robot import Robot
 
 SX = ca.SX
 LONGEST_DELAY = 8
-"""Cycles that the set-point memory holds."""
+"""Number of set points in the delay buffer."""
 
 
 def base_robot(robot: Robot) -> Block:
@@ -24,9 +25,10 @@ def base_robot(robot: Robot) -> Block:
         "base_robot",
         "Position-controlled robot: delay, tracking bandwidth, limits of speed and acceleration",
     )
-    T = block.sampled_every("period", 1e-3, "Servo period; also how often the motion is handed out")
+    # Parameters. The paper gives no robot data: all marked defaults are assumptions.
+    T = block.sampled_every("period", 1e-3, "Servo period; also the output period of the motion")
     cycle = block.parameter(
-        "cycle", 0.004, "s", "Cycle in which set points are taken over", above=0.0
+        "cycle", 0.004, "s", "Cycle in which set points are accepted", above=0.0
     )
     delay = block.parameter(
         "delay_cycles",
@@ -38,7 +40,7 @@ def base_robot(robot: Robot) -> Block:
     block.require(
         LONGEST_DELAY - 1 - delay,
         0.0,
-        "room left by parameter delay_cycles",
+        "free space in the delay buffer (parameter delay_cycles)",
         f"choose at most {LONGEST_DELAY - 1} cycles",
     )
     bandwidth = block.parameter(
@@ -61,7 +63,7 @@ def base_robot(robot: Robot) -> Block:
         "Standard deviation of the measured position (assumed)",
         minimum=0.0,
     )
-    turn_noise = block.parameter(
+    orientation_noise = block.parameter(
         "orientation_noise",
         1e-5,
         "rad",
@@ -70,27 +72,29 @@ def base_robot(robot: Robot) -> Block:
     )
     seed = block.parameter("seed", 2.0, "1", "Seed of the noise")
 
-    p_set = block.input("position_setpoint", np.zeros(3), "m", "Position to take, in I (delayed)")
+    p_set = block.input("position_setpoint", np.zeros(3), "m", "Commanded position, in I (delayed)")
     R_set = block.input(
         "orientation_setpoint",
         IDENTITY,
         "1",
-        "Orientation to take, quaternion x, y, z, w (delayed)",
+        "Commanded orientation, quaternion x, y, z, w (delayed)",
     )
-    v_set = block.input("velocity_setpoint", np.zeros(6), TWIST, "Velocity to have, in I (delayed)")
+    v_set = block.input(
+        "velocity_setpoint", np.zeros(6), TWIST, "Commanded velocity, in I (delayed)"
+    )
 
-    p = block.state("true_position", np.zeros(3), "m", "Where the robot is, in I")
-    R = block.state("true_orientation", IDENTITY, "1", "How it is turned, quaternion x, y, z, w")
-    v = block.state("true_velocity", np.zeros(6), TWIST, "Its velocity, in I")
+    p = block.state("true_position", np.zeros(3), "m", "True position, in I")
+    R = block.state("true_orientation", IDENTITY, "1", "True orientation, quaternion x, y, z, w")
+    v = block.state("true_velocity", np.zeros(6), TWIST, "True velocity, in I")
     a = block.state(
         "base_acceleration",
         np.zeros(6),
         ACCELERATION,
-        "Its acceleration until the next sample, in I",
+        "Acceleration until the next sample, in I",
     )
-    age = block.state("age", 0.0, "1", "Samples since the last set point was taken", local=True)
+    age = block.state("age", 0.0, "1", "Samples since the last accepted set point", local=True)
     random = block.state("random", 1.0, "1", "State of the noise generator", local=True)
-    begun = block.state("begun", 0.0, "1", "1 once the first sample is over", local=True)
+    begun = block.state("begun", 0.0, "1", "1 after the first sample", local=True)
     entry = 13
     memory = [
         block.state(
@@ -107,14 +111,15 @@ def base_robot(robot: Robot) -> Block:
     block.initial("true_orientation", rotation.normalised(R))
     block.initial("random", noise.first_state(seed))
 
-    # Where the acceleration of the last sample has led: exact for the translation, by the middle angular velocity for the turn.
+    # Motion to this sample at the last acceleration: exact for the translation; the rotation uses
+    # the mean angular velocity of the interval.
     h = T * begun
     p_now = p + h * v[:3] + 0.5 * h**2 * a[:3]
-    turn = h * v[3:] + 0.5 * h**2 * a[3:]
-    R_now = rotation.normalised(rotation.product(rotation.about(turn), R))
+    rotation_vector = h * v[3:] + 0.5 * h**2 * a[3:]
+    R_now = rotation.normalised(rotation.product(rotation.about(rotation_vector), R))
     v_now = v + h * a
 
-    # A new set point once a cycle; the memory moves on by one.
+    # Accept a set point once per cycle and shift the delay buffer.
     samples = ca.floor(cycle / T + 0.5)
     take = ca.logic_or(begun == 0, age + 1 >= samples)
     newest = ca.vertcat(p_set, R_set, v_set)
@@ -125,15 +130,17 @@ def base_robot(robot: Robot) -> Block:
     for k, old in enumerate(moved):
         target += ca.if_else(ca.floor(delay + 0.5) == k, old, SX.zeros(entry))
 
+    # Tracking law, limited in acceleration.
     omega = 2.0 * ca.pi * bandwidth
     error = ca.vertcat(target[:3] - p_now, rotation.error(target[3:7], R_now))
     wanted = omega**2 * error + 2.0 * omega * (target[7:] - v_now)
     acceleration = ca.vertcat(_limited(wanted[:3], a_max[0]), _limited(wanted[3:], a_max[1]))
-    # No faster than the speed limits at the next sample.
+    # Limit the acceleration so that the next sample is within the speed limits.
     reached = v_now + T * acceleration
     kept = ca.vertcat(_limited(reached[:3], v_max[0]), _limited(reached[3:], v_max[1]))
     acceleration = (kept - v_now) / T
 
+    # New states and noisy measurements.
     next_random, normal = noise.normal(random, 6)
     for name, value in {
         "true_position": p_now,
@@ -150,7 +157,7 @@ def base_robot(robot: Robot) -> Block:
     block.output(
         "base_position", p_now + position_noise * normal[:3], "m", "Measured position, in I"
     )
-    measured = rotation.product(rotation.about(turn_noise * normal[3:]), R_now)
+    measured = rotation.product(rotation.about(orientation_noise * normal[3:]), R_now)
     block.output("base_orientation", measured, "1", "Measured orientation, quaternion x, y, z, w")
     block.output("base_velocity", v_now, TWIST, "Measured velocity, in I")
     require_quaternions(block, {"orientation_setpoint": R_set, "true_orientation": R})
@@ -159,6 +166,6 @@ def base_robot(robot: Robot) -> Block:
 
 
 def _limited(vector: SX, most: SX) -> SX:
-    """The vector, shortened to `most` where it is longer."""
+    """Return the vector, shortened to the length `most` if it is longer."""
     length = ca.sqrt(ca.sumsqr(vector) + 1e-300)
     return vector * ca.fmin(1.0, most / length)

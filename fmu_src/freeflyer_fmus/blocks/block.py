@@ -1,7 +1,9 @@
-"""A block: declared variables and equations. C, both modelDescription.xml files, documentation and the twin derive from it.
+"""Block: declared variables and equations of one FMU.
 
-A block is continuous (derivatives, outputs: valid at the end of a communication step) or sampled (it has a `period`, reads
-its inputs at the start of a step when a sample is due, and holds its outputs).
+The C code, both modelDescription.xml files, the documentation and the in-process block are derived
+from it. A continuous block has derivatives, and outputs that are valid at the end of a
+communication step. A sampled block has a `period`; it reads its inputs at the start of a step if a
+sample is due, and holds its outputs.
 """
 
 from __future__ import annotations
@@ -30,7 +32,7 @@ ACCELERATION: Units = ("m/s2",) * 3 + ("rad/s2",) * 3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Variable:
-    """One variable: a scalar (`size` 1, `is_array` False) or an array (n); `units` has one entry per element."""
+    """A scalar (`size` 1, `is_array` False) or an array (n); `units` has one entry per element."""
 
     name: str
     size: int
@@ -57,7 +59,10 @@ class Variable:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Requirement:
-    """`value >= minimum` (`>` if strict), or the FMU answers with an error that gives `subject`, value and `remedy`."""
+    """The condition `value >= minimum` (`>` if strict).
+
+    If it is violated, the FMU returns an error with `subject`, value and `remedy`.
+    """
 
     value: SX
     minimum: SX
@@ -68,9 +73,10 @@ class Requirement:
 
 
 class Block:
-    """Built by declaring variables, which gives symbols, and then equations in them.
+    """Declarations of variables, which return symbols, and equations in these symbols.
 
-    Functions have the arguments (t, p, u, x): time [s], parameters, inputs, states, each one flat vector.
+    All derived functions have the arguments (t, p, u, x): time [s], then parameters, inputs and
+    states as one flat vector each.
     """
 
     def __init__(self, name: str, description: str) -> None:
@@ -104,14 +110,17 @@ class Block:
         minimum: float | None = None,
         above: float | None = None,
     ) -> SX:
-        """`minimum`: the least value allowed; `above`: a bound that is itself not allowed."""
+        """Declare a parameter; `minimum` is its smallest allowed value, `above` an exclusive bound.
+
+        Raises BlockError if the start value violates the bound.
+        """
         symbol = self._declare(name, "parameter", start, unit, description, tunable=tunable)
         bound = minimum if minimum is not None else above
         if bound is not None:
             given = self.start_of(name)
             if not ((given >= bound).all() if above is None else (given > bound).all()):
                 raise BlockError(
-                    f"block {self.name}: the start value of {name!r} is {given}, beyond its own bound {bound:g}"
+                    f"block {self.name}: the start value of {name!r} is {given}, which violates its bound {bound:g}"
                 )
             for element, part in zip(
                 self.variables[name].element_names, ca.vertsplit(symbol), strict=True
@@ -134,7 +143,7 @@ class Block:
         *,
         tunable: bool = True,
     ) -> SX:
-        """A parameter of FMI type Enumeration; options are numbered from 1."""
+        """Declare a parameter of FMI type Enumeration; its options must be numbered from 1."""
         choices = tuple(option.name for option in options)
         if [int(option) for option in options] != list(range(1, len(choices) + 1)):
             raise BlockError(f"block {self.name}: the options of {name!r} must be numbered from 1")
@@ -150,12 +159,13 @@ class Block:
         )
 
     def switch(self, name: str, start: bool, description: str, *, tunable: bool = True) -> SX:
-        """A parameter of FMI type Boolean."""
+        """Declare a parameter of FMI type Boolean."""
         return self._declare(
             name, "parameter", float(start), "1", description, tunable=tunable, kind="boolean"
         )
 
     def input(self, name: str, start: object, unit: str | Units, description: str) -> SX:
+        """Declare an input; a scalar `start` declares a scalar, a sequence an array."""
         return self._declare(name, "input", start, unit, description)
 
     def state(
@@ -168,9 +178,10 @@ class Block:
         local: bool = False,
         nominal: float = 1.0,
     ) -> SX:
-        """A state, visible as an output (or local variable) of the same name. Its start value can be set.
+        """Declare a state, visible as an output (or local variable) of the same name.
 
-        `nominal` is the size that its values typically have; solvers scale their tolerances by it.
+        Its start value can be set. `nominal` is its typical magnitude, by which solvers scale their
+        tolerances.
         """
         if not 0.0 < nominal < float("inf"):
             raise BlockError(
@@ -179,44 +190,47 @@ class Block:
         return self._declare(name, "state", start, unit, description, local=local, nominal=nominal)
 
     def sampled_every(self, name: str, start: float, description: str) -> SX:
-        """Make the block a sampled one; its period [s] is the fixed parameter `name`."""
+        """Make the block a sampled block; the fixed parameter `name` is its period [s]."""
         if self.period is not None:
             raise BlockError(
-                f"block {self.name}: it is sampled at {self.period!r} already, and cannot be at {name!r} too"
+                f"block {self.name}: it is already sampled at {self.period!r}; a second period {name!r} is not possible"
             )
         self.period = name
         self.default_step = start
         return self.parameter(name, start, "s", description, above=0.0)
 
     def terminal(self, name: str, *variables: str, **members: str) -> None:
-        """Inputs and outputs that are connected in one gesture: members of the same name of two blocks' terminals belong
-        together, output to input. A member has its variable's name, or is given as MEMBER = variable.
+        """Declare a terminal: inputs and outputs that are connected as a group.
+
+        Connecting two terminals connects the members of the same name, output to input. A member
+        has the name of its variable, or another one if it is given as MEMBER = variable.
         """
         group = {variable: variable for variable in variables} | members
         for variable in group.values():
             if variable not in self.variables or self.variables[variable].causality == "parameter":
                 raise BlockError(
-                    f"block {self.name}: terminal {name!r} has the member {variable!r}, which is no input or output"
+                    f"block {self.name}: terminal {name!r} has the member {variable!r}, which is neither an input nor an output"
                 )
         self.terminals[name] = group
 
     # Equations
 
     def initial(self, state: str, value: SX) -> None:
-        """A state's value after initialisation, from parameters and its own start value."""
+        """Set a state's value after initialisation, from parameters and its own start value."""
         self._assign(self._initial, state, value)
 
     def derivative(self, state: str, value: SX) -> None:
-        """dx/dt of a continuous block."""
+        """Set dx/dt of a continuous block's state."""
         self._kinds.add("derivative")
         self._assign(self._next, state, value)
 
     def update(self, state: str, value: SX) -> None:
-        """x(k) of a sampled block, from x(k-1) and the inputs of sample k."""
+        """Set x(k) of a sampled block's state, from x(k-1) and the inputs of sample k."""
         self._kinds.add("update")
         self._assign(self._next, state, value)
 
     def output(self, name: str, value: SX, unit: str | Units, description: str) -> None:
+        """Declare an output and its equation; its size is that of `value`."""
         value = SX(value)
         self._declare(
             name, "output", np.zeros(value.numel()), unit, description, is_array=value.numel() > 1
@@ -233,7 +247,11 @@ class Block:
         strict: bool = False,
         initially: bool = False,
     ) -> None:
-        """Watched at every sample or step; on parameters alone, or `initially`: when the run begins and parameters change."""
+        """Add a requirement, checked at every sample or step.
+
+        A requirement on parameters alone, or one marked `initially`, is checked at initialisation
+        and after a change of parameters.
+        """
         self.requirements.append(
             Requirement(
                 value=SX(value),
@@ -245,13 +263,14 @@ class Block:
             )
         )
 
-    # What everything else derives from
+    # Derived functions and properties
 
     @property
     def is_sampled(self) -> bool:
         return self.period is not None
 
     def having(self, *causalities: str) -> list[Variable]:
+        """Return the variables with one of these causalities, in order of declaration."""
         return [
             variable for variable in self.variables.values() if variable.causality in causalities
         ]
@@ -267,7 +286,7 @@ class Block:
 
     @cached_property
     def static_requirements(self) -> list[Requirement]:
-        """Those on parameters alone, or on start values."""
+        """Requirements on parameters alone or on start values."""
         others = ca.vertcat(self.time, *self.arguments[2:])
         return [
             r
@@ -281,11 +300,15 @@ class Block:
 
     @cached_property
     def functions(self) -> dict[str, ca.Function]:
-        """`initial` -> x; `check` -> margins of the static requirements; and then
+        """Functions of (t, p, u, x) by name.
 
-        sampled: `update` -> x(k), outputs, margins; continuous: `derivatives` -> dx/dt and `outputs` -> outputs, margins.
-        A margin is value and minimum of one requirement.
+        All blocks: `initial` -> x, `check` -> margins of the static requirements.
+        Sampled blocks: `update` -> x(k), outputs, margins.
+        Continuous blocks: `derivatives` -> dx/dt, `outputs` -> outputs, margins.
+        A margin is the pair (value, minimum) of a requirement.
+        Raises BlockError if equations are missing or inconsistent.
         """
+        # Completeness: one equation for each state, of the kind of the block.
         names = [variable.name for variable in self.having("state")]
         missing = [name for name in names if name not in self._next]
         if missing:
@@ -293,29 +316,32 @@ class Block:
         wrong = "derivative" if self.is_sampled else "update"
         if wrong in self._kinds:
             kind = "sampled" if self.is_sampled else "continuous"
-            raise BlockError(f"block {self.name}: it is {kind}, so `{wrong}` has no meaning in it")
+            raise BlockError(f"block {self.name}: it is {kind}, so `{wrong}` is not applicable")
         if not self._outputs and not names:
             raise BlockError(f"block {self.name}: it has neither outputs nor states")
         self._check_symbols()
+        # The functions, with shared subexpressions.
         initial = ca.vertcat(*(self._initial.get(name, self.symbols[name]) for name in names))
         rates = ca.vertcat(*(self._next[name] for name in names))
         outputs = ca.vertcat(*self._outputs.values())
         margins = self._margins(self.running_requirements)
-        made = {
+        derived = {
             "initial": self._function("initial", [initial]),
             "check": self._function("check", [self._margins(self.static_requirements)]),
         }
         if self.is_sampled:
-            return made | {"update": self._function("update", [rates, outputs, margins])}
-        return made | {
+            return derived | {"update": self._function("update", [rates, outputs, margins])}
+        return derived | {
             "derivatives": self._function("derivatives", [rates]),
             "outputs": self._function("outputs", [outputs, margins]),
         }
 
     @cached_property
     def linked(self) -> int:
-        """How many elements of a continuous block's outputs, from the first, reach to the last that is in a terminal: these are
-        made to be connected, and computed without the others when only they are asked for.
+        """Number of leading output elements up to the last one in a terminal (continuous blocks).
+
+        Terminal outputs are usually connected. The FMU computes them without the others if only
+        they are read.
         """
         members = {variable for group in self.terminals.values() for variable in group.values()}
         ends = [
@@ -327,16 +353,18 @@ class Block:
 
     @cached_property
     def linked_outputs(self) -> ca.Function:
-        """(t, p, u, x) -> the linked outputs, margins: of a continuous block."""
+        """Function (t, p, u, x) -> linked outputs, margins, of a continuous block."""
         outputs, margins = self.functions["outputs"].call(self.arguments)
         return self._function("linked_outputs", [outputs[: self.linked], margins])
 
     @cached_property
     def sensitivities(self) -> dict[str, ca.Function]:
-        """Of every function but `check`: `forward_NAME` (t, p, u, x, seed of (t, p, u, x)) -> that of the results, margins
-        left out; `reverse_NAME` (t, p, u, x, seed of the results) -> that of (t, p, u, x).
+        """Directional derivatives of every function but `check`, without margins.
+
+        `forward_NAME`: (t, p, u, x, seed of the arguments) -> derivatives of the results.
+        `reverse_NAME`: (t, p, u, x, seed of the results) -> derivatives by the arguments.
         """
-        made = {}
+        derived = {}
         knowns = ca.vertcat(*self.arguments)
         for name, function in self.functions.items():
             if name == "check":
@@ -346,15 +374,16 @@ class Block:
             for kind, count in (("forward", knowns.numel()), ("reverse", value.numel())):
                 seed = SX.sym("seed", count)
                 product = ca.jtimes(value, knowns, seed, kind == "reverse")
-                made[f"{kind}_{name}"] = self._function(
+                derived[f"{kind}_{name}"] = self._function(
                     f"{kind}_{name}", [product], [*self.arguments, seed]
                 )
-        return made
+        return derived
 
     @cached_property
     def dependencies(self) -> dict[str, list[str]]:
-        """For every output and derivative element, the elements of inputs and continuous states, and `time`, that it depends on
-        directly, at the same instant.
+        """Direct dependencies of every output and derivative element, at the same instant.
+
+        They are elements of inputs and continuous states, and `time`.
         """
         knowns = ["time", *self._elements("input")]
         given = ca.vertcat(self.time, self._symbols("input"))
@@ -365,7 +394,10 @@ class Block:
 
     @cached_property
     def initial_dependencies(self) -> dict[str, list[str]]:
-        """The same at the end of the initialisation, when the states follow from parameters, inputs and start values."""
+        """Dependencies at the end of initialisation.
+
+        The states then depend on parameters, inputs and start values.
+        """
         knowns = [
             "time",
             *(
@@ -382,9 +414,8 @@ class Block:
         if start:
             together = ca.substitute(together, self._symbols("state"), ca.vertcat(*start.values()))
         substituted = dict(zip(expressions, ca.vertsplit(together), strict=True))
-        for variable in self.having(
-            "state"
-        ):  # before the first sample a state shows what it begins with
+        # Before the first sample, a state's visible value is its initial value.
+        for variable in self.having("state"):
             substituted |= zip(
                 variable.element_names, ca.vertsplit(start[variable.name]), strict=True
             )
@@ -394,10 +425,10 @@ class Block:
         return [name for variable in self.having(*causalities) for name in variable.element_names]
 
     def _unknowns(self) -> dict[str, SX]:
-        """Expressions of all output and state elements, and of `der(...)` of a continuous block's states."""
+        """Return the expressions of all output and state elements, and `der(...)` of the states."""
         found: dict[str, SX] = {}
         for variable in self.having("output", "state"):
-            # A sampled state's visible value is the new one: it depends on the inputs of its sample.
+            # A sampled state's visible value is the updated one, which depends on the inputs.
             expression = self._outputs.get(variable.name)
             if expression is None:
                 expression = (
@@ -422,7 +453,10 @@ class Block:
         return {name: sorted(found, key=knowns.index) for name, found in result.items()}
 
     def has_start(self, variable: Variable) -> bool:
-        """Whether a start value can be given: not for an output, nor for a state whose initial value follows from others."""
+        """Return whether a start value can be set.
+
+        Outputs have none, nor have states whose initial value is computed from other values.
+        """
         if variable.causality == "output":
             return False
         expression = self._initial.get(variable.name)
@@ -440,7 +474,7 @@ class Block:
         return np.concatenate(parts) if parts else np.zeros(0)
 
     def offset(self, name: str) -> int:
-        """Where the variable's elements begin among those of its own causality."""
+        """Return the index of the variable's first element among those of its causality."""
         position = 0
         for variable in self.having(self.variables[name].causality):
             if variable.name == name:
@@ -448,7 +482,7 @@ class Block:
             position += variable.size
         raise KeyError(name)
 
-    # Details
+    # Internal
 
     def _declare(
         self,
@@ -461,21 +495,23 @@ class Block:
         is_array: bool | None = None,
         **more: object,
     ) -> SX:
+        # The name becomes a C identifier, and the description one line of XML and Markdown.
         if name in self.variables or name == "time" or not (name.isidentifier() and name.isascii()):
             raise BlockError(
-                f"block {self.name}: {name!r} is not an identifier, is declared twice, or is 'time', which every FMU has"
+                f"block {self.name}: {name!r} is not an identifier, is declared twice, or is the reserved name 'time'"
             )
         if not (isinstance(description, str) and description.isprintable()):
             raise BlockError(
                 f"block {self.name}: the description of {name!r} must be one line of printable text"
             )
+        # Size and array property follow from the start value.
         values = np.atleast_1d(np.asarray(start, dtype=np.float64)).ravel()
         array = np.ndim(np.asarray(start)) > 0 if is_array is None else is_array
         units = (unit,) * values.size if isinstance(unit, str) else tuple(unit)
         for one in units:
             if one not in UNITS:
                 raise BlockError(
-                    f"block {self.name}: {name!r} has the unit {one!r}, which is not known{did_you_mean(one, UNITS)}"
+                    f"block {self.name}: {name!r} has the unit {one!r}, which is unknown{did_you_mean(one, UNITS)}"
                 )
         if len(units) != values.size:
             raise BlockError(
@@ -524,8 +560,8 @@ class Block:
             )
         )
         known = {str(symbol) for argument in self.arguments for symbol in ca.vertsplit(argument)}
-        strange = sorted({str(symbol) for symbol in used} - known)
-        if strange:
+        undeclared = sorted({str(symbol) for symbol in used} - known)
+        if undeclared:
             raise BlockError(
-                f"block {self.name}: the equations use undeclared symbols {', '.join(strange)}"
+                f"block {self.name}: the equations use undeclared symbols {', '.join(undeclared)}"
             )

@@ -1,6 +1,6 @@
-"""The whole closed loop in continuous time, (1) with (7) and (8): plant, reference and both laws as one set of equations.
+"""The closed loop in continuous time, (1) with (7) and (8): plant, reference and both control laws.
 
-Nothing is sampled here. It is what the sampled loops are compared with, and where (10) and (15) can be watched.
+Nothing is sampled. The block is the reference for the sampled loops and evaluates (10) and (15).
 """
 
 from __future__ import annotations
@@ -46,6 +46,7 @@ def continuous_loop(robot: Robot) -> Block:
     block = Block(
         "continuous_loop", "Free-flyer, reference and both control laws in continuous time"
     )
+    # Parameters of plant, control laws and reference.
     mechanism = mass_parameters(block, robot)
     K_Pm, K_Dm = gains(block, MANIPULATOR, "manipulator_")
     K_Pb, K_Db = gains(block, BASE, "base_")
@@ -70,6 +71,7 @@ def continuous_loop(robot: Robot) -> Block:
     null_damping = null_space_damping(block, robot)
     desired = reference_motion(block, robot)
 
+    # States of the plant.
     p_b = block.state("base_position", np.zeros(3), "m", "Position of B in I")
     R_b = block.state(
         "base_orientation", IDENTITY, "1", "Orientation of B in I, quaternion x, y, z, w"
@@ -91,6 +93,7 @@ def continuous_loop(robot: Robot) -> Block:
     require_quaternions(block, {"orientation_setpoint": R_bd})
     state = State(R_b, v_b[:3], v_b[3:], q, qd)
 
+    # Errors and feed-forward.
     p_e, R_e = end_effector_pose(mechanism, p_b, R_b, q)
     star = feed_forward(mechanism, state, desired.velocity, desired.acceleration)
     v_m = end_effector_velocity(mechanism, state)
@@ -103,6 +106,7 @@ def continuous_loop(robot: Robot) -> Block:
         + spring_damper(K_Pb, K_Db, dx_b, v_b)
         + base_jacobian_transposed_times(star.p_be, F_m)
     )
+    # Plant under both control laws; a redundant manipulator has a null-space damper too.
     torque, null_power = joint_torque(mechanism, state, F_m), SX(0)
     if star.null_space:
         torque += null_space_torque(star.null_space, state, null_damping, SX(n, 1), q)
@@ -115,10 +119,11 @@ def continuous_loop(robot: Robot) -> Block:
     block.derivative("joint_position", qd)
     block.derivative("joint_velocity", qdd)
 
-    # Eq. (10): the kinetic part as a kinetic energy of the error velocity [x_b'; dx_m'] in generalised coordinates.
+    # Eq. (10). The kinetic part is the kinetic energy at the error velocity [x_b'; dx_m'],
+    # expressed in generalised coordinates.
     kinetic = dynamics.kinetic_energy(mechanism, State(R_b, v_b[:3], v_b[3:], q, qd - star.qd_r))
     V = kinetic + spring_energy(K_Pm, dx_m) + spring_energy(K_Pb, dx_b)
-    # Eq. (15), and what a redundant arm's null space takes.
+    # Eq. (15), plus the power of the null-space damper.
     dissipated = (
         null_power
         + ca.dot(K_Db * v_b, v_b)

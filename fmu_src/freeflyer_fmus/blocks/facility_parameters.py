@@ -1,4 +1,4 @@
-"""What the facility's blocks share: gravity, and how well its model knows it. All defaults are this project's assumptions."""
+"""Gravity and its model, shared by the facility's blocks. All defaults are assumptions."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ SX = ca.SX
 
 
 def gravity_parameters(block: Block) -> tuple[SX, SX]:
-    """Gravity (3) [m/s2] in I, and the share of its joint torques that the model takes off (1: known exactly)."""
+    """Declare gravity (3) [m/s2] in I and the ratio of modelled to true gravity torque."""
     return (
         block.parameter("gravity", [0.0, 0.0, -9.81], "m/s2", "Gravity in the laboratory, in I"),
         block.parameter(
@@ -22,7 +22,10 @@ def gravity_parameters(block: Block) -> tuple[SX, SX]:
 
 
 def gravity_model(mechanism: Mechanism, orientation: SX, q: SX, gravity: SX) -> SX:
-    """Joint torques (n) that hold the arm still in the field: inverse dynamics of a base accelerated the other way."""
+    """Return the joint torques (n) that hold the arm at rest under gravity (3), in I.
+
+    They follow from inverse dynamics with the base accelerated against gravity.
+    """
     rest = State(orientation, SX(3, 1), SX(3, 1), q, SX(q.numel(), 1))
     accelerated = ca.vertcat(-gravity, SX(3 + q.numel(), 1))
     _, torque = two_velocity_inverse_dynamics(mechanism, rest, SX(6 + q.numel(), 1), accelerated)

@@ -1,4 +1,4 @@
-"""The plant: equation (1) of a free-flying robot under base wrench and joint torques, without gravity."""
+"""Plant: equation (1) of a free-flying robot under base wrench and joint torques."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from freeflyer_fmus.blocks.robot_parameters import (
     mass_parameters,
     require_quaternions,
 )
-from freeflyer_fmus.blocks.terminals import HAND
+from freeflyer_fmus.blocks.terminals import END_EFFECTOR
 from freeflyer_fmus.equations import dynamics, rotation
 from freeflyer_fmus.equations.kinematics import end_effector_pose, end_effector_velocity
 from freeflyer_fmus.equations.mechanism import State
@@ -24,6 +24,7 @@ def free_flyer(robot: Robot) -> Block:
         "free_flyer", f"Free-flying robot {robot.name}: rigid base and {n} joints, no gravity"
     )
     mechanism = mass_parameters(block, robot)
+    # Inputs.
     base_wrench = block.input(
         "base_wrench", np.zeros(6), WRENCH, "F_b: force on the base and torque about B, in I"
     )
@@ -31,6 +32,7 @@ def free_flyer(robot: Robot) -> Block:
         "joint_torque", np.zeros(n), joint_units(robot, "N.m", "N"), "tau: joint torques (forces)"
     )
 
+    # States.
     position = block.state("base_position", np.zeros(3), "m", "Position of B in I")
     orientation = block.state(
         "base_orientation", IDENTITY, "1", "Orientation of B in I, quaternion x, y, z, w"
@@ -49,6 +51,7 @@ def free_flyer(robot: Robot) -> Block:
     )
     state = State(orientation, velocity[:3], velocity[3:], q, qd)
 
+    # Equation (1).
     block.initial("base_orientation", rotation.normalised(orientation))
     require_quaternions(block, {"base_orientation": orientation}, initially=True)
     base_acceleration, qdd = dynamics.forward_dynamics(mechanism, state, base_wrench, torque)
@@ -58,6 +61,7 @@ def free_flyer(robot: Robot) -> Block:
     block.derivative("joint_position", qd)
     block.derivative("joint_velocity", qdd)
 
+    # Outputs: end-effector motion, energy and momentum.
     p_e, R_e = end_effector_pose(mechanism, position, orientation, q)
     block.output("end_effector_position", p_e, "m", "Position of E in I")
     block.output(
@@ -82,5 +86,5 @@ def free_flyer(robot: Robot) -> Block:
     )
     block.terminal("base", "base_position", "base_orientation", "base_velocity", "base_wrench")
     block.terminal("arm", "joint_position", "joint_velocity", "joint_torque")
-    block.terminal("hand", **HAND)
+    block.terminal("hand", **END_EFFECTOR)
     return block

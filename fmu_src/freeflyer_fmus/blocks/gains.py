@@ -1,4 +1,4 @@
-"""Gains of the two control laws, with this project's defaults (the paper's text gives none)."""
+"""Gains of the two control laws. The paper gives none: the defaults are this project's."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ class Gains(NamedTuple):
 
 
 def gains(block: Block, default: tuple[list[float], list[float]], prefix: str = "") -> Gains:
+    """Declare the parameters PREFIXstiffness and PREFIXdamping with these start values."""
     stiffness, damping = default
     return Gains(
         block.parameter(
@@ -47,7 +48,7 @@ def gains(block: Block, default: tuple[list[float], list[float]], prefix: str = 
 
 
 def null_space_damping(block: Block, robot: Robot) -> SX:
-    """Of a redundant arm; nothing is declared for six joints."""
+    """Declare the null-space damping of a redundant manipulator; an empty vector for six joints."""
     if robot.joint_count == 6:
         return SX(0, 1)
     units = joint_units(robot, "N.m.s/rad", "N.s/m")
@@ -65,18 +66,20 @@ def null_space_damping(block: Block, robot: Robot) -> SX:
 
 
 def null_space_spring(block: Block, robot: Robot) -> tuple[SX, SX]:
-    """Stiffness and posture that the null space is drawn to (n each)."""
+    """Declare stiffness and posture of the null-space spring, n each (empty for six joints)."""
     if robot.joint_count == 6:
         return SX(0, 1), SX(0, 1)
     units, zero = joint_units(robot, "N.m/rad", "N/m"), [0.0] * robot.joint_count
-    stiffness = "Joint stiffness in the null space of J_m (extension); 0: none, and the Lyapunov function falls"
+    stiffness = (
+        "Joint stiffness in the null space of J_m (extension); 0: none, and V of (10) decreases"
+    )
     return (
         block.parameter("null_space_stiffness", zero, units, stiffness, tunable=True, minimum=0.0),
         block.parameter(
             "null_space_posture",
             robot.posture,
             joint_units(robot, "rad", "m"),
-            "Posture that null_space_stiffness draws to",
+            "Rest posture of the null-space spring",
             tunable=True,
         ),
     )

@@ -1,4 +1,7 @@
-"""Pose and velocity of the end-effector from measured base and joints: on the facility nobody measures the hand itself."""
+"""Pose and velocity of the end-effector, computed from the measured base and joints.
+
+The facility has no direct measurement of the end-effector.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ import numpy as np
 
 from freeflyer_fmus.blocks.block import TWIST, Block
 from freeflyer_fmus.blocks.robot_parameters import measured_state, require_quaternions
-from freeflyer_fmus.blocks.terminals import HAND
+from freeflyer_fmus.blocks.terminals import END_EFFECTOR
 from freeflyer_fmus.equations.kinematics import end_effector_pose, end_effector_velocity
 from freeflyer_fmus.equations.mechanism import constant_mechanism
 from freeflyer_fmus.robot.robot import Robot
@@ -32,5 +35,5 @@ def hand_kinematics(robot: Robot) -> Block:
     require_quaternions(block, {"base_orientation": state.orientation})
     block.terminal("base", "base_position", "base_orientation", "base_velocity")
     block.terminal("arm", "joint_position", "joint_velocity")
-    block.terminal("hand", **HAND)
+    block.terminal("hand", **END_EFFECTOR)
     return block

@@ -1,4 +1,4 @@
-"""The end-effector's desired motion in the facility experiment: a straight line in a given time, then rest."""
+"""Desired end-effector motion of the facility experiment: a straight line, then rest."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def linear_trajectory(robot: Robot) -> Block:
         "linear_trajectory",
         "Desired end-effector motion: a straight line from the start posture, then rest",
     )
-    # The start pose follows from base pose and posture, so that no number is written twice.
+    # The start pose is computed from base pose and posture, so that it has a single source.
     p_b = block.parameter("start_base_position", np.zeros(3), "m", "Position of B at t = 0, in I")
     R_b = block.parameter(
         "start_base_orientation", IDENTITY, "1", "Orientation of B at t = 0, quaternion x, y, z, w"

@@ -1,4 +1,4 @@
-"""The manipulator's controller at T_m: law (16), both passivity observers, and both dampers' sizes, (20)-(24)."""
+"""Manipulator controller at T_m: law (16), both passivity observers and dampers, (20)-(24)."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from freeflyer_fmus.blocks.robot_parameters import (
     require_regular_jacobian,
     start_pose,
 )
-from freeflyer_fmus.blocks.terminals import HAND, REFERENCE
+from freeflyer_fmus.blocks.terminals import END_EFFECTOR, REFERENCE
 from freeflyer_fmus.equations import passivity
 from freeflyer_fmus.equations.dynamics import articulated_end_effector_inertia
 from freeflyer_fmus.equations.kinematics import base_jacobian_transposed_times
@@ -49,6 +49,7 @@ def manipulator_controller(robot: Robot) -> Block:
         "manipulator_controller",
         "Tracking control of the end-effector with both passivity observers",
     )
+    # Parameters of the law, of the observers and of both passivity controllers.
     T_m = block.sampled_every("period", 1e-3, "T_m: sampling time of this controller")
     T_b = block.parameter(
         "base_period", 0.3, "s", "T_b: sampling time of the base controller", above=0.0
@@ -59,7 +60,7 @@ def manipulator_controller(robot: Robot) -> Block:
         "discretisation", Discretisation, Discretisation.emulated, "How the law is sampled"
     )
     observer = block.choice(
-        "observer", Observer, Observer.port, "Which power the passivity observers watch"
+        "observer", Observer, Observer.port, "Power that the passivity observers integrate"
     )
     bookkeeping = block.choice(
         "bookkeeping", Bookkeeping, Bookkeeping.applied, "How the observers book energy"
@@ -82,7 +83,7 @@ def manipulator_controller(robot: Robot) -> Block:
         "velocity_floor",
         1e-8,
         "1",
-        "Floor of v^2 T under the dampers' deficits [SI]",
+        "Lower bound of v^2 T in beta of (24) [SI]",
         tunable=True,
         above=0.0,
     )
@@ -106,6 +107,7 @@ def manipulator_controller(robot: Robot) -> Block:
     null_stiffness, null_posture = null_space_spring(block, robot)
     limits = joint_limits(block, robot)
 
+    # Inputs: measurements and reference.
     state = measured_state(block, robot)
     p_start, R_start = start_pose(robot)
     p_e = block.input("end_effector_position", p_start, "m", "Measured position of E in I")
@@ -121,7 +123,7 @@ def manipulator_controller(robot: Robot) -> Block:
         "desired_orientation", R_start, "1", "Desired orientation of E in I, quaternion x, y, z, w"
     )
     v_d, a_d = desired_motion(block)
-    # Delayed by definition: what acted since the previous sample. They order nothing.
+    # Delayed inputs: wrenches applied since the previous sample. They do not affect the step order.
     F_b_applied = block.input(
         "applied_base_wrench",
         np.zeros(6),
@@ -135,9 +137,10 @@ def manipulator_controller(robot: Robot) -> Block:
         "base_passivity_wrench",
         np.zeros(6),
         WRENCH,
-        "Share of the base's passivity controller (delayed)",
+        "F_pcb of the base's passivity controller (delayed)",
     )
 
+    # States: observed energies, damping, and the previous sample's values.
     E_m = block.state(
         "manipulator_observed_energy",
         np.zeros(6),
@@ -154,7 +157,7 @@ def manipulator_controller(robot: Robot) -> Block:
         "base_damping",
         np.zeros(6),
         DAMPING,
-        "beta_b: damper asked of the base's passivity controller",
+        "beta_b: damping requested from the base's passivity controller",
     )
 
     def previous(name: str, unit: tuple[str, ...]) -> SX:
@@ -165,37 +168,37 @@ def manipulator_controller(robot: Robot) -> Block:
     u_m_1, u_b_1 = previous("manipulator_port_velocity", TWIST), previous("base_velocity", TWIST)
     S_m_1, S_b_1 = previous("manipulator_port_wrench", WRENCH), previous("base_port_share", WRENCH)
 
-    # Before the first sample nothing has acted: whatever the delayed inputs hold then, it is not booked.
-    begun = block.state("begun", 0.0, "1", "1 once the first sample is taken", local=True)
+    # Before the first sample no wrench has been applied: the delayed inputs are not booked then.
+    begun = block.state("begun", 0.0, "1", "1 after the first sample", local=True)
 
     # Eq. (16).
     star = feed_forward(mechanism, state, v_d, a_d)
-    M_hand = articulated_end_effector_inertia(mechanism, state)
+    M_e = articulated_end_effector_inertia(mechanism, state)
     dx_m = pose_error(p_e, R_e, p_d, R_d)
     is_matched = discretisation == int(Discretisation.matched)
-    held_law = mean_wrench(M_hand, ca.diag(K_P), ca.diag(K_D), T_m, -K_P * dx_m, v_m - v_d)
+    held_law = mean_wrench(M_e, ca.diag(K_P), ca.diag(K_D), T_m, -K_P * dx_m, v_m - v_d)
     F_m = star.F_m + ca.if_else(is_matched, held_law, spring_damper(K_P, K_D, dx_m, v_m - v_d))
 
-    # Port M: which velocity, and which part of F_m, the observer watches.
+    # Port M: the velocity and the part of F_m that the observer integrates.
     tracking = observer == int(Observer.tracking)
     u_m = v_m - ca.if_else(tracking, v_d, 0)
-    unseen_m = ca.if_else(tracking, star.F_m, 0)
+    excluded_m = ca.if_else(tracking, star.F_m, 0)
     # Eq. (20), sign corrected, in the chosen bookkeeping.
     E_m = passivity.choose(
         bookkeeping,
         {
             Bookkeeping.as_printed: passivity.observed_as_printed(
-                E_m, F_m - unseen_m, u_m, beta_m_1, u_m_1, T_m
+                E_m, F_m - excluded_m, u_m, beta_m_1, u_m_1, T_m
             ),
             Bookkeeping.applied: passivity.observed_as_applied(E_m, S_m_1, u_m_1, u_m, T_m),
         },
     )
     applied = bookkeeping == int(Bookkeeping.applied)
-    own_damping = ca.if_else(is_matched, sampled_damping(ca.diag(M_hand), K_P, K_D, T_m), K_D)
+    own_damping = ca.if_else(is_matched, sampled_damping(ca.diag(M_e), K_P, K_D, T_m), K_D)
     beta_m = passivity.damper(E_m, u_m, T_m, floor)
     beta_m = ca.if_else(
         ca.logic_and(applied, share > 0),
-        passivity.bounded(beta_m, share, ca.diag(M_hand), own_damping, T_m),
+        passivity.bounded(beta_m, share, ca.diag(M_e), own_damping, T_m),
         beta_m,
     )
     beta_m = ca.if_else(arm_on, beta_m, 0)
@@ -203,7 +206,8 @@ def manipulator_controller(robot: Robot) -> Block:
     F_pcm = -beta_m * u_m
     F_m_total = F_m + F_pcm
 
-    # Port B: what of its wrench is known here, at T_m; the base controller's share comes back through the delayed inputs.
+    # Port B: the part of its wrench that is computed here, at T_m. The base controller's part comes
+    # back through the delayed inputs.
     v_b = ca.vertcat(state.v, state.w)
     Jb_F = base_jacobian_transposed_times(star.p_be, F_m_total)
     share_b = passivity.choose(
@@ -221,10 +225,11 @@ def manipulator_controller(robot: Robot) -> Block:
             Bookkeeping.applied: passivity.observed_as_applied(E_b, held + S_b_1, u_b_1, v_b, T_m),
         },
     )
-    # Eq. (24): printed with T_m; a damper that is held for T_b has T_b to dissipate the deficit.
+    # Eq. (24), printed with T_m. A damper held for T_b dissipates the deficit over T_b.
     beta_b = passivity.damper(E_b, v_b, ca.if_else(applied, T_b, T_m), floor)
     beta_b = ca.if_else(base_on, beta_b, 0)
 
+    # New states and outputs.
     for name, value in {
         "manipulator_observed_energy": E_m,
         "base_observed_energy": E_b,
@@ -232,7 +237,7 @@ def manipulator_controller(robot: Robot) -> Block:
         "base_damping": beta_b,
         "previous_manipulator_port_velocity": u_m,
         "previous_base_velocity": v_b,
-        "previous_manipulator_port_wrench": F_m_total - unseen_m,
+        "previous_manipulator_port_wrench": F_m_total - excluded_m,
         "previous_base_port_share": share_b,
         "begun": SX(1),
     }.items():
@@ -240,7 +245,7 @@ def manipulator_controller(robot: Robot) -> Block:
     tau, meaning = joint_torque(mechanism, state, F_m_total), "tau = J_m^T F'_m"
     if star.null_space:
         tau += null_space_torque(star.null_space, state, null_damping, null_stiffness, null_posture)
-        meaning += ", and the null space's share"
+        meaning += ", plus the null-space torque"
     block.output("joint_torque", tau, joint_units(robot, "N.m", "N"), meaning)
     block.output(
         "end_effector_wrench",
@@ -249,7 +254,7 @@ def manipulator_controller(robot: Robot) -> Block:
         "F'_m: Cartesian wrench at the end-effector, (22), in I",
     )
     block.output(
-        "passivity_wrench", F_pcm, WRENCH, "F_pcm: share of the passivity controller, (21), in I"
+        "passivity_wrench", F_pcm, WRENCH, "F_pcm: wrench of the passivity controller, (21), in I"
     )
     block.output(
         "jacobian_sigma_min",
@@ -273,7 +278,7 @@ def manipulator_controller(robot: Robot) -> Block:
     require_regular_jacobian(block, star.sigma_min, least_sigma)
     block.terminal("base", "base_orientation", "base_velocity")
     block.terminal("arm", "joint_position", "joint_velocity", "joint_torque")
-    block.terminal("hand", **HAND)
+    block.terminal("hand", **END_EFFECTOR)
     block.terminal("reference", **{name: f"desired_{name}" for name in REFERENCE})
     block.terminal("ports", "end_effector_wrench", "base_damping")
     block.terminal(

@@ -1,4 +1,4 @@
-"""The end-effector's desired motion as a function of time; a block without inputs and states."""
+"""Desired end-effector motion as a function of time; a block without inputs and states."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SX = ca.SX
 
 
 def reference_motion(block: Block, robot: Robot) -> Motion:
-    """Declare the trajectory's parameters and give the motion at the block's time."""
+    """Declare the trajectory's parameters; return the motion at the block's time."""
     position, orientation = start_pose(robot)
     p_0 = block.parameter("initial_position", position, "m", "End-effector position at t = 0, in I")
     R_0 = block.parameter(
@@ -29,7 +29,7 @@ def reference_motion(block: Block, robot: Robot) -> Motion:
         "m",
         "Amplitude of the translation, in I (assumed; the paper does not give it)",
     )
-    turn = block.parameter(
+    rotation_vector = block.parameter(
         "rotation_amplitude",
         [0.0, 0.2, 0.0],
         "rad",
@@ -42,7 +42,7 @@ def reference_motion(block: Block, robot: Robot) -> Motion:
         "ramp_time", 5.0, "s", "Duration of the quintic ramp of the amplitude (assumed)", above=0.0
     )
     require_quaternions(block, {"initial_orientation": R_0})
-    return ramped_sine(block.time, p_0, R_0, translation, turn, frequency, ramp_time)
+    return ramped_sine(block.time, p_0, R_0, translation, rotation_vector, frequency, ramp_time)
 
 
 def reference_trajectory(robot: Robot) -> Block:

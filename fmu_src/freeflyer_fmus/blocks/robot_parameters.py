@@ -1,4 +1,4 @@
-"""What every block that knows the robot's model has in common: its masses as parameters, its measured state as inputs."""
+"""Declarations shared by the blocks with a robot model: mass parameters, measured state, limits."""
 
 from __future__ import annotations
 
@@ -23,17 +23,18 @@ from freeflyer_fmus.robot.robot import Array, Robot
 SX = ca.SX
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
 SINGULARITY_THRESHOLD = 0.02
-"""Default of the least singular value of J_m that the controllers accept."""
+"""Default of the smallest singular value of J_m that the controllers accept."""
 NO_LIMIT = 1e6
-"""Stands for the limits of a joint that has none [SI]."""
+"""Limit value of a joint without limits [SI]."""
 
 
 def joint_units(robot: Robot, revolute: str, prismatic: str) -> Units:
+    """Return one unit per joint, by its kind."""
     return tuple(revolute if joint.kind == "revolute" else prismatic for joint in robot.joints)
 
 
 def start_pose(robot: Robot) -> tuple[Array, Array]:
-    """End-effector position (3) [m] and quaternion (4) in I at the start posture, base frame on I."""
+    """Return position (3) [m] and quaternion (4) of E in I at the start posture, with B at I."""
     position, orientation = end_effector_pose(
         constant_mechanism(robot), SX(3, 1), SX(list(IDENTITY)), SX(ca.DM(robot.posture))
     )
@@ -42,7 +43,7 @@ def start_pose(robot: Robot) -> tuple[Array, Array]:
 
 
 def mass_parameters(block: Block, robot: Robot) -> Mechanism:
-    """Declare base mass and inertia and the tool's; give the mechanism in these symbols."""
+    """Declare mass and inertia of base and tool; return the mechanism in these symbols."""
     base_mass = block.parameter(
         "base_mass", robot.base.mass, "kg", "Mass of the base body without the arm", above=0.0
     )
@@ -68,31 +69,34 @@ def mass_parameters(block: Block, robot: Robot) -> Mechanism:
 
 
 def _require_physical(block: Block, name: str, entries: SX, *, strict: bool) -> None:
-    """Positive definite (by its leading minors) and, by the density-weighted covariance, within the triangle inequality."""
+    """Require a positive (semi)definite inertia that satisfies the triangle inequality.
+
+    The triangle inequality holds if the density-weighted covariance is positive semidefinite.
+    """
     matrix = symmetric_matrix(entries)
     covariance = 0.5 * ca.trace(matrix) * SX.eye(3) - matrix
     scale = ca.trace(matrix)
-    for what, tested, exact in (
-        ("positive definite", matrix, strict),
-        ("within the triangle inequality", covariance, False),
+    for condition, tested, exact in (
+        ("matrix must be positive definite", matrix, strict),
+        ("covariance must be positive (triangle inequality)", covariance, False),
     ):
-        # All principal minors: the leading ones do not decide semidefiniteness.
+        # All principal minors: the leading minors alone do not imply semidefiniteness.
         for rows in ([0], [1], [2], [0, 1], [0, 2], [1, 2], [0, 1, 2]):
             minor = ca.det(tested[rows, rows])
-            # A body may lie on the triangle inequality's edge: rounding must not throw it over.
+            # A valid body may lie on the bound: the slack covers rounding.
             slack = 0.0 if exact else -1e-12 * scale ** len(rows)
             label = "".join("xyz"[row] for row in rows)
             block.require(
                 minor,
                 slack,
-                f"{name}: principal minor {label} of what must be {what}",
+                f"{name}: its {condition}, but principal minor {label}",
                 "correct the inertia",
                 strict=exact,
             )
 
 
 def measured_state(block: Block, robot: Robot) -> State:
-    """Declare base orientation and velocity, joint positions and velocities as inputs."""
+    """Declare base orientation, base velocity, joint positions and joint velocities as inputs."""
     n = robot.joint_count
     orientation = block.input(
         "base_orientation", IDENTITY, "1", "Orientation of B in I, quaternion x, y, z, w"
@@ -115,7 +119,7 @@ def measured_state(block: Block, robot: Robot) -> State:
 
 @dataclass(frozen=True, kw_only=True)
 class JointLimits:
-    """Each (n), as parameters of the block."""
+    """Joint limits as parameters of the block, (n) each."""
 
     lower: SX
     upper: SX
@@ -124,7 +128,7 @@ class JointLimits:
 
 
 def joint_limits(block: Block, robot: Robot) -> JointLimits:
-    """Declare what the robot's file says of its joints, so that whoever drives the arm can compare it with what he has."""
+    """Declare the joint limits of the robot file, so that an arm adapter can check them."""
 
     def declared(name: str, values: list[float], units: Units, description: str) -> SX:
         return block.parameter(name, np.clip(values, -NO_LIMIT, NO_LIMIT), units, description)
@@ -153,7 +157,7 @@ def joint_limits(block: Block, robot: Robot) -> JointLimits:
 
 
 def desired_motion(block: Block) -> tuple[SX, SX]:
-    """Declare the reference's velocity and acceleration as inputs."""
+    """Declare the reference velocity and acceleration as inputs."""
     return (
         block.input(
             "desired_velocity", np.zeros(6), TWIST, "Desired end-effector velocity x_md', in I"
@@ -170,7 +174,7 @@ def desired_motion(block: Block) -> tuple[SX, SX]:
 def require_quaternions(
     block: Block, quaternions: dict[str, SX], *, initially: bool = False
 ) -> None:
-    """Refuse a quaternion of no length, by name."""
+    """Require nonzero quaternions; the message contains the name."""
     for name, quaternion in quaternions.items():
         remedy = "give a quaternion x, y, z, w of norm one"
         block.require(
@@ -179,15 +183,19 @@ def require_quaternions(
 
 
 def require_regular_jacobian(block: Block, sigma_min: SX, threshold: SX | float) -> None:
+    """Require that the smallest singular value of J_m is at least `threshold`."""
     remedy = "keep the posture away from singularities, or lower singularity_threshold"
     block.require(sigma_min, threshold, "smallest singular value of J_m", remedy)
 
 
 def require_full_jacobian(robot: Robot, subject: str) -> None:
-    """Refuse a robot that the laws cannot control from its start posture: every FMU must be sound at its start values."""
+    """Raise RobotError if J_m is singular at the start posture or has fewer than six columns.
+
+    Every FMU must be valid at its start values.
+    """
     if robot.joint_count < 6:
         raise RobotError(
-            f"robot {robot.name}: {subject} needs at least six free joints so that the hand can move every way, got {robot.joint_count}"
+            f"robot {robot.name}: {subject} needs at least six free joints so that the end-effector can move in all directions, got {robot.joint_count}"
         )
     mechanism = constant_mechanism(robot)
     Jm = np.array(

@@ -1,4 +1,4 @@
-"""The satellite that the facility's base robot moves as: the base rows of (1), with the arm as it is measured."""
+"""Simulated satellite, followed by the facility's base robot: base rows of (1), measured arm."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ def satellite(robot: Robot) -> Block:
     )
     mechanism = mass_parameters(block, robot)
     gravity, knowledge = gravity_parameters(block)
+    # Inputs: commanded base wrench and measurements of arm and base robot.
     F_b = block.input(
         "base_wrench", np.zeros(6), WRENCH, "F_b: force on the base and torque about B, in I"
     )
@@ -47,16 +48,18 @@ def satellite(robot: Robot) -> Block:
         "measured_base_orientation",
         IDENTITY,
         "1",
-        "Orientation of the base robot, which gravity acts on",
+        "Orientation of the base robot, for the gravity torque",
     )
 
+    # States: the set point of the base robot.
     block.state("base_position", np.zeros(3), "m", "Position of B in I: the base robot's set point")
     R = block.state(
         "base_orientation", IDENTITY, "1", "Orientation of B in I, quaternion x, y, z, w: set point"
     )
     v = block.state("base_velocity", np.zeros(6), TWIST, "Velocity of B, in I: set point")
     state = State(R, v[:3], v[3:], q, qd)
-    # The hanging arm's torque holds gravity, which the satellite does not feel; how well that is known is a parameter.
+    # The measured torque includes gravity, which does not act on the satellite. The modelled
+    # gravity torque is subtracted; its accuracy is a parameter.
     torque = measured - knowledge * gravity_model(mechanism, R_robot, q, gravity)
     acceleration, _ = dynamics.forward_dynamics(mechanism, state, F_b, torque)
     block.initial("base_orientation", rotation.normalised(R))

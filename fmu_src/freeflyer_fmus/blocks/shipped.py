@@ -1,4 +1,4 @@
-"""The blocks that this package ships, by name."""
+"""Blocks shipped with this package, by name."""
 
 from __future__ import annotations
 

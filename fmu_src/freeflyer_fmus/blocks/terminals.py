@@ -1,6 +1,6 @@
-"""Members of the terminals that many blocks share; a member has the same meaning in every block."""
+"""Members of terminals shared by several blocks; a member has the same meaning in every block."""
 
-HAND = {
+END_EFFECTOR = {
     "position": "end_effector_position",
     "orientation": "end_effector_orientation",
     "velocity": "end_effector_velocity",

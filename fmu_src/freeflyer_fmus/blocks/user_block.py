@@ -1,4 +1,4 @@
-"""A block from a user's own Python file."""
+"""Loading of user-defined blocks from Python files."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ from freeflyer_fmus.robot.robot import Robot
 
 
 def load_block(path: Path) -> Callable[[Robot], Block]:
-    """The function `block` of a user's file."""
+    """Load the function `block` of a user's file.
+
+    Raises BlockError if the file or its function fails, or if the function returns no Block.
+    """
     if not path.is_file():
         raise BlockError(f"block file {path} does not exist")
     spec = importlib.util.spec_from_file_location(path.stem, path)
@@ -23,7 +26,7 @@ def load_block(path: Path) -> Callable[[Robot], Block]:
     try:
         spec.loader.exec_module(module)
         made: Callable[[Robot], Block] = module.block
-    except (Exception, SystemExit) as error:  # a user's file may fail in any way
+    except (Exception, SystemExit) as error:  # third-party code: any error is possible
         raise BlockError(
             f"block file {path} does not define block(robot): {type(error).__name__}: {error}{renamed(error)}"
         ) from error
@@ -32,7 +35,7 @@ def load_block(path: Path) -> Callable[[Robot], Block]:
         try:
             block = made(robot)
             if isinstance(block, Block):
-                _ = block.functions  # the equations too fail here, if they fail
+                _ = block.functions  # derives the equations, so that their errors occur here
         except FmuSourceError:
             raise
         except (Exception, SystemExit) as error:
@@ -41,7 +44,7 @@ def load_block(path: Path) -> Callable[[Robot], Block]:
             ) from error
         if not isinstance(block, Block):
             raise BlockError(
-                f"block file {path}: block(robot) gave a {type(block).__name__}; a Block is expected"
+                f"block file {path}: block(robot) returned a {type(block).__name__}; a Block is expected"
             )
         return block
 

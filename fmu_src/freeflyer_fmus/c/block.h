@@ -1,4 +1,4 @@
-/* What a block is to the runtime. The generated block.c defines one `block`; everything else here is the same for all. */
+/* Interface between a block and the runtime. The generated block.c defines `block`. */
 #ifndef BLOCK_H
 #define BLOCK_H
 
@@ -8,32 +8,35 @@
 typedef void Equations(const double *t, const double *p, const double *u, const double *x,
                        double *r0, double *r1, double *r2);
 
-/* The derivative of such a function along `seed`. Forward: the seed is of (t, p, u, x), the result of r0 (and r1 after it);
-   reverse: the other way round. */
+/* The directional derivative of such a function. Forward: `seed` is a direction of (t, p, u, x),
+   and the result is the derivative of r0 (followed by r1). Reverse: the seed belongs to the
+   results. */
 typedef void Sensitivity(const double *t, const double *p, const double *u, const double *x,
                          const double *seed, double *result);
 
 typedef enum { REAL, BOOLEAN, ENUMERATION } Kind;
 
-/* When a value may be set: never, before initialisation ends, also between steps, as an input, as a state's start value. */
+/* Access to a value: read only; settable until initialisation ends; settable between steps too;
+   input; start value of a state. */
 typedef enum { READ_ONLY, FIXED, TUNABLE, INPUT, START } Access;
 
-/* One entry per value. The value reference is its index in the value vector; an array's is that of its first element. */
+/* One entry per value. The value reference is the index in the value vector. An array's value
+   reference is that of its first element. */
 typedef struct {
     const char *name;      /* of the element, FMI 2.0 structured naming */
     unsigned char kind;    /* Kind */
     unsigned char access;  /* Access */
     unsigned char maximum; /* largest value of an enumeration */
-    unsigned short extent; /* elements of the variable that begins here; 0 inside an array */
+    unsigned short extent; /* size of the variable that starts here; 0 for its further elements */
 } Value;
 
-/* Margins are pairs (value, minimum), in the order of these. */
+/* A requirement. Margins are pairs (value, minimum), in the same order. */
 typedef struct {
     const char *subject, *remedy;
     int strict;
 } Requirement;
 
-/* A range of the value vector: time, parameters, inputs, states, outputs, derivatives follow one another in it. */
+/* A range of the value vector. Order: time, parameters, inputs, states, outputs, derivatives. */
 typedef struct {
     int first, count;
 } Range;
@@ -52,10 +55,10 @@ typedef struct {
     Equations *update;     /* sampled: r0 new states, r1 outputs, r2 margins */
     Equations *rates;      /* continuous: r0 derivatives */
     Equations *outputs_;   /* continuous: r0 outputs, r1 margins */
-    Equations *
-        linked_outputs; /* continuous: the first `linked` of them, which are made to be connected, and all margins */
+    /* continuous: r0 the first `linked` outputs (up to the last one in a terminal), r1 margins */
+    Equations *linked_outputs;
     int linked;
-    /* Of initial, update, rates and outputs_. */
+    /* Derivatives of initial, update, rates and outputs_. */
     Sensitivity *forward_initial, *forward_update, *forward_rates, *forward_outputs;
     Sensitivity *reverse_initial, *reverse_update, *reverse_rates, *reverse_outputs;
     int static_requirements, running_requirements;

@@ -1,9 +1,9 @@
-/* The block's functions, evaluated at an instance's values when they are needed, and what they require, checked. */
+/* Evaluation of the block's functions on demand, and checks of its requirements. */
 #include "internal.h"
 
 #include <string.h>
 
-/* The first margin below its minimum, told with its value; NaN is below everything. */
+/* Returns ERROR and writes the message for the first violated requirement. NaN violates any. */
 static Status check_margins(Instance *c, const Requirement *requirement, int count,
                             const double *margin)
 {
@@ -28,7 +28,7 @@ Status instance_check_finite(Instance *c, int first, int count, const double *va
 {
     double sum = 0;
     for (int i = 0; i < count; i++)
-        sum += 0.0 * value[i]; /* NaN as soon as one is not finite */
+        sum += 0.0 * value[i]; /* NaN if any value is not finite */
     if (sum == 0)
         return OK;
     int i = 0;
@@ -117,7 +117,7 @@ Status instance_update_rates(Instance *c)
 
 void instance_changed(Instance *c)
 {
-    /* A sampled block's outputs follow its inputs only while it is initialised: afterwards they are held. */
+    /* A sampled block's outputs follow its inputs during initialisation only. */
     if (block.period < 0 || (c->memory->state & (INSTANTIATED | INITIALIZATION)))
         c->memory->outputs_valid = NONE;
     c->memory->rates_valid = 0;

@@ -1,4 +1,4 @@
-/* FMI 2.0: the binary interface, and nothing else. */
+/* FMI 2.0 interface: translates FMI calls to those of instance.h. */
 #include "fmi2Functions.h"
 
 #include <math.h>
@@ -6,7 +6,7 @@
 
 #include "instance.h"
 
-/* Every call first: is there an instance, may it be called now, are its arrays given? */
+/* First line of every call: checks the instance, its state, and the arrays. */
 #define ALLOW(states, given)                                                        \
     do {                                                                            \
         if (!c || instance_allow((Instance *)c, __func__, (states), (given)) != OK) \
@@ -16,7 +16,7 @@
 
 static fmi2Status status(Status s) { return (fmi2Status)s; }
 
-static void say(Instance *c, Status s, const char *category, const char *text)
+static void send_log_message(Instance *c, Status s, const char *category, const char *text)
 {
     fmi2CallbackLogger logger;
     memcpy(&logger, &c->log_target[0], sizeof logger);
@@ -31,8 +31,7 @@ const char *fmi2GetVersion(void) { return fmi2Version; }
 fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n,
                                const fmi2String categories[])
 {
-    (void)
-        on; /* nothing but failures is ever told, and they always are: many importers never turn logging on */
+    (void)on; /* failures are always logged: many importers never enable logging */
     ALLOW(ALIVE, 1);
     if (instance_check_categories(c, categories, n) != OK)
         return fmi2Error;
@@ -44,17 +43,17 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String token,
                               fmi2Boolean visible, fmi2Boolean logging)
 {
     (void)resources, (void)visible, (void)logging;
-    const char *refusal = instance_refusal(name, token, type == fmi2ModelExchange);
-    Instance *c = refusal ? NULL : instance_new(name, type == fmi2ModelExchange);
+    const char *rejection = instance_rejection(name, token, type == fmi2ModelExchange);
+    Instance *c = rejection ? NULL : instance_new(name, type == fmi2ModelExchange);
     if (!c && callbacks && callbacks->logger)
         callbacks->logger(callbacks->componentEnvironment, name ? name : "", fmi2Error,
-                          "logStatusError", "%s", refusal ? refusal : NO_MEMORY);
+                          "logStatusError", "%s", rejection ? rejection : NO_MEMORY);
     if (!c)
         return NULL;
     if (callbacks) {
         c->environment = callbacks->componentEnvironment;
         memcpy(&c->log_target[0], &callbacks->logger, sizeof callbacks->logger);
-        c->log = say;
+        c->log = send_log_message;
     }
     return c;
 }
@@ -96,7 +95,7 @@ fmi2Status fmi2Reset(fmi2Component c)
     return fmi2OK;
 }
 
-/* Values. FMI 2.0 has scalars only. */
+/* Values. FMI 2.0 has only scalars. */
 
 fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference reference[], size_t n,
                        fmi2Real value[])
@@ -180,7 +179,7 @@ fmi2Status fmi2SetBoolean(fmi2Component c, const fmi2ValueReference reference[],
 
 static fmi2Status none(fmi2Component c, size_t n, const char *what)
 {
-    return n == 0 ? fmi2OK : status(instance_lacks(c, what));
+    return n == 0 ? fmi2OK : status(instance_unsupported(c, what));
 }
 
 fmi2Status fmi2GetString(fmi2Component c, const fmi2ValueReference reference[], size_t n,
@@ -349,12 +348,12 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real size, fmi2Boolean
 fmi2Status fmi2CancelStep(fmi2Component c)
 {
     ALLOW(STEP, 1);
-    return status(instance_lacks(c, "asynchronous steps to cancel"));
+    return status(instance_unsupported(c, "asynchronous steps to cancel"));
 }
 
-/* Steps are never pending: of all that these functions could tell, only the last successful time means something. */
+/* Steps are never pending: only the last successful time and `terminated` have a status. */
 
-#define NOTHING_TO_TELL(Name, Type)                                          \
+#define NO_PENDING_STATUS(Name, Type)                                        \
     fmi2Status Name(fmi2Component c, const fmi2StatusKind kind, Type *value) \
     {                                                                        \
         (void)kind;                                                          \
@@ -362,9 +361,9 @@ fmi2Status fmi2CancelStep(fmi2Component c)
         return fmi2Discard;                                                  \
     }
 
-NOTHING_TO_TELL(fmi2GetStatus, fmi2Status)
-NOTHING_TO_TELL(fmi2GetIntegerStatus, fmi2Integer)
-NOTHING_TO_TELL(fmi2GetStringStatus, fmi2String)
+NO_PENDING_STATUS(fmi2GetStatus, fmi2Status)
+NO_PENDING_STATUS(fmi2GetIntegerStatus, fmi2Integer)
+NO_PENDING_STATUS(fmi2GetStringStatus, fmi2String)
 
 fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Real *value)
 {

@@ -1,4 +1,4 @@
-/* FMI 3.0: the binary interface, and nothing else. */
+/* FMI 3.0 interface: translates FMI calls to those of instance.h. */
 #include "fmi3Functions.h"
 
 #include <math.h>
@@ -6,18 +6,18 @@
 
 #include "instance.h"
 
-/* Every call first: is there an instance, may it be called now, are its arrays given? */
+/* First line of every call: checks the instance, its state, and the arrays. */
 #define ALLOW(states, given)                                                        \
     do {                                                                            \
         if (!c || instance_allow((Instance *)c, __func__, (states), (given)) != OK) \
             return fmi3Error;                                                       \
     } while (0)
 #define ALIVE (INSTANTIATED | INITIALIZED)
-#define BETWEEN (ALIVE & ~INTERMEDIATE) /* not from within an intermediate update */
+#define BETWEEN (ALIVE & ~INTERMEDIATE) /* not during an intermediate update */
 
 static fmi3Status status(Status s) { return (fmi3Status)s; }
 
-static void say(Instance *c, Status s, const char *category, const char *text)
+static void send_log_message(Instance *c, Status s, const char *category, const char *text)
 {
     fmi3LogMessageCallback logger;
     memcpy(&logger, &c->log_target[0], sizeof logger);
@@ -30,8 +30,7 @@ const char *fmi3GetVersion(void) { return fmi3Version; }
 fmi3Status fmi3SetDebugLogging(fmi3Instance c, fmi3Boolean on, size_t n,
                                const fmi3String categories[])
 {
-    (void)
-        on; /* nothing but failures is ever told, and they always are: many importers never turn logging on */
+    (void)on; /* failures are always logged: many importers never enable logging */
     ALLOW(BETWEEN, 1);
     if (instance_check_categories(c, categories, n) != OK)
         return fmi3Error;
@@ -41,15 +40,15 @@ fmi3Status fmi3SetDebugLogging(fmi3Instance c, fmi3Boolean on, size_t n,
 static Instance *instantiate(fmi3String name, fmi3String token, int model_exchange,
                              fmi3InstanceEnvironment environment, fmi3LogMessageCallback logger)
 {
-    const char *refusal = instance_refusal(name, token, model_exchange);
-    Instance *c = refusal ? NULL : instance_new(name, model_exchange);
+    const char *rejection = instance_rejection(name, token, model_exchange);
+    Instance *c = rejection ? NULL : instance_new(name, model_exchange);
     if (!c && logger)
-        logger(environment, fmi3Error, "logStatusError", refusal ? refusal : NO_MEMORY);
+        logger(environment, fmi3Error, "logStatusError", rejection ? rejection : NO_MEMORY);
     if (!c)
         return NULL;
     c->environment = environment;
     memcpy(&c->log_target[0], &logger, sizeof logger);
-    c->log = say;
+    c->log = send_log_message;
     return c;
 }
 
@@ -111,7 +110,7 @@ fmi3Instance fmi3InstantiateScheduledExecution(
 
 void fmi3FreeInstance(fmi3Instance c)
 {
-    /* From within an intermediate update it would pull the ground from under the step: refused, with a message. */
+    /* Rejected during an intermediate update: the running step still uses the instance. */
     if (c && instance_allow((Instance *)c, __func__, BETWEEN, 1) == OK)
         instance_free(c);
 }
@@ -155,9 +154,9 @@ fmi3Status fmi3Reset(fmi3Instance c)
     return fmi3OK;
 }
 
-/* Values. A reference stands for a whole array. */
+/* Values. A reference denotes a whole array. */
 
-/* OK if the variables that begin at the references have n elements in all. */
+/* Returns OK if the variables at the references have n elements in total. */
 static Status check_elements(Instance *c, const fmi3ValueReference reference[], size_t nr, size_t n)
 {
     size_t elements = 0;
@@ -169,15 +168,15 @@ static Status check_elements(Instance *c, const fmi3ValueReference reference[], 
         message_begin(&c->message, "value reference ");
         message_add_number(&c->message, reference[i]);
         message_add(&c->message, " is not a variable of this FMU");
-        return instance_say(c, ERROR, "logStatusError");
+        return instance_report(c, ERROR, "logStatusError");
     }
     if (elements == n)
         return OK;
     message_begin(&c->message, "the variables have ");
     message_add_number(&c->message, (double)elements);
-    message_add(&c->message, " elements in all, not ");
+    message_add(&c->message, " elements in total, not ");
     message_add_number(&c->message, (double)n);
-    return instance_say(c, ERROR, "logStatusError");
+    return instance_report(c, ERROR, "logStatusError");
 }
 
 fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference reference[], size_t nr,
@@ -203,7 +202,7 @@ fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference reference[], 
     return status(s);
 }
 
-/* Enumerations and Booleans of this runtime are scalars. */
+/* Enumerations and Booleans are scalars in this runtime. */
 
 #define SCALARS(Type, kind, FROM)                                                     \
     fmi3Status fmi3Get##Type(fmi3Instance c, const fmi3ValueReference r[], size_t nr, \
@@ -247,11 +246,11 @@ fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference reference[], 
 SCALARS(Int64, ENUMERATION, FROM_INTEGER)
 SCALARS(Boolean, BOOLEAN, FROM_BOOLEAN)
 
-/* Types and functions that no block has. */
+/* Types and functions that are not supported. */
 
 static fmi3Status none(fmi3Instance c, size_t n, const char *what)
 {
-    return n == 0 ? fmi3OK : status(instance_lacks(c, what));
+    return n == 0 ? fmi3OK : status(instance_unsupported(c, what));
 }
 
 #define NO_TYPE(Type)                                                                 \
@@ -326,10 +325,10 @@ NO_CLOCK_BODY((void)a)
 NO_CLOCK(fmi3SetShiftFraction, const fmi3UInt64 a[], const fmi3UInt64 b[])
 NO_CLOCK_BODY((void)a, (void)b)
 
-/* Whatever the state: this FMU does not have it. */
+/* Reports an unsupported feature, in any state. */
 static fmi3Status absent(fmi3Instance c, const char *what)
 {
-    return c ? status(instance_lacks(c, what)) : fmi3Error;
+    return c ? status(instance_unsupported(c, what)) : fmi3Error;
 }
 
 fmi3Status fmi3GetNumberOfVariableDependencies(fmi3Instance c, fmi3ValueReference r, size_t *n)
@@ -443,7 +442,7 @@ fmi3Status fmi3DeserializeFMUState(fmi3Instance c, const fmi3Byte bytes[], size_
 fmi3Status fmi3EvaluateDiscreteStates(fmi3Instance c)
 {
     ALLOW(INITIALIZATION | EVENT, 1);
-    return fmi3OK; /* there are none between events */
+    return fmi3OK; /* there are no discrete states between events */
 }
 
 fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *again, fmi3Boolean *terminate,

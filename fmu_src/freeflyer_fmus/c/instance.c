@@ -1,4 +1,4 @@
-/* Life cycle. */
+/* Life cycle of an instance. */
 #include "internal.h"
 
 #include <stdlib.h>
@@ -27,15 +27,15 @@ size_t instance_memory_size(void)
     return sizeof(Memory) + (size_t)(block.values + block.states.count) * sizeof(double);
 }
 
-const char *instance_refusal(const char *name, const char *token, int model_exchange)
+const char *instance_rejection(const char *name, const char *token, int model_exchange)
 {
     if (!name)
         return "an instance needs a name";
     if (!token || !same_text(token, block.token))
-        return "the instantiation token is not this library's: description and binary do not "
-               "belong together";
+        return "the instantiation token does not match this library: modelDescription.xml and "
+               "binary are of different builds";
     if (model_exchange && block.period >= 0)
-        return "this FMU is sampled: it has no model exchange";
+        return "this FMU is sampled and has no model exchange interface";
     return NULL;
 }
 
@@ -44,9 +44,9 @@ Instance *instance_new(const char *name, int model_exchange)
     size_t length = 0;
     while (name[length])
         length++;
-    /* One piece of memory: instance, name, memory, scratch. The name's length is rounded up to keep doubles aligned. */
+    /* One allocation: instance, name, memory, scratch. The name's size is a multiple of 8 bytes. */
     size_t name_size = (length / sizeof(double) + 1) * sizeof(double);
-    /* `scratch` has room for an integration, or for an evaluation with its margins. */
+    /* `scratch` has room for an integration step or for an evaluation with its margins. */
     int n = block.states.count, evaluated = n + block.outputs.count;
     int margins =
         2 * (block.running_requirements > block.static_requirements ? block.running_requirements
@@ -84,18 +84,18 @@ void instance_reset(Instance *c)
     c->memory->state = INSTANTIATED;
 }
 
-Status instance_say(Instance *c, Status status, const char *category)
+Status instance_report(Instance *c, Status status, const char *category)
 {
     if (c->log)
         c->log(c, status, category, c->message.text);
     return status;
 }
 
-Status instance_lacks(Instance *c, const char *what)
+Status instance_unsupported(Instance *c, const char *what)
 {
     message_begin(&c->message, "this FMU has no ");
     message_add(&c->message, what);
-    return instance_say(c, ERROR, MISUSE);
+    return instance_report(c, ERROR, MISUSE);
 }
 
 Status instance_allow(Instance *c, const char *function, int states, int given)
@@ -117,17 +117,17 @@ Status instance_allow(Instance *c, const char *function, int states, int given)
     if (states & MODEL_EXCHANGE && !c->model_exchange) {
         message_add(&c->message,
                     " belongs to model exchange, and this instance is for co-simulation");
-        return instance_say(c, ERROR, MISUSE);
+        return instance_report(c, ERROR, MISUSE);
     }
     if (!((int)c->memory->state & states)) {
         message_add(&c->message, " is not allowed in the state ");
         for (size_t i = 0; i < sizeof names / sizeof *names; i++)
             if (names[i].state == c->memory->state)
                 message_add(&c->message, names[i].name);
-        return instance_say(c, ERROR, MISUSE);
+        return instance_report(c, ERROR, MISUSE);
     }
     message_add(&c->message, " was given a null pointer");
-    return instance_say(c, ERROR, MISUSE);
+    return instance_report(c, ERROR, MISUSE);
 }
 
 Status instance_check_categories(Instance *c, const char *const categories[], size_t n)
@@ -136,10 +136,10 @@ Status instance_check_categories(Instance *c, const char *const categories[], si
         if (categories && categories[i] &&
             (same_text(categories[i], MISUSE) || same_text(categories[i], REQUIREMENT)))
             continue;
-        message_begin(&c->message, "there is no log category ");
-        message_add(&c->message, categories && categories[i] ? categories[i] : "without a name");
-        message_add(&c->message, "; this FMU has " MISUSE " and " REQUIREMENT);
-        return instance_say(c, ERROR, MISUSE);
+        message_begin(&c->message, "log category ");
+        message_add(&c->message, categories && categories[i] ? categories[i] : "(null)");
+        message_add(&c->message, " does not exist; this FMU has " MISUSE " and " REQUIREMENT);
+        return instance_report(c, ERROR, MISUSE);
     }
     return OK;
 }
@@ -154,8 +154,9 @@ Status instance_set_up(Instance *c, double start, double stop)
     }
     message_begin(&c->message, sound ? "the stop time cannot be " : "the start time cannot be ");
     message_add_number(&c->message, sound ? stop : start);
-    message_add(&c->message, sound && stop < start ? " s: it lies before the start" : " s: " TIMES);
-    return instance_say(c, ERROR, MISUSE);
+    message_add(&c->message,
+                sound && stop < start ? " s: it is before the start time" : " s: " TIMES);
+    return instance_report(c, ERROR, MISUSE);
 }
 
 void instance_enter_initialization(Instance *c)
@@ -169,19 +170,19 @@ Status instance_exit_initialization(Instance *c)
 {
     Memory *m = c->memory;
     if (instance_check_parameters(c) != OK)
-        return instance_say(c, ERROR, REQUIREMENT);
+        return instance_report(c, ERROR, REQUIREMENT);
     if (block.period >= 0 &&
         !(m->value[block.period] >= 1e-9 && m->value[block.period] < LARGEST_TIME)) {
         message_begin(&c->message,
                       "the sampling period must be at least 1 ns and below 2e9 s, not ");
         message_add_number(&c->message, m->value[block.period]);
         message_add(&c->message, " s");
-        return instance_say(c, ERROR, MISUSE);
+        return instance_report(c, ERROR, MISUSE);
     }
     m->outputs_valid = NONE;
     m->rates_valid = 0;
     if (instance_update_outputs(c, ALL) != OK)
-        return instance_say(c, ERROR, REQUIREMENT);
+        return instance_report(c, ERROR, REQUIREMENT);
     memcpy(at(c, block.states), instance_present_states(c),
            (size_t)block.states.count * sizeof(double));
     m->state = c->model_exchange ? EVENT : STEP;

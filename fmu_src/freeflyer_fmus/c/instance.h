@@ -1,4 +1,5 @@
-/* One instance of the block: its values, its life cycle, its steps. fmi2.c and fmi3.c translate FMI calls to these. */
+/* An instance of the block: values, life cycle, steps. fmi2.c and fmi3.c translate FMI calls to
+   these. */
 #ifndef INSTANCE_H
 #define INSTANCE_H
 
@@ -11,32 +12,32 @@
 /* The same numbers in FMI 2.0 and FMI 3.0. */
 typedef enum { OK, WARNING, DISCARD, ERROR, FATAL } Status;
 
-/* Bits, so that a function can name the states in which it may be called. */
+/* Bit flags: a set of states in which a function may be called. */
 typedef enum {
     INSTANTIATED = 1,
     INITIALIZATION = 2,
     STEP = 4,          /* co-simulation, between steps */
     EVENT = 8,         /* model exchange */
     CONTINUOUS = 16,   /* model exchange */
-    INTERMEDIATE = 32, /* co-simulation, inside a step: the importer's intermediate update runs */
+    INTERMEDIATE = 32, /* co-simulation, inside a step: during the importer's intermediate update */
     TERMINATED = 64,
-    MODEL_EXCHANGE = 128 /* no state: a function's remark that it belongs to model exchange */
+    MODEL_EXCHANGE = 128 /* not a state; marks a function of model exchange */
 } State;
 
-/* Where values may be read. */
+/* States in which values may be read. */
 #define INITIALIZED (INITIALIZATION | STEP | EVENT | CONTINUOUS | INTERMEDIATE | TERMINATED)
 
-/* Which outputs are computed: none, those that are made to be connected, all. */
+/* Which outputs are valid: none, those up to the last one in a terminal, all. */
 typedef enum { NONE, LINKED, ALL } Outputs;
 
 typedef struct {
-    uint64_t identity; /* whose: a hash of the token and of the interface type */
+    uint64_t identity; /* hash of the token and the interface type */
     State state;
     int outputs_valid; /* Outputs */
     int rates_valid, parameters_checked;
     int64_t start, stop, next_sample; /* ns */
-    double clock;                     /* s; the exact time that the importer gave */
-    double value[];                   /* the value vector, then the integrator's lost digits */
+    double clock;                     /* s; the exact time given by the importer */
+    double value[];                   /* the value vector, then the integrator's rounding errors */
 } Memory;
 
 typedef struct Instance {
@@ -45,36 +46,37 @@ typedef struct Instance {
     void *environment;
     void (*log)(struct Instance *, Status, const char *category, const char *text);
     void *log_target[2];
-    /* At the end of an inner step of a communication step; not 0 ends the communication step there. May be NULL. */
+    /* Called at the end of an inner step. A nonzero result ends the communication step. May be
+       NULL. */
     int (*intermediate_update)(struct Instance *, double time);
     void *update_target[2];
     int may_return_early;
     Message message;
     double *scratch;              /* of one evaluation or integration */
-    double *saved;                /* states, lost digits and inputs before a step */
-    double *initial;              /* states as initialisation makes them */
+    double *saved;                /* states, rounding errors and inputs before a step */
+    double *initial;              /* states after initialisation */
     double *seed, *result, *part; /* of a sensitivity, each as long as the value vector */
-    Memory *memory;               /* everything that a saved FMU state holds */
+    Memory *memory;               /* content of a saved FMU state */
 } Instance;
 
-/* Why an instance cannot be made, or NULL. */
-const char *instance_refusal(const char *name, const char *token, int model_exchange);
-#define NO_MEMORY "there is no memory for an instance"
+/* Returns why an instance cannot be created, or NULL. */
+const char *instance_rejection(const char *name, const char *token, int model_exchange);
+#define NO_MEMORY "out of memory: the instance cannot be allocated"
 Instance *instance_new(const char *name, int model_exchange); /* NULL: no memory */
 void instance_free(Instance *);
-/* Back to start values. */
+/* Resets all values to their start values. */
 void instance_reset(Instance *);
-/* Say why, and give `status`. */
-Status instance_say(Instance *, Status status, const char *category);
-/* OK if the call is allowed now, and if the arrays that it needs are `given`. */
+/* Sends the message to the log and returns `status`. */
+Status instance_report(Instance *, Status status, const char *category);
+/* Returns OK if the function may be called in this state and all needed arrays are `given`. */
 Status instance_allow(Instance *, const char *function, int states, int given);
-/* "This FMU has no ...". */
-Status instance_lacks(Instance *, const char *what);
-/* OK if these are log categories of this FMU. */
+/* Reports "this FMU has no ..." and returns ERROR. */
+Status instance_unsupported(Instance *, const char *what);
+/* Returns OK if all are log categories of this FMU. */
 Status instance_check_categories(Instance *, const char *const categories[], size_t n);
 
-/* Values by value reference, in FMI 3.0 one for a `whole` variable, in FMI 2.0 one for each element. Setting: first check access,
-   range and finiteness of everything, then put it. */
+/* Access by value reference. `whole`: one reference per variable (FMI 3.0), else one per element
+   (FMI 2.0). To set values, first check access, range and finiteness of all, then put them. */
 typedef struct {
     const unsigned *reference;
     size_t n;
@@ -82,14 +84,14 @@ typedef struct {
 Status instance_get(Instance *, References, int whole, Kind kind, double *value);
 Status instance_check(Instance *, References, int whole, Kind kind, const double *value);
 void instance_put(Instance *, References, int whole, const double *value);
-/* Elements of the variable that begins at `reference`; 0 if none does. */
+/* Size of the variable that starts at `reference`; 0 if none does. */
 int instance_extent(unsigned reference);
 
-/* `stop` is INFINITY where none was announced. */
+/* Sets start and stop time; `stop` is INFINITY if undefined. */
 Status instance_set_up(Instance *, double start, double stop);
 void instance_enter_initialization(Instance *);
 Status instance_exit_initialization(Instance *);
-/* ERROR: nothing has changed, and a step with other inputs or of another size may go through. */
+/* Makes a communication step. After ERROR nothing has changed; another step may be tried. */
 Status instance_step(Instance *, double time, double size);
 
 /* Model exchange. */
@@ -99,14 +101,15 @@ Status instance_get_states(Instance *, double *x, size_t n);
 Status instance_get_rates(Instance *, double *dx, size_t n);
 Status instance_get_nominals(Instance *, double *nominals, size_t n);
 
-/* Sensitivities of unknowns (outputs, derivatives; states as outputs) to knowns (time, real parameters, inputs, states), at
-   the present values; of a sampled block, those of the sample that it would take now. Forward: `seed` belongs to the knowns; reverse: to the unknowns. */
+/* Directional derivatives of unknowns (outputs, derivatives; states as outputs) by knowns (time,
+   real parameters, inputs, states) at the present values. For a sampled block they are those of a
+   sample taken now. Forward: `seed` belongs to the knowns; reverse: to the unknowns. */
 Status instance_sensitivity(Instance *, References unknowns, References knowns, int whole,
                             int reverse, const double *seed, size_t seeds, double *result,
                             size_t results);
-/* Saved states: one flat copy each. `slot` is reused where it is not NULL. */
+/* Saved states: one flat copy each. A `slot` that is not NULL is reused. */
 size_t instance_memory_size(void);
-size_t instance_serialized_size(void); /* with a check sum */
+size_t instance_serialized_size(void); /* with a checksum */
 Status instance_save(Instance *, void **slot);
 Status instance_restore(Instance *, const void *saved);
 Status instance_serialize(Instance *, const void *saved, void *bytes, size_t size);

@@ -1,4 +1,4 @@
-/* One sentence for the user, put together without the C library's formatting. */
+/* A message of one sentence, composed without the C library's formatting functions. */
 #ifndef MESSAGE_H
 #define MESSAGE_H
 
@@ -7,10 +7,10 @@ typedef struct {
     int length;
 } Message;
 
-/* Start a new sentence. */
+/* Starts a new message. */
 void message_begin(Message *m, const char *text);
 void message_add(Message *m, const char *text);
-/* Six significant digits. */
+/* Adds a number with six significant digits. */
 void message_add_number(Message *m, double value);
 
 #endif

@@ -1,16 +1,16 @@
-/* Model exchange: the importer integrates. */
+/* Model exchange: the importer integrates the states. */
 #include "internal.h"
 
 Status instance_set_time(Instance *c, double time)
 {
     if (!(fabs(time) < LARGEST_TIME))
-        return instance_refuse(c, TIME, time, ": " TIMES);
+        return instance_reject(c, TIME, time, ": " TIMES);
     c->memory->clock = time;
     instance_changed(c);
     return OK;
 }
 
-/* Of no elements there need be no array. */
+/* Copies n values; the arrays may be NULL if n is 0. */
 static void transfer(double *to, const double *from, size_t n)
 {
     for (size_t i = 0; i < n; i++)
@@ -25,7 +25,7 @@ static Status check_count(Instance *c, size_t n)
     message_add_number(&c->message, block.states.count);
     message_add(&c->message, " continuous states, not ");
     message_add_number(&c->message, (double)n);
-    return instance_say(c, ERROR, MISUSE);
+    return instance_report(c, ERROR, MISUSE);
 }
 
 Status instance_set_states(Instance *c, const double *x, size_t n)
@@ -34,7 +34,7 @@ Status instance_set_states(Instance *c, const double *x, size_t n)
         return ERROR;
     for (size_t i = 0; i < n; i++)
         if (!is_finite(x[i]))
-            return instance_refuse(c, (unsigned)block.states.first + (unsigned)i, x[i],
+            return instance_reject(c, (unsigned)block.states.first + (unsigned)i, x[i],
                                    ": it must be a finite number");
     transfer(at(c, block.states), x, n);
     instance_changed(c);
@@ -54,7 +54,7 @@ Status instance_get_rates(Instance *c, double *dx, size_t n)
     if (check_count(c, n) != OK)
         return ERROR;
     if (instance_update_rates(c) != OK)
-        return instance_say(c, ERROR, REQUIREMENT);
+        return instance_report(c, ERROR, REQUIREMENT);
     transfer(dx, at(c, block.derivatives), n);
     return OK;
 }

@@ -4,11 +4,11 @@
 #include <stdlib.h>
 #include <string.h>
 
-static Status refuse(Instance *c, const char *why)
+static Status reject(Instance *c, const char *why)
 {
-    message_begin(&c->message, "the saved state is refused: ");
+    message_begin(&c->message, "the saved state is rejected: ");
     message_add(&c->message, why);
-    return instance_say(c, ERROR, MISUSE);
+    return instance_report(c, ERROR, MISUSE);
 }
 
 static Status copy(Instance *c, const void *bytes, void **slot)
@@ -16,7 +16,7 @@ static Status copy(Instance *c, const void *bytes, void **slot)
     if (!*slot)
         *slot = malloc(instance_memory_size());
     if (!*slot)
-        return refuse(c, "there is no memory for it");
+        return reject(c, "out of memory");
     memcpy(*slot, bytes, instance_memory_size());
     return OK;
 }
@@ -26,14 +26,14 @@ Status instance_save(Instance *c, void **slot) { return copy(c, c->memory, slot)
 Status instance_restore(Instance *c, const void *saved)
 {
     if (((const Memory *)saved)->identity != c->memory->identity)
-        return refuse(c,
+        return reject(c,
                       "it was saved by another FMU, or by an instance of the other interface type");
     memcpy(c->memory, saved, instance_memory_size());
     return OK;
 }
 
-/* FNV-1a: for accidents, not against malice. */
-static uint64_t check_sum(const unsigned char *bytes, size_t size)
+/* FNV-1a: detects accidental damage, not tampering. */
+static uint64_t checksum(const unsigned char *bytes, size_t size)
 {
     uint64_t sum = 14695981039346656037ULL;
     for (size_t i = 0; i < size; i++)
@@ -46,14 +46,15 @@ size_t instance_serialized_size(void) { return instance_memory_size() + sizeof(u
 Status instance_serialize(Instance *c, const void *saved, void *bytes, size_t size)
 {
     if (size != instance_serialized_size())
-        return refuse(c, "its bytes have another size than that of this FMU");
-    uint64_t sum = check_sum(saved, instance_memory_size());
+        return reject(c, "its size is not the state size of this FMU");
+    uint64_t sum = checksum(saved, instance_memory_size());
     memcpy(bytes, saved, instance_memory_size());
     memcpy((char *)bytes + instance_memory_size(), &sum, sizeof sum);
     return OK;
 }
 
-/* Bytes may come from anywhere, their check sum too: what could not have been written here is not let in. */
+/* Untrusted input: bytes and checksum may be of any origin. Rejects what this runtime cannot have
+   written. */
 static const char *fault(const Instance *c, const Memory *m)
 {
     int state = (int)m->state, both = INSTANTIATED | INITIALIZATION | TERMINATED;
@@ -68,7 +69,7 @@ static const char *fault(const Instance *c, const Memory *m)
         return "its bytes are damaged";
     for (int i = 0; i < block.values + block.states.count; i++) {
         const Value *value = &block.value[i < block.values ? i : 0];
-        /* What an evaluation that failed has left behind is not used. */
+        /* Values left behind by a failed evaluation are not used and need not be finite. */
         int stale = (inside((unsigned)i, block.outputs) &&
                      i >= block.outputs.first + computed_outputs(m)) ||
                     (inside((unsigned)i, block.derivatives) && !m->rates_valid);
@@ -83,19 +84,19 @@ static const char *fault(const Instance *c, const Memory *m)
 Status instance_deserialize(Instance *c, const void *bytes, size_t size, void **slot)
 {
     if (size != instance_serialized_size())
-        return refuse(c, "its bytes have another size than that of this FMU");
+        return reject(c, "its size is not the state size of this FMU");
     uint64_t sum;
     memcpy(&sum, (const char *)bytes + instance_memory_size(), sizeof sum);
-    if (sum != check_sum(bytes, instance_memory_size()))
-        return refuse(c, "its bytes are damaged");
-    /* The caller's bytes need not be aligned. */
+    if (sum != checksum(bytes, instance_memory_size()))
+        return reject(c, "its bytes are damaged");
+    /* The caller's bytes may be unaligned. */
     void *copied = NULL;
     if (copy(c, bytes, &copied) != OK)
         return ERROR;
     const char *why = fault(c, copied);
     if (why) {
         free(copied);
-        return refuse(c, why);
+        return reject(c, why);
     }
     free(*slot);
     *slot = copied;

@@ -1,4 +1,4 @@
-/* Directional and adjoint derivatives, from the generated forward and reverse functions. */
+/* Directional and adjoint derivatives from the generated forward and reverse functions. */
 #include "internal.h"
 
 #include <string.h>
@@ -15,7 +15,7 @@ static int is_unknown(unsigned i)
     return inside(i, block.outputs) || inside(i, block.states) || inside(i, block.derivatives);
 }
 
-/* Sum of the elements; or -1, and the message says which reference is wrong. */
+/* Returns the number of elements, or -1 with a message about the invalid reference. */
 static long count(Instance *c, References list, int whole, int (*allowed)(unsigned),
                   const char *kind)
 {
@@ -52,7 +52,8 @@ static void gather(References list, int whole, const double *vector, double *to)
     }
 }
 
-/* Sensitivities to the states hold at the end of initialization mode: there they follow from the start values. */
+/* In initialization mode the states depend on the start values, and so do the derivatives by
+   states. */
 static void forward(Instance *c, const double *x, double *seed, double *result)
 {
     const double *t = &c->memory->clock, *p = at(c, block.parameters), *u = at(c, block.inputs);
@@ -63,8 +64,8 @@ static void forward(Instance *c, const double *x, double *seed, double *result)
     }
     if (block.period >= 0) {
         block.forward_update(t, p, u, x, seed, result + block.states.first);
-        if (c->memory->state ==
-            INITIALIZATION) /* before the first sample a state shows what it begins with */
+        /* Before the first sample, a state's visible value is its initial value. */
+        if (c->memory->state == INITIALIZATION)
             memcpy(result + block.states.first, seed + block.states.first, size);
         return;
     }
@@ -104,18 +105,18 @@ static void reverse(Instance *c, const double *x, double *seed, double *result)
     }
 }
 
-static Status fail(Instance *c) { return instance_say(c, ERROR, MISUSE); }
+static Status fail(Instance *c) { return instance_report(c, ERROR, MISUSE); }
 
 Status instance_sensitivity(Instance *c, References unknowns, References knowns, int whole,
                             int is_reverse, const double *seed, size_t seeds, double *result,
                             size_t results)
 {
     long nu =
-        count(c, unknowns, whole, is_unknown, " is no output, state or derivative of this FMU");
+        count(c, unknowns, whole, is_unknown, " is not an output, state or derivative of this FMU");
     if (nu < 0)
         return fail(c);
     long nk = count(c, knowns, whole, is_known,
-                    " is no time, real parameter, input or state of this FMU");
+                    " is not the time, a real parameter, an input or a state of this FMU");
     if (nk < 0)
         return fail(c);
     if (seeds != (size_t)(is_reverse ? nu : nk) || results != (size_t)(is_reverse ? nk : nu)) {
@@ -123,7 +124,7 @@ Status instance_sensitivity(Instance *c, References unknowns, References knowns,
         message_add_number(&c->message, (double)nu);
         message_add(&c->message, " elements and the knowns ");
         message_add_number(&c->message, (double)nk);
-        message_add(&c->message, "; seed and sensitivity have other numbers of them");
+        message_add(&c->message, "; the lengths of seed and sensitivity differ from these");
         return fail(c);
     }
     size_t size = (size_t)block.values * sizeof(double);
@@ -135,10 +136,10 @@ Status instance_sensitivity(Instance *c, References unknowns, References knowns,
         reverse(c, x, c->seed, c->result);
     else
         forward(c, x, c->seed, c->result);
-    if (instance_check_finite(
-            c, 0, block.values, c->result,
-            ": that is a derivative along the seed; check seed, states and inputs") != OK)
-        return instance_say(c, ERROR, REQUIREMENT);
+    if (instance_check_finite(c, 0, block.values, c->result,
+                              " as a derivative along the seed; check seed, states and inputs") !=
+        OK)
+        return instance_report(c, ERROR, REQUIREMENT);
     gather(is_reverse ? knowns : unknowns, whole, c->result, result);
     return OK;
 }

@@ -5,7 +5,7 @@
 
 #include "integrate.h"
 
-/* start + count x period, so that rounding never adds up. */
+/* start + count x period: computed from the count, so that rounding errors do not accumulate. */
 static int64_t sample_after(const Memory *m, double period)
 {
     int64_t count = (int64_t)llround((double)(m->next_sample - m->start) * 1e-9 / period);
@@ -25,17 +25,18 @@ static Status step_sampled(Instance *c, int64_t begin, int64_t end, double size)
         message_add(&c->message, " s passes over a sample of this block, whose period is ");
         message_add_number(&c->message, period);
         message_add(&c->message, " s; choose a step that divides the period");
-        return instance_say(c, ERROR, MISUSE);
+        return instance_report(c, ERROR, MISUSE);
     }
     if (due && instance_sample(c, at(c, block.states)) != OK)
-        return instance_say(c, ERROR, REQUIREMENT);
+        return instance_report(c, ERROR, REQUIREMENT);
     if (due)
         memcpy(at(c, block.states), c->scratch, (size_t)block.states.count * sizeof(double));
     m->next_sample = next;
     return OK;
 }
 
-/* The importer may look at an inner instant, set inputs, and end the communication step there. */
+/* Intermediate update: the importer may read values, set inputs, and end the communication step
+   here. */
 static int interrupted(Instance *c, double time)
 {
     Memory *m = c->memory;
@@ -58,9 +59,10 @@ static Status step_continuous(Instance *c, double time, double size)
         message_add_number(&c->message, size);
         message_add(&c->message, " s would be more than 1e7 integration steps of ");
         message_add_number(&c->message, block.step);
-        message_add(&c->message, " s; choose a shorter one");
-        return instance_say(c, ERROR, MISUSE);
+        message_add(&c->message, " s; choose a shorter step");
+        return instance_report(c, ERROR, MISUSE);
     }
+    /* States, rounding errors and inputs are restored if the step fails. */
     int64_t count = size > 0 ? (int64_t)steps : 0;
     double h = count > 0 ? size / (double)count : 0;
     memcpy(saved, x, (size_t)n * sizeof(double));
@@ -76,12 +78,13 @@ static Status step_continuous(Instance *c, double time, double size)
             break;
         }
     }
+    /* The new state must be finite and meet the requirements. */
     m->clock = end;
     m->outputs_valid = NONE;
     m->rates_valid = 0;
     Status status = instance_check_finite(
-        c, block.states.first, n, x, " after this step; the step was not made: check the inputs");
-    /* Outputs wait until somebody asks, unless a requirement watches the motion. */
+        c, block.states.first, n, x, " after this step; the step was rejected: check the inputs");
+    /* Outputs are computed on demand, unless a requirement must be checked at every step. */
     if (status == OK && block.running_requirements > 0)
         status = instance_update_outputs(c, LINKED);
     if (status == OK)
@@ -91,7 +94,7 @@ static Status step_continuous(Instance *c, double time, double size)
     memcpy(at(c, block.inputs), saved + 2 * n, (size_t)block.inputs.count * sizeof(double));
     m->clock = time;
     m->outputs_valid = NONE;
-    return instance_say(c, ERROR, REQUIREMENT);
+    return instance_report(c, ERROR, REQUIREMENT);
 }
 
 Status instance_step(Instance *c, double time, double size)
@@ -104,24 +107,25 @@ Status instance_step(Instance *c, double time, double size)
         message_add_number(&c->message, time);
         message_add(&c->message, " s of size ");
         message_add_number(&c->message, size);
-        message_add(&c->message, " s does not begin where the last one ended, at ");
+        message_add(&c->message, " s does not start at the end of the last step, ");
         message_add_number(&c->message, m->clock);
-        message_add(&c->message, " s, by ");
+        message_add(&c->message, " s (difference ");
         message_add_number(&c->message, time - m->clock);
-        message_add(&c->message, " s, or has no valid size");
-        return instance_say(c, ERROR, MISUSE);
+        message_add(&c->message, " s), or its size is not valid");
+        return instance_report(c, ERROR, MISUSE);
     }
     if (m->stop != INT64_MAX && end > m->stop + NANOSECOND + (end - begin) / DRIFT) {
         message_begin(&c->message, "a step to ");
         message_add_number(&c->message, time + size);
-        message_add(&c->message, " s goes beyond the stop time that was announced, ");
+        message_add(&c->message, " s goes beyond the stop time, ");
         message_add_number(&c->message, (double)m->stop * 1e-9);
         message_add(&c->message, " s");
-        return instance_say(c, ERROR, MISUSE);
+        return instance_report(c, ERROR, MISUSE);
     }
     double before = m->clock;
     m->clock = time;
-    Status status = instance_check_parameters(c) == OK ? OK : instance_say(c, ERROR, REQUIREMENT);
+    Status status =
+        instance_check_parameters(c) == OK ? OK : instance_report(c, ERROR, REQUIREMENT);
     if (status == OK)
         status =
             block.period >= 0 ? step_sampled(c, begin, end, size) : step_continuous(c, time, size);

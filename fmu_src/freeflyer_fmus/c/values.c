@@ -1,4 +1,4 @@
-/* Values by value reference. */
+/* Reading and setting of values by value reference. */
 #include "internal.h"
 
 int instance_extent(unsigned reference)
@@ -6,7 +6,7 @@ int instance_extent(unsigned reference)
     return reference < (unsigned)block.values ? block.value[reference].extent : 0;
 }
 
-static Status refuse_reference(Instance *c, unsigned reference, Kind kind)
+static Status reject_reference(Instance *c, unsigned reference, Kind kind)
 {
     static const char *const kinds[] = {"a real", "a Boolean", "an enumeration"};
     message_begin(&c->message, "value reference ");
@@ -14,7 +14,7 @@ static Status refuse_reference(Instance *c, unsigned reference, Kind kind)
     message_add(&c->message, " is not ");
     message_add(&c->message, kinds[kind]);
     message_add(&c->message, " variable of this FMU");
-    return instance_say(c, ERROR, MISUSE);
+    return instance_report(c, ERROR, MISUSE);
 }
 
 static inline int is_reference(unsigned reference, Kind kind)
@@ -27,7 +27,8 @@ static inline int extent(unsigned reference, int whole)
     return whole ? block.value[reference].extent : 1;
 }
 
-/* Beyond the linked outputs, if one of the list lies there: then everything is computed at once. */
+/* Returns ALL if the list contains an output beyond the linked ones: then all are computed
+   together. */
 static int wanted_outputs(References list)
 {
     for (size_t i = 0; i < list.n; i++)
@@ -43,44 +44,44 @@ Status instance_get(Instance *c, References list, int whole, Kind kind, double *
     for (size_t i = 0; i < list.n; i++) {
         unsigned reference = list.reference[i];
         if (!is_reference(reference, kind))
-            return refuse_reference(c, reference, kind);
+            return reject_reference(c, reference, kind);
         const double *from = m->value + reference;
         if (inside(reference, block.outputs)) {
             int level = (int)reference < block.outputs.first + block.linked ? LINKED : ALL;
             if (m->outputs_valid < level && instance_update_outputs(c, wanted_outputs(list)) != OK)
-                return instance_say(c, ERROR, REQUIREMENT);
+                return instance_report(c, ERROR, REQUIREMENT);
         } else if (inside(reference, block.derivatives)) {
             if (!m->rates_valid && instance_update_rates(c) != OK)
-                return instance_say(c, ERROR, REQUIREMENT);
+                return instance_report(c, ERROR, REQUIREMENT);
         } else if (reference == TIME) {
             m->value[TIME] = m->clock;
         } else if (m->state == INITIALIZATION && inside(reference, block.states)) {
             from = instance_present_states(c) + ((int)reference - block.states.first);
         }
-        *value++ = from[0]; /* before the loop, whose beginning costs more than one element */
+        *value++ = from[0]; /* outside the loop, whose overhead exceeds one element's copy */
         for (int k = 1, n = extent(reference, whole); k < n; k++)
             *value++ = from[k];
     }
     return OK;
 }
 
-Status instance_refuse(Instance *c, unsigned index, double value, const char *reason)
+Status instance_reject(Instance *c, unsigned index, double value, const char *reason)
 {
     message_begin(&c->message, block.value[index].name);
     message_add(&c->message, " cannot be set to ");
     message_add_number(&c->message, value);
     message_add(&c->message, reason);
-    return instance_say(c, DISCARD, MISUSE);
+    return instance_report(c, DISCARD, MISUSE);
 }
 
-static Status refuse_access(Instance *c, const Value *variable)
+static Status reject_access(Instance *c, const Value *variable)
 {
     message_begin(&c->message, variable->name);
     message_add(&c->message, variable->access == READ_ONLY ? " cannot be set: it is computed"
                              : variable->access == FIXED || variable->access == START
-                                 ? " cannot be set any more: it is fixed once the run has begun"
+                                 ? " cannot be set any more: it is fixed after initialisation"
                                  : " cannot be set in this state");
-    return instance_say(c, ERROR, MISUSE);
+    return instance_report(c, ERROR, MISUSE);
 }
 
 Status instance_check(Instance *c, References list, int whole, Kind kind, const double *value)
@@ -96,17 +97,17 @@ Status instance_check(Instance *c, References list, int whole, Kind kind, const 
     for (size_t i = 0; i < list.n; i++) {
         unsigned reference = list.reference[i];
         if (!is_reference(reference, kind))
-            return refuse_reference(c, reference, kind);
+            return reject_reference(c, reference, kind);
         const Value *variable = &block.value[reference];
         if (!(state & allowed[variable->access]))
-            return refuse_access(c, variable);
+            return reject_access(c, variable);
         for (int k = 0, n = extent(reference, whole); k < n; k++, value++) {
             if (!is_finite(*value))
-                return instance_refuse(c, reference + (unsigned)k, *value,
+                return instance_reject(c, reference + (unsigned)k, *value,
                                        ": it must be a finite number");
             if (kind == ENUMERATION && (*value < 1 || *value > variable->maximum))
-                return instance_refuse(c, reference + (unsigned)k, *value,
-                                       ": it is none of the enumeration's items");
+                return instance_reject(c, reference + (unsigned)k, *value,
+                                       ": it is not an item of the enumeration");
         }
     }
     return OK;

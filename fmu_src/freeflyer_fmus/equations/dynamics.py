@@ -1,6 +1,6 @@
-"""Equation (1): articulated-body forward dynamics, inverse dynamics with two velocities, H and C, energy and momentum.
+"""Equation (1): forward dynamics, two-velocity inverse dynamics, H and C, energy and momentum.
 
-All recursions run in body coordinates; wrenches and velocities go in and out in I.
+All recursions run in body coordinates. Wrenches and velocities of the interface are in I.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ IN_PLANE = sparse([[1, 0, 0], [0, 1, 0], [0, 0, 0]])
 
 
 def body_velocities(mechanism: Mechanism, state: State) -> list[tuple[SX, SX]]:
-    """(v, w) of the base and of every body, each in its own frame."""
+    """Return (v, w) of the base and of every body, each in its own frame."""
     R_IB = rotation.matrix(state.orientation)
     velocities = [(R_IB.T @ state.v, R_IB.T @ state.w)]
     for i, joint in enumerate(mechanism.joints):
@@ -49,19 +49,19 @@ def body_velocities(mechanism: Mechanism, state: State) -> list[tuple[SX, SX]]:
     return velocities
 
 
-def body_turns(mechanism: Mechanism, state: State) -> list[SX]:
-    """w (3) of the base and of every body, each in its own frame."""
-    turns = [rotation.matrix(state.orientation).T @ state.w]
+def body_angular_velocities(mechanism: Mechanism, state: State) -> list[SX]:
+    """Return w (3) of the base and of every body, each in its own frame."""
+    velocities = [rotation.matrix(state.orientation).T @ state.w]
     for i, joint in enumerate(mechanism.joints):
-        turned = transform(joint, state.q[i])[0].T @ turns[-1]
-        turns.append(turned + Z * state.qd[i] if joint.kind == "revolute" else turned)
-    return turns
+        w = transform(joint, state.q[i])[0].T @ velocities[-1]
+        velocities.append(w + Z * state.qd[i] if joint.kind == "revolute" else w)
+    return velocities
 
 
 def without_joint(inertia: ArticulatedInertia, joint: Joint) -> ArticulatedInertia:
-    """What of an articulated inertia is felt across a free joint about or along z: I - U U^T / D (Featherstone, 7.3).
+    """Return the inertia transmitted across a free joint: I - U U^T / D (Featherstone, 7.3).
 
-    The row and column of the joint's own direction vanish; they are left out, not computed.
+    The joint moves about or along z. The row and column of its direction are zero and are omitted.
     """
     M, H, I = inertia
     if joint.kind == "revolute":
@@ -76,7 +76,7 @@ def without_joint(inertia: ArticulatedInertia, joint: Joint) -> ArticulatedInert
 
 
 def articulated_base_inertia(mechanism: Mechanism, q: SX) -> ArticulatedInertia:
-    """M~ = ((M^-1)_bb)^-1, about B in B's axes: the base's inertia with no torque in the joints (no force at the hand)."""
+    """Return M~ = ((M^-1)_bb)^-1 about B, in B's axes: the base inertia at zero joint torques."""
     inertia = mechanism.bodies[-1].articulated()
     for i in reversed(range(len(mechanism.joints))):
         joint, below = mechanism.joints[i], mechanism.bodies[i - 1] if i > 0 else mechanism.base
@@ -87,20 +87,23 @@ def articulated_base_inertia(mechanism: Mechanism, q: SX) -> ArticulatedInertia:
 
 
 def articulated_end_effector_inertia(mechanism: Mechanism, state: State) -> SX:
-    """((M^-1)_mm)^-1 (6, 6), at E in I: the hand's inertia with no wrench on the base and no torque in the joints."""
-    inertia, turn = mechanism.base.articulated(), rotation.matrix(state.orientation)
+    """Return ((M^-1)_mm)^-1 (6, 6) at E, in I: the end-effector inertia.
+
+    Base wrench and joint torques are zero.
+    """
+    inertia, R_I = mechanism.base.articulated(), rotation.matrix(state.orientation)
     for i, joint in enumerate(mechanism.joints):
         inertia = (
             without_joint(inertia_to_child(inertia, joint, state.q[i]), joint)
             + mechanism.bodies[i].articulated()
         )
-        turn = turn @ transform(joint, state.q[i])[0]
-    hand = inertia.shifted(-sparse(mechanism.robot.end_effector_translation))
-    return hand.turned(turn).matrix()
+        R_I = R_I @ transform(joint, state.q[i])[0]
+    at_end_effector = inertia.shifted(-sparse(mechanism.robot.end_effector_translation))
+    return at_end_effector.turned(R_I).matrix()
 
 
 class _Pass(NamedTuple):
-    """What the articulated-body algorithm's way outside in leaves for the way back."""
+    """Results of the articulated-body algorithm's inward pass that the outward pass uses."""
 
     transforms: list[tuple[SX, SX]]
     base_inertia: ArticulatedInertia
@@ -109,24 +112,25 @@ class _Pass(NamedTuple):
 
 
 def _outside_in(mechanism: Mechanism, state: State, joint_torque: SX) -> _Pass:
-    """Articulated inertias and bias wrenches, tip to base (Featherstone, table 7.1).
+    """Compute articulated inertias and bias wrenches, tip to base (Featherstone, table 7.1).
 
-    Accelerations are those of the bodies' origins in I, not Featherstone's spatial ones: then no linear velocity enters, as by
-    Galilei none must, and the bias is w x (w x m c) and w x I w.
+    Accelerations are those of the body origins in I, not Featherstone's spatial ones. By Galilean
+    invariance no linear velocity enters then, and the bias is w x (w x m c) and w x I w.
     """
     joints, n = mechanism.joints, len(mechanism.joints)
     transforms = [transform(joint, state.q[i]) for i, joint in enumerate(joints)]
-    turns = body_turns(mechanism, state)
+    angular = body_angular_velocities(mechanism, state)
     inertias = [body.articulated() for body in (mechanism.base, *mechanism.bodies)]
     bias = [
         (cross(w, cross(w, body.first_moment)), cross(w, body.inertia @ w))
-        for body, w in zip((mechanism.base, *mechanism.bodies), turns, strict=True)
+        for body, w in zip((mechanism.base, *mechanism.bodies), angular, strict=True)
     ]
     saved: list[tuple[SX, SX, SX, SX]] = [(SX(0), SX(0), SX(0), SX(0))] * n
     for i in reversed(range(n)):
         (M, H, I), (f, t), (R, r) = inertias[i + 1], bias[i + 1], transforms[i]
-        # What the child's origin and turn accelerate by while q'' = 0 and the parent does not.
-        c_v, slide = R.T @ cross(turns[i], cross(turns[i], r)), cross(turns[i + 1], Z) * state.qd[i]
+        # Linear and angular acceleration of the child for q'' = 0 and an unaccelerated parent.
+        c_v = R.T @ cross(angular[i], cross(angular[i], r))
+        slide = cross(angular[i + 1], Z) * state.qd[i]
         if joints[i].kind == "revolute":
             U_f, U_t, D, u = H[:, 2], I[:, 2], I[2, 2], joint_torque[i] - t[2]
             c_w = slide
@@ -144,7 +148,7 @@ def _outside_in(mechanism: Mechanism, state: State, joint_torque: SX) -> _Pass:
 
 
 def _inside_out(mechanism: Mechanism, done: _Pass, a: SX, alpha: SX) -> SX:
-    """q'' (n) from the acceleration of the base's origin and its angular acceleration, in its own axes."""
+    """Return q'' (n) from the base origin's linear and angular acceleration, in B's axes."""
     qdd = []
     for i, joint in enumerate(mechanism.joints):
         R, r = done.transforms[i]
@@ -161,7 +165,7 @@ def _inside_out(mechanism: Mechanism, done: _Pass, a: SX, alpha: SX) -> SX:
 def forward_dynamics(
     mechanism: Mechanism, state: State, base_wrench: SX, joint_torque: SX
 ) -> tuple[SX, SX]:
-    """(1) solved for x_b'' (6, in I) and q'' (n) by the articulated-body algorithm."""
+    """Solve (1) for x_b'' (6, in I) and q'' (n) by the articulated-body algorithm."""
     R_IB = rotation.matrix(state.orientation)
     done = _outside_in(mechanism, state, joint_torque)
     force, torque = done.base_bias
@@ -174,9 +178,10 @@ def forward_dynamics(
 def arm_on_moving_base(
     mechanism: Mechanism, state: State, base_acceleration: SX, joint_torque: SX, gravity: SX
 ) -> SX:
-    """q'' (n) of the arm alone: the base moves as it is told, with x_b'' (6) and in the uniform field `gravity` (3), in I.
+    """Return q'' (n) of the arm on a base with prescribed acceleration x_b'' (6), in I.
 
-    The lower rows of (1). Gravity is an acceleration of the base the other way.
+    These are the lower rows of (1). The uniform gravity field (3), in I, enters as an opposite
+    acceleration of the base.
     """
     R_IB = rotation.matrix(state.orientation)
     done = _outside_in(mechanism, state, joint_torque)
@@ -188,24 +193,28 @@ def arm_on_moving_base(
 def two_velocity_inverse_dynamics(
     mechanism: Mechanism, state: State, reference_velocity: SX, reference_acceleration: SX
 ) -> tuple[SX, SX]:
-    """H a_r + C v_r as (base part (6, in I), joint part (n)), with C at the ACTUAL velocity of `state`.
+    """Return H a_r + C v_r as (base part (6, in I), joint part (n)), with C at the ACTUAL velocity.
 
-    v_r and a_r (6 + n) are a reference generalised velocity and acceleration. C is the simple one with H' - 2C skew:
-    the sum over bodies of m Jv^T dJv + Jw^T (I_c dJw + [w]x I_c Jw), w the actual angular velocity. With v_r the actual
-    velocity it is ordinary inverse dynamics. A recursion as in Newton-Euler, so M and Gamma are never formed.
+    v_r and a_r (6 + n) are a reference generalised velocity and acceleration; `state` holds the
+    actual velocity. H' - 2C is skew-symmetric: C v_r is the sum over bodies of m Jv^T dJv +
+    Jw^T (I_c dJw + [w]x I_c Jw) times v_r, with w the actual angular velocity. If v_r is the actual
+    velocity, this is ordinary inverse dynamics. The recursion is of Newton-Euler type, so M and
+    Gamma are never formed.
     """
     R_IB = rotation.matrix(state.orientation)
-    actual = body_turns(mechanism, state)
+    actual = body_angular_velocities(mechanism, state)
     w_r = R_IB.T @ reference_velocity[3:6]
     a_r, alpha_r = R_IB.T @ reference_acceleration[:3], R_IB.T @ reference_acceleration[3:6]
     y, yd = reference_velocity[6:], reference_acceleration[6:]
     wrenches = [_two_velocity_wrench(mechanism.base, actual[0], w_r, a_r, alpha_r)]
     transforms = []
+    # Outward: reference accelerations and the wrench of every body.
     for i, joint in enumerate(mechanism.joints):
         R, r = transform(joint, state.q[i])
         transforms.append((R, r))
         w_parent, w = actual[i], actual[i + 1]
-        # dr/dt in I: the offset turns with the parent; a prismatic joint also slides it (its v then is in the child's axes).
+        # dr/dt in I: the offset rotates with the parent. A prismatic joint also moves it along its
+        # axis, which is given in the child's axes.
         rate = cross(w_parent, r) + (R[:, 2] * state.qd[i] if joint.kind == "prismatic" else 0)
         a_r = R.T @ (a_r + cross(alpha_r, r) + cross(w_r, rate))
         w_r, alpha_r = R.T @ w_r, R.T @ alpha_r
@@ -215,6 +224,7 @@ def two_velocity_inverse_dynamics(
         else:
             a_r = a_r + Z * yd[i] + cross(w, Z) * y[i]
         wrenches.append(_two_velocity_wrench(mechanism.bodies[i], w, w_r, a_r, alpha_r))
+    # Inward: sum the wrenches and project them onto the joint axes.
     efforts = []
     force, torque = wrenches[-1]
     for i in reversed(range(len(mechanism.joints))):
@@ -225,9 +235,10 @@ def two_velocity_inverse_dynamics(
 
 
 def _two_velocity_wrench(body: RigidInertia, w: SX, w_r: SX, a_r: SX, alpha_r: SX) -> tuple[SX, SX]:
-    """Force and torque about the body's origin of m a_c,r and I_c alpha_r + w x I_c w_r; a_r is the origin's.
+    """Return force and torque about the body's origin of m a_c,r and I_c alpha_r + w x I_c w_r.
 
-    Moved from the centre of mass c to the origin, every term in c joins the inertia about the origin but m c.c w x w_r.
+    a_r is the acceleration of the origin. Shifting the moments from the centre of mass c to the
+    origin turns I_c into the inertia about the origin; only m c.c w x w_r remains.
     """
     mass, mc, inertia = body
     force = mass * a_r + cross(alpha_r, mc) + cross(w_r, cross(w, mc))
@@ -238,7 +249,7 @@ def _two_velocity_wrench(body: RigidInertia, w: SX, w_r: SX, a_r: SX, alpha_r: S
 
 
 def inertia_and_coriolis(mechanism: Mechanism, state: State) -> tuple[SX, SX]:
-    """H and C (6 + n, 6 + n) of (1), each read off the two-velocity recursion, which is linear in its references."""
+    """Return H and C (6 + n, 6 + n) of (1): the two-velocity recursion is linear in a_r and v_r."""
     n = 6 + len(mechanism.joints)
     v_r, a_r = SX.sym("v_r", n), SX.sym("a_r", n)
     total = ca.vertcat(*two_velocity_inverse_dynamics(mechanism, state, v_r, a_r))
@@ -246,7 +257,7 @@ def inertia_and_coriolis(mechanism: Mechanism, state: State) -> tuple[SX, SX]:
 
 
 def kinetic_energy(mechanism: Mechanism, state: State) -> SX:
-    """Of the whole robot [J]."""
+    """Return the kinetic energy of the whole robot [J]."""
     total = SX(0)
     for body, (v, w) in zip(
         (mechanism.base, *mechanism.bodies), body_velocities(mechanism, state), strict=True
@@ -257,7 +268,7 @@ def kinetic_energy(mechanism: Mechanism, state: State) -> SX:
 
 
 def momentum(mechanism: Mechanism, position: SX, state: State) -> tuple[SX, SX]:
-    """Linear momentum [N s] and angular momentum about I's origin [N m s], both (3) in I."""
+    """Return linear momentum [N s] and angular momentum about I's origin [N m s], both (3) in I."""
     velocities = body_velocities(mechanism, state)
     p, L = mechanism.bodies[-1].momentum(*velocities[-1])
     for i in reversed(range(len(mechanism.joints))):

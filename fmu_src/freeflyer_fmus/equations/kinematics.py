@@ -1,4 +1,4 @@
-"""Pose, velocity and Jacobians of the end-effector, (2), and the derivative of J_m along the actual motion."""
+"""Pose, velocity and Jacobians of the end-effector, (2), and dJ_m/dt along the actual motion."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SX = ca.SX
 
 
 class Axes(NamedTuple):
-    """Joint axes z_i and origins p_i (n vectors each), end-effector position p_e; in B's axes, from B's origin."""
+    """Joint axes z_i and origins p_i (n vectors each) and p_e, in B's axes, from B's origin."""
 
     z: list[SX]
     p: list[SX]
@@ -24,6 +24,7 @@ class Axes(NamedTuple):
 
 
 def axes(mechanism: Mechanism, q: SX) -> Axes:
+    """Compute joint axes, joint origins and the end-effector position at q (n)."""
     R, p = SX.eye(3), SX(3, 1)
     z, origins = [], []
     for i, joint in enumerate(mechanism.joints):
@@ -36,7 +37,7 @@ def axes(mechanism: Mechanism, q: SX) -> Axes:
 
 
 def manipulator_jacobian(mechanism: Mechanism, at: Axes) -> SX:
-    """J_m (6, n) of (2), in B's axes."""
+    """Return J_m (6, n) of (2), in B's axes."""
     columns = []
     for joint, z, p in zip(mechanism.joints, at.z, at.p, strict=True):
         if joint.kind == "revolute":
@@ -47,22 +48,24 @@ def manipulator_jacobian(mechanism: Mechanism, at: Axes) -> SX:
 
 
 def base_jacobian(p_be: SX) -> SX:
-    """J_b (6, 6) of (2): p_be (3) is the end-effector's position relative to B's origin; in the axes of p_be."""
+    """Return J_b (6, 6) of (2), in the axes of p_be (3), the position of E from B's origin."""
     return ca.blockcat([[SX.eye(3), -skew(p_be)], [SX(3, 3), SX.eye(3)]])
 
 
 def base_jacobian_transposed_times(p_be: SX, wrench: SX) -> SX:
-    """J_b^T F (6): the same wrench about B's origin."""
+    """Return J_b^T F (6): the wrench F about B's origin."""
     return ca.vertcat(wrench[:3], wrench[3:] + cross(p_be, wrench[:3]))
 
 
 def manipulator_jacobian_rate_times(
     mechanism: Mechanism, at: Axes, v: SX, w: SX, qd: SX, y: SX
 ) -> SX:
-    """dJ_m/dt y (6) for any y (n), with the derivative taken in I along the actual motion (v, w of B; q').
+    """Return dJ_m/dt y (6) for any y (n); the derivative is taken in I along the motion v, w, q'.
 
-    All in B's axes: the components of inertial derivatives, so no rotating-frame term is missing.
+    `v` and `w` (3 each) are those of B. All vectors are in B's axes. They are components of
+    derivatives taken in I, so no rotating-frame term is missing.
     """
+    # Velocities of the joint frames, from base to tip.
     v_i, w_i, p_before = v, w, SX(3, 1)
     velocities = []
     for joint, z, p, rate in zip(mechanism.joints, at.z, at.p, ca.vertsplit(qd), strict=True):
@@ -74,6 +77,7 @@ def manipulator_jacobian_rate_times(
         velocities.append((v_i, w_i))
         p_before = p
     v_e = v_i + cross(w_i, at.p_e - p_before)
+    # Derivative of each Jacobian column, times y.
     linear, angular = SX(3, 1), SX(3, 1)
     for joint, z, p, (v_j, w_j), y_j in zip(
         mechanism.joints, at.z, at.p, velocities, ca.vertsplit(y), strict=True
@@ -88,7 +92,7 @@ def manipulator_jacobian_rate_times(
 
 
 def end_effector_orientation(mechanism: Mechanism, base_orientation: SX, q: SX) -> SX:
-    """Quaternion (4) of E in I, as a product of the joints' own quaternions: smooth, with no branch."""
+    """Return the quaternion (4) of E in I, as a product of joint quaternions (smooth)."""
     total = base_orientation
     for i, joint in enumerate(mechanism.joints):
         total = rotation.product(total, _constant_quaternion(joint.rotation))
@@ -105,13 +109,13 @@ def _constant_quaternion(matrix: object) -> SX:
 def end_effector_pose(
     mechanism: Mechanism, base_position: SX, base_orientation: SX, q: SX
 ) -> tuple[SX, SX]:
-    """Position (3) [m] and quaternion (4) of E in I."""
+    """Return position (3) [m] and quaternion (4) of E in I."""
     p = base_position + rotation.matrix(base_orientation) @ axes(mechanism, q).p_e
     return p, end_effector_orientation(mechanism, rotation.normalised(base_orientation), q)
 
 
 def end_effector_velocity(mechanism: Mechanism, state: State) -> SX:
-    """x_m' (6) in I, (2), by recursion along the chain."""
+    """Return x_m' (6) in I, (2), by recursion along the chain."""
     R_IB = rotation.matrix(state.orientation)
     v, w = R_IB.T @ state.v, R_IB.T @ state.w
     chain = R_IB

@@ -1,4 +1,4 @@
-"""Pinocchio as an independent witness: the same robot, its own URDF-free model, its own algorithms."""
+"""Pinocchio as an independent reference implementation: the same robot, built without a URDF."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SX = ca.SX
 
 
 def pinocchio_model(robot: Robot) -> Any:
-    """A Pinocchio model of the robot without gravity: a free-flyer joint, then the chain."""
+    """Build a Pinocchio model of the robot without gravity: a free-flyer joint, then the chain."""
     import pinocchio as pin
 
     def inertia(body: Inertial) -> Any:
@@ -34,10 +34,12 @@ def pinocchio_model(robot: Robot) -> Any:
         )
         if body.mass > 0.0:
             model.appendBodyToJoint(parent, inertia(body), pin.SE3.Identity())
-    hand = pin.SE3(np.array(robot.end_effector_rotation), np.array(robot.end_effector_translation))
+    end_effector = pin.SE3(
+        np.array(robot.end_effector_rotation), np.array(robot.end_effector_translation)
+    )
     if robot.tool.mass > 0.0:
-        model.appendBodyToJoint(parent, inertia(robot.tool), hand)
-    model.addFrame(pin.Frame("end_effector", parent, hand, pin.FrameType.OP_FRAME))
+        model.appendBodyToJoint(parent, inertia(robot.tool), end_effector)
+    model.addFrame(pin.Frame("end_effector", parent, end_effector, pin.FrameType.OP_FRAME))
     return model
 
 
@@ -50,7 +52,7 @@ def accelerations(
     wrench: Array,
     torque: Array,
 ) -> Array:
-    """(6 + n) by Pinocchio's articulated-body algorithm: x_b'' in I, then q''."""
+    """Return x_b'' (6, in I) and q'' (n), by Pinocchio's articulated-body algorithm."""
     import pinocchio as pin
 
     R = pin.Quaternion(np.array(orientation)).matrix()
@@ -67,12 +69,15 @@ def accelerations(
 
 
 def disagreement(robot: Robot, states: int = 20, seed: int = 1) -> float:
-    """Largest relative difference of the forward dynamics over random states: a check of a user's robot before it is used."""
+    """Return the largest relative difference of the forward dynamics over random states.
+
+    This checks a user's robot before its FMUs are built.
+    """
     n = robot.joint_count
     names = {"orientation": 4, "velocity": 6, "q": n, "qd": n, "wrench": 6, "torque": n}
     s = {name: SX.sym(name, size) for name, size in names.items()}
     state = State(s["orientation"], s["velocity"][:3], s["velocity"][3:], s["q"], s["qd"])
-    ours = ca.Function(
+    generated = ca.Function(
         "f",
         list(s.values()),
         [ca.vertcat(*forward_dynamics(constant_mechanism(robot), state, s["wrench"], s["torque"]))],
@@ -81,7 +86,7 @@ def disagreement(robot: Robot, states: int = 20, seed: int = 1) -> float:
     for _ in range(states):
         arguments = {name: random.normal(size=size) for name, size in names.items()}
         arguments["orientation"] /= np.linalg.norm(arguments["orientation"])
-        theirs = accelerations(model, *arguments.values())
-        difference = np.array(ours(*arguments.values())).ravel() - theirs
-        worst = max(worst, float(np.abs(difference).max() / np.abs(theirs).max()))
+        reference = accelerations(model, *arguments.values())
+        difference = np.array(generated(*arguments.values())).ravel() - reference
+        worst = max(worst, float(np.abs(difference).max() / np.abs(reference).max()))
     return worst

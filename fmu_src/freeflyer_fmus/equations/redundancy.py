@@ -1,13 +1,15 @@
-"""More joints than the hand has degrees of freedom: this project's extension of the paper, which has six.
+"""Redundant manipulators: an extension of the paper, whose manipulator has six joints.
 
-The joint torques split into J_m^T F_m, which the hand feels, and a rest in the null space that leaves the hand alone while the base
-is at rest: dynamically consistent (Khatib, IEEE J. Robotics and Automation 3(1), 1987; compared in Dietrich, Ott, Albu-Schaeffer,
-Int. J. Robotics Research 34(11), 2015). With H_q the arm's inertia matrix:
+The joint torques are J_m^T F_m plus a null-space part that does not accelerate the end-effector
+while the base is at rest. The split is dynamically consistent (Khatib, IEEE J. Robotics and
+Automation 3(1), 1987; compared in Dietrich, Ott, Albu-Schaeffer, Int. J. Robotics Research 34(11),
+2015). With H_q the manipulator's inertia matrix:
 
     J# = H_q^-1 J_m^T L,  L = (J_m H_q^-1 J_m^T)^-1,  P = 1 - J_m^T J#^T,  tau = J_m^T F_m + P tau_0
 
-With q_r' = J# x_md', whose null-space part P^T q_r' is zero, and the trajectory's whole torque in tau_0, the error system keeps (10) as
-its energy: V falls by (15) and by what a damper in the null space takes. docs/redundant_arms.md derives it.
+With q_r' = J# x_md', whose null-space part P^T q_r' is zero, and with the trajectory's whole torque
+in tau_0, (10) remains the energy of the error system: V decreases by (15) and by the power of the
+null-space damper. docs/redundant_arms.md gives the derivation.
 """
 
 from __future__ import annotations
@@ -33,16 +35,16 @@ class ConsistentInverse(NamedTuple):
     inverse: SX
 
     def torque_in_null_space(self, torque: SX) -> SX:
-        """P tau (n)."""
+        """Return P tau (n)."""
         return torque - self.Jm.T @ (self.inverse.T @ torque)
 
     def velocity_in_null_space(self, velocity: SX) -> SX:
-        """P^T q' (n)."""
+        """Return P^T q' (n)."""
         return velocity - self.inverse @ (self.Jm @ velocity)
 
 
 def inertia_times(mechanism: Mechanism, q: SX, y: SX) -> SX:
-    """H_q y (n), the base at rest."""
+    """Return H_q y (n), with the base at rest."""
     at_rest = State(SX([0, 0, 0, 1]), SX(3, 1), SX(3, 1), q, SX(q.numel(), 1))
     _, efforts = two_velocity_inverse_dynamics(
         mechanism, at_rest, SX(6 + q.numel(), 1), ca.vertcat(SX(6, 1), y)
@@ -51,6 +53,7 @@ def inertia_times(mechanism: Mechanism, q: SX, y: SX) -> SX:
 
 
 def consistent_inverse(mechanism: Mechanism, q: SX) -> ConsistentInverse:
+    """Compute the dynamically consistent inverse at q (n)."""
     y = SX.sym("y", q.numel())
     H = ca.densify(ca.jacobian(inertia_times(mechanism, q, y), y))
     Jm = ca.densify(manipulator_jacobian(mechanism, axes(mechanism, q)))
@@ -62,9 +65,10 @@ def consistent_inverse(mechanism: Mechanism, q: SX) -> ConsistentInverse:
 def reference_acceleration(
     mechanism: Mechanism, state: State, at: ConsistentInverse, u: SX, du: SX
 ) -> SX:
-    """d/dt (J# u) (n) for u (6) in B's axes, whose derivative there is du.
+    """Return d/dt (J# u) (n) for u (6) in B's axes, with du its derivative in B's axes.
 
-    J_m q_r'' = du - dJ_m q_r' gives its part along the task; the other is P^T H_q^-1 (dJ_m^T L u - dH_q q_r').
+    J_m q_r'' = du - dJ_m q_r' gives the part along the task. The null-space part is
+    P^T H_q^-1 (dJ_m^T L u - dH_q q_r').
     """
     q, qd, qd_r = state.q, state.qd, at.inverse @ u
     y, F = SX.sym("y", q.numel()), SX.sym("F", 6)

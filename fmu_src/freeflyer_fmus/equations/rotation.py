@@ -1,4 +1,4 @@
-"""Unit quaternions [x, y, z, w], the orientation error of the paper, and rotations about a fixed axis."""
+"""Unit quaternions [x, y, z, w], the paper's orientation error, rotations about a fixed axis."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ SX = ca.SX
 
 
 def product(a: SX, b: SX) -> SX:
-    """Hamilton product a * b of quaternions [x, y, z, w]."""
+    """Return the Hamilton product a * b of quaternions [x, y, z, w]."""
     av, aw, bv, bw = a[:3], a[3], b[:3], b[3]
     return ca.vertcat(aw * bv + bw * av + ca.cross(av, bv), aw * bw - ca.dot(av, bv))
 
@@ -22,7 +22,7 @@ def normalised(a: SX) -> SX:
 
 
 def matrix(a: SX) -> SX:
-    """R (3, 3) of a quaternion of any length but zero: its length does not enter."""
+    """Return the rotation matrix (3, 3) of a quaternion, which need not be normalised."""
     x, y, z, w = ca.vertsplit(a)
     s = 2.0 / ca.dot(a, a)
     return ca.blockcat(
@@ -35,25 +35,25 @@ def matrix(a: SX) -> SX:
 
 
 def derivative(a: SX, w: SX) -> SX:
-    """da/dt for the angular velocity w (3) in the inertial frame; keeps the length of a."""
+    """Return da/dt for the angular velocity w (3) in I; the norm of a is preserved."""
     return 0.5 * product(ca.vertcat(w, 0), a)
 
 
 def error(actual: SX, desired: SX) -> SX:
-    """2 eps (3): twice the vector part of actual * desired^-1, in I, the shorter way round.
+    """Return 2 eps (3), twice the vector part of actual * desired^-1, in I (shorter rotation).
 
-    The orientation part of Delta x in (7) and (8): K times it is the gradient of 2 K eps^T eps for isotropic K, and it is the
-    rotation vector to third order in the angle.
+    This is the orientation part of Delta x in (7) and (8). For isotropic K, K times it is the
+    gradient of 2 K eps^T eps. It equals the rotation vector to third order in the angle.
     """
     e = normalised(product(actual, conjugate(desired)))
     return 2.0 * ca.if_else(e[3] < 0, -1.0, 1.0) * e[:3]
 
 
 def about(vector: SX) -> SX:
-    """Quaternion of the rotation vector (3) [rad]; the zero vector included."""
-    # The tiny addend changes no value; it keeps the derivative of the root finite at zero.
+    """Return the quaternion of a rotation vector (3) [rad]; zero is allowed."""
+    # The addend changes no value; it keeps the derivative of the square root finite at zero.
     half = 0.5 * ca.sqrt(ca.dot(vector, vector) + 1e-300)
-    # sin(h)/h: the series below 1e-4 rad is exact to the last bit; the division then never meets a zero.
+    # sin(h)/h: below 1e-4 rad the series is exact to the last bit, and no division by zero occurs.
     small = half < 1e-4
     safe = ca.if_else(small, 1.0, half)
     ratio = ca.if_else(small, 1.0 - half * half / 6.0, ca.sin(safe) / safe)
@@ -61,4 +61,5 @@ def about(vector: SX) -> SX:
 
 
 def about_z(angle: SX) -> SX:
+    """Return the quaternion of a rotation about z by `angle` [rad]."""
     return ca.vertcat(0, 0, ca.sin(0.5 * angle), ca.cos(0.5 * angle))

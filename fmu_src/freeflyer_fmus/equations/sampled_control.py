@@ -1,9 +1,11 @@
-"""A spring and damper whose wrench is held for a whole period: what is held is the mean of what it should be until the next sample.
+"""Matched discretisation of a spring and damper whose wrench is held for a whole sampling period.
 
-Over a period T of a mass M under the held wrench F the mean of the velocities at both ends is exactly v + T/(2 M) F, and that of the
-displacements x + T/2 of that. A law that is taken at these means, -K x_mean - D v_mean, instead of at the sample, is solved for F in
-closed form below. Its work over the period is exactly that of a spring with potential 1/2 x^T K x and a damper T v_mean^T D v_mean: no
-energy comes from sampling, whatever K, D and T. (This project's own; derived, with its limits, in docs/matched_gains.md.)
+The held wrench F is the mean of the continuous law over the period T. For a mass M under F, the
+mean of the velocities at both ends is exactly v_mean = v + T/(2 M) F, and the mean displacement is
+x_mean = x + T/2 v_mean. F = -K x_mean - D v_mean is solved in closed form below. Its work over the
+period is exactly that of a spring with potential 1/2 x^T K x and of a damper T v_mean^T D v_mean.
+Sampling therefore generates no energy, for any K, D and T.
+This law is this project's own; docs/matched_gains.md derives it and states its limits.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ SX = ca.SX
 
 
 class Discretisation(IntEnum):
-    """`emulated`: the continuous law at the sample, (16) and (17). `matched`: its mean over the period that it is held for."""
+    """`emulated`: continuous law at the sample, (16), (17). `matched`: its mean over the period."""
 
     emulated = 1
     matched = 2
@@ -27,9 +29,11 @@ class Discretisation(IntEnum):
 def mean_wrench(
     inertia: SX, stiffness: SX, damping: SX, period: SX, spring: SX, velocity_error: SX
 ) -> SX:
-    """-K dx_mean - D dx'_mean (6), where `spring` is -K dx of the sample; inertia M (6, 6), K and D (6, 6), symmetric.
+    """Return -K dx_mean - D dx'_mean (6); `spring` is -K dx at the sample.
 
-    (M + T/2 D + T^2/4 K) dx'_mean = M dx' - T/2 K dx,  dx_mean = dx + T/2 dx'_mean. As T -> 0 it is the continuous law.
+    Inertia M, K and D are (6, 6) and symmetric. The means solve
+    (M + T/2 D + T^2/4 K) dx'_mean = M dx' - T/2 K dx and dx_mean = dx + T/2 dx'_mean.
+    As T -> 0 the result tends to the continuous law.
     """
     half = 0.5 * period
     implicit = inertia + half * damping + half**2 * stiffness
@@ -38,6 +42,10 @@ def mean_wrench(
 
 
 def sampled_damping(inertia: SX, stiffness: SX, damping: SX, period: SX) -> SX:
-    """-dF/dx' (6) of the held wrench, axis by axis (diagonals, 6 each): below 2 M / T whatever K and D."""
+    """Return -dF/dx' (6) of the held wrench, per axis (diagonals, 6 each).
+
+    It is below 2 M / T for any K and D.
+    """
+
     half = 0.5 * period
     return (damping + half * stiffness) * inertia / (inertia + half * damping + half**2 * stiffness)

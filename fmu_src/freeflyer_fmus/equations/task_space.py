@@ -1,6 +1,6 @@
 """Task coordinates (3)-(6): the dynamics in [x_b'; x_m'] instead of [x_b'; q'].
 
-The controllers never form M and Gamma (see tracking_control.py); these are for the laws, the tests and the analysis.
+Tests and analysis use M and Gamma. The controllers never form them (see tracking_control.py).
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ SX = ca.SX
 
 
 def jacobians(mechanism: Mechanism, state: State) -> tuple[SX, SX]:
-    """J_b (6, 6) and J_m (6, n) of (2), in I."""
+    """Return J_b (6, 6) and J_m (6, n) of (2), in I."""
     R_IB = rotation.matrix(state.orientation)
     at = axes(mechanism, state.q)
-    turn = ca.diagcat(R_IB, R_IB)
-    return base_jacobian(R_IB @ at.p_e), turn @ manipulator_jacobian(mechanism, at)
+    R = ca.diagcat(R_IB, R_IB)
+    return base_jacobian(R_IB @ at.p_e), R @ manipulator_jacobian(mechanism, at)
 
 
 def task_jacobian(Jb: SX, Jm: SX) -> SX:
-    """J~ (12, 12) of (4)."""
+    """Return J~ (12, 12) of (4)."""
     return ca.blockcat([[SX.eye(6), SX(6, Jm.size2())], [Jb, Jm]])
 
 
 def rate(mechanism: Mechanism, expression: SX, state: State) -> SX:
-    """d/dt of an expression of the configuration along the actual motion."""
-    # The base's position does not enter; its orientation moves by the quaternion's own derivative.
+    """Return d/dt of an expression of the configuration along the actual motion."""
+    # The expression does not depend on the base position.
     along_q = ca.jtimes(expression, state.q, state.qd)
     return along_q + ca.jtimes(
         expression, state.orientation, rotation.derivative(state.orientation, state.w)
@@ -38,7 +38,10 @@ def rate(mechanism: Mechanism, expression: SX, state: State) -> SX:
 
 
 def inertia_and_coriolis_in_task_space(mechanism: Mechanism, state: State) -> tuple[SX, SX]:
-    """M and Gamma (12, 12) of (6) for a square J_m: M = J~^-T H J~^-1, Gamma = J~^-T (C - H J~^-1 dJ~/dt) J~^-1."""
+    """Return M and Gamma (12, 12) of (6), for a square J_m.
+
+    M = J~^-T H J~^-1, Gamma = J~^-T (C - H J~^-1 dJ~/dt) J~^-1.
+    """
     H, C = inertia_and_coriolis(mechanism, state)
     J = task_jacobian(*jacobians(mechanism, state))
     J_inverse = ca.inv(J)

@@ -1,4 +1,4 @@
-"""The control laws (7) and (8), at samples (16) and (17): feed-forward, spring and damper of both controllers."""
+"""Control laws (7) and (8), sampled (16) and (17): feed-forward, spring and damper of each."""
 
 from __future__ import annotations
 
@@ -25,15 +25,17 @@ SX = ca.SX
 
 
 class NullSpace(NamedTuple):
-    """Of a redundant arm: its generalised inverse, and the share P f_q (n) of the trajectory's torque that the hand does not feel."""
+    """Null space of a redundant manipulator: J# and the feed-forward torque in it, P f_q (n)."""
 
     at: ConsistentInverse
     torque: SX
 
 
 class FeedForward(NamedTuple):
-    """F_m* = M_m x_md'' + Gamma_m x_md' and F_b* = M_bm x_md'' + Gamma_bm x_md' (6 each), in I, with what they were made of: q_r' (n),
-    p_be (3) in I, a lower bound of the smallest singular value of J_m, and what is left to more than six joints.
+    """Feed-forward wrenches F_m* = M_m x_md'' + Gamma_m x_md', F_b* = M_bm x_md'' + Gamma_bm x_md'.
+
+    Both (6), in I. Intermediate results: q_r' (n), p_be (3) in I, and a lower bound of the smallest
+    singular value of J_m. `null_space` is None for six joints.
     """
 
     F_m: SX
@@ -45,9 +47,10 @@ class FeedForward(NamedTuple):
 
 
 def left_inverse(J: SX) -> SX:
-    """(J^T J)^-1 J^T, which is J^-1 of a square matrix, by modified Gram-Schmidt: stable down to the singularity that is refused.
+    """Return (J^T J)^-1 J^T (J^-1 for a square J) by modified Gram-Schmidt.
 
-    The pivots' tiny addend (1e-30 in the norm) keeps it finite at an exact singularity, so that it can be reported, with a value.
+    It is stable up to the singularity threshold. The small addend in the norm (1e-30) keeps the
+    result finite at an exact singularity, so that the singularity can be reported with its value.
     """
     n = J.size2()
     Q, R = SX(J), SX.zeros(n, n)
@@ -66,10 +69,10 @@ def left_inverse(J: SX) -> SX:
 
 
 def smallest_singular_value(inverse_of_J: SX) -> SX:
-    """A lower bound of sigma_min(J) from its (left) inverse: (sum sigma_i^-8)^(-1/8).
+    """Return a lower bound of sigma_min(J) from its (left) inverse: (sum sigma_i^-8)^(-1/8).
 
-    Exact where one singular value is much smaller than the others, that is near a singularity (0.01 % at a ratio of three),
-    and never more than 20 % too low for six of them.
+    The bound is tight near a singularity, where one singular value is much smaller than the others
+    (0.01 % at a ratio of three). For six singular values it is never more than 20 % too low.
     """
     inverse_square = inverse_of_J @ inverse_of_J.T
     fourth = inverse_square @ inverse_square
@@ -79,32 +82,33 @@ def smallest_singular_value(inverse_of_J: SX) -> SX:
 def feed_forward(
     mechanism: Mechanism, state: State, desired_velocity: SX, desired_acceleration: SX
 ) -> FeedForward:
-    """The trajectory's share of (7) and (8), with the base's reference at rest.
+    """Compute the feed-forward of (7) and (8), with the base reference at rest.
 
-    In generalised coordinates [0; x_md'] is q_r' = J_m^-1 x_md' and its derivative q_r'' = J_m^-1 (x_md'' - dJ_m q_r');
-    f = H q_r'' + C q_r' (C at the ACTUAL velocity), then J~^-T of (5): F_m* = J_m^-T f_q, F_b* = f_b - J_b^T F_m*.
-    With more than six joints q_r' is J# x_md' (equations/redundancy.py).
+    In generalised coordinates, [0; x_md'] is q_r' = J_m^-1 x_md', with derivative
+    q_r'' = J_m^-1 (x_md'' - dJ_m q_r'). Then f = H q_r'' + C q_r', with C at the ACTUAL velocity.
+    J~^-T of (5) gives F_m* = J_m^-T f_q and F_b* = f_b - J_b^T F_m*.
+    With more than six joints, q_r' = J# x_md' (equations/redundancy.py).
     """
     R_IB = rotation.matrix(state.orientation)
-    turn = ca.diagcat(R_IB, R_IB)
+    R = ca.diagcat(R_IB, R_IB)
     at = axes(mechanism, state.q)
     p_be = R_IB @ at.p_e
     consistent = None
     if len(mechanism.joints) == 6:
         plain = left_inverse(manipulator_jacobian(mechanism, at))
         sigma_min = smallest_singular_value(plain)
-        Jm_inverse = plain @ turn.T
+        Jm_inverse = plain @ R.T
         qd_r = Jm_inverse @ desired_velocity
-        dJm_qd_r = turn @ manipulator_jacobian_rate_times(
+        dJm_qd_r = R @ manipulator_jacobian_rate_times(
             mechanism, at, R_IB.T @ state.v, R_IB.T @ state.w, state.qd, qd_r
         )
         qdd_r = Jm_inverse @ (desired_acceleration - dJm_qd_r)
     else:
         consistent = consistent_inverse(mechanism, state.q)
         sigma_min = smallest_singular_value(left_inverse(consistent.Jm.T))
-        Jm_inverse = consistent.inverse @ turn.T
-        u, w = turn.T @ desired_velocity, R_IB.T @ state.w
-        du = turn.T @ desired_acceleration - ca.vertcat(ca.cross(w, u[:3]), ca.cross(w, u[3:]))
+        Jm_inverse = consistent.inverse @ R.T
+        u, w = R.T @ desired_velocity, R_IB.T @ state.w
+        du = R.T @ desired_acceleration - ca.vertcat(ca.cross(w, u[:3]), ca.cross(w, u[3:]))
         qd_r = consistent.inverse @ u
         qdd_r = reference_acceleration(mechanism, state, consistent, u, du)
     f_base, f_joints = two_velocity_inverse_dynamics(
@@ -119,30 +123,34 @@ def feed_forward(
 
 
 def pose_error(position: SX, orientation: SX, desired_position: SX, desired_orientation: SX) -> SX:
-    """Delta x (6) in I: position error [m] and twice the vector part of the error quaternion (rad, to third order)."""
+    """Return Delta x (6) in I: position error [m] and 2 eps of the error quaternion.
+
+    2 eps equals the rotation vector [rad] to third order.
+    """
     return ca.vertcat(position - desired_position, rotation.error(orientation, desired_orientation))
 
 
 def spring_damper(stiffness: SX, damping: SX, pose_error: SX, velocity_error: SX) -> SX:
-    """-K_P Delta x - K_D Delta x' (6) for diagonal gains (6 each)."""
+    """Return -K_P Delta x - K_D Delta x' (6) for diagonal gains (6 each)."""
     return -stiffness * pose_error - damping * velocity_error
 
 
 def spring_energy(stiffness: SX, pose_error: SX) -> SX:
-    """Potential whose gradient spring_damper's spring is, exactly for isotropic rotational stiffness: the spring part of V in (10).
+    """Return the spring energy in V of (10), the potential of the spring of `spring_damper`.
 
-    Written with Delta x as in (10) it is 1/2 Delta x^T K Delta x for the translation; for the rotation, whose Delta x is
-    2 eps, that holds for small angles only: the torque -2 k eps derives from 4 k (1 - eta) = Delta x^T K Delta x / (1 + eta).
+    It is exact for isotropic rotational stiffness. The translational part is as in (10),
+    1/2 Delta x^T K Delta x. For the rotation, Delta x = 2 eps and (10) holds for small angles only:
+    the potential of the torque -2 k eps is 4 k (1 - eta) = Delta x^T K Delta x / (1 + eta).
     """
-    translation, turn = pose_error[:3], pose_error[3:]
-    eta = ca.sqrt(ca.fmax(1.0 - 0.25 * ca.dot(turn, turn), 0.0))
+    translation, rotational = pose_error[:3], pose_error[3:]
+    eta = ca.sqrt(ca.fmax(1.0 - 0.25 * ca.dot(rotational, rotational), 0.0))
     return 0.5 * ca.dot(stiffness[:3] * translation, translation) + ca.dot(
-        stiffness[3:] * turn, turn
+        stiffness[3:] * rotational, rotational
     ) / (1.0 + eta)
 
 
 def joint_torque(mechanism: Mechanism, state: State, F_m: SX) -> SX:
-    """tau = J_m^T F_m (n), F_m in I."""
+    """Return tau = J_m^T F_m (n), with F_m in I."""
     R_IB = rotation.matrix(state.orientation)
     return manipulator_jacobian(mechanism, axes(mechanism, state.q)).T @ (
         ca.diagcat(R_IB, R_IB).T @ F_m
@@ -152,9 +160,10 @@ def joint_torque(mechanism: Mechanism, state: State, F_m: SX) -> SX:
 def null_space_torque(
     null_space: NullSpace, state: State, damping: SX, stiffness: SX, posture: SX
 ) -> SX:
-    """P (f_q - D P^T q' - K (q - q_0)) (n) for diagonal gains: the trajectory's share, a damper, and a spring to a posture.
+    """Return P (f_q - D P^T q' - K (q - q_0)) (n) for diagonal gains D and K.
 
-    The damper only takes energy; the spring, projected, has no potential, so with it V need not fall.
+    The terms are the trajectory's torque, a damper, and a spring to a posture. The damper only
+    dissipates energy. The projected spring has no potential, so with it V may increase.
     """
     slow = damping * null_space.at.velocity_in_null_space(state.qd)
     return null_space.torque - null_space.at.torque_in_null_space(

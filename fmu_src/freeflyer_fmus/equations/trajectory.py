@@ -1,6 +1,6 @@
-"""The end-effector's reference motion (Fig. 2): a ramped sine along and about fixed axes of I.
+"""Reference motion of the end-effector (Fig. 2): a ramped sine along and about fixed axes of I.
 
-The paper's text gives neither amplitudes nor frequency: they are parameters, and their defaults are this project's own.
+The paper gives neither amplitudes nor frequency; they are parameters with this project's defaults.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class Motion(NamedTuple):
 
 
 def quintic_ramp(t: SX, duration: SX) -> tuple[SX, SX, SX]:
-    """0 to 1 over `duration` [s] with two continuous derivatives: the value and both derivatives."""
+    """Return a ramp from 0 to 1 over `duration` [s], C^2: the value and two derivatives."""
     s = ca.fmin(ca.fmax(t / duration, 0.0), 1.0)
     value = s**3 * (10.0 + s * (-15.0 + 6.0 * s))
     first = 30.0 * s**2 * (1.0 - s) ** 2 / duration
@@ -33,30 +33,38 @@ def quintic_ramp(t: SX, duration: SX) -> tuple[SX, SX, SX]:
 
 
 def ramped_sine(
-    t: SX, position: SX, orientation: SX, translation: SX, turn: SX, frequency: SX, ramp_time: SX
+    t: SX,
+    position: SX,
+    orientation: SX,
+    translation: SX,
+    rotation_vector: SX,
+    frequency: SX,
+    ramp_time: SX,
 ) -> Motion:
-    """x_md = x_0 + translation g, R_md = Exp(turn g) R_0 with g = ramp(t / ramp_time) sin(2 pi f t).
+    """Return x_md = x_0 + translation g, R_md = Exp(rotation_vector g) R_0.
 
-    `translation` (3) [m], `turn` (3) rotation vector [rad], both in I; the axis is fixed, so w = turn g' exactly.
+    g = ramp(t / ramp_time) sin(2 pi f t). `translation` (3) [m] and `rotation_vector` (3) [rad] are
+    in I. The axis is fixed, so w = rotation_vector g' exactly.
     """
     r, rd, rdd = quintic_ramp(t, ramp_time)
     omega = 2.0 * ca.pi * frequency
     s, c = ca.sin(omega * t), ca.cos(omega * t)
     g, gd = r * s, rd * s + r * omega * c
     gdd = rdd * s + 2.0 * rd * omega * c - r * omega**2 * s
-    amplitude = ca.vertcat(translation, turn)
+    amplitude = ca.vertcat(translation, rotation_vector)
     return Motion(
         position + translation * g,
-        rotation.product(rotation.about(turn * g), rotation.normalised(orientation)),
+        rotation.product(rotation.about(rotation_vector * g), rotation.normalised(orientation)),
         amplitude * gd,
         amplitude * gdd,
     )
 
 
 def straight_line(t: SX, position: SX, orientation: SX, displacement: SX, duration: SX) -> Motion:
-    """x_md = x_0 + displacement ramp(t / duration): a straight line at rest at both ends, the orientation kept.
+    """Return x_md = x_0 + displacement ramp(t / duration), with constant orientation.
 
-    The paper's Sec. VI gives line and duration; the quintic course along it is this project's assumption.
+    The motion starts and ends at rest. The paper's Sec. VI gives line and duration; the quintic
+    profile along the line is this project's assumption.
     """
     s, sd, sdd = quintic_ramp(t, duration)
     still = SX(3, 1)

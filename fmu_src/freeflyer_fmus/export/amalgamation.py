@@ -1,4 +1,7 @@
-"""The runtime and a block's C as one file, for targets that compile an FMU themselves: C99, mathematics and memory functions only."""
+"""Amalgamation: the runtime and a block's C code as one C99 file, for source-code FMUs.
+
+The file needs only mathematics and memory functions of the C library.
+"""
 
 from __future__ import annotations
 
@@ -6,14 +9,8 @@ import re
 
 from freeflyer_fmus.export.compiler import SOURCES
 
-HEADERS = (
-    "block",
-    "message",
-    "sincos",
-    "integrate",
-    "instance",
-    "internal",
-)  # each needs those before it
+# In order of dependency.
+HEADERS = ("block", "message", "sincos", "integrate", "instance", "internal")
 NO_CONTRACTION = """#if defined(__clang__)
 #pragma STDC FP_CONTRACT OFF
 #elif defined(__GNUC__)
@@ -26,8 +23,11 @@ SHARED = re.compile(r"\b((?:instance|integrate|message)_\w+)\(")
 
 
 def amalgamated(name: str, block_c: str, version: int) -> bytes:
-    """NAME.c with the interface of one FMI version. Names with external linkage begin with the block's, so that several FMUs
-    can be linked into one program; its FMI functions do with FMIx_FUNCTION_PREFIX defined, as the standard has it.
+    """Return NAME.c with the interface of one FMI version.
+
+    Names with external linkage have the block's name as prefix, so that several FMUs can be linked
+    into one program. The FMI functions get it if FMIx_FUNCTION_PREFIX is defined, as in the
+    standard.
     """
     headers = [(SOURCES / f"{header}.h").read_text(encoding="ascii") for header in HEADERS]
     runtime = [path for path in sorted(SOURCES.glob("*.c")) if not path.stem.startswith("fmi")]
@@ -40,8 +40,8 @@ def amalgamated(name: str, block_c: str, version: int) -> bytes:
     body = re.sub(
         r'^#include "(?!fmi)[^"]*"\n', "", "\n".join([*headers, *sources]), flags=re.MULTILINE
     )
-    head = f"/* The FMU {name}, FMI {version}.0: the equations and the runtime in one C99 file. Generated; do not edit.\n"
+    head = f"/* The FMU {name}, FMI {version}.0: equations and runtime in one C99 file. Generated; do not edit.\n"
     head += (
-        "   No product is contracted with a sum: then every platform computes the same bits. */\n"
+        "   Without contraction of products and sums, every platform computes the same bits. */\n"
     )
     return f"{head}{NO_CONTRACTION}{renamed}\n{body}".encode("ascii")

@@ -1,4 +1,4 @@
-"""Block -> .fmu files: one library for both FMI versions, two descriptions, reproducible archives."""
+"""Building of .fmu files: one library and two descriptions per block, reproducible archives."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ EPOCH = (1980, 1, 1, 0, 0, 0)
 
 
 def content_token(block: Block) -> str:
-    """The instantiation token: a hash of everything that makes the FMU what it is."""
+    """Return the instantiation token: a hash of descriptions, equations, runtime and flags."""
     digest = hashlib.sha256()
     digest.update(description.fmi2(block, ""))
     digest.update(description.fmi3(block, ""))
@@ -41,18 +41,19 @@ def build_all(
     *,
     sources: bool = False,
 ) -> Iterator[tuple[Block, dict[int, Path]]]:
-    """Write `directory/fmi2/NAME.fmu` and `directory/fmi3/NAME.fmu` of every block for the platforms (default: this one), with
-    `sources` if wanted; give their paths by FMI version, one block after the other. All cores compile.
+    """Write `directory/fmi2/NAME.fmu` and `directory/fmi3/NAME.fmu` of every block.
 
-    Raises `BuildError` when the compiler fails or the directory cannot be written. Each file appears whole or not at all.
+    `platforms` defaults to the host platform; `sources` adds the C sources. Yields each block with
+    its paths by FMI version. Compilation uses all cores. Files are written atomically.
+    Raises BuildError if the compiler fails or the directory is not writable.
     """
     targets = [host_platform()] if platforms is None else platforms
     with _scratch() as scratch, ThreadPoolExecutor(os.cpu_count()) as pool:
         try:
             jobs = [(block, *_submit(pool, block, Path(scratch), targets)) for block in blocks]
             for block, block_c, libraries in jobs:
-                made = {target: library.result() for target, library in libraries.items()}
-                yield block, _write(block, directory, made, block_c if sources else None)
+                binaries = {target: library.result() for target, library in libraries.items()}
+                yield block, _write(block, directory, binaries, block_c if sources else None)
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
@@ -65,7 +66,7 @@ def build(
     *,
     sources: bool = False,
 ) -> dict[int, Path]:
-    """`build_all` of one block."""
+    """Build the FMUs of one block; see `build_all`."""
     ((_, paths),) = build_all([block], directory, platforms, sources=sources)
     return paths
 
@@ -73,16 +74,15 @@ def build(
 def _submit(
     pool: Executor, block: Block, scratch: Path, targets: Sequence[Platform]
 ) -> tuple[str, dict[Platform, Future[bytes]]]:
-    """The block's C, and its libraries to come."""
+    """Return the block's C code and the futures of its libraries."""
     block_c = print_block(block, content_token(block))
     source = scratch / block.name / "block.c"
     source.parent.mkdir()
     source.write_text(block_c, encoding="ascii")
 
     def library(target: Platform) -> bytes:
-        path = (
-            source.parent / target.fmi3 / f"{block.name}{target.suffix}"
-        )  # libraries know their own names
+        # The path contains the final file name, which some formats store in the library.
+        path = source.parent / target.fmi3 / f"{block.name}{target.suffix}"
         path.parent.mkdir()
         compile_library(source, path, target)
         return path.read_bytes()
@@ -118,7 +118,10 @@ def _write(
 
 
 def write_archive(path: Path, files: Mapping[str, bytes]) -> Path:
-    """A zip with fixed times and order, so that equal content gives equal bytes."""
+    """Write a zip with fixed times and order: equal content gives equal bytes.
+
+    Raises BuildError if the file is not writable.
+    """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         partial = path.with_suffix(".partial")
@@ -139,7 +142,7 @@ def write_archive(path: Path, files: Mapping[str, bytes]) -> Path:
 
 @contextlib.contextmanager
 def _scratch() -> Iterator[str]:
-    """A temporary directory; what goes wrong in it is said in one sentence."""
+    """Yield a temporary directory; raise BuildError for errors of the file system."""
     try:
         with tempfile.TemporaryDirectory() as scratch:
             yield scratch

@@ -1,7 +1,8 @@
-"""Block -> block.c: straight-line C99 from the symbolic functions, and the tables that the runtime reads.
+"""Generation of block.c: straight-line C99 from the symbolic functions, and the runtime's tables.
 
-The expressions are printed in static single assignment, one operation a line, in the order of the symbolic program: the
-compiler may not reorder or contract them (-ffp-contract=off), so every platform computes the same bits.
+The expressions are printed in static single assignment, one operation per line, in the order of the
+symbolic program. The compiler may not reorder or contract them (-ffp-contract=off), so every
+platform computes the same bits.
 """
 
 from __future__ import annotations
@@ -22,11 +23,14 @@ SENSITIVITY = (*ARGUMENTS, "seed")
 
 @lru_cache(maxsize=1)
 def operations() -> dict[int, str]:
-    """CasADi operation -> C expression in operands {0}, {1}. sin and cos are apart: they come in pairs."""
+    """Return the C expression of each CasADi operation, in operands {0}, {1}.
+
+    sin and cos are computed as pairs by `print_function`.
+    """
     infix = {"ADD": "+", "SUB": "-", "MUL": "*", "DIV": "/"}
     compared = {"LT": "<", "LE": "<=", "EQ": "==", "NE": "!="}
     called = {"FABS": "fabs", "SQRT": "sqrt", "FLOOR": "floor", "CEIL": "ceil"}
-    # These come from the platform's C library: to 1e-12 or so, not to the last bit.
+    # These use the platform's C library: they agree to about 1e-12, not to the last bit.
     library = {
         "EXP": "exp",
         "LOG": "log",
@@ -37,6 +41,7 @@ def operations() -> dict[int, str]:
         "SINH": "sinh",
     }
     library |= {"COSH": "cosh", "TANH": "tanh"}
+    # Patterns by name of the operation.
     table = {f"OP_{name}": f"{{0}} {sign} {{1}}" for name, sign in infix.items()}
     table |= {f"OP_{name}": f"(double)({{0}} {sign} {{1}})" for name, sign in compared.items()}
     table |= {f"OP_{name}": f"{function}({{0}})" for name, function in (called | library).items()}
@@ -67,11 +72,9 @@ def operations() -> dict[int, str]:
 
 
 def number(value: float) -> str:
-    """A C literal that is exactly this double."""
+    """Return a C literal that is exactly this double; raise BlockError if none exists."""
     if value != value or value in (float("inf"), float("-inf")):
-        raise BlockError(
-            f"the equations contain the constant {value}, which C99 has no literal for"
-        )
+        raise BlockError(f"the equations contain the constant {value}, which has no C99 literal")
     text = repr(float(value))
     return text if len(text) <= 6 else float(value).hex()
 
@@ -79,9 +82,12 @@ def number(value: float) -> str:
 def print_function(
     function: ca.Function, name: str, arguments: Sequence[str], results: Sequence[str]
 ) -> str:
-    """One static C function with the signature of `Equations` or `Sensitivity` in block.h."""
+    """Print a static C function with the signature of `Equations` or `Sensitivity` in block.h.
+
+    Raises BlockError for an operation without a C expression.
+    """
     table = operations()
-    held: dict[int, str] = {}
+    held: dict[int, str] = {}  # C expression by work vector index
     pairs: dict[str, tuple[str, str]] = {}
     lines: list[str] = []
     count = 0
@@ -91,6 +97,7 @@ def print_function(
         count += 1
         return f"a{count}"
 
+    # One statement per operation. Equal angles share one call of sin_cos.
     for k in range(function.n_instructions()):
         operation, inputs, outputs = (
             function.instruction_id(k),
@@ -119,8 +126,9 @@ def print_function(
             held[outputs[0]] = variable
         else:
             raise BlockError(
-                f"{name}: the equations use CasADi operation {operation}, which has no C expression here"
+                f"{name}: the equations use CasADi operation {operation}, which has no C expression"
             )
+    # The signature; unused arguments are cast to void.
     used = "\n".join(lines)
     unused = [name for name in (*arguments, *results) if not re.search(rf"\b{name}\[", used)]
     given = [f"const double *{argument}" for argument in arguments] + [
@@ -164,12 +172,13 @@ def print_numbers(name: str, numbers: Iterable[float]) -> str:
 
 
 def print_block(block: Block, token: str) -> str:
-    """The whole of block.c."""
+    """Return the complete text of block.c."""
     plan = layout(block)
     functions = block.functions
     equations = (
         functions if block.is_sampled else functions | {"linked_outputs": block.linked_outputs}
     )
+    # Functions and tables that the table `block` refers to.
     parts = [
         f"/* Generated from the block {block.name}; do not edit. */\n",
         '#include "block.h"\n#include "sincos.h"\n',
@@ -187,6 +196,7 @@ def print_block(block: Block, token: str) -> str:
         print_requirements("static_requirement", block.static_requirements),
         print_requirements("running_requirement", block.running_requirements),
     ]
+    # The table `block`, whose fields are declared in block.h.
     period = plan.reference[block.period] if block.period else -1
     ranges = "\n".join(
         f"    .{name} = {{{first}, {count}}}," for name, (first, count) in plan.ranges.items()
@@ -197,7 +207,7 @@ def print_block(block: Block, token: str) -> str:
         "forward_derivatives": "forward_rates",
         "reverse_derivatives": "reverse_rates",
     }
-    made = "\n".join(
+    pointers = "\n".join(
         f"    .{field.get(name, name)} = {name}," for name in (*equations, *block.sensitivities)
     )
     parts.append(
@@ -212,7 +222,7 @@ def print_block(block: Block, token: str) -> str:
     .step = {number(block.default_step)},
     .linked = {block.linked},
     .nominal = nominal,
-{made}
+{pointers}
     .static_requirements = {len(block.static_requirements)},
     .running_requirements = {len(block.running_requirements)},
     .static_requirement = static_requirement,

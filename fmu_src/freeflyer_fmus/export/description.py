@@ -1,4 +1,4 @@
-"""Block -> modelDescription.xml, FMI 2.0 and FMI 3.0."""
+"""Generation of modelDescription.xml from a block, for FMI 2.0 and FMI 3.0."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from freeflyer_fmus.units import DISPLAY, UNITS, rate
 
 TOOL = "freeflyer-cosim"
 UNITS_ANNOTATION = "org.freeflyer-cosim.units"
-"""Type of the FMI 3.0 annotation that gives an array's units element by element."""
+"""Type of the FMI 3.0 annotation that contains an array's units, one per element."""
 TERMINAL_KINDS = "org.freeflyer-cosim"
 
 
@@ -46,14 +46,14 @@ def _log_categories(root: ElementTree.Element) -> None:
         categories,
         "Category",
         name="logStatusError",
-        description="Calls and values that are not allowed",
+        description="Rejected calls and values",
     )
-    requirement = "The run has left what the equations hold for, such as a singular Jacobian"
+    requirement = "Violated requirements of the equations, for example a singular Jacobian"
     ElementTree.SubElement(categories, "Category", name="logRequirement", description=requirement)
 
 
 def _experiment(root: ElementTree.Element, block: Block) -> None:
-    # FMPy doubles its output interval beyond 1000 steps in the default experiment: keep below.
+    # FMPy doubles its output interval above 1000 steps in the default experiment: use fewer.
     step = block.default_step
     ElementTree.SubElement(
         root, "DefaultExperiment", startTime="0", stopTime=number(100 * step), stepSize=number(step)
@@ -87,7 +87,10 @@ def _variability(block: Block, variable: Variable) -> str:
 
 
 def fmi2(block: Block, token: str, sources: Sequence[str] = ()) -> bytes:
-    """modelDescription.xml of FMI 2.0: every element of an array is a variable of its own; `sources`, if the FMU has any."""
+    """Return modelDescription.xml of FMI 2.0, in which every array element is a variable.
+
+    `sources` are the names of the C files that the FMU contains.
+    """
     plan = layout(block)
     root = ElementTree.Element(
         "fmiModelDescription",
@@ -106,6 +109,7 @@ def fmi2(block: Block, token: str, sources: Sequence[str] = ()) -> bytes:
         "canNotUseMemoryManagementFunctions": "true",
         "providesDirectionalDerivative": "true",
     }
+    # Interface types. A sampled block has no model exchange.
     interfaces = []
     if not block.is_sampled:
         interfaces.append(
@@ -122,6 +126,7 @@ def fmi2(block: Block, token: str, sources: Sequence[str] = ()) -> bytes:
         listed = ElementTree.SubElement(interface, "SourceFiles")
         for name in sources:
             ElementTree.SubElement(listed, "File", name=name)
+    # Units, enumerations, log categories and default experiment.
     _units(root, block)
     if _enumerations(block):
         types = ElementTree.SubElement(root, "TypeDefinitions")
@@ -134,7 +139,8 @@ def fmi2(block: Block, token: str, sources: Sequence[str] = ()) -> bytes:
                 ElementTree.SubElement(items, "Item", name=choice, value=str(index + 1))
     _log_categories(root)
     _experiment(root, block)
-    if block.terminals:  # FMI 2.0 has no place of its own for them
+    # FMI 2.0 has no terminals of its own: they are a vendor annotation.
+    if block.terminals:
         annotations = ElementTree.SubElement(root, "VendorAnnotations")
         _terminals(ElementTree.SubElement(annotations, "Tool", name=TERMINAL_KINDS), block)
     variables = ElementTree.SubElement(root, "ModelVariables")
@@ -144,7 +150,7 @@ def fmi2(block: Block, token: str, sources: Sequence[str] = ()) -> bytes:
 
 
 def build_description(block: Block) -> bytes:
-    """sources/buildDescription.xml of FMI 3.0: one C99 file, and the mathematical library."""
+    """Return sources/buildDescription.xml of FMI 3.0: one C99 file and the mathematical library."""
     root = ElementTree.Element("fmiBuildDescription", fmiVersion="3.0")
     configuration = ElementTree.SubElement(root, "BuildConfiguration", modelIdentifier=block.name)
     files = ElementTree.SubElement(configuration, "SourceFileSet", language="C99")
@@ -154,7 +160,7 @@ def build_description(block: Block) -> bytes:
 
 
 def _fmi2_variables(parent: ElementTree.Element, block: Block, plan: Layout) -> dict[str, int]:
-    """Adds all scalars; gives the 1-based index of each by name."""
+    """Add all scalar variables; return the 1-based index of each by name."""
     index: dict[str, int] = {}
 
     def scalar(name: str, reference: int, **attributes: str) -> ElementTree.Element:
@@ -167,6 +173,7 @@ def _fmi2_variables(parent: ElementTree.Element, block: Block, plan: Layout) -> 
         "time", 0, causality="independent", variability="continuous", description="Simulation time"
     )
     ElementTree.SubElement(element, "Real", unit="s")
+    # Declared variables, with the start values and units of their elements.
     for variable in block.variables.values():
         for i, name in enumerate(variable.element_names):
             attributes = {
@@ -197,6 +204,7 @@ def _fmi2_variables(parent: ElementTree.Element, block: Block, plan: Layout) -> 
                 {"real": "Real", "boolean": "Boolean", "enumeration": "Enumeration"}[variable.kind],
                 typed,
             )
+    # Derivatives of the continuous states.
     for variable in _differentiated(block):
         for i, (name, state) in enumerate(
             zip(derivative_elements(variable), variable.element_names, strict=True)
@@ -245,7 +253,7 @@ def _fmi2_structure(parent: ElementTree.Element, block: Block, index: dict[str, 
 
 
 def fmi3(block: Block, token: str) -> bytes:
-    """modelDescription.xml of FMI 3.0: arrays are arrays."""
+    """Return modelDescription.xml of FMI 3.0, in which an array is one variable."""
     plan = layout(block)
     root = ElementTree.Element(
         "fmiModelDescription",
@@ -256,6 +264,7 @@ def fmi3(block: Block, token: str) -> bytes:
         generationTool=TOOL,
         variableNamingConvention="structured",
     )
+    # Interface types. A sampled block has no model exchange.
     common = {
         "modelIdentifier": block.name,
         "canGetAndSetFMUState": "true",
@@ -263,7 +272,7 @@ def fmi3(block: Block, token: str) -> bytes:
         "providesDirectionalDerivatives": "true",
         "providesAdjointDerivatives": "true",
     }
-    # Between the inner steps of a continuous block an importer may look, set inputs and end the communication step.
+    # Continuous blocks support intermediate updates and early return between their inner steps.
     inner = (
         {}
         if block.is_sampled
@@ -274,6 +283,7 @@ def fmi3(block: Block, token: str) -> bytes:
     ElementTree.SubElement(
         root, "CoSimulation", common | inner, canHandleVariableCommunicationStepSize="true"
     )
+    # Units, enumerations, log categories and default experiment.
     _units(root, block)
     if _enumerations(block):
         types = ElementTree.SubElement(root, "TypeDefinitions")
@@ -295,6 +305,7 @@ def _fmi3_variables(parent: ElementTree.Element, block: Block, plan: Layout) -> 
         parent, "Float64", name="time", valueReference="0", causality="independent", variability="continuous", unit="s",
         description="Simulation time",
     )  # fmt: skip
+    # Declared variables.
     for variable in block.variables.values():
         attributes = {
             "name": variable.name,
@@ -320,7 +331,7 @@ def _fmi3_variables(parent: ElementTree.Element, block: Block, plan: Layout) -> 
             attributes["nominal"] = number(variable.nominal)
         if variable.causality != "parameter" and not block.is_sampled:
             attributes["intermediateUpdate"] = "true"
-        # FMI 3.0 has one unit for a whole array; a wrench or twist mixes two and tells them in an annotation.
+        # FMI 3.0 has one unit per array. An annotation contains the units of a wrench or twist.
         if variable.kind == "real" and len(set(variable.units)) == 1:
             attributes["unit"] = variable.units[0]
         tag = {"real": "Float64", "boolean": "Boolean", "enumeration": "Enumeration"}[variable.kind]
@@ -332,6 +343,7 @@ def _fmi3_variables(parent: ElementTree.Element, block: Block, plan: Layout) -> 
             ).text = " ".join(variable.units)
         if variable.is_array:
             ElementTree.SubElement(element, "Dimension", start=str(variable.size))
+    # Derivatives of the continuous states.
     for variable in _differentiated(block):
         unit = rate(variable.units[0]) if len(set(variable.units)) == 1 else None
         element = ElementTree.SubElement(
@@ -389,7 +401,7 @@ def _fmi3_structure(parent: ElementTree.Element, block: Block, plan: Layout) -> 
 
 
 def terminals(block: Block) -> bytes | None:
-    """terminalsAndIcons.xml of FMI 3.0: what belongs together, so that two FMUs are connected in one gesture. None: no terminals."""
+    """Return terminalsAndIcons.xml of FMI 3.0, or None for a block without terminals."""
     if not block.terminals:
         return None
     root = ElementTree.Element("fmiTerminalsAndIcons", fmiVersion="3.0")

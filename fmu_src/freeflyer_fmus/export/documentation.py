@@ -1,4 +1,4 @@
-"""Blocks -> a Markdown page of their variables, from the same declarations as everything else."""
+"""Generation of a Markdown page of all FMU variables from the blocks' declarations."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ from freeflyer_fmus.blocks.block import Block, Variable
 
 HEAD = """# FMU variables
 
-Made from the blocks' declarations by `python -m freeflyer_fmus.export.documentation`; start values are those of the default robot.
-In FMI 2.0 an array's element is `name[1]` ... `name[n]`. "Assumed" marks what the paper does not give.
+Generated from the block declarations by `python -m freeflyer_fmus.export.documentation`. Start values are those of the default robot.
+In FMI 2.0 the elements of an array are `name[1]` ... `name[n]`. "Assumed" marks values that the paper does not give.
 """
 
 
 def page(blocks: Iterable[Block]) -> str:
+    """Return the Markdown page of these blocks."""
     return HEAD + "".join(_section(block) for block in blocks)
 
 

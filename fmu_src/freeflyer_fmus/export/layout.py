@@ -1,7 +1,8 @@
-"""Where every value of a block stands: one flat vector, whose index is the value reference in both FMI versions.
+"""Layout of a block's values in one flat vector.
 
-Order: time, parameters, inputs, states, outputs, derivatives (of a continuous block). In FMI 3.0 an array's value reference
-is that of its first element.
+The index is the value reference in FMI 2.0 and 3.0. Order: time, parameters, inputs, states,
+outputs, derivatives (of a continuous block). In FMI 3.0 an array's value reference is that of its
+first element.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ Access = Literal["read_only", "fixed", "tunable", "input", "start"]
 
 @dataclass(frozen=True)
 class Value:
-    """One entry of the value vector; `extent` is the variable's size at its first element and 0 inside it."""
+    """Entry of the value vector; `extent` is the variable's size at its first element, else 0."""
 
     element: str
     kind: str
@@ -27,6 +28,8 @@ class Value:
 
 @dataclass(frozen=True)
 class Layout:
+    """Values in order of reference, ranges (first, count) by kind, first references by name."""
+
     values: tuple[Value, ...]
     start: tuple[float, ...]
     nominal: tuple[float, ...]
@@ -39,11 +42,12 @@ def derivative_name(variable: Variable) -> str:
 
 
 def derivative_elements(variable: Variable) -> tuple[str, ...]:
-    """FMI 2.0's structured naming puts the index inside: der(x[1])."""
+    """Return the names in FMI 2.0's structured naming, with the index inside: der(x[1])."""
     return tuple(f"der({element})" for element in variable.element_names)
 
 
 def layout(block: Block) -> Layout:
+    """Assign a value reference to every element of the block's variables and derivatives."""
     values = [Value("time", "real", "read_only", 0, 1)]
     start, ranges, reference = [0.0], {}, {"time": 0}
     access: dict[str, Access] = {"input": "input", "state": "start", "output": "read_only"}

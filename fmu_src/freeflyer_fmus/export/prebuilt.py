@@ -1,4 +1,4 @@
-"""Where the FMUs are that were built when this package was installed."""
+"""Location of the FMUs built at installation."""
 
 from __future__ import annotations
 
@@ -6,5 +6,5 @@ from pathlib import Path
 
 
 def directory() -> Path:
-    """Holds fmi2/NAME.fmu and fmi3/NAME.fmu."""
+    """Return the directory that contains fmi2/NAME.fmu and fmi3/NAME.fmu."""
     return Path(__file__).parent.parent / "prebuilt"

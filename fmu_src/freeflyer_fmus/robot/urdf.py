@@ -1,4 +1,7 @@
-"""URDF or robot file -> `Robot`: the chain from base to hand, with everything fixed or locked welded to what carries it."""
+"""Loading of a `Robot` from a URDF or robot file: a serial chain from base to end-effector.
+
+Bodies behind fixed or locked joints are merged with the body that carries them.
+"""
 
 from __future__ import annotations
 
@@ -23,18 +26,18 @@ def shipped_robots() -> list[str]:
 
 
 def robot_path(text: str, directory: Path = Path()) -> Path:
-    """Of a shipped robot by name, or of a file. RobotError for a name that is neither."""
+    """Return the path of a shipped robot (by name) or of a file; raise RobotError for neither."""
     if text not in shipped_robots() and "." not in text:
         raise RobotError(
-            f"there is no robot {text!r}: neither a shipped one nor a file{did_you_mean(text, shipped_robots())}"
+            f"robot {text!r} is neither a shipped robot nor a file{did_you_mean(text, shipped_robots())}"
         )
     return ROBOTS / f"{text}.toml" if text in shipped_robots() else directory / text
 
 
 def load_robot_file(path: Path = DEFAULT_ROBOT) -> Robot:
-    """Read a small TOML file that names the URDF, base link, end-effector, tool, locked joints and posture.
+    """Read a TOML file with URDF, base link, end-effector, tool, locked joints and posture.
 
-    Raises `RobotError` with one sentence when the file or the robot in it cannot be used.
+    Raises RobotError if the file is invalid or its robot is not usable.
     """
     try:
         data = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -67,11 +70,12 @@ def load_urdf(
 ) -> Robot:
     """Read a URDF as a free-flyer.
 
-    `base_link` (default: the root) becomes the floating base; `end_effector` (default: the only link without children)
-    is the hand's frame; `tool_link` is the link whose mass becomes an FMU parameter (default: none);
-    `lock` welds joints at the given positions [rad or m]; `posture` gives the start position of the free joints, by name
-    or in order (default: zero, or the middle of the limits where zero lies outside them).
-    Raises `RobotError` with one sentence for a file that is broken, not a serial chain, or physically impossible.
+    `base_link` (default: the root) becomes the floating base. `end_effector` (default: the only
+    link without children) is the link of frame E. The mass of `tool_link` (default: none) becomes
+    an FMU parameter. `lock` fixes joints at the given positions [rad or m]. `posture` is the start
+    position of the free joints, by name or in order; its default is zero, or the middle of the
+    limits if zero is outside them. Raises RobotError if the file is malformed, not a serial chain,
+    or physically impossible.
     """
     tree = UrdfTree(path)
     base = base_link or tree.root
@@ -92,6 +96,7 @@ def _robot(
     posture: Mapping[str, float] | Sequence[float] | None,
 ) -> Robot:
     path = tree.chain(base, tip)
+    # Locked joints: known names, finite values within the limits.
     for name, value in lock.items():
         if name not in tree.joints:
             raise RobotError(
@@ -111,19 +116,20 @@ def _robot(
             raise RobotError(
                 f"URDF {tree.path}: joint {name} is locked at {value:g}, outside its limits {limits}"
             )
+    # The base body. B is at its centre of mass, with the base link's axes.
     base_inertial = tree.links[base]
     if base_inertial is None:
         raise RobotError(
             f"URDF {tree.path}: base link {base!r} has no mass; a floating base needs an <inertial>"
         )
     tree.refuse_mass_above(base)
-    # B stands at the base body's centre of mass, with the base link's axes.
     rotation, translation = np.eye(3), -base_inertial.centre_of_mass
     free: list[Joint] = []
     bodies: list[Inertial] = []
     body = _welded(
         tree, base, rotation, translation, path[0] if path else None, {base, tool}, lock, tip
     )
+    # Outward along the chain: a free joint starts a new body, with its axis along z.
     link, tool_pose = base, None
     for joint, following in zip(path, [*path[1:], None], strict=True):
         translation = translation + rotation @ joint.translation
@@ -145,6 +151,7 @@ def _robot(
         if link == tool:
             tool_pose = (rotation, translation)
     bodies.append(body)
+    # Frame E and the tool's inertia in it.
     end_rotation, end_translation = _exact(rotation), constant(translation, (3,))
     tool_inertial = Inertial.zero()
     if tool is not None:
@@ -154,8 +161,10 @@ def _robot(
                 f"URDF {tree.path}: tool link {tool!r} must have an <inertial> and stand between the last free joint "
                 f"and the end-effector {tip!r}"
             )
-        turn = end_rotation.T @ tool_pose[0]
-        tool_inertial = mass.seen_from(turn, end_rotation.T @ (tool_pose[1] - end_translation))
+        tool_rotation = end_rotation.T @ tool_pose[0]
+        tool_inertial = mass.seen_from(
+            tool_rotation, end_rotation.T @ (tool_pose[1] - end_translation)
+        )
     return Robot(
         name=tree.name,
         base=base_inertial.seen_from(np.eye(3), -base_inertial.centre_of_mass),
@@ -179,7 +188,10 @@ def _welded(
     lock: Mapping[str, float],
     tip: str,
 ) -> Inertial:
-    """This link and everything welded to it, except the links in `apart` and what hangs below the joint `skip`."""
+    """Return the inertia of this link and of all links fixed to it, in the body frame.
+
+    Links in `apart` and links below the joint `skip` are excluded.
+    """
     own = tree.links[link]
     total = (
         Inertial.zero() if own is None or link in apart else own.seen_from(rotation, translation)
@@ -192,9 +204,9 @@ def _welded(
                 f"URDF {tree.path}: not a serial chain: joint {joint.name!r} moves a branch beside or beyond the path "
                 f"to {tip!r}; lock it or name another end-effector"
             )
-        turn, shift = rotation @ joint.rotation, translation + rotation @ joint.translation
-        turn, shift = joint.displaced(turn, shift, lock.get(joint.name, 0.0))
-        total = total.merged_with(_welded(tree, joint.child, turn, shift, None, apart, lock, tip))
+        R, r = rotation @ joint.rotation, translation + rotation @ joint.translation
+        R, r = joint.displaced(R, r, lock.get(joint.name, 0.0))
+        total = total.merged_with(_welded(tree, joint.child, R, r, None, apart, lock, tip))
     return total
 
 
@@ -208,7 +220,7 @@ def _posture(
         for name in posture:
             if name not in names:
                 raise RobotError(
-                    f"URDF {tree.path}: posture names {name!r}, which is no free joint{did_you_mean(name, names)}"
+                    f"URDF {tree.path}: posture contains {name!r}, which is not a free joint{did_you_mean(name, names)}"
                 )
         missing = [name for name in names if name not in posture]
         if missing:
@@ -224,7 +236,7 @@ def _neutral(joint: Joint) -> float:
 
 
 def _z_onto(axis: Array) -> Array:
-    """A rotation whose third column is `axis`; exact 0 and 1 entries for axes along x, y or z, the identity for z."""
+    """Return a rotation whose third column is `axis`; exact 0 and 1 entries for coordinate axes."""
     helper = np.eye(3)[0 if abs(axis[1]) > 0.9 else 1]
     first = np.cross(helper, axis)
     first /= np.linalg.norm(first)
@@ -232,6 +244,6 @@ def _z_onto(axis: Array) -> Array:
 
 
 def _exact(rotation: Array) -> Array:
-    """Rounding dust beside 0 and +-1 removed (a few ulp), so that sparse rotations stay sparse in the generated code."""
+    """Round entries within 1e-15 of 0 and +-1, so that the generated code stays sparse."""
     nearest = np.round(rotation)
     return constant(np.where(np.abs(rotation - nearest) < 1e-15, nearest, rotation) + 0.0, (3, 3))

@@ -1,6 +1,7 @@
-"""A URDF file as its links and joints, each checked by itself.
+"""Links and joints of a URDF file, with a check of each element.
 
-The XML is read directly: the checks need every link's own `<inertial>`, which robotics libraries merge or drop.
+The XML is parsed directly: the checks need the `<inertial>` of every link, which robotics libraries
+merge or discard.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ MOVING = ("revolute", "continuous", "prismatic")
 
 @dataclass(frozen=True)
 class UrdfJoint:
-    """A URDF joint as written: `axis` in the child link's frame, the placement in the parent link's."""
+    """A URDF joint as written: `axis` in the child link's frame, the pose in the parent link's."""
 
     name: str
     kind: str
@@ -38,7 +39,10 @@ class UrdfJoint:
     def displaced(
         self, rotation: Array, translation: Array, position: float
     ) -> tuple[Array, Array]:
-        """The child link's pose for a joint frame at (rotation, translation) and a joint held at `position`."""
+        """Return the child link's pose for a joint frame at (rotation, translation).
+
+        The joint is held at `position` [rad or m].
+        """
         if self.kind == "prismatic":
             return rotation, translation + rotation @ self.axis * position
         if self.kind == "fixed" or position == 0.0:
@@ -59,7 +63,7 @@ class UrdfJoint:
 
 
 class UrdfTree:
-    """The links and joints of one URDF file."""
+    """The links and joints of one URDF file; RobotError if the file is invalid."""
 
     def __init__(self, path: Path) -> None:
         try:
@@ -109,20 +113,20 @@ class UrdfTree:
         return leaves[0]
 
     def chain(self, base: str, tip: str) -> list[UrdfJoint]:
-        """The joints from base to tip, outward."""
+        """Return the joints from base to tip; raise RobotError if tip is not below base."""
         path, link = [], tip
         while link != base:
             joint = self.parent.get(link)
             if joint is None:
                 raise RobotError(
-                    f"URDF {self.path}: not a serial chain: {tip!r} does not hang below {base!r}"
+                    f"URDF {self.path}: not a serial chain: {tip!r} is not a descendant of {base!r}"
                 )
             path.append(joint)
             link = joint.parent
         return path[::-1]
 
     def refuse_mass_above(self, base: str) -> None:
-        """What hangs above or beside the base link would be cut off: links without mass may go, masses may not."""
+        """Raise RobotError if a link with mass is not below the base link and would be lost."""
         below, stack = set(), [base]
         while stack:
             link = stack.pop()
@@ -135,7 +139,7 @@ class UrdfTree:
         )
         if lost:
             raise RobotError(
-                f"URDF {self.path}: links {', '.join(lost)} have mass but do not hang below the base link {base!r}; "
+                f"URDF {self.path}: links {', '.join(lost)} have mass but are not below the base link {base!r}; "
                 f"choose {self.root!r} as base link"
             )
 
@@ -149,7 +153,7 @@ class UrdfTree:
             raise RobotError(f"URDF {self.path}: joint {joint.name!r} is defined twice")
         if joint.child in self.parent:
             raise RobotError(
-                f"URDF {self.path}: not a tree: link {joint.child!r} hangs on both joints {self.parent[joint.child].name!r} "
+                f"URDF {self.path}: not a tree: link {joint.child!r} is the child of both joints {self.parent[joint.child].name!r} "
                 f"and {joint.name!r}"
             )
         self.joints[joint.name] = joint
@@ -157,6 +161,7 @@ class UrdfTree:
         self.children[joint.parent].append(joint)
 
     def _joint(self, element: ElementTree.Element) -> UrdfJoint:
+        # Supported kinds only.
         name = self._attribute(element, "name", "a joint")
         kind = self._attribute(element, "type", f"joint {name!r}")
         if kind not in ("fixed", *MOVING):
@@ -167,6 +172,7 @@ class UrdfTree:
             raise RobotError(
                 f"URDF {self.path}: joint {name!r} mimics another joint, which is not supported"
             )
+        # Placement, axis and limits.
         parent, child = element.find("parent"), element.find("child")
         if parent is None or child is None:
             raise RobotError(f"URDF {self.path}: joint {name!r} lacks its parent or child link")
@@ -244,7 +250,7 @@ class UrdfTree:
     def _vector(self, element: ElementTree.Element, key: str, subject: str) -> Array:
         text = element.get(key, "0 0 0")
         try:
-            values = np.array([float(word) for word in text.split()])
+            values = np.array([float(part) for part in text.split()])
         except ValueError:
             values = np.array([])
         if values.shape != (3,) or not np.isfinite(values).all():
@@ -277,7 +283,7 @@ class UrdfTree:
 
 
 def _rotation_from_rpy(rpy: Array) -> Array:
-    """URDF's fixed-axis roll, pitch, yaw."""
+    """Return the rotation matrix of URDF's fixed-axis roll, pitch, yaw."""
     (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
     return np.array(
         [
