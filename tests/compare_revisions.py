@@ -1,8 +1,9 @@
-"""Records of two revisions, bit for bit: python tests/compare_revisions.py BEFORE [AFTER] [--folder DIR]
+"""Bit-for-bit comparison of records: compare_revisions.py BEFORE [AFTER] [--folder DIR]
 
-Installs both revisions into environments of their own with the same versions of everything else, runs every shipped scenario with both
-masters, and compares columns, units, values, `freeflyer.origin` and summary.json (without wall time and versions). Not part of the
-suite: it takes minutes, and shows that a change which should not change numbers does not. Exit code 1 where anything differs.
+Installs both revisions into separate environments with the same dependencies and runs every shipped
+scenario with both masters. Compares columns, units, values, `freeflyer.origin` and summary.json
+(without wall time and versions). It takes minutes and is not part of the test suite. Use it for a
+change that must not change any number. The exit code is 1 if there is a difference.
 """
 
 from __future__ import annotations
@@ -24,12 +25,12 @@ DIFFER = {"wall_s", "versions"}
 
 def output(*command: str | Path, **options: Any) -> str:
     return subprocess.run(
-        [str(word) for word in command], check=True, stdout=subprocess.PIPE, text=True, **options
+        [str(part) for part in command], check=True, stdout=subprocess.PIPE, text=True, **options
     ).stdout
 
 
 def installed(revision: str, folder: Path, constraints: Path | None) -> Path:
-    """The environment's `bin`."""
+    """Install a revision into a new environment; return the environment's `bin` directory."""
     output("git", "clone", "--quiet", ROOT, folder / "source")
     output("git", "-C", folder / "source", "checkout", "--quiet", revision)
     output(sys.executable, "-m", "venv", folder / "venv")
@@ -46,7 +47,7 @@ def installed(revision: str, folder: Path, constraints: Path | None) -> Path:
 
 
 def ran(binaries: Path, scenario: str, master: str, out: Path) -> dict[str, Any]:
-    """What a run has written; exit code and summary.json as metadata."""
+    """Run a scenario; return its exit code and the contents of its files."""
     done = subprocess.run(
         [str(binaries / "freeflyer"), "run", scenario, "--master", master, "--out", str(out)],
         capture_output=True,
@@ -78,6 +79,7 @@ def main() -> int:
     parser.add_argument("--folder", type=Path, help="keep environments and records there")
     arguments = parser.parse_args()
     with TemporaryDirectory() as temporary:
+        # Both environments have the same versions of all other packages.
         folder = (arguments.folder or Path(temporary)).absolute()
         first = installed(arguments.before, folder / "before", None)
         frozen = output(first / "pip", "freeze", "--disable-pip-version-check").splitlines()
@@ -91,6 +93,7 @@ def main() -> int:
             for path in ROOT.glob("cosim/freeflyer/**/scenarios/*.toml")
             if not path.name.startswith("_")
         )
+        # Every scenario with every master.
         differences = 0
         for scenario in names:
             for master in MASTERS:
@@ -98,12 +101,12 @@ def main() -> int:
                     ran(b, scenario, master, folder / f"{b.parents[1].name}_{scenario}_{master}")
                     for b in (first, second)
                 ]
-                unlike = [key for key in records[0] if records[0][key] != records[1][key]]
-                differences += bool(unlike)
+                different = [key for key in records[0] if records[0][key] != records[1][key]]
+                differences += bool(different)
                 rows, columns = len(records[0]["values"][0]) // 8, len(records[0]["columns"])
                 print(
                     f"{scenario:20s} {master:6s} {rows:6d} rows, {columns:4d} columns:",
-                    ", ".join(unlike) or "identical",
+                    ", ".join(different) or "identical",
                     flush=True,
                 )
     return int(differences > 0)

@@ -1,4 +1,4 @@
-"""A lab's certificates, good and bad ones, and sessions of whoever holds them, on loopback."""
+"""Valid and invalid certificates of a lab, and Zenoh sessions on the loopback interface."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ NAMES = ("controller", "base_robot", "other_robot")
 
 
 def waited(condition: Callable[[], bool], timeout: float = 5.0) -> bool:
-    """Whether the condition holds once; it is asked again and again, and not any more after that."""
+    """Wait until the condition holds; return False after `timeout` [s]."""
     end = time.monotonic() + timeout
     while time.monotonic() < end:
         if condition():
@@ -39,7 +39,7 @@ def free_port() -> int:
 
 
 def make_folder(folder: Path) -> CertificateAuthority:
-    """An authority, a controller, two robots and an observer."""
+    """Create an authority with certificates for a controller, two robots and an observer."""
     folder.mkdir(mode=0o700)
     authority = CertificateAuthority.new(folder)
     for name in NAMES:
@@ -49,7 +49,12 @@ def make_folder(folder: Path) -> CertificateAuthority:
 
 
 class Lab:
-    """`good` and `rogue` are two authorities' folders; in `expired` the good one signed what is over, for the same names."""
+    """Folders with certificates.
+
+    `good` and `rogue` belong to two authorities. `expired` has certificates of the good authority
+    for the same names, but they have expired. `forged` has the good authority's certificate, which
+    is public, but its other certificates have the rogue authority's signature.
+    """
 
     def __init__(self, folder: Path) -> None:
         folder.mkdir(exist_ok=True)
@@ -63,10 +68,9 @@ class Lab:
                 Identity(self.expired, name), days=2, hosts=HOSTS, may_listen=True, begin=long_ago
             )
         self.authority = authority
-        # A stranger who has been given the authority's certificate, which is no secret, but not its signature.
-        self.stranger = folder / "stranger"
-        shutil.copytree(self.rogue, self.stranger)
-        shutil.copy(self.good / "ca.pem", self.stranger / "ca.pem")
+        self.forged = folder / "forged"
+        shutil.copytree(self.rogue, self.forged)
+        shutil.copy(self.good / "ca.pem", self.forged / "ca.pem")
 
     @staticmethod
     def options(
@@ -85,7 +89,7 @@ def session_without_checks(
     own: Identity | None = None,
     zid: str | None = None,
 ) -> zenoh.Session:
-    """As a stranger opens it, who does not use this project: no file is checked first, and no access is controlled."""
+    """Open a session without this project's checks of files and without access control."""
     config = zenoh.Config()
     tls = "transport/link/tls"
     settings: dict[str, Any] = {
@@ -115,7 +119,7 @@ def session_without_checks(
 
 
 class Wiretap:
-    """A TCP relay in front of a port, which keeps every byte that goes through it."""
+    """A TCP relay in front of a port that stores every byte that it forwards."""
 
     def __init__(self, port: int) -> None:
         self.bytes = bytearray()

@@ -1,7 +1,10 @@
-"""Ways to sample the control law, compared on the loop linearised at the start posture: `python tests/benchmarks/discretisations.py`.
+"""Comparison of discretisations of the control law on the loop linearised at the start posture.
 
-Prints the table of docs/matched_gains.md: of 400 random gain sets (seed 1), the share of those that are stable, where the base's true
-mass and inertia are a factor of what the law was made for. The inertia comes from Pinocchio, not from this project's equations.
+Usage: python tests/benchmarks/discretisations.py
+
+Prints the table of docs/matched_gains.md: the share of 400 random gain sets (seed 1) that are
+stable. The columns are factors between the base's true mass and inertia and those in the control
+law. The inertia is from Pinocchio, not from this project's equations.
 """
 
 from __future__ import annotations
@@ -24,7 +27,10 @@ FACTORS = (0.5, 0.67, 0.8, 1.0, 1.25, 1.5)
 
 
 def loop_inertia(factor: float) -> tuple[Array, Array]:
-    """M of (6) (12, 12) at the start posture, the base's own mass and inertia times a factor; and J_b (6, 6)."""
+    """Return M of (6), shape (12, 12), and J_b, shape (6, 6), at the start posture.
+
+    The mass and inertia of the base body are multiplied by `factor`.
+    """
     robot = load_robot_file()
     model = pinocchio_model(robot)
     base = model.inertias[1]
@@ -49,7 +55,7 @@ def loop_inertia(factor: float) -> tuple[Array, Array]:
     return to_joints.T @ H @ to_joints, J[:, :6]
 
 
-# A law for one mass: -(gains) [x; v], (6, 12).
+# Discretisations of the law for one mass matrix. Each returns gains G, shape (6, 12), of -G [x; v].
 
 
 def emulated(M: Array, K: Array, D: Array, T: float) -> Array:
@@ -57,13 +63,13 @@ def emulated(M: Array, K: Array, D: Array, T: float) -> Array:
 
 
 def mean(M: Array, K: Array, D: Array, T: float) -> Array:
-    """What the blocks do: the law at the mean state of the period."""
+    """Evaluate the law at the mean state of the period, like the blocks."""
     v = np.linalg.solve(M + T / 2 * D + T * T / 4 * K, np.hstack([-T / 2 * K, M]))
     return K @ (np.hstack([I6, Z6]) + T / 2 * v) + D @ v
 
 
 def matched_poles(M: Array, K: Array, D: Array, T: float) -> Array:
-    """Poles and modes of the continuous law, sampled: exp(S T) for the coupled axes."""
+    """Match the poles and modes of the sampled loop to exp(S T) of the continuous, coupled loop."""
     S = np.block([[Z6, I6], [-np.linalg.solve(M, K), -np.linalg.solve(M, D)]])
     step, top = expm(S * T), np.hstack([I6, Z6])
     G = 2.0 / T * (step - np.eye(12)) @ np.linalg.inv(step + np.eye(12))
@@ -98,7 +104,7 @@ class Gains:
 
 
 def gain_sets(count: int, seed: int) -> Iterator[Gains]:
-    """The ranges of the shipped sweep random_designs."""
+    """Yield random gains in the ranges of the shipped sweep random_designs."""
     random = np.random.default_rng(seed)
 
     def draw(*ranges: tuple[float, float]) -> Array:
@@ -115,38 +121,47 @@ def gain_sets(count: int, seed: int) -> Iterator[Gains]:
 
 
 def spectral_radius(
-    M: Array, Jb: Array, base: Array, hand: Array, compensation: Array, T_b: float
+    M: Array, Jb: Array, base: Array, end_effector: Array, compensation: Array, T_b: float
 ) -> float:
-    """Of the map over one base period. State [dx_b, dx_m, x_b', x_m']; base and hand: gains on their own states; compensation: J_b^T
-    times these gains on the hand's state is in the held base wrench.
+    """Return the spectral radius of the map over one base period. Stable below 1.
+
+    The state is [dx_b, dx_m, x_b', x_m']. `base` and `end_effector` are gains on their own states.
+    `compensation` are gains on the end-effector's state; times J_b^T they are in the held base
+    wrench.
     """
+    # The plant over one manipulator period.
     A = np.zeros((24, 24))
     A[:12, 12:] = np.eye(12)
     B = np.zeros((24, 12))
     B[12:] = np.linalg.solve(M, np.block([[I6, -Jb.T], [Z6, I6]]))
     step = expm(T_M * np.block([[A, B], [np.zeros((12, 36))]]))
     A_d, B_d = step[:24, :24], step[:24, 24:]
-    no = np.zeros((6, 6))
-    on_hand = lambda gains: np.hstack([no, gains[:, :6], no, gains[:, 6:]])  # noqa: E731
-    held = -np.hstack([base[:, :6], no, base[:, 6:], no]) - Jb.T @ on_hand(compensation)
-    fast = np.block([[A_d - B_d[:, 6:] @ on_hand(hand), B_d[:, :6]], [np.zeros((6, 24)), I6]])
+    none = np.zeros((6, 6))
+    on_end_effector = lambda gains: np.hstack([none, gains[:, :6], none, gains[:, 6:]])  # noqa: E731
+    # The base wrench is held; the manipulator's controller closes its loop at every period.
+    held = -np.hstack([base[:, :6], none, base[:, 6:], none]) - Jb.T @ on_end_effector(compensation)
+    fast = np.block(
+        [[A_d - B_d[:, 6:] @ on_end_effector(end_effector), B_d[:, :6]], [np.zeros((6, 24)), I6]]
+    )
     lifted = np.linalg.matrix_power(fast, round(T_b / T_M))
     return float(abs(np.linalg.eigvals(lifted[:24, :24] + lifted[:24, 24:] @ held)).max())
 
 
 def main() -> None:
+    # The laws are designed with the nominal inertia and tested with the true ones.
     M, Jb = loop_inertia(1.0)
     inverse = np.linalg.inv(M)
-    M_base, M_hand = np.linalg.inv(inverse[:6, :6]), np.linalg.inv(inverse[6:, 6:])
+    M_base, M_end_effector = np.linalg.inv(inverse[:6, :6]), np.linalg.inv(inverse[6:, 6:])
     true = {factor: loop_inertia(factor)[0] for factor in FACTORS}
     sets = list(gain_sets(400, 1))
     print(
-        "| base's law | hand's law | J_b^T F_m in the held wrench | "
+        "| base law | end-effector law | J_b^T F_m in the held wrench | "
         + " | ".join(f"{f:g}" for f in FACTORS)
         + " |"
     )
     print("|---|---|---|" + "---|" * len(FACTORS))
-    for base, hand, share in (
+    # One row per combination of discretisations.
+    for base, end_effector, share in (
         ("emulated", "emulated", "of the sample"),
         ("poles, per axis", "emulated", "of the sample"),
         ("mean", "emulated", "of the sample"),
@@ -158,12 +173,12 @@ def main() -> None:
         stable = dict.fromkeys(FACTORS, 0)
         for g in sets:
             law = LAWS[base](M_base, g.K_b, g.D_b, g.T_b)
-            fast = LAWS[hand](M_hand, g.K_m, g.D_m, T_M)
-            slow = fast if share == "of the sample" else mean(M_hand, g.K_m, g.D_m, g.T_b)
+            fast = LAWS[end_effector](M_end_effector, g.K_m, g.D_m, T_M)
+            slow = fast if share == "of the sample" else mean(M_end_effector, g.K_m, g.D_m, g.T_b)
             for factor, inertia in true.items():
                 stable[factor] += spectral_radius(inertia, Jb, law, fast, slow, g.T_b) < 1.0
         print(
-            f"| {base} | {hand} | {share} | "
+            f"| {base} | {end_effector} | {share} | "
             + " | ".join(f"{100 * n / len(sets):.1f} %" for n in stable.values())
             + " |"
         )

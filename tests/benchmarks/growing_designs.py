@@ -1,7 +1,10 @@
-"""Runs of a sweep whose errors still grew at its end, once more and longer: `python tests/benchmarks/growing_designs.py SWEEP DIR CASE...`.
+"""Longer repetition of the runs of a sweep whose errors still grew at their end.
 
-SWEEP is a shipped sweep or a file, DIR holds its results. Prints, for each run of the cases that is neither stable nor diverged, the
-verdict after five times the time, and how far the base's spring is from resonance with the trajectory (0.1 Hz).
+Usage: python tests/benchmarks/growing_designs.py SWEEP DIR CASE...
+
+SWEEP is a shipped sweep or a file; DIR contains its results. For each run of the cases that is
+neither stable nor diverged, prints the verdict after five times the duration. Prints, too, the
+natural frequency of the base relative to that of the trajectory (0.1 Hz).
 """
 
 from __future__ import annotations
@@ -25,6 +28,7 @@ REFERENCE = 2.0 * np.pi * 0.1
 
 
 def main(sweep: str, directory: str, *cases: str) -> None:
+    # The runs without a verdict of stable, diverged or failed.
     plan = Plan(file.read(sweep))
     table = pandas.read_parquet(Path(directory) / "results.parquet")
     growing = table[
@@ -35,6 +39,7 @@ def main(sweep: str, directory: str, *cases: str) -> None:
     ]
     settled = dict.fromkeys(cases, 0)
     for number in growing["run"]:
+        # The same run, longer.
         run = plan.run(int(number))
         scenario = plan.setup.scenario(run.case, run.assignments)
         scenario = replace(
@@ -51,6 +56,7 @@ def main(sweep: str, directory: str, *cases: str) -> None:
         }
         stable = verdict.stable(result.summary, before)
         settled[run.case] += stable is True
+        # The natural frequency that is nearest to the trajectory's.
         given = dict(run.assignments)
         stiffness = np.array(given["base_controller.stiffness"], dtype=float)
         resonance = np.sqrt(stiffness / BASE_INERTIA) / REFERENCE
@@ -65,7 +71,7 @@ def main(sweep: str, directory: str, *cases: str) -> None:
     for case in cases:
         count = int(growing["case"].eq(case).sum())
         print(
-            f"{case}: {settled[case]} of {count} that grew at the end are stable in the longer run"
+            f"{case}: {settled[case]} of {count} runs with growing errors are stable in the longer run"
         )
 
 

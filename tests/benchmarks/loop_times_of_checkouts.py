@@ -1,6 +1,9 @@
-"""The loop's times on the virtual facility, of two checkouts in turn, as ratios: `python loop_times_of_checkouts.py BEFORE AFTER [ROUNDS]`.
+"""Comparison of the loop times of two checkouts on the virtual facility, run alternately.
 
-Both run with this Python and their own sources (each checkout has its built parts). Run alone.
+Usage: python loop_times_of_checkouts.py BEFORE AFTER [ROUNDS]
+
+Both checkouts run with this Python and their own sources; each needs its compiled files. No other
+load should run at the same time.
 """
 
 from __future__ import annotations
@@ -22,7 +25,8 @@ SETTINGS = (*PATIENT, f"stop_s={SECONDS}")
 
 
 def times(checkout: Path, folder: Path, name: str) -> dict[str, tuple[float, float]]:
-    """p50 and p99 [us] of every histogram of one run."""
+    """Run the loop once; return p50 and p99 [us] of every histogram."""
+    # A separate bus and port for each run.
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
@@ -30,13 +34,14 @@ def times(checkout: Path, folder: Path, name: str) -> dict[str, tuple[float, flo
         f'devices.arm_drive.channel="{name}"',
         f'devices.base_robot.connect=["tcp/127.0.0.1:{port}"]',
     )
-    sets = [word for setting in (*SETTINGS, *links) for word in ("--set", setting)]
+    sets = [part for setting in (*SETTINGS, *links) for part in ("--set", setting)]
     environment = {
         **os.environ,
         "PYTHONPATH": os.pathsep.join(
             str(checkout / root) for root in ("adapters", "cosim", "fmu_src")
         ),
     }
+    # The loop runs on a facility in another process.
     command = [sys.executable, "-m", "freeflyer.cli.main"]
     with subprocess.Popen(
         [*command, "facility", "facility", *sets, "--out", str(folder / name)],
@@ -68,7 +73,7 @@ def main(before: str, after: str, rounds: str = "5") -> None:
             ):
                 seen[label].append(times(Path(checkout).absolute(), Path(folder), f"{label}-{k}"))
                 print(f"round {k + 1}, {label}: done", flush=True)
-    print(f"medians over {rounds} rounds of {SECONDS} s in turn [us]: before, after, ratio")
+    print(f"medians over {rounds} alternate rounds of {SECONDS} s [us]: before, after, ratio")
     for key in seen["before"][0]:
         for i, share in enumerate(("p50", "p99")):
             old, new = (

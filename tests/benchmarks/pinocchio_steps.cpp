@@ -1,7 +1,8 @@
-// pinocchio_steps COUNT < NUMBERS: the classical Runge-Kutta step of 1 ms of a free-flying chain with pinocchio::aba. Prints the
-// acceleration at the start (6 + n, in the base's axes) and the best of seven runs of COUNT steps, in microseconds a step.
-// NUMBERS: n; base; n times (1 for revolute or 0 for prismatic, rotation (9, by rows), translation (3), body); q (7 + n); v (6 + n).
-// A body is mass, centre of mass (3), inertia about it (9).
+// pinocchio_steps COUNT < NUMBERS: classical Runge-Kutta steps of 1 ms of a free-flying chain with
+// pinocchio::aba. Prints the acceleration at the start (6 + n, in the base's axes) and the time per
+// step [us], best of seven runs of COUNT steps.
+// NUMBERS: n; base; n times (1 for revolute or 0 for prismatic, rotation (9, by rows), translation
+// (3), body); q (7 + n); v (6 + n). A body is mass, centre of mass (3), inertia about it (9).
 #include <pinocchio/algorithm/aba.hpp>
 #include <pinocchio/multibody.hpp>
 
@@ -68,13 +69,13 @@ int main(int argc, char **argv)
         std::printf("%.17g ", first[i]);
 
     Vector q, v, q_stage(nq), q_slope(nq), q_sum(nq), v_stage(nv), v_sum(nv);
-    // Rates of the coordinates; `data.ddq` has those of the velocities.
+    // Rates of the coordinates; the rates of the velocities are in `data.ddq`.
     auto slopes = [&](const Vector &at_q, const Vector &at_v) {
         pinocchio::aba(model, data, at_q, at_v, effort);
-        Eigen::Quaterniond turn(at_q[6], at_q[3], at_q[4], at_q[5]);
-        q_slope.head<3>() = turn._transformVector(at_v.head<3>());
+        Eigen::Quaterniond orientation(at_q[6], at_q[3], at_q[4], at_q[5]);
+        q_slope.head<3>() = orientation._transformVector(at_v.head<3>());
         q_slope.segment<4>(3) =
-            0.5 * (turn * Eigen::Quaterniond(0, at_v[3], at_v[4], at_v[5])).coeffs();
+            0.5 * (orientation * Eigen::Quaterniond(0, at_v[3], at_v[4], at_v[5])).coeffs();
         q_slope.tail(n) = at_v.tail(n);
     };
     auto stage = [&](double h) {
@@ -89,7 +90,7 @@ int main(int argc, char **argv)
     for (int run = 0; run < 7; run++) {
         q = start_q;
         v = start_v;
-        auto begin = std::chrono::steady_clock::now();
+        auto start = std::chrono::steady_clock::now();
         for (int k = 0; k < count; k++) {
             slopes(q, v);
             q_sum = q_slope;
@@ -105,7 +106,7 @@ int main(int argc, char **argv)
             v += h / 6.0 * (v_sum + data.ddq);
             q.segment<4>(3).normalize();
         }
-        std::chrono::duration<double, std::micro> took = std::chrono::steady_clock::now() - begin;
+        std::chrono::duration<double, std::micro> took = std::chrono::steady_clock::now() - start;
         best = std::min(best, took.count() / count);
     }
     std::printf("%.4f %.17g\n", best, q.tail(n).sum());

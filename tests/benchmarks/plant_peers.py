@@ -1,4 +1,7 @@
-"""The plant's step by others: the same robot without gravity, contacts and joint limits, RK4 of 1 ms, looped in C or C++."""
+"""The plant's step in MuJoCo and Pinocchio, looped in C or C++ with RK4 steps of 1 ms.
+
+The robot is the same, without gravity, contacts and joint limits.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ JOINT_VELOCITY = 0.1
 
 
 def merged_bodies(robot: Robot) -> list[Inertial]:
-    """The base with what is welded to it, then the bodies; the tool is part of the last."""
+    """Return the base with its fixed bodies, then the moving bodies; the last contains the tool."""
     tool = robot.tool.seen_from(robot.end_effector_rotation, robot.end_effector_translation)
     return [
         robot.base.merged_with(robot.base_attachment),
@@ -42,9 +45,9 @@ class MuJoCo:
         self._give(body, bodies[0])
         body.add_freejoint()
         for joint, inertial in zip(robot.joints, bodies[1:], strict=True):
-            turn = np.zeros(4)
-            self.mujoco.mju_mat2Quat(turn, np.ascontiguousarray(joint.rotation).ravel())
-            body = body.add_body(name=joint.name, pos=joint.translation, quat=turn)
+            orientation = np.zeros(4)
+            self.mujoco.mju_mat2Quat(orientation, np.ascontiguousarray(joint.rotation).ravel())
+            body = body.add_body(name=joint.name, pos=joint.translation, quat=orientation)
             self._give(body, inertial)
             kind = (
                 self.mujoco.mjtJoint.mjJNT_HINGE
@@ -55,11 +58,11 @@ class MuJoCo:
         self.model = spec.compile()
         self.data = self.mujoco.MjData(self.model)
         self.data.qpos[7:] = robot.posture
-        self.data.qvel[:6] = BASE_VELOCITY  # at the identity orientation body axes are I's
+        self.data.qvel[:6] = BASE_VELOCITY  # identity orientation: body axes = axes of I
         self.data.qvel[6:] = JOINT_VELOCITY
         self.mujoco.mj_forward(self.model, self.data)
         self.acceleration = np.array(self.data.qacc)
-        """x_b'' (6, in I), q'' (n) at the start."""
+        """Accelerations at the start: x_b'' (6) in frame I, q'' (n)."""
 
     @staticmethod
     def _give(body: Any, inertial: Inertial) -> None:
@@ -72,16 +75,17 @@ class MuJoCo:
         """Microseconds, the best of some runs."""
         best = np.inf
         for _ in range(7):
-            begin = time.perf_counter()
+            start = time.perf_counter()
             self.mujoco.mj_step(self.model, self.data, nstep=5_000)
-            best = min(best, (time.perf_counter() - begin) / 5_000 * 1e6)
+            best = min(best, (time.perf_counter() - start) / 5_000 * 1e6)
         return float(best)
 
 
 class Pinocchio:
-    """pinocchio_steps.cpp, compiled with `flags`: one and a half minutes of templates."""
+    """pinocchio_steps.cpp, compiled with `flags`, which takes 90 s."""
 
     def __init__(self, robot: Robot, directory: Path, *flags: str) -> None:
+        # Pinocchio, Eigen and the compiler are optional.
         pin = pytest.importorskip("pinocchio")
         try:
             eigen = Path(
@@ -92,7 +96,7 @@ class Pinocchio:
         compiler = shutil.which("g++") or pytest.skip("there is no g++ on this machine")
         prefix = Path(pin.__file__).parents[4]
         self.program = directory / "pinocchio_steps"
-        # Its joints are more than Boost's list has room for by default.
+        # Pinocchio has more joint types than Boost's default limit of a list.
         defined = [
             "-DNDEBUG",
             "-DBOOST_MPL_LIMIT_LIST_SIZE=30",
@@ -110,6 +114,7 @@ class Pinocchio:
         subprocess.run(
             [compiler, "-std=c++17", *flags, *defined, *included, str(source), *linked], check=True
         )
+        # The program reads the robot and its start state as numbers.
         bodies = [[b.mass, *b.centre_of_mass, *b.inertia.ravel()] for b in merged_bodies(robot)]
         numbers = [robot.joint_count, *bodies[0]]
         for joint, body in zip(robot.joints, bodies[1:], strict=True):
@@ -133,7 +138,7 @@ class Pinocchio:
         ]
         self.numbers = " ".join(repr(float(number)) for number in numbers)
         a = np.array(self._run(1)[:-2])
-        # Of the origin, from the spatial one; the base's axes are I's here.
+        # From the spatial acceleration to that of the origin; the base's axes are those of I here.
         linear = a[:3] + np.cross(BASE_VELOCITY[3:], BASE_VELOCITY[:3])
         self.acceleration: Array = np.concatenate([linear, a[3:]])
 

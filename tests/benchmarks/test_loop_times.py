@@ -1,4 +1,4 @@
-"""How late the loop wakes up beside a C loop in the same run, and the loop on the virtual facility for a minute.
+"""Wake-up latency of the loop, compared with a C loop, and one minute on the virtual facility.
 
 Run alone: `pytest -m benchmark -n 0 -s tests/benchmarks/test_loop_times.py`.
 """
@@ -34,14 +34,14 @@ print(json.dumps(late))
 """
 
 
-def test_the_pacer_wakes_up_as_a_c_loop_does(tmp_path: Path) -> None:
+def test_the_wake_up_latency_of_the_pacer_is_close_to_that_of_a_c_loop(tmp_path: Path) -> None:
     compiler = (
         [shutil.which("gcc")] if shutil.which("gcc") else [sys.executable, "-m", "ziglang", "cc"]
     )
     binary = tmp_path / "wake_up"
     subprocess.run([*compiler, "-O2", str(HERE / "wake_up.c"), "-o", str(binary)], check=True)
     c, python = [], []
-    for _ in range(ROUNDS):  # in turn, so that what disturbs the machine disturbs both
+    for _ in range(ROUNDS):  # alternately, so that a disturbance of the machine affects both
         done = subprocess.run([str(binary), str(COUNT)], check=True, capture_output=True, text=True)
         c.append(np.array(done.stdout.split(), dtype=float) / 1e3)
         done = subprocess.run(
@@ -49,7 +49,7 @@ def test_the_pacer_wakes_up_as_a_c_loop_does(tmp_path: Path) -> None:
         )
         python.append(np.array(json.loads(done.stdout), dtype=float) / 1e3)
     print(
-        f"\nwake-up lateness at 1 kHz under SCHED_FIFO, {ROUNDS} rounds of {COUNT} in turn; medians over the rounds [us]"
+        f"\nwake-up latency at 1 kHz under SCHED_FIFO, {ROUNDS} alternate rounds of {COUNT}; medians over the rounds [us]"
     )
     for share in (50, 99):
         ours, theirs = (
@@ -81,17 +81,20 @@ ERRORS = (
 @pytest.mark.parametrize(
     "settings",
     [(), PATIENT],
-    ids=["every rule at its default", "holes of up to a second only counted"],
+    ids=["default limits", "gaps of up to 1 s are only counted"],
 )
 def test_a_minute_on_the_virtual_facility(settings: tuple[str, ...], tmp_path: Path) -> None:
-    """At the defaults, a machine that holds a process up for longer than a rule allows stops the loop, and the loop says so; with
-    patient rules it goes on, and every lost cycle is counted.
+    """With the default limits, the loop may stop, with a reason, if the machine suspends a process.
+
+    With wide limits the loop continues and counts every lost cycle.
     """
+    # The same scenario in simulation is the reference.
     chosen = scenario.load("facility", ["stop_s=60.0"])
     without_clock = experiment.run(chosen).summary
     result = real_time.run(chosen, tmp_path, [*settings, "stop_s=60.0"])
     facility = json.loads((tmp_path / "facility.json").read_text())
     loop = result.summary["real_time"]
+    # Errors, times and counters.
     print(f"\n{result.outcome.simulated:g} s in {result.outcome.wall:.2f} s; {loop['stop']}")
     for name, _ in ERRORS:
         print(
@@ -107,6 +110,7 @@ def test_a_minute_on_the_virtual_facility(settings: tuple[str, ...], tmp_path: P
                 f"  {title}, {device}: "
                 + ", ".join(f"{name} {count:.0f}" for name, count in counts.items())
             )
+    # Only wide limits guarantee a complete run.
     if settings:
         assert result.as_expected
         for name, tolerance in ERRORS:

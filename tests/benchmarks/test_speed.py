@@ -1,4 +1,4 @@
-"""Speed, printed as ratios taken in one run. Run with: pytest -m benchmark -n 0 -s"""
+"""Speed of FMUs and builds, as ratios within one run. Run with: pytest -m benchmark -n 0 -s"""
 
 from __future__ import annotations
 
@@ -23,7 +23,10 @@ pytestmark = pytest.mark.benchmark
 
 
 def step_times(fmus: Path, tmp_path: Path, block: Block, step: float) -> list[float]:
-    """Microseconds, by a C program: doStep; set inputs, step, get all outputs; the same with those that terminals connect."""
+    """Return three times per step [us], measured by a C program.
+
+    They are doStep; set inputs, step and get all outputs; the same with the outputs of terminals.
+    """
     program = tmp_path / "time_steps"
     if not program.exists():
         source = Path(__file__).parent / "time_steps.c"
@@ -48,8 +51,8 @@ def step_times(fmus: Path, tmp_path: Path, block: Block, step: float) -> list[fl
     ]
     command = [str(program), str(tmp_path / library), token, str(step), "10000", *lists]
     return [
-        float(word)
-        for word in subprocess.run(
+        float(part)
+        for part in subprocess.run(
             command, capture_output=True, text=True, check=True
         ).stdout.split()
     ]
@@ -74,8 +77,8 @@ def ours_at_the_start(robot: Robot) -> Array:
     )
 
 
-def test_step_times(fmus: Path, robot: Robot, tmp_path: Path) -> None:
-    """Of doStep, and of a master's whole turn: set the inputs, step, get outputs; all of them, or what terminals connect."""
+def test_step_times_of_the_fmus(fmus: Path, robot: Robot, tmp_path: Path) -> None:
+    """Time doStep and a master's cycle: set inputs, step, get all outputs or those of terminals."""
     steps = {
         "free_flyer": 1e-3,
         "reference_trajectory": 1e-3,
@@ -88,19 +91,21 @@ def test_step_times(fmus: Path, robot: Robot, tmp_path: Path) -> None:
     print(f"\n{'us':24s} doStep  set, step, get all  set, step, get connected")
     for name, (alone, everything, connected) in times.items():
         print(f"{name:24s} {alone:6.2f} {everything:19.2f} {connected:25.2f}")
-    turn = np.sum([time for name, time in times.items() if name != "base_controller"], axis=0)
-    print(f"{'each millisecond':24s} {turn[0]:6.2f} {turn[1]:19.2f} {turn[2]:25.2f}")
+    cycle = np.sum([time for name, time in times.items() if name != "base_controller"], axis=0)
+    print(f"{'each millisecond':24s} {cycle[0]:6.2f} {cycle[1]:19.2f} {cycle[2]:25.2f}")
 
 
-def test_the_plant_beside_mujoco_and_pinocchio(fmus: Path, robot: Robot, tmp_path: Path) -> None:
+def test_the_plant_is_faster_than_mujoco_and_pinocchio(
+    fmus: Path, robot: Robot, tmp_path: Path
+) -> None:
     peers = {"MuJoCo": MuJoCo(robot), "Pinocchio, C++ -O2": Pinocchio(robot, tmp_path, "-O2")}
     expected = ours_at_the_start(robot)
-    for peer in peers.values():  # the same robot
+    for peer in peers.values():  # the robot is the same
         np.testing.assert_allclose(
             peer.acceleration, expected, rtol=0, atol=1e-9 * np.abs(expected).max()
         )
     times = {"ours": np.inf} | dict.fromkeys(peers, np.inf)
-    for _ in range(3):  # in turn: the machine is not always equally fast
+    for _ in range(3):  # alternately, because the speed of the machine varies
         times["ours"] = min(
             times["ours"], step_times(fmus, tmp_path, BLOCKS["free_flyer"](robot), 1e-3)[0]
         )
@@ -113,11 +118,11 @@ def test_the_plant_beside_mujoco_and_pinocchio(fmus: Path, robot: Robot, tmp_pat
 
 
 def test_build_and_size_of_all_fmus(robot: Robot, tmp_path: Path) -> None:
-    """All blocks for this machine, on all cores; the compiler's own parts are built before."""
+    """Build all blocks for this machine on all cores, after the compiler's own libraries."""
     list(build_all([BLOCKS["reference_trajectory"](robot)], tmp_path / "before"))
-    begin = time.perf_counter()
+    start = time.perf_counter()
     made = list(build_all([make(robot) for make in BLOCKS.values()], tmp_path / "fmus"))
-    wall = time.perf_counter() - begin
+    wall = time.perf_counter() - start
     largest = max((path.stat().st_size, path.name) for _, paths in made for path in paths.values())
     print(
         f"\n{len(made)} blocks, both FMI versions: {wall:.1f} s; the largest is {largest[1]} with {largest[0] / 1e3:.0f} kB"

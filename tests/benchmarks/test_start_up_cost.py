@@ -1,4 +1,7 @@
-"""CPU before anything happens, as ratios taken in one run: pytest -m benchmark -n 0 -s tests/benchmarks/test_start_up_cost.py"""
+"""CPU time of the start-up, as ratios within one run.
+
+Run with: pytest -m benchmark -n 0 -s tests/benchmarks/test_start_up_cost.py
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ pytestmark = pytest.mark.benchmark
 
 ROUNDS = 15
 LEAST = "import argparse, importlib.metadata as m; m.entry_points(group='freeflyer.commands')"
-"""What a command line that finds subcommands of other packages cannot do without."""
+"""The minimum for a command line with subcommands of other packages."""
 FIRST_STEP = """
 import sys, time
 from freeflyer.cli import main as command
@@ -29,7 +32,7 @@ command.call(["run", "multirate_passive", "--out", sys.argv[1]])
 
 
 def cpu(command: Sequence[str]) -> float:
-    """[s] of user and system time."""
+    """Run a command; return its user and system time [s]."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     subprocess.run(command, stdout=subprocess.DEVNULL, check=True)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -37,7 +40,7 @@ def cpu(command: Sequence[str]) -> float:
 
 
 def medians(commands: Mapping[str, Sequence[str]]) -> dict[str, float]:
-    """In turn: the machine is not always equally fast."""
+    """Return the median times [s]; the commands alternate, because the machine's speed varies."""
     times: dict[str, list[float]] = {name: [] for name in commands}
     for _ in range(ROUNDS):
         for name, command in commands.items():
@@ -45,18 +48,18 @@ def medians(commands: Mapping[str, Sequence[str]]) -> dict[str, float]:
     return {name: statistics.median(found) for name, found in times.items()}
 
 
-def test_help_costs_little_more_than_finding_the_commands() -> None:
+def test_help_takes_at_most_twice_the_time_of_finding_the_commands() -> None:
     script = str(Path(sys.executable).with_name("freeflyer"))
     times = medians({"least": [sys.executable, "-c", LEAST], "help": [script, "--help"]})
     ratio = times["help"] / times["least"]
     print(
-        f"\nfreeflyer --help: {times['help']:.3f} s of CPU, {ratio:.2f} x argparse and a look at the entry points"
+        f"\nfreeflyer --help: {times['help']:.3f} s of CPU, {ratio:.2f} x argparse and the search of the entry points"
     )
     assert ratio <= 2.0
 
 
 def test_time_to_the_first_integration_step(tmp_path: Path) -> None:
-    """Of `freeflyer run multirate_passive`, from the interpreter's start: CPU of everything before the master steps."""
+    """CPU time of `freeflyer run multirate_passive` up to the first step of the master."""
     times = []
     for _ in range(ROUNDS):
         done = subprocess.run(

@@ -1,6 +1,7 @@
-"""How a sweep scales, what a run costs besides stepping, and what the command itself takes. Run with -m benchmark -n 0 -s.
+"""Scaling of a sweep, overhead of a run, memory of the command. Run with -m benchmark -n 0 -s.
 
-SWEEP_RUNS sets how many runs are made (2000 by default), SWEEP_STOP how long each is [s] (20 by default).
+The environment variables SWEEP_RUNS (default: 2000) and SWEEP_STOP [s] (default: 20) set the number
+of runs and their stop time.
 """
 
 from __future__ import annotations
@@ -19,7 +20,10 @@ STOP = os.environ.get("SWEEP_STOP", "20")
 
 
 def swept(directory: Path, workers: int, runs: int) -> tuple[float, float, pandas.DataFrame]:
-    """Runs a second after the first batch, the command's peak memory [MB], and the table."""
+    """Run a sweep; return runs per second, the command's peak memory [MB], and the table.
+
+    The first batch does not count.
+    """
     file, out = directory / f"sweep_{workers}.toml", directory / f"out_{workers}"
     file.write_text(
         f'scenario = "multirate_passive"\nset = ["stop_s={STOP}"]\n[sample]\ncount = {runs}\n'
@@ -49,16 +53,16 @@ def swept(directory: Path, workers: int, runs: int) -> tuple[float, float, panda
     return (runs - parts[0][1]) / (parts[-1][0] - parts[0][0]), int(error.split()[-1]) / 1024, frame
 
 
-def test_two_workers_are_nearly_twice_as_fast_as_one_and_memory_stays_flat(tmp_path: Path) -> None:
+def test_two_workers_are_nearly_twice_as_fast_as_one_with_bounded_memory(tmp_path: Path) -> None:
     one, _, _ = swept(tmp_path, 1, RUNS // 4)
     two, memory, frame = swept(tmp_path, 2, RUNS)
     speed = two / one
     overhead = 1e3 * (frame["run_s"] - frame["wall_s"])
     print(
-        f"\n{RUNS} runs of {STOP} s, {two:.1f} a second on two workers; {speed:.2f} times as fast as one"
+        f"\n{RUNS} runs of {STOP} s, {two:.1f} per second with two workers; {speed:.2f} times as fast as one"
     )
     print(
-        f"besides stepping, a run takes {overhead.median():.1f} ms (median), {overhead.min():.1f} ms (least)"
+        f"overhead of a run besides stepping: {overhead.median():.1f} ms (median), {overhead.min():.1f} ms (least)"
     )
     print(f"peak memory of the command: {memory:.0f} MB; load {os.getloadavg()[0]:.1f}")
     assert memory < 400.0

@@ -1,4 +1,4 @@
-"""What TLS with certificates of both sides and access control costs a round trip on the base's link: in turn with plain TCP.
+"""Round-trip time on the base's link with mutual TLS and access control, compared with plain TCP.
 
 Run alone: `pytest -m benchmark -n 0 -s tests/benchmarks/test_tls_cost.py`.
 """
@@ -26,7 +26,7 @@ BLOCKS, SAMPLES = 10, 250
 
 
 class Pair:
-    """A controller and a base robot that sends every set point back as a measurement."""
+    """A controller, and a base robot that returns every set point as a measurement."""
 
     def __init__(self, stack: ExitStack, options: LinkOptions) -> None:
         ends = access_control.robots_end(options), access_control.controllers_end(options)
@@ -47,38 +47,38 @@ class Pair:
         }
         answer = self.robot.declare_publisher(back, **fast)
         self.sender = self.host.declare_publisher(out, **fast)
-        self.came: Queue[int] = Queue()
+        self.arrivals: Queue[int] = Queue()
         self.kept = [
             self.robot.declare_subscriber(out, lambda sample: answer.put(sample.payload)),
             self.host.declare_subscriber(
-                back, lambda sample: self.came.put(time.perf_counter_ns())
+                back, lambda sample: self.arrivals.put(time.perf_counter_ns())
             ),
         ]
         self.message = OdometryWriter("inertial", "base").write(
             0, np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(6)
         )
-        assert waited(self._answers)
+        assert waited(self._has_answer)
 
-    def _answers(self) -> bool:
+    def _has_answer(self) -> bool:
         self.sender.put(self.message)
         time.sleep(0.02)
-        return not self.came.empty()
+        return not self.arrivals.empty()
 
     def round_trips(self, count: int, period: float) -> list[float]:
-        """[us]"""
+        """Return `count` round-trip times [us], one every `period` [s] or as fast as possible."""
         time.sleep(0.05)
-        while not self.came.empty():
-            self.came.get()
+        while not self.arrivals.empty():
+            self.arrivals.get()
         found = []
         for _ in range(count):
-            begin = time.perf_counter_ns()
+            start = time.perf_counter_ns()
             self.sender.put(self.message)
-            found.append((self.came.get(timeout=2.0) - begin) * 1e-3)
-            time.sleep(max(0.0, period - (time.perf_counter_ns() - begin) * 1e-9))
+            found.append((self.arrivals.get(timeout=2.0) - start) * 1e-3)
+            time.sleep(max(0.0, period - (time.perf_counter_ns() - start) * 1e-9))
         return found
 
 
-def test_tls_costs_the_base_link_little_of_its_period(tmp_path: Path) -> None:
+def test_tls_adds_little_to_the_round_trip_time_of_the_base_link(tmp_path: Path) -> None:
     lab = Lab(tmp_path / "lab")
     with ExitStack() as stack:
         pairs = {

@@ -1,4 +1,5 @@
-/* The peer of the loop's pacer: waits for absolute deadlines, one a period, and prints how late each waking up was [ns]. */
+/* Reference for the loop's pacer: waits for one absolute deadline per period and prints the latency
+   of each wake-up [ns]. */
 #define _GNU_SOURCE
 #include <sched.h>
 #include <stdio.h>

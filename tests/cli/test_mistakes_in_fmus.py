@@ -1,4 +1,4 @@
-"""Every mistake with robots and blocks: one sentence, exit code 2, no traceback, and no file written."""
+"""Errors in robots and blocks: one line, exit code 2, no traceback, and no file written."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ GANTRY = ("--end-effector", "hand", "--lock", "swivel=0.4")
         ([('<link name="hand"/>', '<link name="bus"/>')], "link 'bus' is defined twice"),
     ],
 )
-def test_urdfs_that_cannot_be_used(
+def test_an_invalid_urdf_is_rejected(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, changes: list[tuple[str, str]], message: str
 ) -> None:
     code, error = run_command(
@@ -118,7 +118,7 @@ def test_urdfs_that_cannot_be_used(
         ),
     ],
 )
-def test_options_of_fmus(
+def test_invalid_options_of_fmus_are_rejected(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, options: tuple[str, ...], message: str
 ) -> None:
     code, error = run_command(
@@ -134,7 +134,7 @@ def test_options_of_fmus(
     assert code == 2
 
 
-def test_a_singular_start_posture_is_refused_before_anything_is_built(
+def test_a_singular_start_posture_is_rejected_before_the_build(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     arguments = (
@@ -155,7 +155,9 @@ def test_a_singular_start_posture_is_refused_before_anything_is_built(
     assert not (tmp_path / "out").exists()
 
 
-def test_robot_files_and_missing_urdfs(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_an_invalid_robot_file_or_a_missing_urdf_is_rejected(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     robot = tmp_path / "robot.toml"
     robot.write_text('urdf = "x.urdf"\nend_efector = "hand"\n')
     assert (
@@ -217,7 +219,7 @@ def test_robot_files_and_missing_urdfs(capsys: pytest.CaptureFixture[str], tmp_p
         ),
     ],
 )
-def test_blocks_that_cannot_be_built(
+def test_an_invalid_block_is_rejected(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, text: str, message: str
 ) -> None:
     path = tmp_path / "mine.py"

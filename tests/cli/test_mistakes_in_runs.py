@@ -1,4 +1,4 @@
-"""Every mistake of a user: one sentence that names the subject, what was got and what was expected; exit code 2 or 3; no traceback."""
+"""Errors of users: one line with subject, got and expected; exit code 2 or 3; no traceback."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def scenario_file(directory: Path, text: str, base: str | None = "multirate_pass
         ("base_controller.period='=base_controller.period'", "refers back to itself"),
     ],
 )
-def test_overrides(
+def test_an_invalid_override_is_rejected(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, override: str, message: str
 ) -> None:
     code, error = run_command(
@@ -75,7 +75,7 @@ def test_overrides(
     assert not list((tmp_path / "out").glob("*.json"))
 
 
-def test_a_singular_posture_is_refused_at_the_start(
+def test_a_singular_start_posture_is_rejected(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     code, error = run_command(
@@ -93,7 +93,7 @@ def test_a_singular_posture_is_refused_at_the_start(
     assert "at least 0.02 is expected" in error
 
 
-def test_a_singular_jacobian_in_mid_run_stops_the_run_and_keeps_it(
+def test_a_singular_jacobian_stops_the_run_and_keeps_the_record(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     override = "reference_trajectory.translation_amplitude=[0.9, 0, 0]"
@@ -162,7 +162,7 @@ def test_a_singular_jacobian_in_mid_run_stops_the_run_and_keeps_it(
         ),
     ],
 )
-def test_scenario_files(
+def test_an_invalid_scenario_file_is_rejected(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, text: str, message: str
 ) -> None:
     code, error = run_command(
@@ -239,7 +239,7 @@ def test_scenario_files(
         ),
     ],
 )
-def test_scenario_files_that_look_right(
+def test_a_scenario_file_with_an_error_in_its_contents_is_rejected(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, text: str, message: str
 ) -> None:
     code, error = run_command(
@@ -249,19 +249,19 @@ def test_scenario_files_that_look_right(
     assert code == 2
 
 
-def test_a_failure_that_is_no_divergence_is_none_even_where_divergence_is_expected(
+def test_a_failure_does_not_count_as_the_expected_divergence(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    (tmp_path / "lame.py").write_text(
+    (tmp_path / "failing.py").write_text(
         "from freeflyer.fmi.component import Port, PythonComponent\n"
-        "class Lame(PythonComponent):\n"
+        "class Failing(PythonComponent):\n"
         "    def __init__(self, name):\n"
         "        super().__init__(name, [Port(name='y', size=1, causality='output', units=('m',))])\n"
         "    def advance(self, time, size):\n"
         "        if time > 1.05:\n"
         "            raise RuntimeError('boom')\n"
     )
-    text = "[components.lame]\nkind='python'\nobject='lame.py:Lame'\nstep_s=0.1\n"
+    text = "[components.failing]\nkind='python'\nobject='failing.py:Failing'\nstep_s=0.1\n"
     code, error = run_command(
         capsys,
         "run",
@@ -270,7 +270,7 @@ def test_a_failure_that_is_no_divergence_is_none_even_where_divergence_is_expect
         str(tmp_path / "out"),
     )
     assert code == 3
-    assert "the run stopped at 1.1 s: lame: RuntimeError: boom (" in error
+    assert "the run stopped at 1.1 s: failing: RuntimeError: boom (" in error
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert (summary["failed"], summary["diverged"]) == (True, False)
 
@@ -290,7 +290,7 @@ def test_one_connection_can_be_replaced(tmp_path: Path) -> None:
     assert [c.delayed for c in after if c.target == "base_controller.base_damping"] == [True]
 
 
-def test_a_reader_that_goes_away_does_not_stop_the_work(tmp_path: Path) -> None:
+def test_a_broken_pipe_does_not_stop_the_run(tmp_path: Path) -> None:
     scenario = scenario_file(tmp_path, "stop_s = 1.2\n")
     command = f"{sys.executable} -m freeflyer.cli.main run {scenario} --out {tmp_path / 'out'} | true; exit ${{PIPESTATUS[0]}}"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
@@ -298,7 +298,9 @@ def test_a_reader_that_goes_away_does_not_stop_the_work(tmp_path: Path) -> None:
     assert (tmp_path / "out" / "summary.json").is_file()
 
 
-def test_the_table_shows_its_units(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_the_result_table_contains_units(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     assert (
         command.call(
             [
@@ -316,7 +318,7 @@ def test_the_table_shows_its_units(capsys: pytest.CaptureFixture[str], tmp_path:
     assert "[/bold] odd" in shown
 
 
-def test_scenarios_that_are_not_there(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_missing_scenario_is_rejected(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert (
         "there is no scenario 'multirate_pasive': neither a shipped one nor a .toml file; did you mean 'multirate_passive'"
         in run_command(capsys, "run", "multirate_pasive")[1]
@@ -328,7 +330,7 @@ def test_scenarios_that_are_not_there(capsys: pytest.CaptureFixture[str], tmp_pa
     assert (code, "extends itself" in error) == (2, True)
 
 
-def test_a_scenario_that_is_a_real_algebraic_loop_is_refused(
+def test_a_scenario_with_an_algebraic_loop_is_rejected(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     code, error = run_command(
@@ -347,7 +349,7 @@ def test_a_scenario_that_is_a_real_algebraic_loop_is_refused(
 
 
 def fmu_with(tmp_path: Path, fmus: Path, change: object) -> Path:
-    """A copy of the reference FMU whose entries `change` may rewrite, rename or drop."""
+    """Copy the reference FMU; `change` may rewrite, rename or drop its entries."""
     path = tmp_path / "changed.fmu"
     with (
         zipfile.ZipFile(fmus / "fmi2" / "reference_trajectory.fmu") as old,
@@ -394,7 +396,7 @@ def fmu_with(tmp_path: Path, fmus: Path, change: object) -> Path:
         ),
     ],
 )
-def test_fmus_that_cannot_be_used(
+def test_an_unusable_fmu_is_rejected(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, fmus: Path, change: object, message: str
 ) -> None:
     if sys.platform != "linux":
@@ -411,7 +413,7 @@ def test_fmus_that_cannot_be_used(
     assert code == 2
 
 
-def test_a_file_that_is_no_archive_is_no_fmu(
+def test_a_file_that_is_no_archive_is_rejected(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     (tmp_path / "x.fmu").write_text("hello")
@@ -421,7 +423,7 @@ def test_a_file_that_is_no_archive_is_no_fmu(
     assert (code, "it is no zip archive" in error) == (2, True)
 
 
-def test_an_output_directory_that_cannot_be_made(
+def test_an_output_directory_that_cannot_be_created_is_rejected(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     (tmp_path / "file").write_text("")
@@ -436,10 +438,10 @@ def test_an_output_directory_that_cannot_be_made(
     ("limit", "code", "message"),
     [(700_000, 3, "record.parquet cannot be written"), (20_000, 2, "cannot be unpacked into")],
 )
-def test_a_full_disk_leaves_nothing_half_written(
+def test_a_full_disk_leaves_no_partial_file(
     tmp_path: Path, limit: int, code: int, message: str
 ) -> None:
-    """A limit on file size stands for the full disk: the write fails in the middle, of the record or of an FMU's library."""
+    """A limit on the file size replaces the full disk: a write of the record or a library fails."""
     scenario = scenario_file(tmp_path, "stop_s = 20.0\n")
 
     def small_files() -> None:
@@ -470,7 +472,7 @@ def test_a_full_disk_leaves_nothing_half_written(
     assert list((tmp_path / "out").iterdir()) == []
 
 
-def test_ctrl_c_in_mid_run_saves_what_was_simulated_and_says_so(tmp_path: Path) -> None:
+def test_ctrl_c_saves_and_reports_the_results_up_to_then(tmp_path: Path) -> None:
     scenario = scenario_file(tmp_path, "stop_s = 3000.0\n")
     out = tmp_path / "out"
     process = subprocess.Popen(
@@ -488,7 +490,7 @@ def test_ctrl_c_in_mid_run_saves_what_was_simulated_and_says_so(tmp_path: Path) 
     _, error = process.communicate(timeout=60)
     assert process.returncode == 3, error
     assert "interrupted at" in error
-    assert "what was simulated is saved" in error
+    assert "the results up to then are saved" in error
     summary = json.loads((out / "summary.json").read_text())
     assert summary["interrupted"]
     assert not summary["diverged"]
@@ -497,7 +499,7 @@ def test_ctrl_c_in_mid_run_saves_what_was_simulated_and_says_so(tmp_path: Path) 
     assert 0.0 < summary["simulated_s"] < 3000.0
 
 
-def test_a_run_that_diverges_where_it_must_not_ends_with_3_and_is_saved(
+def test_an_unexpected_divergence_gives_exit_code_3_and_saves_the_record(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     text = "[components.manipulator_controller.parameters]\nmanipulator_initial_energy = 0\n"
@@ -509,7 +511,7 @@ def test_a_run_that_diverges_where_it_must_not_ends_with_3_and_is_saved(
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["diverged_at_s"] < 3.0
 
 
-def test_a_scenario_that_expects_to_diverge_and_does_ends_with_0(
+def test_an_expected_divergence_gives_exit_code_0(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     code, error = run_command(capsys, "run", "overdamped_base", "--out", str(tmp_path))
@@ -523,7 +525,7 @@ def test_a_scenario_that_expects_to_diverge_and_does_ends_with_0(
     )
 
 
-def test_arguments_that_argparse_refuses(capsys: pytest.CaptureFixture[str]) -> None:
+def test_invalid_arguments_are_reported_by_argparse(capsys: pytest.CaptureFixture[str]) -> None:
     for arguments in (["run"], ["fly"], ["run", "multirate_passive", "--fmi", "4"]):
         with pytest.raises(SystemExit) as caught:
             command.call(arguments)

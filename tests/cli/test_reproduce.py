@@ -1,4 +1,4 @@
-"""`freeflyer reproduce` as a user runs it: its files, and the contract of summary.json."""
+"""The command `freeflyer reproduce`: its files, and the keys of summary.json."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ KEYS = {
 } | ERRORS
 
 
-def test_reproduce_that_is_interrupted_keeps_the_cases_that_are_done(
+def test_an_interrupted_reproduce_keeps_the_completed_cases(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     load, run = scenario.load, experiment.run
@@ -70,7 +70,7 @@ def test_reproduce_that_is_interrupted_keeps_the_cases_that_are_done(
 def test_reproduce_of_the_first_21_seconds_writes_figures_page_and_table(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Small pictures; what they look like in full is for the slow test."""
+    """The pictures are small here; the slow test checks them in full size."""
     load = scenario.load
 
     def small(figure: Any, path: Path) -> None:
@@ -79,9 +79,9 @@ def test_reproduce_of_the_first_21_seconds_writes_figures_page_and_table(
 
     monkeypatch.setattr(scenario, "load", lambda name: load(name, ["stop_s=21"]))
     monkeypatch.setattr(reproduce, "save", small)
-    assert command.call(["reproduce", "--out", str(tmp_path)]) == 3  # what diverges needs longer
+    assert command.call(["reproduce", "--out", str(tmp_path)]) == 3  # divergence needs more time
     shown = " ".join(capsys.readouterr().out.split())
-    assert "The paper's statements beside what was measured" in shown
+    assert "The paper's statements and the measured results" in shown
     assert "Not as expected: multirate_unstable" in shown
     assert len(list(tmp_path.glob("fig*.png"))) == 12
     assert (tmp_path / "report.html").read_text().count("data:image/png;base64,") == 15
@@ -94,7 +94,7 @@ def test_reproduce_writes_figures_page_table_and_summary(
     assert command.call(["reproduce", "--fmi", "3", "--out", str(tmp_path)]) == 0
     shown = capsys.readouterr()
     assert shown.err == ""
-    assert "The paper's statements beside what was measured" in shown.out
+    assert "The paper's statements and the measured results" in shown.out
     for number in ("02", "03", "04", "07", "08", "09", "10", "11", "12", "13", "14"):
         assert (tmp_path / f"fig{number}.png").stat().st_size > 20_000
         assert (tmp_path / f"fig{number}.pdf").is_file()
@@ -117,7 +117,7 @@ def test_reproduce_writes_figures_page_table_and_summary(
         assert (tmp_path / name / "record.parquet").is_file()
     assert [cases[name]["diverged"] for name in cases] == [False, True, False, True, False, False]
     page = (tmp_path / "report.html").read_text()
-    # Self-contained: every picture inside, nothing fetched.
+    # Self-contained: the page contains all pictures and loads nothing.
     assert page.count("data:image/png;base64,") == 15
     assert not re.search(r"(src|href)=\"(?!data:)", page)
     assert "http" not in re.sub(r"base64,[^\"]*", "", page)

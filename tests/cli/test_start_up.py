@@ -1,4 +1,4 @@
-"""What a command loads before it does anything, and how commands of other packages are found."""
+"""Modules that a command imports at its start, and commands of other packages."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Hello:
 
 
 def python(code: str, *path: Path) -> str:
-    """What the code prints, in an interpreter of its own."""
+    """Run code in a separate interpreter; return its output."""
     lines = [f"import sys; sys.path[:0] = {[str(folder) for folder in path]!r}", code]
     done = subprocess.run(
         [sys.executable, "-P", "-c", "\n".join(lines)], capture_output=True, text=True, check=False
@@ -47,19 +47,19 @@ def loaded_by(code: str) -> set[str]:
         "from freeflyer.cli.main import call\ntry:\n    call(['no-such-command'])\nexcept SystemExit:\n    pass",
     ],
 )
-def test_nothing_heavy_is_loaded_before_a_command_is_known(code: str) -> None:
+def test_no_large_package_is_imported_before_the_command_is_known(code: str) -> None:
     assert not HEAVY & loaded_by(code)
 
 
-def test_a_run_loads_what_it_uses(tmp_path: Path) -> None:
-    """Not the figures, the exporter, the integrators of model exchange, the unit parser, or Dask."""
+def test_a_run_imports_only_the_packages_that_it_uses(tmp_path: Path) -> None:
+    """These exclude the packages for figures, export, model exchange, units and Dask."""
     arguments = ["run", "multirate_passive", "--set", "stop_s=0.01", "--out", str(tmp_path)]
     loaded = loaded_by(f"from freeflyer.cli.main import call\nassert call({arguments!r}) == 0")
     assert loaded & HEAVY == {"fmpy", "numpy", "pyarrow", "rich"}
 
 
 def installed(folder: Path, group: str = "freeflyer.commands", **points: str) -> Path:
-    """A package of others with entry points, as an installer leaves it."""
+    """Write a third-party package with entry points, as an installer does."""
     about = folder / "other-1.0.dist-info"
     about.mkdir(parents=True)
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: other\nVersion: 1.0\n")
@@ -90,7 +90,7 @@ def test_a_command_of_another_package_is_loaded_only_if_it_is_called_or_listed(
 ODD = """\
 class Late:
     def __init__(self):
-        self.help = "its help is made late"
+        self.help = "its help is created late"
 
     def configure(self, parser):
         raise OSError("no such library")
@@ -109,7 +109,7 @@ class Bad:
 """
 
 
-def test_odd_commands_of_other_packages_are_listed_and_their_errors_are_sentences(
+def test_unusual_commands_of_other_packages_are_listed_and_their_errors_are_reported(
     tmp_path: Path,
 ) -> None:
     place = installed(
@@ -122,7 +122,7 @@ def test_odd_commands_of_other_packages_are_listed_and_their_errors_are_sentence
     )
     (place / "odd.py").write_text(ODD)
     shown = " ".join(python(called("--help"), place).split())
-    assert shown.count("its help is made late") == 2
+    assert shown.count("its help is created late") == 2
     assert "command bad of odd:Bad failed: OSError: no such file" in shown
     assert "command module of odd failed: TypeError" in shown
     assert python(called("silent"), place).split() == ["code", "0"]
@@ -130,17 +130,17 @@ def test_odd_commands_of_other_packages_are_listed_and_their_errors_are_sentence
         assert python(called(name), place).split() == ["code", "2"]
 
 
-@pytest.mark.parametrize("word", ["--version", "no-such-command", "--no-such-option", "--"])
-def test_a_command_of_another_package_is_not_loaded_to_say_something_else(
-    tmp_path: Path, word: str
+@pytest.mark.parametrize("argument", ["--version", "no-such-command", "--no-such-option", "--"])
+def test_a_command_of_another_package_is_not_loaded_for_other_arguments(
+    tmp_path: Path, argument: str
 ) -> None:
     place = installed(tmp_path, hello="other:Hello")
-    shown = python(f"{called(word)}\nprint(*sys.modules)", place).split()
+    shown = python(f"{called(argument)}\nprint(*sys.modules)", place).split()
     assert "code" in shown
     assert "other" not in shown
 
 
-def test_a_command_that_cannot_be_loaded_spoils_no_other(tmp_path: Path) -> None:
+def test_a_command_that_cannot_be_loaded_does_not_affect_others(tmp_path: Path) -> None:
     place = installed(
         tmp_path, broken="nowhere.to_be:Found", hello="other:Hello", old="adapters.cli:HilCommand"
     )
@@ -155,7 +155,7 @@ def test_a_command_that_cannot_be_loaded_spoils_no_other(tmp_path: Path) -> None
     assert python(called("broken"), place).split() == ["code", "2"]
 
 
-def test_a_package_of_others_does_not_take_the_place_of_our_commands(tmp_path: Path) -> None:
+def test_a_command_of_another_package_does_not_replace_ours(tmp_path: Path) -> None:
     place = installed(tmp_path, run="other:Hello")
     assert "SCENARIO" in python(called("run", "--help"), place)
 

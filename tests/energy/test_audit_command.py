@@ -28,7 +28,7 @@ def test_the_audit_writes_figure_and_numbers_and_says_what_they_amount_to(
     assert command.call(["audit", str(run), "--out", str(tmp_path)]) == 0
     shown = capsys.readouterr()
     assert shown.err == ""
-    assert "Energy given to the robot [J]: multirate_passive, 0 s to 4 s" in shown.out
+    assert "Energy into the robot [J]: multirate_passive, 0 s to 4 s" in shown.out
     assert (tmp_path / "energy_audit.png").stat().st_size > 50_000
     assert (tmp_path / "energy_audit.pdf").is_file()
     numbers = json.loads((tmp_path / "energy_audit.json").read_text())
@@ -104,7 +104,7 @@ def test_mistakes_get_one_sentence(
         (str(run / "summary.json"), "cannot be read as a record of `freeflyer run`"),
         (
             changed(run, tmp_path / "a.parquet", metadata={}),
-            "does not say which system it came from",
+            "does not contain its provenance",
         ),
         (
             changed(run, tmp_path / "b.parquet", metadata={KEY: b"[1]"}),

@@ -326,7 +326,7 @@ def test_nobody_whose_certificate_cannot_be_checked_comes_in_over_quic_either(
     robot = Robot(stack, options)
     for folder, name in (
         (lab.good, None),
-        (lab.stranger, "controller"),
+        (lab.forged, "controller"),
         (lab.expired, "controller"),
     ):
         own = Identity(folder, name) if name else None
@@ -366,7 +366,7 @@ def test_another_authoritys_controller_is_refused_by_the_base_and_told_why(
     lab: Lab, stack: ExitStack
 ) -> None:
     options = lab.options(lab.good, free_port())
-    own = Identity(lab.stranger, "controller")
+    own = Identity(lab.forged, "controller")
     refused(stack, options, authority=own.authority, own=own)
     found = why(options, own)
     assert "refuses our certificate: " in found

@@ -1,6 +1,6 @@
-/* core_alone TICKS: the native core over four trivial slaves of eight inputs and eight outputs, two of each FMI version, in a ring.
-   Checks what arrives, then prints the core's nanoseconds a slave's step: without recording, and with all outputs recorded at every
-   tenth and at every instant. */
+/* core_alone TICKS: the native core with a ring of four trivial slaves, two of each FMI version. Each
+   has eight inputs and eight outputs. Checks the last values, then prints the time per slave step
+   [ns]: without recording, with every tenth instant recorded, and with every instant recorded. */
 #define _POSIX_C_SOURCE 199309L
 #include <stdio.h>
 #include <stdlib.h>
@@ -59,7 +59,7 @@ static int step3(void *instance, double time, double size, bool no_state_set_bef
     return step2(instance, time, size, no_state_set_before);
 }
 
-/* Nanoseconds a slave's step; 0 if something is wrong. */
+/* Return the time per slave step [ns], or 0 if a value is wrong. */
 static double run_ring(int64_t ticks, int64_t record_ratio)
 {
     static const uint32_t references[WIDTH] = {0, 1, 2, 3, 4, 5, 6, 7};
@@ -112,18 +112,19 @@ static double run_ring(int64_t ticks, int64_t record_ratio)
     core.recorded = recorded;
     core.row_time = row_time;
     core.row = row;
-    struct timespec begin, end;
-    clock_gettime(CLOCK_MONOTONIC, &begin);
+    struct timespec start, end;
+    clock_gettime(CLOCK_MONOTONIC, &start);
     End ended = core_run(&core, ticks + 1);
     clock_gettime(CLOCK_MONOTONIC, &end);
-    /* Once round the ring adds one a slave, and a value goes round in two instants: controllers hand it on at once. */
+    /* Each slave adds 1. A value needs two instants for the ring, because the outputs of the two
+       controllers are used at the same instant. */
     double last = row[(core.rows - 1) * SLAVES * WIDTH + (SLAVES - 1) * WIDTH];
     bool right = ended == DONE && core.rows == ticks / record_ratio + 1 &&
                  last == out[SLAVES - 1][0] && last > 1.9 * (double)(ticks - 3);
     free(row_time);
     free(row);
     double spent =
-        (double)(end.tv_sec - begin.tv_sec) * 1e9 + (double)(end.tv_nsec - begin.tv_nsec);
+        (double)(end.tv_sec - start.tv_sec) * 1e9 + (double)(end.tv_nsec - start.tv_nsec);
     return right ? spent / ((double)ticks * SLAVES) : 0.0;
 }
 

@@ -1,4 +1,4 @@
-"""Any component in any place: FMI 2.0, FMI 3.0, twin, Python object; shared and single parameters."""
+"""Components of any kind: FMI 2.0, FMI 3.0, in-process block, Python object; their parameters."""
 
 from __future__ import annotations
 
@@ -33,18 +33,18 @@ def reference(tmp_path_factory: pytest.TempPathFactory) -> Record:
     return record_of(tmp_path_factory.mktemp("reference"), "")
 
 
-def test_fmi_3_gives_the_same_bits(tmp_path: Path, reference: Record) -> None:
+def test_fmi_3_gives_a_bit_identical_record(tmp_path: Path, reference: Record) -> None:
     same(reference, record_of(tmp_path, "", fmi=3), 0.0)
 
 
 @pytest.mark.parametrize(
     "name", ["free_flyer", "manipulator_controller", "base_controller", "reference_trajectory"]
 )
-def test_a_twin_takes_an_fmus_place(tmp_path: Path, reference: Record, name: str) -> None:
+def test_an_in_process_block_replaces_an_fmu(tmp_path: Path, reference: Record, name: str) -> None:
     same(reference, record_of(tmp_path, f'[components.{name}]\nkind = "twin"\n'), 1e-9)
 
 
-def test_a_python_object_takes_an_fmus_place(tmp_path: Path, reference: Record) -> None:
+def test_a_python_object_replaces_an_fmu(tmp_path: Path, reference: Record) -> None:
     start = {
         name: tuple(map(float, reference[f"reference_trajectory.{name}"][0]))
         for name in ("position", "orientation")
@@ -74,21 +74,23 @@ def test_a_python_object_takes_an_fmus_place(tmp_path: Path, reference: Record) 
     )
 
 
-def test_robot_parameters_go_to_plant_and_controllers_and_set_goes_to_one(
+def test_a_robot_parameter_affects_plant_and_controllers_and_set_affects_one_component(
     tmp_path: Path, reference: Record
 ) -> None:
     both = record_of(tmp_path, "[robot]\ntool_mass = 2.0\n")
     only_plant = record_of(tmp_path, "", "free_flyer.tool_mass=2.0")
-    hand = "free_flyer.end_effector_position"
+    position = "free_flyer.end_effector_position"
     error = {
-        name: np.linalg.norm(record[hand] - record["reference_trajectory.position"], axis=1).max()
+        name: np.linalg.norm(
+            record[position] - record["reference_trajectory.position"], axis=1
+        ).max()
         for name, record in (("none", reference), ("both", both), ("plant", only_plant))
     }
     assert error["both"] < 5 * error["none"]
     assert error["plant"] > 20 * error["none"]
 
 
-def test_values_with_units(tmp_path: Path) -> None:
+def test_values_with_units_are_converted(tmp_path: Path) -> None:
     text = (
         "[components.free_flyer.parameters]\nbase_position = { value = [1, 2, 3], unit = 'mm' }\n"
     )
@@ -101,10 +103,10 @@ def test_values_with_units(tmp_path: Path) -> None:
     assert (np.diff(record["base_controller.base_wrench"][:, 0]) != 0).sum() <= 12
 
 
-def test_a_controller_fmu_in_step_with_the_plant_samples_what_the_record_shows(
+def test_a_controller_samples_the_plant_state_recorded_at_the_same_instant(
     reference: Record,
 ) -> None:
-    """F_b at the base's samples is that of the recorded state at the same instant."""
+    """F_b changes only at the base controller's samples, as recorded."""
     rows = np.isclose(np.round(reference.time / 0.3) * 0.3, reference.time, atol=1e-9)
     held = reference["base_controller.base_wrench"]
     changes = np.flatnonzero(np.abs(np.diff(held, axis=0)).max(axis=1) > 0.0) + 1
@@ -113,7 +115,7 @@ def test_a_controller_fmu_in_step_with_the_plant_samples_what_the_record_shows(
 
 
 @pytest.mark.parametrize("name", scenario.shipped())
-def test_the_reports_scenario_text_is_a_scenario_that_says_the_same(
+def test_the_source_text_of_a_scenario_loads_as_an_equal_scenario(
     tmp_path: Path, name: str
 ) -> None:
     shipped = scenario.load(name)

@@ -1,4 +1,4 @@
-"""The native core and the master in Python are twins: the same calls in the same order, the same record to the last bit."""
+"""The native core and the Python master make the same calls and give bit-identical records."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def outcome(name: str, engine: Engine, *overrides: str, fmi: int = 2) -> Outcome
     return experiment.run(scenario.load(name, overrides), fmi=fmi, engine=engine).outcome
 
 
-def assert_twins(one: Outcome, other: Outcome) -> None:
+def assert_equal(one: Outcome, other: Outcome) -> None:
     assert one.record.rows == other.record.rows
     assert np.array_equal(one.record.time, other.record.time)
     for signal in one.record.signals:
@@ -67,23 +67,28 @@ def assert_twins(one: Outcome, other: Outcome) -> None:
         ("continuous", ("stop_s=0.3",)),  # one component is no co-simulation FMU
     ],
 )
-def test_the_record_is_the_same_to_the_last_bit(
+def test_both_masters_give_bit_identical_records(
     name: str, overrides: tuple[str, ...], fmi: int
 ) -> None:
-    assert_twins(*(outcome(name, engine, *overrides, fmi=fmi) for engine in ("core", "python")))
+    assert_equal(*(outcome(name, engine, *overrides, fmi=fmi) for engine in ("core", "python")))
 
 
 @pytest.mark.parametrize("component", ["base_controller", "free_flyer"])
-def test_a_component_in_python_among_fmus(tmp_path: Path, component: str) -> None:
+def test_both_masters_agree_with_an_in_process_block_among_fmus(
+    tmp_path: Path, component: str
+) -> None:
     path = tmp_path / "mixed.toml"
     path.write_text(
         f'extends = "multirate_passive"\nstop_s = 0.7\n[components.{component}]\nkind = "twin"\n'
     )
-    assert_twins(*(outcome(str(path), engine) for engine in ("core", "python")))
+    assert_equal(*(outcome(str(path), engine) for engine in ("core", "python")))
 
 
 class Noisy(PythonComponent):
-    """Outputs that depend on everything that was ever put in, and when; it counts its calls, and may fail."""
+    """A component whose outputs depend on all earlier inputs and their times.
+
+    It counts its calls, and fails at call `fails_at`.
+    """
 
     def __init__(self, name: str, size: int, sampled: bool, fails_at: int) -> None:
         def port(name: str, causality: str) -> Port:
@@ -116,7 +121,11 @@ def systems(
 ) -> tuple[
     list[tuple[int, bool, int, int]], list[tuple[int, int, str, bool]], int, int, float, int
 ]:
-    """Components (size, sampled, fails at, step), connections (from, to, input, delayed), stop, recording, a bound, patience."""
+    """Draw a system of components.
+
+    Components are (size, sampled, fails at, step), connections (from, to, input, delayed). They are
+    followed by the stop time, the recording interval, the bound of the limits and their duration.
+    """
     size = draw(st.integers(1, 3))
     count = draw(st.integers(1, 5))
     steps = [draw(st.sampled_from((1, 2, 3, 5, 7))) for _ in range(count)]
@@ -128,7 +137,7 @@ def systems(
         for variable in "uv":
             source = draw(st.integers(-1, count - 1))
             if source >= 0:
-                # Against the order of the components only what is delayed can come: no algebraic loops.
+                # Connections against the order of the components are delayed: no algebraic loops.
                 wires.append((source, target, variable, source >= target or draw(st.booleans())))
     return (
         components,
@@ -169,35 +178,35 @@ def build(system: tuple) -> tuple[Master, dict[str, Noisy]]:
 
 @given(systems())
 @settings(max_examples=150)
-def test_any_system_of_components_in_python(system: tuple) -> None:
+def test_both_masters_agree_on_random_systems(system: tuple) -> None:
     (one, mine), (other, theirs) = build(system), build(system)
     ends: list[Outcome | str] = []
     for run in (one.run, lambda: native.run(other)):
         try:
             ends.append(run())
-        except ComponentError as error:  # what fails at the first instant is no result
+        except ComponentError as error:  # a failure at instant 0 has no outcome
             ends.append(str(error))
     if isinstance(ends[0], str) or isinstance(ends[1], str):
         assert ends[0] == ends[1]
     else:
-        assert_twins(ends[0], ends[1])
+        assert_equal(ends[0], ends[1])
     assert [c.calls for c in mine.values()] == [c.calls for c in theirs.values()]
 
 
 @pytest.mark.parametrize("norm", ["maximum", "euclidean"])
 @pytest.mark.parametrize("bound", ["1e200", "inf"])
-def test_a_limit_whose_square_is_no_number_any_more_is_never_passed(
+def test_a_limit_whose_square_overflows_is_never_exceeded(
     tmp_path: Path, norm: str, bound: str
 ) -> None:
     path = tmp_path / "far.toml"
     limit = f"[[limits]]\nsignal = 'free_flyer.base_velocity'\nmaximum = {bound}\nnorm = '{norm}'\n"
     path.write_text(f"extends = 'multirate_passive'\nstop_s = 0.05\n{limit}")
     ends = [outcome(str(path), engine) for engine in ("core", "python")]
-    assert_twins(*ends)
+    assert_equal(*ends)
     assert ends[0].cause is None
 
 
-def test_every_instant_is_shown_to_somebody_who_watches_and_the_lock_is_free() -> None:
+def test_the_native_core_reports_progress_and_releases_the_gil() -> None:
     seen: list[float] = []
     counted = [0]
     done = threading.Event()
@@ -228,15 +237,15 @@ def test_another_thread_can_end_a_run() -> None:
     ):
         run = native.Run(master)
         threading.Timer(0.3, run.cancel).start()
-        begin = time.perf_counter()
+        start = time.perf_counter()
         ended = run.run(None)
-    assert time.perf_counter() - begin < 30.0
+    assert time.perf_counter() - start < 30.0
     assert ended.interrupted
     assert 0.0 < ended.simulated < 2000.0
     assert ended.record.time[-1] == ended.simulated
 
 
-def test_a_run_that_is_too_long_to_count_is_refused() -> None:
+def test_a_run_too_long_for_exact_times_is_rejected() -> None:
     with (
         assembled(scenario.load("multirate_passive", ["stop_s=2e7", "record.every_s=1000"])) as (
             master,
@@ -248,7 +257,9 @@ def test_a_run_that_is_too_long_to_count_is_refused() -> None:
 
 
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
-def test_the_core_alone_under_sanitizers_without_a_warning(tmp_path: Path, compiler: str) -> None:
+def test_the_native_core_passes_the_sanitizers_and_compiles_without_warnings(
+    tmp_path: Path, compiler: str
+) -> None:
     if shutil.which(compiler) is None:
         pytest.skip(f"{compiler} is not installed")
     probe = [
@@ -288,5 +299,5 @@ def test_the_core_alone_under_sanitizers_without_a_warning(tmp_path: Path, compi
     assert done.returncode == 0, done.stderr
 
 
-def test_the_core_is_small() -> None:
+def test_the_native_core_has_at_most_500_lines() -> None:
     assert sum(len(path.read_text().splitlines()) for path in CORE.glob("*.[ch]")) <= 500

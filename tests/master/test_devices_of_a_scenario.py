@@ -1,4 +1,4 @@
-"""The table [devices]: what it takes over, what it replaces, and its mistakes."""
+"""The table [devices] of a scenario: inherited values, replacement of a component, errors."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ def loaded(folder: Path, text: str, *overrides: str) -> scenario.Scenario:
     return scenario.load(str(path), overrides)
 
 
-def test_devices_do_not_touch_the_run_without_them() -> None:
+def test_devices_do_not_change_a_run_in_simulation() -> None:
     chosen = scenario.load("facility")
     assert {spec.name for spec in chosen.devices} == {"arm_drive", "base_robot"}
     assert {spec.kind for spec in chosen.components} == {"fmu"}
 
 
-def test_keys_of_a_device_are_merged_and_another_kind_replaces_it(tmp_path: Path) -> None:
+def test_keys_of_a_device_are_merged_unless_its_kind_changes(tmp_path: Path) -> None:
     (arm,) = (
         s
         for s in loaded(tmp_path, '[devices.arm_drive]\nchannel = "x"').devices
@@ -38,7 +38,7 @@ def test_keys_of_a_device_are_merged_and_another_kind_replaces_it(tmp_path: Path
     assert (arm.kind, dict(arm.options), dict(arm.parameters)) == ("simulated", {}, {})
 
 
-def test_a_device_takes_over_the_step_of_its_component(tmp_path: Path) -> None:
+def test_a_device_inherits_the_step_of_its_component(tmp_path: Path) -> None:
     (arm,) = (
         s
         for s in loaded(tmp_path, '[devices.arm_drive]\nkind = "other"').devices
@@ -47,7 +47,7 @@ def test_a_device_takes_over_the_step_of_its_component(tmp_path: Path) -> None:
     assert arm.step == SECOND // 1000
 
 
-def test_settings_on_the_command_line_reach_devices_and_facility(tmp_path: Path) -> None:
+def test_command_line_settings_apply_to_devices_and_facility(tmp_path: Path) -> None:
     chosen = loaded(
         tmp_path,
         "",
@@ -80,7 +80,7 @@ def test_settings_on_the_command_line_reach_devices_and_facility(tmp_path: Path)
         ),
     ],
 )
-def test_a_table_of_devices_that_cannot_be_is_refused(
+def test_an_invalid_devices_table_is_rejected(
     tmp_path: Path, text: str, overrides: tuple[str, ...], sentence: str
 ) -> None:
     with pytest.raises(ScenarioError, match=sentence):

@@ -1,4 +1,7 @@
-"""FMUs made by others in our master, beside ours: PythonFMU (FMI 2.0), PythonFMU3 (FMI 3.0), reference FMUs, and files that are refused."""
+"""Third-party FMUs together with ours: PythonFMU (FMI 2.0), PythonFMU3 (FMI 3.0), reference FMUs.
+
+Unusable files are rejected.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +38,7 @@ REFERENCE_FMUS = os.environ.get("FREEFLYER_REFERENCE_FMUS", "")
 
 
 def build(script: Path) -> None:
-    """As a user does it, in a process of its own."""
+    """Build an FMU in a separate process, like a user."""
     tool = "pythonfmu3" if "pythonfmu3" in script.read_text() else "pythonfmu"
     subprocess.run(
         [sys.executable, "-m", tool, "build", "-f", script.name],
@@ -47,7 +50,7 @@ def build(script: Path) -> None:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The tutorial's FMU, its FMI 3.0 twin and a lag for model exchange."""
+    """Build the tutorial's FMU, the same controller for FMI 3.0, and a model-exchange lag."""
     folder = tmp_path_factory.mktemp("foreign")
     (folder / "pd_base_controller.py").write_text(CONTROLLER)
     for name in ("pd_base_controller_3.py", "thruster_lag_me.py"):
@@ -78,20 +81,18 @@ def loop(folder: Path) -> Result:
 
 
 @needs_binary
-def test_the_users_controller_holds_the_base_and_the_hand_tracks(loop: Result) -> None:
+def test_the_users_controller_holds_the_base_and_the_end_effector_tracks(loop: Result) -> None:
     greatest = {name: loop.summary[name]["max"] for name in loop.errors}
     assert loop.outcome.simulated == 20.0
     assert greatest["end_effector_position_error_m"] < 1e-5
     assert greatest["end_effector_orientation_error_deg"] < 1e-3
     assert greatest["base_position_error_m"] < 1e-3
     assert greatest["base_orientation_error_deg"] < 0.1
-    assert np.abs(loop.outcome.record["pd.base_wrench"]).max() > 0.1, (
-        "the controller had something to do"
-    )
+    assert np.abs(loop.outcome.record["pd.base_wrench"]).max() > 0.1, "the controller had no effect"
 
 
 @needs_binary
-def test_fmi_3_gives_the_same_closed_loop(folder: Path, loop: Result) -> None:
+def test_fmi_3_gives_an_equal_closed_loop(folder: Path, loop: Result) -> None:
     same(
         loop,
         closed_loop(folder, text=SCENARIO.replace("PdBaseController", "PdBaseController3")),
@@ -100,13 +101,15 @@ def test_fmi_3_gives_the_same_closed_loop(folder: Path, loop: Result) -> None:
 
 
 @needs_binary
-def test_our_fmi_3_plant_with_a_foreign_fmi_2_controller(folder: Path, loop: Result) -> None:
+def test_our_fmi_3_plant_works_with_a_third_party_fmi_2_controller(
+    folder: Path, loop: Result
+) -> None:
     mixed = SCENARIO + "[components.free_flyer]\nfmi = 3\n"
     same(loop, closed_loop(folder, text=mixed), 0.0)
 
 
 @needs_binary
-def test_a_foreign_fmu_for_model_exchange_between_ours_and_a_foreign_controller(
+def test_a_third_party_model_exchange_fmu_works_between_ours_and_a_third_party_controller(
     folder: Path,
 ) -> None:
     lagging = SCENARIO.replace(
@@ -117,22 +120,21 @@ def test_a_foreign_fmu_for_model_exchange_between_ours_and_a_foreign_controller(
     record = closed_loop(
         folder, "stop_s=1", "record.every_s=0.004", text=lagging, name="lag"
     ).outcome.record
-    asked, acting = record["pd.base_wrench"], record["lag.wrench"]
+    command, acting = record["pd.base_wrench"], record["lag.wrench"]
     decay = np.exp(-0.004 / 0.02)
-    assert acting[1:-1] == pytest.approx(decay * acting[:-2] + (1 - decay) * asked[:-2], abs=1e-9)
+    assert acting[1:-1] == pytest.approx(decay * acting[:-2] + (1 - decay) * command[:-2], abs=1e-9)
     assert np.abs(acting).max() > 0.1
 
 
 @needs_binary
-def test_parameters_and_units_of_a_foreign_fmu(folder: Path) -> None:
+def test_parameters_and_units_of_a_third_party_fmu_are_used(folder: Path) -> None:
     weak = closed_loop(folder, "stop_s=2", "pd.stiffness=20", "pd.damping=[9, 9, 9, 3, 3, 3]")
     strong = closed_loop(folder, "stop_s=2")
-    turn = "base_orientation_error_deg"
-    assert weak.summary[turn]["max"] > 2 * strong.summary[turn]["max"]
+    error = "base_orientation_error_deg"
+    assert weak.summary[error]["max"] > 2 * strong.summary[error]["max"]
     wrong = SCENARIO.replace("free_flyer.base_position -> pd", "free_flyer.linear_momentum -> pd")
-    closed_loop(
-        folder, "stop_s=0.1", text=wrong
-    )  # PythonFMU declares no units, which agree with any
+    # PythonFMU declares no units, and a port without units matches any unit.
+    closed_loop(folder, "stop_s=0.1", text=wrong)
     with pytest.raises(
         Exception,
         match=r"linear_momentum -> pd.base_position: units differ at element 1: kg.m/s and m",
@@ -176,7 +178,7 @@ def small(
     start: str = "pass",
     step: str = "self.y = 2 * self.u; return True",
 ) -> Path:
-    """A scenario with one such FMU that listens to the plant; the script is called slave.py whatever its class."""
+    """Write a scenario with one small FMU connected to the plant; the script is always slave.py."""
     folder.mkdir(exist_ok=True)
     (folder / "slave.py").write_text(template.format(name=name, start=start, step=step))
     build(folder / "slave.py")
@@ -205,10 +207,10 @@ def small(
             2,
             r"component x cannot be initialised: .*no calibration",
         ),
-        ("pass", "return t < 0.05", 3, r"stopped at 0\.05 s: x: .*(\(discard\)|asks for the end)"),
+        ("pass", "return t < 0.05", 3, r"stopped at 0\.05 s: x: .*(\(discard\)|requests the end)"),
     ],
 )
-def test_errors_in_the_users_python_are_one_sentence_with_component_and_cause(
+def test_an_exception_in_the_users_python_is_one_line_with_component_and_cause(
     capsys: pytest.CaptureFixture[str],
     tmp_path: Path,
     template: str,
@@ -226,12 +228,12 @@ def test_errors_in_the_users_python_are_one_sentence_with_component_and_cause(
             0
         ]
         == 0
-    ), "ours goes on working"
+    ), "a valid FMU still works after the failure"
 
 
 @needs_binary
 @TEMPLATES
-def test_two_fmus_of_one_script_name_keep_their_own_code_and_leave_nothing(
+def test_two_fmus_with_the_same_script_name_use_their_own_code_and_are_removed_completely(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, template: str
 ) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "unpacked"))
@@ -265,7 +267,7 @@ def test_two_fmus_of_one_script_name_keep_their_own_code_and_leave_nothing(
 
 
 @needs_binary
-def test_an_fmi_3_fmu_without_time_is_refused_in_one_sentence(folder: Path, tmp_path: Path) -> None:
+def test_an_fmi_3_fmu_without_time_is_rejected(folder: Path, tmp_path: Path) -> None:
     changed = tmp_path / "timeless.fmu"
     with (
         zipfile.ZipFile(folder / "PdBaseController3.fmu") as whole,
@@ -325,7 +327,7 @@ FMI_2 = """<?xml version="1.0" encoding="UTF-8"?>
         ),
     ],
 )
-def test_files_that_cannot_be_used(
+def test_an_unusable_fmu_is_rejected_with_its_reason(
     capsys: pytest.CaptureFixture[str],
     tmp_path: Path,
     description: str,
@@ -347,7 +349,7 @@ def test_files_that_cannot_be_used(
     not REFERENCE_FMUS, reason="FREEFLYER_REFERENCE_FMUS names no directory with fmi2/ and fmi3/"
 )
 @pytest.mark.parametrize("fmi", [2, 3])
-def test_the_modelica_associations_reference_fmus(
+def test_the_modelica_associations_reference_fmus_give_their_known_results(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], fmi: int
 ) -> None:
     def text(name: str, kind: str = "fmu", stop: float = 2.0) -> str:
@@ -360,7 +362,7 @@ def test_the_modelica_associations_reference_fmus(
     def last(signal: str, *arguments: str) -> float:
         return float(experiment.run(scenario.load(text(*arguments))).outcome.record[signal][-1])
 
-    assert last("x.x", "Dahlquist") == pytest.approx(0.9**20)  # Euler steps of its own, 0.1 s
+    assert last("x.x", "Dahlquist") == pytest.approx(0.9**20)  # internal Euler steps of 0.1 s
     assert last("x.x", "Dahlquist", "model_exchange") == pytest.approx(np.exp(-2), abs=1e-9)
     assert last("x.x0", "VanDerPol", "model_exchange") == pytest.approx(0.3233166672, abs=1e-6)
     assert last("x.h", "BouncingBall") >= 0.0
@@ -377,7 +379,7 @@ def test_the_modelica_associations_reference_fmus(
             2.0,
             "has a time event at 1 s; only model exchange without events is supported",
         ),
-        ("Stair", "fmu", 12.0, "the FMU asks for the end of the simulation"),
+        ("Stair", "fmu", 12.0, "the FMU requests the end of the simulation"),
     ):
         assert (
             sentence

@@ -1,4 +1,4 @@
-"""The graph refuses what does not fit; the schedule is exact; the order at an instant is what the direct dependencies demand."""
+"""The graph rejects inconsistent connections; the schedule is exact; dependencies set the order."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def port(
 
 
 class Plant(PythonComponent):
-    """x' = u, exactly integrated; its output is the state: no direct dependency."""
+    """x' = u, integrated exactly; the output is the state, without direct dependency."""
 
     def __init__(self, name: str) -> None:
         super().__init__(name, [port("u", "input", unit="m/s"), port("x", "output")])
@@ -46,7 +46,7 @@ class Plant(PythonComponent):
 
 
 class Gain(PythonComponent):
-    """y = k u of the same instant; notes when it was stepped."""
+    """y = k u of the same instant; records the times of its steps."""
 
     def __init__(self, name: str, k: float, unit: str = "m/s") -> None:
         super().__init__(name, [port("u", "input"), port("y", "output", unit=unit, direct=("u",))])
@@ -78,7 +78,7 @@ def loop(k: float = -1.0) -> tuple[dict[str, PythonComponent], list[Connection]]
     ]
 
 
-def test_controllers_answer_to_the_plants_output_of_the_same_instant() -> None:
+def test_a_controller_uses_the_plant_output_of_the_same_instant() -> None:
     components, connections = loop()
     components["plant"].values["x"][:] = 1.0
     outcome = ready(components, connections, {"plant": 10 * MS, "gain": 10 * MS}, 100 * MS).run()
@@ -95,11 +95,11 @@ def test_a_slow_controller_samples_and_holds() -> None:
     assert outcome.steps == {"plant": 10, "gain": 4}
     x, y = outcome.record["plant.x"], outcome.record["gain.y"]
     assert np.array_equal(y, -x[[0, 0, 0, 3, 3, 3, 6, 6, 6, 9, 9]])
-    # The last step is cut short at the stop time.
+    # The last step is shortened at the stop time.
     assert [round(size, 9) for _, size, _ in components["gain"].log] == [0.03, 0.03, 0.03, 0.01]
 
 
-def test_a_slow_plants_output_is_not_known_before_its_time() -> None:
+def test_a_slow_plants_output_is_not_used_before_the_end_of_its_step() -> None:
     plant, gain = Plant("plant"), Gain("gain", 2.0)
     plant.values["u"][:] = 1.0
     master = ready(
@@ -112,7 +112,7 @@ def test_a_slow_plants_output_is_not_known_before_its_time() -> None:
     assert y[:9] == pytest.approx([0, 0, 0, 0.06, 0.06, 0.06, 0.12, 0.12, 0.12])
 
 
-def test_a_delayed_connection_carries_what_was_there_before_the_instant_and_breaks_a_loop() -> None:
+def test_a_delayed_connection_delivers_the_previous_value_and_breaks_a_loop() -> None:
     a, b = Gain("a", 1.0, "m"), Gain("b", 1.0, "m")
     forward, back = (
         Connection(source="a.y", target="b.u"),
@@ -145,21 +145,21 @@ def test_a_loop_through_a_state_is_no_algebraic_loop() -> None:
         (("wide.x", "gain.u"), "sizes differ: 3 and 1"),
     ],
 )
-def test_connections_are_checked(connection: tuple[str, str], message: str) -> None:
+def test_an_invalid_connection_is_rejected(connection: tuple[str, str], message: str) -> None:
     components, _ = loop()
     components["wide"] = PythonComponent("wide", [port("x", "output", 3)])
     with pytest.raises(GraphError, match=message):
         graph.build(components, [Connection(source=connection[0], target=connection[1])])
 
 
-def test_an_input_with_two_sources_is_refused() -> None:
+def test_an_input_with_two_sources_is_rejected() -> None:
     components, connections = loop()
     components["other"] = Plant("other")
     with pytest.raises(GraphError, match=r"input gain.u has two sources: plant.x and other.x"):
         graph.build(components, [*connections, Connection(source="other.x", target="gain.u")])
 
 
-def test_units_that_measure_the_same_may_be_connected() -> None:
+def test_equivalent_units_may_be_connected() -> None:
     assert same("N.m", "J")
     assert same("rad/s", None)
     assert not same("deg", "rad")
@@ -169,7 +169,7 @@ def test_units_that_measure_the_same_may_be_connected() -> None:
         factor("furlongs_", "m")
 
 
-def test_a_step_that_is_no_multiple_is_refused_and_told_what_would_fit() -> None:
+def test_a_step_that_is_no_multiple_is_rejected_with_steps_that_would_fit() -> None:
     with pytest.raises(
         GraphError,
         match=r"component b: its step of 0.0025 s is no multiple of the smallest step, 0.001 s; 0.002 s or 0.003 s would fit",
@@ -195,12 +195,12 @@ def test_times_in_other_units_are_exact_nanoseconds(number: int, unit: tuple[str
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, 1e-10, 1 / 3, float("inf"), float("nan"), 1e300])
-def test_times_that_are_no_whole_nanoseconds_are_refused(value: float) -> None:
+def test_times_that_are_no_whole_nanoseconds_are_rejected(value: float) -> None:
     with pytest.raises(ScenarioError, match="positive whole number of nanoseconds"):
         clock.nanoseconds(value, "x")
 
 
-def test_a_limit_ends_the_run_with_its_cause_and_keeps_what_was_simulated() -> None:
+def test_a_limit_ends_the_run_with_its_cause_and_keeps_the_record() -> None:
     plant = Plant("plant")
     plant.values["u"][:] = 1.0
     limit = Limit(signal="plant.x", bound=0.0345, cause="too far")
@@ -219,7 +219,7 @@ def test_a_limit_ends_the_run_with_its_cause_and_keeps_what_was_simulated() -> N
         )
 
 
-def test_nan_passes_no_limit() -> None:
+def test_nan_exceeds_every_limit() -> None:
     class Careless(Plant):
         def step(self, time: float, size: float) -> None:
             self.advance(time, size)
@@ -232,7 +232,7 @@ def test_nan_passes_no_limit() -> None:
     assert outcome.simulated == 0.01
 
 
-def test_a_component_that_fails_in_mid_run_ends_it_with_its_name() -> None:
+def test_a_failing_component_ends_the_run_with_its_name() -> None:
     class Failing(Plant):
         def advance(self, time: float, size: float) -> None:
             super().advance(time, size)
@@ -248,7 +248,7 @@ def test_a_component_that_fails_in_mid_run_ends_it_with_its_name() -> None:
     assert outcome.record.rows == 7
 
 
-def test_a_minimum_is_a_limit_too() -> None:
+def test_a_minimum_is_also_a_limit() -> None:
     plant = Plant("plant")
     plant.values["u"][:] = -1.0
     limit = Limit(signal="plant.x", bound=-0.025, is_minimum=True, cause="too low")
@@ -256,7 +256,7 @@ def test_a_minimum_is_a_limit_too() -> None:
     assert outcome.cause == "too low: plant.x is -0.03, the least allowed is -0.025"
 
 
-def test_limits_watch_only_what_they_name() -> None:
+def test_a_limit_on_missing_elements_is_rejected() -> None:
     with pytest.raises(GraphError, match="elements 1 to 2 are watched, but it has 1"):
         ready(
             {"plant": Plant("plant")},
@@ -267,9 +267,9 @@ def test_limits_watch_only_what_they_name() -> None:
         )
 
 
-def test_a_component_with_both_kinds_of_outputs_in_use_must_say_which_it_is() -> None:
+def test_a_component_with_both_kinds_of_used_outputs_must_be_declared() -> None:
     class Both(Plant):
-        """x' = u with its acceleration as a second, direct output."""
+        """x' = u with the acceleration as a second, direct output."""
 
         def __init__(self, name: str) -> None:
             PythonComponent.__init__(
@@ -295,7 +295,7 @@ def test_a_component_with_both_kinds_of_outputs_in_use_must_say_which_it_is() ->
     assert graph.build(components, wires, {"plant": True}).first[0] == "plant"
 
 
-def test_before_its_source_is_initialised_an_input_keeps_its_own_start_value() -> None:
+def test_an_input_has_its_own_start_value_until_its_source_is_initialised() -> None:
     class Careful(Plant):
         def __init__(self, name: str) -> None:
             ports = [
@@ -332,12 +332,12 @@ def test_before_its_source_is_initialised_an_input_keeps_its_own_start_value() -
         ),
     ],
 )
-def test_ports_of_python_components_are_checked(ports: dict, message: str) -> None:
+def test_invalid_ports_of_python_components_are_rejected(ports: dict, message: str) -> None:
     with pytest.raises(CosimError, match=message):
         PythonComponent("mine", [Port(**{"name": "y", "causality": "output", **ports})])
 
 
-def test_a_python_component_may_assign_its_outputs_and_must_keep_them_finite() -> None:
+def test_a_python_component_may_assign_its_outputs_but_they_must_be_finite() -> None:
     class Assigning(Plant):
         def advance(self, time: float, size: float) -> None:
             self.values["x"] = np.array([time + size if time < 0.05 else np.nan])

@@ -1,4 +1,4 @@
-"""The names that the distribution takes in an environment."""
+"""The top-level packages of the distribution."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def run(*command: str, folder: Path, **environment: str) -> str:
 
 
 def built(target: str, source: Path, folder: Path) -> Path:
-    """A wheel or sdist, without what the build hook compiles."""
+    """Build a wheel or sdist without the compiled files of the build hook."""
     command = [sys.executable, "-P", "-m", "hatchling", "build", "-t", target, "-d", str(folder)]
     run(*command, folder=source, HATCH_BUILD_NO_HOOKS="true")
     (path,) = folder.iterdir()
@@ -49,7 +49,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return built("wheel", ROOT, tmp_path_factory.mktemp("wheel"))
 
 
-def test_the_wheel_holds_three_packages_and_nothing_else(wheel: Path) -> None:
+def test_the_wheel_contains_three_packages_and_nothing_else(wheel: Path) -> None:
     names = {name.partition("/")[0] for name in names_in(wheel)}
     assert sorted(name for name in names if not name.endswith(".dist-info")) == sorted(ROOTS)
     assert len(names) == len(ROOTS) + 1
@@ -59,15 +59,14 @@ def test_the_sdist_gives_the_same_wheel(wheel: Path, tmp_path: Path) -> None:
     shutil.unpack_archive(built("sdist", ROOT, tmp_path / "sdist"), tmp_path / "unpacked")
     (source,) = (tmp_path / "unpacked").iterdir()
     own = names_in(built("wheel", source, tmp_path / "wheel"))
-    assert own == {
-        name for name in names_in(wheel) if "/prebuilt/" not in name
-    }  # a checkout may have compiled files
+    # A checkout may have compiled files.
+    assert own == {name for name in names_in(wheel) if "/prebuilt/" not in name}
     assert {"freeflyer/paper/scenarios/facility.toml", "freeflyer_fmus/c/fmi3.c"} <= own
     assert {f"{root}/{file}" for root in ROOTS for file in ("__init__.pyi", "py.typed")} <= own
 
 
 def other_wheel(name: str, modules: list[str], folder: Path) -> Path:
-    """A wheel of another project, with a package of that name."""
+    """Write a wheel of another project, with a package of that name."""
     about = f"{name}-9.0.dist-info"
     files = {f"{name}/{module}": f"whose = {name!r}\n".encode() for module in modules}
     files[f"{about}/METADATA"] = f"Metadata-Version: 2.1\nName: {name}\nVersion: 9.0\n".encode()
@@ -84,7 +83,7 @@ def other_wheel(name: str, modules: list[str], folder: Path) -> Path:
     return path
 
 
-def test_packages_called_adapters_and_cosim_come_and_go_beside_ours(
+def test_packages_named_adapters_and_cosim_can_be_installed_and_removed_beside_ours(
     wheel: Path, tmp_path: Path
 ) -> None:
     run(
@@ -99,6 +98,7 @@ def test_packages_called_adapters_and_cosim_come_and_go_beside_ours(
         str(tmp_path / "venv/bin/python"),
         "--disable-pip-version-check",
     ]
+    # Installation of all three, then removal of the others.
     others = [
         other_wheel(name, ["__init__.py", "histogram.py", "cli.py"], tmp_path)
         for name in ("adapters", "cosim")
@@ -108,6 +108,7 @@ def test_packages_called_adapters_and_cosim_come_and_go_beside_ours(
     assert (site / "adapters/histogram.py").read_text() == "whose = 'adapters'\n"
     run(*pip, "uninstall", "--yes", "adapters", "cosim", folder=tmp_path)
     assert not (site / "adapters").exists()
+    # Our files are still there, unchanged.
     (record,) = site.glob("freeflyer_cosim-*.dist-info/RECORD")
     checked = 0
     for line in record.read_text().splitlines():

@@ -1,4 +1,4 @@
-"""The closed loop that is compared: the connections of `multirate_passive`, read from the shipped scenario."""
+"""The compared closed loop: the connections of the shipped scenario `multirate_passive`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 from slaves import Connection, Value
 
 COMPONENTS = ("manipulator_controller", "base_controller", "free_flyer", "reference_trajectory")
-"""Controllers first: the order in which a sequential exchange must step them."""
+"""Controllers first: the order of a sequential exchange."""
 RECORDED = (
     "free_flyer.end_effector_position",
     "free_flyer.base_position",
@@ -40,7 +40,10 @@ def connections() -> list[Connection]:
 def start_values(
     period: float = 0.3, *, moving: bool = False, base_passivity_control: bool = True
 ) -> dict[str, dict[str, Value]]:
-    """`moving` starts beside the equilibrium, so that the initial exchange leaves a trace."""
+    """Return the start values; `moving` starts off the equilibrium.
+
+    The initial exchange then affects the result.
+    """
     values: dict[str, dict[str, Value]] = {
         "manipulator_controller": {
             "period": 0.001,

@@ -1,4 +1,4 @@
-"""Without the peers there is nothing to compare with: every module of the folder is skipped then, with the reason."""
+"""Skip all tests of this folder, with the reason, if a peer is missing."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 
 def missing() -> str:
-    """Why a peer cannot be used; empty if all are there."""
+    """Return why a peer cannot be used, or an empty string."""
     for name in ("libcosimpy", "ecospy", "fmu_manipulation_toolbox"):
         try:
             import_module(name)

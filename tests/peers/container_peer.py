@@ -1,6 +1,7 @@
 """An FMU container of `fmu-manipulation-toolbox`, run by FMPy: FMI 2.0 and FMI 3.0.
 
-Its rule: Rule(sequential, initial_order=..., late=True) of reference_loops. Components of a slower step come before the others.
+Its exchange rule is Rule(sequential, initial_order=..., late=True) of reference_loops. Components
+with a slower step are first.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from slaves import (
 
 INNER = "slow"
 OUT = "out"
-"""Prefix of the container's outputs: without one their names are also those of its locals."""
+"""Prefix of the container's outputs; without it their names would collide with its locals."""
 
 
 def run(
@@ -41,7 +42,7 @@ def run(
     *,
     sequential: bool = False,
 ) -> dict[str, Array]:
-    """`sequential` steps the components one after the other in the order of `fmus`."""
+    """Run the loop; `sequential` steps one component after the other in the order of `fmus`."""
     size, _, count = ticks(steps, stop)
     with tempfile.TemporaryDirectory() as folder:
         path, first = build(
@@ -60,10 +61,11 @@ def build(
     *,
     sequential: bool,
 ) -> tuple[Path, dict[str, Sequence[float]]]:
-    """One container; those of every slower step are in a container of their own inside it.
+    """Build one container; components of each slower step are in a nested container.
 
-    An FMU that is initialised before its sources is given zeros, not its own start values, and in a loop one is. So the start
-    values of connected inputs are handed back too, by the names of the container's locals that hold the sources' values.
+    An FMU that is initialised before its sources gets zeros instead of its own start values. A loop
+    always has such an FMU. Therefore the start values of connected inputs are returned, too, by the
+    names of the container's locals that contain the sources' values.
     """
     logging.getLogger("fmu_manipulation_toolbox").setLevel(logging.ERROR)
     variables = variables_of(fmus)
@@ -78,6 +80,7 @@ def build(
     root = AssemblyNode(
         "loop.fmu", step_size=min(steps.values()), sequential=sequential, **automatic
     )
+    # A node for each step.
     nodes, place = {root.step_size: root}, {}
     for name in fmus:
         step = steps[name]
@@ -90,7 +93,7 @@ def build(
         place[name] = nodes[step]
 
     def outer(signal: str, element: str) -> tuple[str, str]:
-        """FMU and port by which the outer container knows an element."""
+        """Return FMU and port of an element in the outer container."""
         name = split(signal)[0]
         return (
             (f"{name}.fmu", element)
@@ -101,6 +104,7 @@ def build(
     def named(signal: str) -> tuple[str, ...]:
         return variables[split(signal)[0]][split(signal)[1]].names
 
+    # Connected and recorded signals of a nested container become its inputs and outputs.
     for signal in {signal for pair in connections for signal in pair} | set(recorded):
         name, variable = split(signal)
         is_input = any(signal == target for _, target in connections)
@@ -109,6 +113,7 @@ def build(
                 place[name].add_input(f"{name}.{element}", f"{name}.fmu", element)
             else:
                 place[name].add_output(f"{name}.fmu", element, f"{name}.{element}")
+    # Connections, outputs and start values.
     first: dict[str, Sequence[float]] = {}
     for source, target in connections:
         start = variables[split(target)[0]][split(target)[1]].start
@@ -142,7 +147,7 @@ def run_container(
     size: float,
     count: int,
 ) -> dict[str, Array]:
-    # The description of an FMI 3.0 container with arrays does not follow the schema (version 2.0): not validated.
+    # An FMI 3.0 container with arrays (version 2.0) does not conform to the schema: no validation.
     container = Slave("loop", path, validate=False)
     try:
         container.enter_initialization(first)

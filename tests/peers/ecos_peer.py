@@ -1,6 +1,6 @@
-"""ecos through `ecospy`: FMI 2.0 (FMI 3.0 without arrays only). Needs libtbb12.
+"""ecos through `ecospy`: FMI 2.0, and FMI 3.0 without arrays. Needs libtbb12.
 
-Its rule: Rule(rounds=number of components) of reference_loops.
+Its exchange rule is Rule(rounds=number of components) of reference_loops.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from slaves import (
 
 
 class EcosError(Exception):
-    """What ecos would do wrong without a word, or has refused."""
+    """An error of ecos, or a feature that ecos would execute wrongly without an error."""
 
 
 def run(
@@ -39,7 +39,7 @@ def run(
     for name, own in variables.items():
         if any(variable.size > len(variable.names) for variable in own.values()):
             raise EcosError(
-                f"{name} has arrays of FMI 3.0: ecos takes them for scalars, and hears of no error"
+                f"{name} has arrays of FMI 3.0: ecos treats them as scalars and gets no error"
             )
     size, _, count = ticks(steps, stop)
     EcosLib.set_log_level("warn")
@@ -48,7 +48,7 @@ def run(
         for variable, value in values.items():
             found = variables[name][variable]
             if found.kind == "Enumeration":
-                raise EcosError(f"{name}.{variable}: ecos knows no enumerations")
+                raise EcosError(f"{name}.{variable}: ecos does not support enumerations")
             cast = bool if found.kind == "Boolean" else float
             for element, item in zip(found.names, elements(value, found.size), strict=True):
                 parameters[f"{name}::{element}"] = cast(item)
@@ -56,11 +56,11 @@ def run(
         for name, path in fmus.items():
             structure.add_model(name, str(path), steps[name])
         for source, target in connections:
-            (begin, output), (end, input_) = split(source), split(target)
+            (start, output), (end, input_) = split(source), split(target)
             for a, b in zip(
-                variables[begin][output].names, variables[end][input_].names, strict=True
+                variables[start][output].names, variables[end][input_].names, strict=True
             ):
-                structure.make_real_connection(f"{begin}::{a}", f"{end}::{b}")
+                structure.make_real_connection(f"{start}::{a}", f"{end}::{b}")
         structure.add_parameter_set("start", parameters)
         with EcosSimulation(structure=structure, step_size=size) as simulation:
             return _simulate(simulation, variables, recorded, size, count)
@@ -69,7 +69,7 @@ def run(
 def run_ssp(
     path: Path, fmus: Mapping[str, Path], size: float, stop: float, recorded: Sequence[str]
 ) -> dict[str, Array]:
-    """An .ssp; the base step is the caller's, the steps are those of its OSP annotations."""
+    """Run an SSP file. Its OSP annotations contain the steps; the caller gives the base step."""
     with EcosSimulation(ssp_path=str(path), step_size=size) as simulation:
         return _simulate(simulation, variables_of(fmus), recorded, size, round(stop / size))
 

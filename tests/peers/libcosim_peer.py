@@ -1,6 +1,6 @@
 """libcosim (Open Simulation Platform) through `libcosimpy`: FMI 2.0.
 
-Its rule: Rule(rounds=number of components, late=True) of reference_loops.
+Its exchange rule is Rule(rounds=number of components, late=True) of reference_loops.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ OSP = "http://opensimulationplatform.com/MSMI/OSPSystemStructure"
 
 
 class LibcosimError(Exception):
-    """What libcosim said, in its words."""
+    """An error message of libcosim."""
 
 
 def checked(done: bool, what: str) -> None:
@@ -55,7 +55,7 @@ def run(
     with tempfile.TemporaryDirectory() as folder:
         if len(set(steps.values())) == 1:
             execution = _in_memory(fmus, variables, connections, start_values, size)
-        else:  # a step of its own for a slave cannot be given by libcosimpy's calls
+        else:  # libcosimpy's calls give all slaves the same step
             path = Path(folder) / "OspSystemStructure.xml"
             write_system_structure(path, fmus, variables, connections, start_values, steps)
             execution = CosimExecution.from_osp_config_file(str(path))
@@ -65,7 +65,7 @@ def run(
 def run_ssp(
     path: Path, fmus: Mapping[str, Path], size: float, stop: float, recorded: Sequence[str]
 ) -> dict[str, Array]:
-    """An .ssp; its OSP annotations give base step and steps."""
+    """Run an SSP file; its OSP annotations contain base step and steps."""
     return _simulate(
         CosimExecution.from_ssp_file(str(path)),
         variables_of(fmus),
@@ -93,7 +93,7 @@ def _in_memory(
         for variable, value in values.items():
             found = variables[name][variable]
             if found.kind == "Enumeration":
-                raise LibcosimError(f"{name}.{variable}: libcosim knows no enumerations")
+                raise LibcosimError(f"{name}.{variable}: libcosim does not support enumerations")
             put = (
                 execution.boolean_initial_value
                 if found.kind == "Boolean"
@@ -102,13 +102,13 @@ def _in_memory(
             for reference, item in zip(found.references, elements(value, found.size), strict=True):
                 checked(put(index[name], reference, item), f"setting {name}.{variable}")
     for source, target in connections:
-        (begin, output), (end, input_) = split(source), split(target)
+        (start, output), (end, input_) = split(source), split(target)
         pairs = zip(
-            variables[begin][output].references, variables[end][input_].references, strict=True
+            variables[start][output].references, variables[end][input_].references, strict=True
         )
         for a, b in pairs:
             checked(
-                execution.connect_real_variables(index[begin], a, index[end], b) == 0,
+                execution.connect_real_variables(index[start], a, index[end], b) == 0,
                 f"connecting {source} to {target}",
             )
     return execution
@@ -142,7 +142,7 @@ def _simulate(
             observer.time_series_real_samples(*where, from_step=1, sample_count=count)
             for where in place
         ]
-        # A slow slave is observed at the ends of its steps only; in between, what it showed last.
+        # A slow slave is observed only at the ends of its steps; the values between are held.
         held = np.searchsorted(columns[0][1], np.arange(1, count + 1), side="right") - 1
         values = np.array([column[2] for column in columns]).T
         record[signal] = np.where(held[:, None] < 0, np.nan, values[held])
@@ -157,7 +157,7 @@ def write_system_structure(
     start_values: StartValues,
     steps: Mapping[str, float],
 ) -> None:
-    """OspSystemStructure.xml, in which a slave can have a step of its own."""
+    """Write OspSystemStructure.xml, where each slave can have another step."""
     root = ElementTree.Element("OspSystemStructure", {"xmlns": OSP, "version": "0.1"})
     for tag, text in (("BaseStepSize", repr(min(steps.values()))), ("Algorithm", "fixedStep")):
         ElementTree.SubElement(root, tag).text = text
@@ -175,9 +175,9 @@ def write_system_structure(
                 ElementTree.SubElement(where, found.kind, {"value": text})
     wires = ElementTree.SubElement(root, "Connections")
     for source, target in connections:
-        (begin, output), (end, input_) = split(source), split(target)
-        for a, b in zip(variables[begin][output].names, variables[end][input_].names, strict=True):
+        (start, output), (end, input_) = split(source), split(target)
+        for a, b in zip(variables[start][output].names, variables[end][input_].names, strict=True):
             wire = ElementTree.SubElement(wires, "VariableConnection")
-            ElementTree.SubElement(wire, "Variable", {"simulator": begin, "name": a})
+            ElementTree.SubElement(wire, "Variable", {"simulator": start, "name": a})
             ElementTree.SubElement(wire, "Variable", {"simulator": end, "name": b})
     ElementTree.ElementTree(root).write(path, "utf-8", xml_declaration=True)

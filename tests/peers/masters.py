@@ -1,4 +1,4 @@
-"""All masters that are compared, each with the exchange rule that it follows; and our own master as a record of the same form."""
+"""The compared masters and their exchange rules; a record of our master in the same form."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ class Peer:
     versions: tuple[int, ...]
     rule: Rule
     order: tuple[str, ...] = CONTROLLERS_FIRST
-    """In which it is given the FMUs: a container initialises, and steps if sequential, in this order."""
+    """Order of the FMUs; a container initialises and, if sequential, steps them in this order."""
     nests: bool = False
-    """A component of a slower step is in a container of its own, which comes before the others."""
+    """A component of a slower step is in a nested container, which is before the others."""
 
     @property
     def exchange(self) -> Exchange:
         return "sequential" if self.rule.sequential else "parallel"
 
     def fmus(self, version: int, base_step: float) -> dict[str, Path]:
-        """By name, in the order in which the peer takes them."""
+        """Return the FMUs by name, in the peer's order."""
         paths = closed_loop.fmus(version)
         slow = ["base_controller"] if self.nests and base_step > 0.001 else []
         return {
@@ -48,7 +48,7 @@ class Peer:
         }
 
     def rule_for(self, fmus: Mapping[str, Path]) -> Rule:
-        """A container initialises its components in the order in which it has them."""
+        """Return the rule with the initial order of the container's components."""
         return (
             replace(self.rule, initial_order=tuple(fmus)) if self.rule.initial_order else self.rule
         )
@@ -76,7 +76,7 @@ PEERS = {
 def arguments(
     base_step: float, stop: float, *, moving: bool = True, **options: object
 ) -> tuple[object, ...]:
-    """What every peer's `run` takes after the FMUs."""
+    """Return the arguments of every peer's `run` after the FMUs."""
     values = closed_loop.start_values(moving=moving, **options)  # type: ignore[arg-type]
     return (
         closed_loop.connections(),
@@ -110,7 +110,7 @@ def own_master(
 def difference(
     a: Mapping[str, Array], b: Mapping[str, Array], signals: Sequence[str] = closed_loop.RECORDED
 ) -> float:
-    """The largest, over the instants that both records have."""
+    """Return the largest difference over the instants that both records contain."""
     _, in_a, in_b = np.intersect1d(
         np.round(a["time"] * 1e3), np.round(b["time"] * 1e3), return_indices=True
     )
@@ -119,7 +119,7 @@ def difference(
 
 
 def before_the_instant(record: Mapping[str, Array]) -> dict[str, Array]:
-    """A sequential record as peers write theirs: at an instant they show controllers as sampled one step earlier."""
+    """Shift a sequential record to the peers' form: controllers as sampled one step earlier."""
     shifted = {
         signal: values[:-1]
         for signal, values in record.items()

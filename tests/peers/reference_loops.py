@@ -1,9 +1,11 @@
-"""Two exchange rules, written out with FMPy's slaves, to tell by comparison which one a peer follows.
+"""Two exchange rules with FMPy's slaves; the comparison shows which rule a peer follows.
 
-parallel:   all due components take what the sources show; all step; then all show what they have.
-sequential: one due component after the other, in the order of `fmus`, takes its inputs, steps, and shows what it has at once.
+parallel:   all due components take their inputs; all step; then all outputs become visible.
+sequential: one due component after the other, in the order of `fmus`, takes its inputs and steps;
+            its outputs are visible immediately.
 
-Row k of a record is what every source shows at time k * smallest step, before anything happens at that instant.
+Row k of a record contains the visible outputs at time k * smallest step, before any operation of
+that instant.
 """
 
 from __future__ import annotations
@@ -18,13 +20,15 @@ from slaves import Array, Connection, Slave, StartValues, split, ticks, times
 
 @dataclass(frozen=True)
 class Rule:
+    """An exchange rule: sequential or parallel, initialisation, delay of slow components."""
+
     sequential: bool = False
     rounds: int = 0
-    """How often, within initialisation mode, all outputs are read and then all inputs set."""
+    """Number of rounds in initialisation mode: all outputs are read, then all inputs are set."""
     initial_order: tuple[str, ...] = ()
-    """If given: components initialised one after the other, each with the outputs of those before it."""
+    """If not empty: each component is initialised with the outputs of those before it."""
     late: bool = False
-    """A component slower than the others shows a step when that step ends; if not, one smallest step after it has begun."""
+    """A slow component's outputs become visible at the end of its step, else after one tick."""
     zero_inputs: bool = False
     """Connected inputs are zero in the first step."""
 
@@ -38,6 +42,7 @@ def run(
     recorded: Sequence[str],
     rule: Rule,
 ) -> dict[str, Array]:
+    # The slaves, and the names of their connected or recorded signals.
     size, ratios, count = ticks(steps, stop)
     slaves = {name: Slave(name, path) for name, path in fmus.items()}
     sources = sorted({source for source, _ in connections} | set(recorded))
@@ -45,7 +50,8 @@ def run(
     inputs = {
         name: [(s, split(t)[1]) for s, t in connections if split(t)[0] == name] for name in fmus
     }
-    shown: dict[str, Array] = {}
+    # Outputs that inputs and record get, and outputs of the last step.
+    visible: dict[str, Array] = {}
     made: dict[str, dict[str, Array]] = {}
 
     def read(name: str) -> dict[str, Array]:
@@ -53,52 +59,54 @@ def run(
 
     def read_all() -> None:
         for name in slaves:
-            shown.update(read(name))
+            visible.update(read(name))
 
-    def give(names: Iterable[str], scale: float = 1.0) -> None:
+    def write_inputs(names: Iterable[str], scale: float = 1.0) -> None:
         for name in names:
             for source, target in inputs[name]:
-                if source in shown:
-                    slaves[name].set(target, scale * shown[source])
+                if source in visible:
+                    slaves[name].set(target, scale * visible[source])
 
-    def show(names: Iterable[str], k: int) -> None:
+    def publish(names: Iterable[str], k: int) -> None:
         for name in names:
             if (k + 1 if rule.late else k) % ratios[name] == 0:
-                shown.update(made[name])
+                visible.update(made[name])
 
+    # Initialisation by the rule.
     try:
         for name, slave in slaves.items():
             slave.enter_initialization(start_values.get(name, {}))
         for _ in range(rule.rounds):
             read_all()
-            give(slaves)
+            write_inputs(slaves)
         for name in rule.initial_order or slaves:
             if rule.initial_order:
-                give([name])
+                write_inputs([name])
             slaves[name].exit_initialization()
             if rule.initial_order:
-                shown.update(read(name))
+                visible.update(read(name))
         read_all()
-        record = {signal: np.empty((count + 1, shown[signal].size)) for signal in recorded}
+        # Steps by the rule.
+        record = {signal: np.empty((count + 1, visible[signal].size)) for signal in recorded}
         record["time"] = times(0, count, size)
         for k in range(count + 1):
             for signal in recorded:
-                record[signal][k] = shown[signal]
+                record[signal][k] = visible[signal]
             if k == count:
                 break
             due = [name for name in slaves if k % ratios[name] == 0]
             if not rule.sequential:
-                give(due, 0.0 if rule.zero_inputs and k == 0 else 1.0)
+                write_inputs(due, 0.0 if rule.zero_inputs and k == 0 else 1.0)
             for name in slaves:
                 if name in due:
                     if rule.sequential:
-                        give([name])
+                        write_inputs([name])
                     slaves[name].step(k * size, ratios[name] * size)
                     made[name] = read(name)
                 if rule.sequential:
-                    show([name], k)
+                    publish([name], k)
             if not rule.sequential:
-                show(slaves, k)
+                publish(slaves, k)
         return record
     finally:
         for slave in slaves.values():

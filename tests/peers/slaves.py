@@ -1,4 +1,4 @@
-"""What every peer needs of an FMU: its variables as arrays, whatever the FMI version, and FMPy's slave behind one interface."""
+"""FMUs for the peers: variables as arrays in both FMI versions, and FMPy's slaves as one class."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ StartValues = Mapping[str, Mapping[str, Value]]
 
 @dataclass(frozen=True)
 class Variable:
-    """In FMI 2.0 an array has an element name and a reference for every element, in FMI 3.0 one of its own."""
+    """An array has a name and a reference per element in FMI 2.0, and one of each in FMI 3.0."""
 
     kind: str
     size: int
@@ -46,10 +46,10 @@ def read_variables(path: Path, *, validate: bool = True) -> tuple[Any, dict[str,
         kind = {"Float64": "Real", "Int32": "Integer", "Int64": "Integer"}.get(
             group[0].type, group[0].type
         )
-        words = (
-            [word for v in group for word in str(v.start or "").split()] if kind == "Real" else []
+        items = (
+            [item for v in group for item in str(v.start or "").split()] if kind == "Real" else []
         )
-        start = tuple(float(word) for word in words) if len(words) == size else None
+        start = tuple(float(item) for item in items) if len(items) == size else None
         found[name] = Variable(
             kind, size, tuple(v.name for v in group), tuple(v.valueReference for v in group), start
         )
@@ -66,13 +66,13 @@ def split(signal: str) -> tuple[str, str]:
 
 
 def elements(value: Value, size: int) -> list[Any]:
-    """One number for every element; a single one is given to all."""
+    """Return one number per element; a single value is repeated."""
     items = list(value) if isinstance(value, Sequence) else [value]
     return items * size if len(items) == 1 else items
 
 
 def ticks(steps: Mapping[str, float], stop: float) -> tuple[float, dict[str, int], int]:
-    """The smallest step, every step as a multiple of it, and the number of smallest steps."""
+    """Return the smallest step, all steps as multiples of it, and the number of smallest steps."""
     smallest = min(steps.values())
     return (
         smallest,
@@ -132,7 +132,7 @@ class Slave:
         self._fmu.doStep(currentCommunicationPoint=time, communicationStepSize=size)
 
     def close(self) -> None:
-        with contextlib.suppress(FMICallException):  # a failed instance may refuse to be terminated
+        with contextlib.suppress(FMICallException):  # a failed instance may reject terminate()
             self._fmu.terminate()
         self._fmu.freeInstance()
         shutil.rmtree(self._directory, ignore_errors=True)

@@ -1,4 +1,7 @@
-"""What other masters do with the closed loop, measured, as the Markdown tables of docs/peers.md: `python tests/peers/table.py | grep '^|'` (peers print, too)."""
+"""Measured results of other masters, as the Markdown tables of docs/peers.md.
+
+Usage: python tests/peers/table.py | grep '^|'   (the peers print, too)
+"""
 
 from __future__ import annotations
 
@@ -16,19 +19,21 @@ STOP = 21.0
 
 
 def errors(record: Mapping[str, Array]) -> str:
-    """Largest hand and base position errors, in mm."""
-    hand = np.linalg.norm(
+    """Return the largest position errors of end-effector and base [mm]."""
+    end_effector = np.linalg.norm(
         record["free_flyer.end_effector_position"] - record["reference_trajectory.position"], axis=1
     )
     base = np.linalg.norm(record["free_flyer.base_position"], axis=1)
-    return f"{np.nanmax(hand) * 1e3:.3f} / {np.nanmax(base) * 1e3:.3f}"
+    return f"{np.nanmax(end_effector) * 1e3:.3f} / {np.nanmax(base) * 1e3:.3f}"
 
 
 def main() -> None:
+    """Print both tables."""
     print(
-        "| master | FMI | base controller's step | from its rule | from ours, sequential | from ours, parallel | hand / base error [mm] |"
+        "| master | FMI | base controller's step | from its rule | from ours, sequential | from ours, parallel | end-effector / base error [mm] |"
     )
     print("|---|---|---|---|---|---|---|")
+    # Difference of every master from its rule and from ours.
     for base_step in (0.001, 0.3):
         for version in (2, 3):
             sequential = own_master(version, "sequential", base_step, STOP, moving=False)
@@ -52,8 +57,9 @@ def main() -> None:
                     f"| {name} | {version} | {base_step:g} s | {away:.1e} | {both} | {errors(record)} |",
                     flush=True,
                 )
+    # Largest stable period for three delays of the base wrench.
     print()
-    print("| T_b | without PC, at once (sequential) | one T_m late | a whole T_b late |")
+    print("| T_b | without PC, same instant (sequential) | delayed by T_m | delayed by T_b |")
     print("|---|---|---|---|")
     for period in (0.02, 0.05, 0.08, 0.1, 0.12, 0.15, 0.2, 0.25, 0.3):
         cells = []
@@ -66,9 +72,7 @@ def main() -> None:
                 options = arguments(step, STOP, period=period, base_passivity_control=False)
                 record = reference_loops.run(closed_loop.fmus(2), *options, rule)
                 cells.append(errors(record))
-            except (
-                FMICallException
-            ):  # the loop has diverged until a block's equations no longer hold
+            except FMICallException:  # diverged beyond the validity of a block's equations
                 cells.append("diverges")
         print(f"| {period:g} s | {' | '.join(cells)} |", flush=True)
 

@@ -1,4 +1,4 @@
-"""The closed loop in other FMI masters: the same numbers as in ours under the same exchange rule."""
+"""The closed loop in other FMI masters: equal results under the same exchange rule."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ ONE_OF_EACH = [(name, peer.versions[0]) for name, peer in PEERS.items()]
 
 @pytest.mark.parametrize("moving", family([True, False]))
 @pytest.mark.parametrize(("name", "version"), RUNS)
-def test_all_at_one_step_a_peer_gives_our_numbers(name: str, version: int, moving: bool) -> None:
-    """Every slave stepped at T_m; `moving`: from beside the equilibrium, so that the initial exchange leaves a trace."""
+def test_a_peer_with_equal_steps_gives_our_results(name: str, version: int, moving: bool) -> None:
+    """Every step is T_m. With `moving`, the initial exchange affects the result."""
     peer = PEERS[name]
     theirs = peer.run(peer.fmus(version, 0.001), *arguments(0.001, 2.0, moving=moving))
     ours = own_master(version, peer.exchange, 0.001, 2.0, moving=moving)
@@ -27,7 +27,7 @@ def test_all_at_one_step_a_peer_gives_our_numbers(name: str, version: int, movin
 
 
 @pytest.mark.parametrize("version", family([3, 2]))
-def test_a_plain_loop_over_fmpys_slaves_gives_our_numbers(version: int) -> None:
+def test_a_plain_loop_with_fmpys_slaves_gives_our_results(version: int) -> None:
     sequential = reference_loops.run(
         closed_loop.fmus(version), *arguments(0.001, 2.0), Rule(sequential=True)
     )
@@ -42,10 +42,10 @@ def test_a_plain_loop_over_fmpys_slaves_gives_our_numbers(version: int) -> None:
 
 
 @pytest.mark.parametrize(("name", "version"), family(RUNS, ONE_OF_EACH))
-def test_with_a_slow_slave_a_peer_follows_the_rule_that_the_docs_give(
+def test_a_peer_with_a_slow_slave_follows_its_documented_exchange_rule(
     name: str, version: int
 ) -> None:
-    """docs/peers.md: at T_b steps masters differ by their own rules."""
+    """docs/peers.md: with steps of T_b, masters differ by their exchange rules."""
     peer, options = PEERS[name], arguments(0.3, 2.0)
     fmus = peer.fmus(version, 0.3)
     assert (
@@ -56,8 +56,8 @@ def test_with_a_slow_slave_a_peer_follows_the_rule_that_the_docs_give(
     )
 
 
-def test_the_rules_are_not_the_same() -> None:
-    """Otherwise the agreements above would say nothing."""
+def test_the_exchange_rules_give_different_results() -> None:
+    """The agreement with a rule is significant only if the rules differ."""
     fmus = closed_loop.fmus(2)
     records = [
         reference_loops.run(fmus, *arguments(0.3, 2.0), rule)
@@ -68,8 +68,11 @@ def test_the_rules_are_not_the_same() -> None:
 
 
 @pytest.mark.slow
-def test_a_wrench_that_comes_a_whole_period_late_makes_the_loop_unstable() -> None:
-    """Without the base's passivity control, T_b = 0.15 s: libcosim's own rule. ecos, which hands outputs on early, holds it."""
+def test_a_base_wrench_delayed_by_a_whole_period_makes_the_loop_unstable() -> None:
+    """T_b = 0.15 s without the base's passivity control: unstable with libcosim's rule.
+
+    The loop is stable with ecos, which forwards outputs earlier.
+    """
     options = arguments(0.15, 20.0, period=0.15, base_passivity_control=False)
     fmus = closed_loop.fmus(2)
     with pytest.raises(libcosim_peer.LibcosimError, match=r"smallest singular value|not finite"):

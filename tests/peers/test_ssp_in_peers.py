@@ -1,4 +1,4 @@
-"""Our SSP files in the peers that read them, and an SSP file made by others in our master."""
+"""Our SSP files in the peers that read them, and a third-party SSP file in our master."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def exported(path: Path, base_step: float) -> Path:
 
 @pytest.mark.parametrize("base_step", [0.001, 0.3])
 def test_libcosim_runs_our_ssp_with_both_periods(tmp_path: Path, base_step: float) -> None:
-    """A slow slave's outputs come a whole step of its own late there: as in our parallel exchange."""
+    """libcosim forwards a slow slave's outputs at the end of a step, like our parallel exchange."""
     fmus = closed_loop.fmus(2)
     record = libcosim_peer.run_ssp(
         exported(tmp_path / "a.ssp", base_step), fmus, 0.001, 2.1, closed_loop.RECORDED
@@ -42,7 +42,7 @@ def test_libcosim_runs_our_ssp_with_both_periods(tmp_path: Path, base_step: floa
 
 @pytest.mark.parametrize("base_step", family([0.3, 0.001]))
 def test_ecos_runs_our_ssp_with_both_periods(tmp_path: Path, base_step: float) -> None:
-    """A slow slave's outputs are let through one smallest step after its step has begun, whatever that step's size."""
+    """ecos forwards a slow slave's outputs one smallest step after the start of its step."""
     fmus = closed_loop.fmus(2)
     record = ecos_peer.run_ssp(
         exported(tmp_path / "a.ssp", base_step), fmus, 0.001, 2.1, closed_loop.RECORDED
@@ -89,7 +89,7 @@ class Spring(Fmi2Slave):
 
 
 def oscillator(folder: Path) -> Path:
-    """FMUs by PythonFMU, the system by pyssp-standard: nothing of ours is in it."""
+    """Write a third-party SSP file: FMUs by PythonFMU, the system by pyssp-standard."""
     from pyssp_standard.ssd import (
         Component,
         Connection,
@@ -102,6 +102,7 @@ def oscillator(folder: Path) -> Path:
     from pyssp_standard.ssp import SSP
     from pyssp_standard.ssv import SSV
 
+    # The FMUs.
     for name, source in (("mass", MASS), ("spring", SPRING)):
         (folder / f"{name}.py").write_text(source)
         command = [
@@ -128,6 +129,7 @@ def oscillator(folder: Path) -> Path:
         ]
         return made
 
+    # Parameters of the spring, then the system: both FMUs in a loop.
     with SSV(folder / "spring.ssv", mode="w") as values:
         values.name, values.version = "spring", "1.0"
         values.add_parameter("length", "Real", value="0.5", unit="m")
@@ -154,7 +156,7 @@ def oscillator(folder: Path) -> Path:
     return folder / "oscillator.ssp"
 
 
-def test_a_plain_ssp_by_others_runs_as_in_fmpy(tmp_path: Path) -> None:
+def test_a_plain_third_party_ssp_runs_as_in_fmpy(tmp_path: Path) -> None:
     from fmpy.ssp.simulation import simulate_ssp
     from fmpy.ssp.ssd import Parameter, ParameterSet
 
@@ -162,10 +164,10 @@ def test_a_plain_ssp_by_others_runs_as_in_fmpy(tmp_path: Path) -> None:
     chosen = ssp_read.read(path, tmp_path / "unpacked", step=0.01)
     ours = experiment.run(chosen).outcome.record
     assert ours.time[-1] == 1.0
-    # FMPy does not apply a file's parameter bindings: its user hands them over.
+    # FMPy does not apply the parameter bindings of a file: its user passes them.
     length = ParameterSet(parameters=[Parameter(name="spring.length", value="0.5")])
     theirs = simulate_ssp(str(path), stop_time=1.0, step_size=0.01, parameter_set=length)
-    for index in (50, 99):  # its rows show the end of the step that begins at their time
+    for index in (50, 99):  # FMPy's rows contain the end of the step that starts at their time
         assert ours["mass.position"][index + 1] == pytest.approx(
             theirs["mass.position"][index], abs=1e-12
         )

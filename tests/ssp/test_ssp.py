@@ -1,4 +1,4 @@
-"""SSP files: written to the standard, read back without loss, and whatever is wrong with one said in one sentence."""
+"""SSP files follow the standard and are read back without loss; errors are reported in one line."""
 
 from __future__ import annotations
 
@@ -48,11 +48,13 @@ def packed(version: int, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-# There and back
+# Export and import
 
 
 @pytest.mark.parametrize("name", family(SCENARIOS, 2))
-def test_what_comes_back_computes_the_same_bits(tmp_path: Path, version: int, name: str) -> None:
+def test_a_system_from_an_ssp_file_gives_a_bit_identical_record(
+    tmp_path: Path, version: int, name: str
+) -> None:
     path = tmp_path / f"{name}.ssp"
     changes = CHANGED if name == "multirate_passive" else ["stop_s=0.6"]
     export(name, path, version, changes)
@@ -75,12 +77,12 @@ def test_equal_systems_give_equal_files(packed: Path, version: int, tmp_path: Pa
     assert packed.read_bytes() == (tmp_path / "again.ssp").read_bytes()
 
 
-def test_the_exchange_rule_travels_too(tmp_path: Path) -> None:
+def test_the_exchange_rule_is_exported_and_imported(tmp_path: Path) -> None:
     export("multirate_passive", tmp_path / "a.ssp", 2, ["exchange=parallel"])
     assert ssp_read.read(tmp_path / "a.ssp", tmp_path / "u").exchange == "parallel"
 
 
-# The standard's own schemas
+# Schemas of the standard
 
 
 def schemas(version: int) -> Path:
@@ -95,7 +97,7 @@ def schemas(version: int) -> Path:
     return Path(found.origin).parent / folder
 
 
-def test_every_description_is_valid(packed: Path, version: int) -> None:
+def test_every_description_is_valid_against_the_schema(packed: Path, version: int) -> None:
     kinds = {".ssd": "SystemStructureDescription.xsd", ".ssv": "SystemStructureParameterValues.xsd"}
     checked = []
     with zipfile.ZipFile(packed) as archive:
@@ -109,7 +111,7 @@ def test_every_description_is_valid(packed: Path, version: int) -> None:
     assert sorted(checked) == [".ssd", ".ssv", ".ssv", ".ssv"]
 
 
-def test_the_description_tells_units_steps_and_delays(packed: Path) -> None:
+def test_the_description_contains_units_steps_and_delays(packed: Path) -> None:
     with zipfile.ZipFile(packed) as archive:
         text = archive.read(SSD).decode()
         assert "resources/free_flyer.fmu" in archive.namelist()
@@ -119,7 +121,7 @@ def test_the_description_tells_units_steps_and_delays(packed: Path) -> None:
     assert "freeflyer:Delayed" in text
 
 
-# Wrong files
+# Invalid files
 
 
 def changed(packed: Path, path: Path, old: str, new: str, entry: str = SSD) -> Path:
@@ -195,7 +197,7 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("old", "new", "sentence"), WRONG)
-def test_what_is_wrong_is_said(
+def test_an_invalid_file_is_rejected_with_its_reason(
     packed: Path,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
@@ -210,9 +212,7 @@ def test_what_is_wrong_is_said(
     assert not (tmp_path / "out").exists()
 
 
-def test_a_connection_that_cannot_be_kept_is_refused(
-    packed: Path, version: int, tmp_path: Path
-) -> None:
+def test_an_unsupported_connection_is_rejected(packed: Path, version: int, tmp_path: Path) -> None:
     one = '"base_position[1]"' if version == 2 else '"base_position"'
     for new, sentence in (
         (
@@ -230,7 +230,7 @@ def test_a_connection_that_cannot_be_kept_is_refused(
             ssp_read.read(path, tmp_path / "u")
 
 
-def test_a_parameter_that_no_fmu_has_and_a_boolean_that_is_none_are_refused(
+def test_an_unknown_parameter_and_an_invalid_boolean_are_rejected(
     packed: Path, tmp_path: Path
 ) -> None:
     entry = "resources/manipulator_controller.ssv"
@@ -247,7 +247,7 @@ def test_a_parameter_that_no_fmu_has_and_a_boolean_that_is_none_are_refused(
             ssp_read.read(path, tmp_path / "u")
 
 
-def test_options_without_effect_are_refused(
+def test_options_without_effect_are_rejected(
     packed: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert "--fmi belongs to scenarios" in run_command(capsys, "run", str(packed), "--fmi", "3")[1]
@@ -258,7 +258,7 @@ def test_options_without_effect_are_refused(
     )
 
 
-def test_an_archive_is_refused_that_leaves_its_directory_or_swells(
+def test_an_archive_with_an_outside_path_or_a_decompression_bomb_is_rejected(
     packed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refusal(path: Path) -> str:
@@ -279,14 +279,14 @@ def test_an_archive_is_refused_that_leaves_its_directory_or_swells(
     assert "70 MiB; 64 MiB are allowed" in refusal(bomb)
     bomb.write_bytes(
         bomb.read_bytes().replace(struct.pack("<I", 70 << 20), struct.pack("<I", 1000))
-    )  # a header that lies
+    )  # the header states a smaller size
     assert "SSP file" in refusal(bomb)
     monkeypatch.setattr(archives, "LARGEST", 1 << 10)
     assert "1 KiB are allowed" in refusal(packed)
     assert not list(tmp_path.parent.glob("evil"))
 
 
-def test_mistakes_in_the_arguments(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_invalid_arguments_are_rejected(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run_command(capsys, "export", "multirate_passive", "--out", str(tmp_path / "a.zip")) == (
         2,
         f"freeflyer: --out {tmp_path / 'a.zip'}: a file name that ends in .ssp is expected\n",
@@ -310,7 +310,7 @@ def test_mistakes_in_the_arguments(tmp_path: Path, capsys: pytest.CaptureFixture
     assert not (tmp_path / "a.ssp").exists()
 
 
-def test_the_two_commands_as_a_user_types_them(
+def test_export_and_run_work_on_the_command_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "loop.ssp"

@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from freeflyer.cli.run import result_table, verdict
-from freeflyer.foundation.errors import BAD_INPUT, DONE, STOPPED, complain
+from freeflyer.foundation.errors import BAD_INPUT, DONE, STOPPED, report_error
 from freeflyer.foundation.interrupts import interrupts
 from freeflyer.foundation.output_file import check_writable, folder, write_text
 from freeflyer.scenario import experiment, scenario
@@ -170,7 +170,7 @@ class FacilityCommand:
         console.print(times_table(report["times"]))
         console.print(counts_table(report["devices"]))
         if outcome.failed or outcome.diverged:
-            return complain(f"the facility's model failed: {outcome.cause}", STOPPED)
+            return report_error(f"the facility's model failed: {outcome.cause}", STOPPED)
         return DONE
 
 
@@ -194,7 +194,7 @@ def _check(chosen: Scenario, arguments: argparse.Namespace, console: Console) ->
         console.print(sentence, soft_wrap=True)
     refusals = [looked.refusal for looked in found.values() if looked.refusal]
     for refusal in refusals:
-        complain(refusal, BAD_INPUT)
+        report_error(refusal, BAD_INPUT)
     if refusals:
         return BAD_INPUT
     console.print(

@@ -50,7 +50,7 @@ class CommandWriting:
 
     def after(self, k: int) -> None:
         for device in self._in_order:
-            self._master.hand_over(device.name)
+            self._master.write_inputs_now(device.name)
             guarded(device, device.write)
 
 

@@ -24,14 +24,14 @@ from freeflyer.master.record import Record
 
 AXES = ("x", "y", "z", "about x", "about y", "about z")
 ENTRIES = (
-    # key in energy_audit.json, words, field of Port, sign in the sum
-    ("feed_forward", "feed-forward, as held", "feed_forward", 1.0),
-    ("reference", "law on the desired motion", "reference", 1.0),
-    ("multi_rate", "multi-rate: true F_B less the held one", "stale", 1.0),
-    ("virtual", "virtual: made by sampling the law", "virtual", 1.0),
-    ("spring", "stored in the law's spring", "stored", -1.0),
-    ("damping", "dissipated by the law's damping", "dissipated", -1.0),
-    ("passivity_controller", "taken by the passivity controller", "taken", -1.0),
+    # key in energy_audit.json, label, field of Port, sign in the sum
+    ("feed_forward", "feed-forward (held)", "feed_forward", 1.0),
+    ("reference", "control law on the desired motion", "reference", 1.0),
+    ("multi_rate", "multi-rate: true F_B minus held F_B", "stale", 1.0),
+    ("virtual", "virtual: from sampling the control law", "virtual", 1.0),
+    ("spring", "stored in the control law's spring", "stored", -1.0),
+    ("damping", "dissipated by the control law's damping", "dissipated", -1.0),
+    ("passivity_controller", "absorbed by the passivity controller", "taken", -1.0),
 )
 
 
@@ -71,11 +71,11 @@ def _path(text: str) -> Path:
 
 
 def read(path: Path) -> Record:
-    """A record that says what it came from; `path` is its file or its directory. Raises RecordError."""
+    """Read a record with provenance from its file or its directory. Raises RecordError."""
     file = path / "record.parquet" if path.is_dir() else path
     try:
         if not file.is_file():
-            raise RecordError(_nothing_there(path))
+            raise RecordError(_missing(path))
         record = Record.read(file)
     except (OSError, pa.ArrowException, ValueError, TypeError, LookupError) as error:
         reason = getattr(error, "strerror", None) or " ".join(str(error).split())
@@ -84,12 +84,13 @@ def read(path: Path) -> Record:
         ) from error
     if record.provenance is None:
         raise RecordError(
-            f"{file} does not say which system it came from; a record that this version of `freeflyer run` has written is expected"
+            f"{file} does not contain its provenance; a record that this version of `freeflyer run` has written is expected"
         )
     return record
 
 
-def _nothing_there(path: Path) -> str:
+def _missing(path: Path) -> str:
+    """Return the message for a path without a record, with the records in its subdirectories."""
     if not path.exists():
         return f"{path} does not exist; a directory that `freeflyer run` has written, or its record.parquet, is expected"
     inside = sorted(run.parent.name for run in path.glob("*/record.parquet"))
@@ -100,7 +101,10 @@ def _nothing_there(path: Path) -> str:
 
 
 def numbers(audit: Audit) -> dict[str, Any]:
-    """The contract of energy_audit.json: energies [J] from the first row to the last, given to the robot if positive."""
+    """Return the contents of energy_audit.json.
+
+    Energies [J] are from the first row to the last; positive energy flows into the robot.
+    """
     loop, balance = audit.loop, audit.balance
     ports = {"B": audit.base, "M": audit.manipulator}
     return {
@@ -116,7 +120,7 @@ def numbers(audit: Audit) -> dict[str, Any]:
                 "largest_power_w": float(np.abs(port.power).max()),
                 "work_j": _last(port.work),
                 **{f"{key}_j": _signed(port, field, sign) for key, _, field, sign in ENTRIES},
-                "observer": _belief(audit, port),
+                "observer": _observation(audit, port),
             }
             for name, port in ports.items()
         },
@@ -143,45 +147,57 @@ def _signed(port: Port, field: str, sign: float) -> float:
     return 0.0 + sign * _last(getattr(port, field))
 
 
-def _belief(audit: Audit, port: Port) -> dict[str, Any]:
-    """What one observer said, and what was so: at every row but the last, whose sample was never taken."""
-    believed, true = port.believed[:-1], port.absorbed[:-1]
-    row, axis = np.unravel_index(int(np.argmin(believed)), believed.shape)
+def _observation(audit: Audit, port: Port) -> dict[str, Any]:
+    """Return the observed and the true energy of a port.
+
+    The last row is left out, because the observer takes no sample there.
+    """
+    observed, true = port.believed[:-1], port.absorbed[:-1]
+    row, axis = np.unravel_index(int(np.argmin(observed)), observed.shape)
     return {
-        "sum_at_end_j": float(believed[-1].sum()),
+        "sum_at_end_j": float(observed[-1].sum()),
         "true_sum_at_end_j": float(true[-1].sum()),
-        "least_j": float(believed[row, axis]),
+        "least_j": float(observed[row, axis]),
         "least_at_s": float(audit.time[row]),
         "least_of": AXES[axis],
         "true_least_j": float(true.min()),
-        "largest_gap_of_sum_j": float(np.abs((believed - true).sum(axis=1)).max()),
+        "largest_gap_of_sum_j": float(np.abs((observed - true).sum(axis=1)).max()),
     }
 
 
 def table(audit: Audit) -> Table:
-    """What was given to the robot, port by port; each column adds up."""
+    """Return the table of the energy that flowed into the robot, per port; each column adds up."""
     loop, balance = audit.loop, audit.balance
     shown = Table(
-        title=f"Energy given to the robot [J]: {loop.provenance.scenario}, {audit.time[0]:g} s to {audit.time[-1]:g} s",
+        title=f"Energy into the robot [J]: {loop.provenance.scenario}, {audit.time[0]:g} s to {audit.time[-1]:g} s",
         title_justify="left",
     )
     for header in ("", "port B", "port M", "both"):
         shown.add_column(header, justify="right" if header else "left")
 
-    def row(name: str, at_base: float | None, at_hand: float | None, both: float) -> None:
+    def row(name: str, at_base: float | None, at_end_effector: float | None, both: float) -> None:
         shown.add_row(
-            name, *("" if value is None else f"{value:.4g}" for value in (at_base, at_hand, both))
+            name,
+            *(
+                "" if value is None else f"{value:.4g}"
+                for value in (at_base, at_end_effector, both)
+            ),
         )
 
-    for _, words, field, sign in ENTRIES:
-        at_base, at_hand = _signed(audit.base, field, sign), _signed(audit.manipulator, field, sign)
-        row(words, at_base, at_hand, at_base + at_hand)
+    # The entries of each port and their sum.
+    for _, label, field, sign in ENTRIES:
+        at_base, at_end_effector = (
+            _signed(audit.base, field, sign),
+            _signed(audit.manipulator, field, sign),
+        )
+        row(label, at_base, at_end_effector, at_base + at_end_effector)
     shown.add_section()
     works = _last(audit.base.work), _last(audit.manipulator.work)
     row("work at the port", *works, sum(works))
+    # The balance of the whole robot, which has no columns per port.
     if balance is not None:
         if np.any(balance.others):
-            row("work of others on the robot", None, None, _last(balance.others))
+            row("work of other forces on the robot", None, None, _last(balance.others))
         row("kinetic energy, change", None, None, _last(balance.kinetic))
         row(
             "residual of the ports, largest",
@@ -190,7 +206,7 @@ def table(audit: Audit) -> Table:
             float(np.abs(balance.residual_of_ports).max()),
         )
         row(
-            "residual of what is held (F_b, tau), largest",
+            "residual of the held (F_b, tau), largest",
             None,
             None,
             float(np.abs(balance.residual_of_held).max()),
@@ -200,23 +216,24 @@ def table(audit: Audit) -> Table:
 
 
 def observers(audit: Audit) -> Table:
+    """Return the table of observed and true energies."""
     shown = Table(
-        title=f"What the observers believed [J]: {audit.loop.observer!r}, E(0) included",
+        title=f"Observed energy [J]: observer {audit.loop.observer!r}, E(0) included",
         title_justify="left",
     )
     for header in ("", "port B", "port M"):
         shown.add_column(header, justify="right" if header else "left")
-    beliefs = [_belief(audit, port) for port in (audit.base, audit.manipulator)]
-    for words, key in (
+    observations = [_observation(audit, port) for port in (audit.base, audit.manipulator)]
+    for label, key in (
         ("sum at the end", "sum_at_end_j"),
-        ("sum at the end, in truth", "true_sum_at_end_j"),
+        ("true sum at the end", "true_sum_at_end_j"),
         ("least of a degree of freedom", "least_j"),
-        ("least, in truth", "true_least_j"),
-        ("sum's largest distance from the truth", "largest_gap_of_sum_j"),
+        ("true least of a degree of freedom", "true_least_j"),
+        ("largest error of the sum", "largest_gap_of_sum_j"),
     ):
-        shown.add_row(words, *(f"{belief[key]:.4g}" for belief in beliefs))
+        shown.add_row(label, *(f"{observed[key]:.4g}" for observed in observations))
     shown.add_row(
-        "the least is that of, at",
-        *(f"{belief['least_of']}, {belief['least_at_s']:g} s" for belief in beliefs),
+        "degree of freedom and time of the least",
+        *(f"{observed['least_of']}, {observed['least_at_s']:g} s" for observed in observations),
     )
     return shown

@@ -1,4 +1,4 @@
-"""What a command prints to."""
+"""The console of all commands."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from rich.console import Console
 
 
 class PlainConsole(Console):
-    """A console that goes silent, instead of ending the command, when its reader has gone."""
+    """A console that discards its output after a broken pipe, instead of ending the command."""
 
     def on_broken_pipe(self) -> None:
         self.quiet = True

@@ -1,4 +1,4 @@
-"""`freeflyer export`."""
+"""The command `freeflyer export`."""
 
 from __future__ import annotations
 

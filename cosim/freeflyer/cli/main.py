@@ -1,7 +1,7 @@
-"""The command `freeflyer`: finds the subcommand, and loads that one alone.
+"""The command `freeflyer`: finds the subcommand and loads only that one.
 
-Nothing heavy is imported before a subcommand is known, so that `freeflyer --help` answers at once and an interrupt during the
-imports is an orderly end too.
+Large packages are imported after the subcommand is known. `freeflyer --help` is then fast, and an
+interrupt during the imports ends the command in order.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from importlib import import_module
 from typing import TYPE_CHECKING, NoReturn, Protocol
 
-from freeflyer.foundation.errors import BAD_INPUT, STOPPED, CosimError, complain
+from freeflyer.foundation.errors import BAD_INPUT, STOPPED, CosimError, report_error
 from freeflyer.foundation.interrupts import ENDING
 from freeflyer.foundation.plugins import load, plugins
 
@@ -23,15 +23,18 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 GROUP = "freeflyer.commands"
-"""Entry points of other packages' commands: NAME = "MODULE:CALLABLE" gives a `Command`, whose line of help is its `help`."""
+"""Entry points of other packages' commands.
+
+NAME = "MODULE:CALLABLE" returns a `Command`. Its attribute `help` is its line in the general help.
+"""
 COMMANDS: Mapping[str, tuple[str, str]] = {
     "audit": (
         "freeflyer.cli.audit:AuditCommand",
-        "where the energy of a recorded run entered and went, and what the observers believed",
+        "energy audit of a recorded run: sources, sinks, and observed against true energy",
     ),
     "certificates": (
         "freeflyer_adapters.cli.certificates:CertificatesCommand",
-        "make an authority, and a certificate and key for each end of the base robot's link",
+        "create a certificate authority, and a certificate and key for each end of the base robot's link",
     ),
     "export": (
         "freeflyer.cli.export:ExportCommand",
@@ -39,7 +42,7 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     ),
     "facility": (
         "freeflyer_adapters.cli.hil:FacilityCommand",
-        "play a scenario's facility: its arm and base robot as models behind their real protocols",
+        "simulate a scenario's facility: models of arm and base robot behind their real protocols",
     ),
     "fmus": (
         "freeflyer_fmus.cli:FmusCommand",
@@ -55,11 +58,11 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     ),
     "recover": (
         "freeflyer_adapters.cli.recover:RecoverCommand",
-        "make whole files of an unfinished or damaged recording, CAN log, or of what a killed loop has left in memory",
+        "restore files from an unfinished or damaged recording or CAN log, or from the memory of a killed loop",
     ),
     "reproduce": (
         "freeflyer.paper.command:ReproduceCommand",
-        "every experiment of the paper: figures, a table beside the paper's statements, a report page, summary.json",
+        "every experiment of the paper: figures, comparison with the paper's statements, report page, summary.json",
     ),
     "run": (
         "freeflyer.cli.run:RunCommand",
@@ -70,51 +73,55 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
         "many runs of one scenario on Dask: grids and random designs, as one table",
     ),
 }
-"""This distribution's commands by name: where the class is, and its line in `freeflyer --help`."""
+"""Commands of this distribution: class, and line in `freeflyer --help`."""
 
 
 class Command(Protocol):
+    """A subcommand: it adds its arguments to a parser, and returns its exit code after a run."""
+
     def configure(self, parser: argparse.ArgumentParser) -> None: ...
 
     def execute(self, arguments: argparse.Namespace, console: Console) -> int: ...
 
 
 def main() -> int:
-    """The process's entry point. SIGTERM, and the end of its terminal, end a command as Ctrl-C does."""
+    """Run the process. SIGTERM, and SIGHUP from the terminal, end a command like Ctrl-C."""
     try:
         for number in ENDING:
             if number != signal.SIGINT and signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, _interrupt)
         return call(sys.argv[1:])
     except KeyboardInterrupt:
-        print("freeflyer: interrupted; what was written until now is whole", file=sys.stderr)
+        print("freeflyer: interrupted; the files written so far are complete", file=sys.stderr)
         return STOPPED
 
 
 def call(arguments: Sequence[str]) -> int:
-    """Run one command line. Exit codes: 0 done, 2 bad input, 3 the run stopped."""
-    # A path may hold bytes that are no text; a message about it must not fail for that.
+    """Run one command line. Return the exit code: 0 done, 2 bad input, 3 the run stopped."""
+    # A path may contain invalid UTF-8; a message about it must not fail.
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
+    # The general parser, without the arguments of the subcommands.
     parser = Parser(
         prog="freeflyer", description="Multi-rate co-simulation of a free-flying space robot."
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    # The subcommand, which is imported here.
     name = arguments[0] if arguments else ""
     try:
         command = _loaded(name) if name in COMMANDS or name in plugins(GROUP) else None
         if command is None:
             for listed, text in _listing(with_help=name.startswith(("-h", "--h"))):
                 subparsers.add_parser(listed, help=text)
-            parser.parse_args(arguments)  # exits: with the help, the version, or one sentence
+            parser.parse_args(arguments)  # exits with the help, the version or an error
             parser.error("a command is expected first")
         subparser = subparsers.add_parser(name, description=_help(name, command))
         with _one_sentence(name):
             command.configure(subparser)
     except CosimError as error:
-        return complain(str(error), error.exit_code)
+        return report_error(str(error), error.exit_code)
     parsed = parser.parse_args(arguments)
 
     from freeflyer.cli.console import PlainConsole
@@ -122,20 +129,20 @@ def call(arguments: Sequence[str]) -> int:
     try:
         return command.execute(parsed, PlainConsole(highlight=False, markup=False))
     except CosimError as error:
-        return complain(str(error), error.exit_code)
+        return report_error(str(error), error.exit_code)
     except OSError as error:
-        return complain(f"the output cannot be written: {error.strerror or error}", STOPPED)
+        return report_error(f"the output cannot be written: {error.strerror or error}", STOPPED)
 
 
 class Parser(argparse.ArgumentParser):
-    """Reports a mistake in the arguments in one sentence."""
+    """An argument parser whose error is one line, without the usage."""
 
     def error(self, message: str) -> NoReturn:
-        self.exit(BAD_INPUT, f"freeflyer: {message}; `{self.prog} --help` tells what is expected\n")
+        self.exit(BAD_INPUT, f"freeflyer: {message}; see `{self.prog} --help`\n")
 
 
 class _Version(argparse.Action):
-    """Looks the version up only when it is asked for."""
+    """The option `--version`: the version is read only if the option is given."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
         from importlib.metadata import version
@@ -144,7 +151,7 @@ class _Version(argparse.Action):
 
 
 def _loaded(name: str) -> Command:
-    """Load one subcommand. Raises CosimError for one of another package that cannot be loaded, whatever it raises."""
+    """Load one subcommand. Raises CosimError for any exception of another package."""
     with _one_sentence(name):
         if name not in COMMANDS:
             command: Command = load(plugins(GROUP)[name])()
@@ -159,8 +166,9 @@ def _help(name: str, command: Command) -> str:
 
 
 def _listing(*, with_help: bool) -> Iterator[tuple[str, str]]:
-    """Yield every subcommand and its line of help. For that line, commands of other packages are loaded; the line of one that cannot
-    be loaded is the reason.
+    """Yield the name of every subcommand and, `with_help`, its line of help.
+
+    The line of a third-party command that cannot be loaded is the reason.
     """
     others = plugins(GROUP)
     for name in sorted({*COMMANDS, *others}):
@@ -175,7 +183,7 @@ def _listing(*, with_help: bool) -> Iterator[tuple[str, str]]:
 
 @contextmanager
 def _one_sentence(name: str) -> Iterator[None]:
-    """Turn whatever another package's command raises into a CosimError; errors of our own commands pass."""
+    """Convert any exception of a third-party command to a CosimError; our own exceptions pass."""
     try:
         yield
     except Exception as error:

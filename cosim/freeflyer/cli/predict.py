@@ -45,7 +45,7 @@ class PredictCommand:
         parser.add_argument(
             "--along-trajectory",
             action="store_true",
-            help="also along the scenario's motion, and not only where it starts",
+            help="also along the scenario's motion, not only at its start",
         )
         parser.add_argument(
             "--out",
@@ -80,36 +80,36 @@ def milliseconds(time: float) -> str:
 
 
 def _print_set_point(prediction: Prediction, console: Console) -> None:
-    def say(text: str) -> None:
+    def print_line(text: str) -> None:
         console.print(text, soft_wrap=True)
 
-    say(
+    print_line(
         f"{prediction.scenario}: period T_b of {prediction.component}, from {milliseconds(prediction.tick_s)} to "
         f"{milliseconds(prediction.longest_s)}; at the set point, passivity controllers off"
     )
     if prediction.boundary is None:
-        say(
+        print_line(
             f"Largest stable T_b: {milliseconds(prediction.largest_stable_s)} or more: every period scanned is stable"
         )
     elif prediction.largest_stable_s == 0.0:
-        say(
+        print_line(
             "Largest stable T_b: none, the loop is unstable at the fast controllers' period already"
         )
     else:
-        say(f"Largest stable T_b: {milliseconds(prediction.largest_stable_s)}")
+        print_line(f"Largest stable T_b: {milliseconds(prediction.largest_stable_s)}")
     beyond = [
         interval for interval in prediction.stable_s if interval[0] > prediction.largest_stable_s
     ]
     for first, last in beyond:
-        say(f"Stable again: {milliseconds(first)} to {milliseconds(last)}")
+        print_line(f"Stable again: {milliseconds(first)} to {milliseconds(last)}")
     if prediction.boundary and prediction.limit:
-        say(f"Unstable mode: {prediction.boundary.words()}")
-        say(f"  at {_grows(prediction.boundary)}")
-        say(f"Limited by {prediction.limit.words()}")
-    say(f"The scenario's own T_b: at {_grows(prediction.own)}")
+        print_line(f"Unstable mode: {prediction.boundary.words()}")
+        print_line(f"  at {_grows(prediction.boundary)}")
+        print_line(f"Limited by {prediction.limit.words()}")
+    print_line(f"The scenario's own T_b: at {_grows(prediction.own)}")
     if prediction.neutral:
-        say(
-            f"{prediction.neutral} neutral: directions in which the loop lets the robot rest anywhere (null space, or no stiffness); "
+        print_line(
+            f"{prediction.neutral} neutral modes, without a restoring force (null space, or no stiffness): "
             f"they neither grow nor decay, and are left out"
         )
 
@@ -144,26 +144,26 @@ def _along(here: SetPoint, prediction: Prediction, console: Console) -> AlongTra
 
 
 def _print_along(along: AlongTrajectory, console: Console) -> None:
-    def say(text: str) -> None:
+    def print_line(text: str) -> None:
         console.print(text, soft_wrap=True)
 
-    say(
-        f"Along the trajectory, by Floquet's multipliers: of the product of the maps over {along.from_s:g} to {along.to_s:g} s, as if "
-        f"this motion repeated itself:"
+    print_line(
+        f"Along the trajectory, by the Floquet multipliers of the motion from {along.from_s:g} to {along.to_s:g} s, taken as "
+        f"periodic:"
     )
-    say(f"  largest stable T_b: {milliseconds(along.largest_stable_s)} (by bisection)")
-    say(
+    print_line(f"  largest stable T_b: {milliseconds(along.largest_stable_s)} (by bisection)")
+    print_line(
         f"  at {milliseconds(along.period_s)}: {along.growth_rate:+.3g} 1/s, {'unstable' if along.growth_rate >= 0.0 else 'stable'}"
     )
-    say(
-        f"  frozen in time, which decides nothing, the loop would be unstable {100 * along.frozen_unstable:.0f} % of the time, with at "
+    print_line(
+        f"  frozen in time (no criterion of stability): the loop is unstable {100 * along.frozen_unstable:.0f} % of the time, with at "
         f"most {along.frozen_growth_rate:+.3g} 1/s (at {along.frozen_at_s:g} s)"
     )
 
 
 def _write(prediction: Prediction, along: AlongTrajectory | None, directory: Path) -> None:
-    """prediction.json and prediction.png, each whole or not at all. Raises OutputError."""
+    """Write prediction.json and prediction.png. Raises OutputError."""
     summary = {**prediction.summary(), "along_trajectory": along and along.summary()}
-    with interrupts():  # a Ctrl-C that comes now waits until both are whole
+    with interrupts():  # Ctrl-C is deferred until both files are complete
         write_text(directory / "prediction.json", json.dumps(summary, indent=2) + "\n")
         prediction_plot.write(prediction, along, directory / "prediction.png")

@@ -1,4 +1,4 @@
-"""`freeflyer run`, and what other subcommands share with it."""
+"""The command `freeflyer run`, and functions that other commands share."""
 
 from __future__ import annotations
 
@@ -12,20 +12,24 @@ from typing import get_args
 from rich.console import Console
 from rich.table import Table
 
-from freeflyer.foundation.errors import DONE, STOPPED, ScenarioError, complain
+from freeflyer.foundation.errors import DONE, STOPPED, ScenarioError, report_error
 from freeflyer.foundation.output_file import check_writable, folder
 from freeflyer.scenario import experiment, scenario
 from freeflyer.scenario.experiment import Result
 from freeflyer.scenario.scenario import Scenario
 
-# What one subcommand alone uses is imported by it: SSP files and figures are not loaded for a run.
+# A subcommand imports its own dependencies: a run loads neither SSP files nor figures.
 
 SCENARIO_HELP = f"{', '.join(scenario.shipped())}, or a .toml file"
 
 
 @contextmanager
 def opened(name: str, overrides: Sequence[str], step: float | None) -> Iterator[Scenario]:
-    """A scenario by name, TOML file or SSP file; the FMUs of an SSP file are unpacked for as long."""
+    """Load a scenario by name, or from a TOML or SSP file. Raises CosimError.
+
+    The FMUs of an SSP file are unpacked while the context is open. `step` [s] is for its components
+    without a step.
+    """
     if not name.lower().endswith(".ssp"):
         if step is not None:
             raise ScenarioError(
@@ -50,7 +54,7 @@ class RunCommand:
             "--step",
             type=float,
             metavar="SECONDS",
-            help="of an .ssp file: communication step of components that have none there",
+            help="communication step of components without one in an .ssp file",
         )
         parser.add_argument(
             "--set",
@@ -69,7 +73,7 @@ class RunCommand:
             "--master",
             choices=get_args(experiment.Engine),
             default="core",
-            help="who steps the FMUs, with the same numbers: native code (default), or FMPy from Python",
+            help="master that steps the FMUs: native code (default) or Python with FMPy; the results are equal",
         )
         parser.add_argument(
             "--out", type=folder, metavar="DIR", help="default: freeflyer_out/SCENARIO"
@@ -77,7 +81,7 @@ class RunCommand:
 
     def execute(self, arguments: argparse.Namespace, console: Console) -> int:
         if arguments.fmi is not None and arguments.scenario.lower().endswith(".ssp"):
-            raise ScenarioError("--fmi belongs to scenarios; an .ssp file holds its own FMUs")
+            raise ScenarioError("--fmi belongs to scenarios; an .ssp file contains its own FMUs")
         with opened(arguments.scenario, arguments.overrides, arguments.step) as chosen:
             directory = arguments.out or Path("freeflyer_out") / chosen.name
             check_writable(directory)
@@ -95,6 +99,7 @@ class RunCommand:
 
 
 def result_table(result: Result) -> Table:
+    """Return the errors, observed energies and times of a run as a table for the console."""
     table = Table(title=result.scenario.title, title_justify="left")
     table.add_column("")
     table.add_column("maximum", justify="right")
@@ -120,24 +125,24 @@ def shown(value: float | None) -> str:
 
 
 def verdict(result: Result) -> int:
-    """Say how the run ended, where that is not as wished; give the exit code."""
+    """Report an end of the run that is not a plain completion; return the exit code."""
     outcome = result.outcome
     if outcome.interrupted:
-        return complain(
-            f"interrupted at {outcome.simulated:g} s; what was simulated is saved", STOPPED
+        return report_error(
+            f"interrupted at {outcome.simulated:g} s; the results up to then are saved", STOPPED
         )
     if outcome.failed:
-        return complain(
-            f"the run stopped at {outcome.simulated:g} s: {outcome.cause}; it is saved until there",
+        return report_error(
+            f"the run stopped at {outcome.simulated:g} s: {outcome.cause}; the results up to then are saved",
             STOPPED,
         )
     if outcome.diverged and result.as_expected:
         print(f"Diverged at {outcome.simulated:g} s, as this scenario expects ({outcome.cause})")
     elif outcome.diverged:
-        return complain(
-            f"the run diverged at {outcome.simulated:g} s and stopped: {outcome.cause}; it is saved until there",
+        return report_error(
+            f"the run diverged at {outcome.simulated:g} s and stopped: {outcome.cause}; the results up to then are saved",
             STOPPED,
         )
     elif not result.as_expected:
-        return complain("this scenario expects to diverge, but the run completed", STOPPED)
+        return report_error("this scenario expects to diverge, but the run completed", STOPPED)
     return DONE

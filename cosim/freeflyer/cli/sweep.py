@@ -1,4 +1,4 @@
-"""`freeflyer sweep`. Dask is imported when a sweep starts, not with every other command."""
+"""The command `freeflyer sweep`. Dask is imported only when a sweep starts."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from freeflyer.analysis.sweep import file as sweep_file
-from freeflyer.foundation.errors import DONE, STOPPED, ScenarioError, complain
+from freeflyer.foundation.errors import DONE, STOPPED, ScenarioError, report_error
 from freeflyer.foundation.output_file import folder
 
 if TYPE_CHECKING:
@@ -45,19 +45,19 @@ class SweepCommand:
         parser.add_argument(
             "--scheduler",
             metavar="ADDRESS",
-            help="a Dask scheduler, tcp://HOST:PORT (default: workers of this machine)",
+            help="a Dask scheduler, tcp://HOST:PORT (default: workers on this machine)",
         )
         parser.add_argument(
             "--workers",
             type=int,
             metavar="N",
-            help="workers of this machine (default: one for each core)",
+            help="number of workers on this machine (default: one per core)",
         )
         parser.add_argument(
             "--out",
             type=folder,
             metavar="DIR",
-            help="default: freeflyer_out/SWEEP; an unfinished sweep there goes on",
+            help="default: freeflyer_out/SWEEP; an unfinished sweep there is resumed",
         )
 
     def execute(self, arguments: argparse.Namespace, console: Console) -> int:
@@ -65,7 +65,7 @@ class SweepCommand:
             raise ScenarioError(f"--workers {arguments.workers}: at least one worker is expected")
         if arguments.workers is not None and arguments.scheduler is not None:
             raise ScenarioError(
-                "--workers are those of this machine; a scheduler has its own: give either --workers or --scheduler"
+                "--workers is for workers on this machine, and a scheduler has its own: give either --workers or --scheduler"
             )
         chosen = sweep_file.read(arguments.sweep, arguments.overrides)
 
@@ -85,7 +85,7 @@ class SweepCommand:
                 )
             ended = compute(plan, results, arguments.scheduler, arguments.workers, console)
             if ended is not None and ended.interrupted:
-                return complain(
+                return report_error(
                     f"interrupted after {len(results.runs)} of {len(plan)} runs; the same command goes on from there",
                     STOPPED,
                 )
@@ -96,7 +96,7 @@ class SweepCommand:
 def compute(
     plan: Plan, results: Results, scheduler: str | None, workers: int | None, console: Console
 ) -> Ended | None:
-    """What is not finished yet, with a bar where somebody watches; None if nothing is left to do."""
+    """Compute the unfinished runs; None if there are none. A terminal shows a progress bar."""
     if len(results.runs) == len(plan):
         return None
     from freeflyer.analysis.sweep import run as sweep
@@ -120,9 +120,10 @@ def compute(
 
 
 def report(plan: Plan, results: Results, console: Console) -> None:
-    """One table from all parts, the map if there is one, and what they say."""
+    """Write the table of all runs and the stability map; print the shares and the files."""
     from freeflyer.analysis.sweep import results as sweep_results
 
+    # The shares of each case.
     table = results.write()
     shares = Table(title=plan.sweep.title, title_justify="left")
     shares.add_column("case")
@@ -142,6 +143,7 @@ def report(plan: Plan, results: Results, console: Console) -> None:
     cause = sweep_results.frequent_failure(table)
     if cause:
         console.print(f"Most frequent failure: {cause}", soft_wrap=True)
+    # The map, if the sweep has one.
     written = [sweep_results.RESULTS]
     if plan.sweep.map is not None:
         from freeflyer.analysis.figure_style import save
@@ -158,7 +160,10 @@ def report(plan: Plan, results: Results, console: Console) -> None:
 
 
 def predicted(plan: Plan, figure: Map, console: Console) -> Mapping[str, tuple[Array, Array]]:
-    """The boundary by the linear loop, with a bar where somebody watches: about a second a point."""
+    """Compute the stability boundary from the linear loop, in about 1 s per point.
+
+    A terminal shows a progress bar.
+    """
     from freeflyer.analysis.sweep import boundary
 
     columns = (TextColumn("predicted boundary"), BarColumn(), MofNCompleteColumn())
@@ -167,10 +172,10 @@ def predicted(plan: Plan, figure: Map, console: Console) -> Mapping[str, tuple[A
     ) as bar:
         task = bar.add_task("", total=boundary.points(plan, figure))
 
-        def done(refused: str | None) -> None:
+        def done(note: str | None) -> None:
             bar.advance(task)
-            if refused:
-                console.print(f"Note: {refused}", soft_wrap=True)
+            if note:
+                console.print(f"Note: {note}", soft_wrap=True)
 
         return boundary.predicted(plan, figure, done)
 

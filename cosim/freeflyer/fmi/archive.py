@@ -1,7 +1,11 @@
-"""A zip archive from anybody (an FMU, an SSP file): checked as a whole before anything of it is used, and nothing of it is run.
+"""Reader for untrusted zip archives (FMUs, SSP files).
 
-Refused: names that lead out of a folder, or that would be one file on another system; what is no plain file; encryption; compression
-other than FMI's (FMI 3.0, 2.5: deflate or none); what swells; XML with a document type, so that nothing is fetched or expanded.
+The whole archive is checked before any entry is used; nothing in it is executed. Rejected are:
+- names that leave the target folder or that collide on another operating system;
+- entries that are neither a regular file nor a folder;
+- encryption and compression methods other than those of FMI (FMI 3.0, 2.5: deflate or none);
+- decompression bombs;
+- XML with a document type, so that no external entity is fetched or expanded.
 """
 
 from __future__ import annotations
@@ -25,25 +29,25 @@ from freeflyer.foundation.bounded_file import size
 
 MOST_ENTRIES = 50_000
 LARGEST = 8 << 30
-"""Bytes that an archive may unpack to, in all and one entry; see LARGEST_VARIABLE."""
+"""Unpacked bytes allowed for the archive and for each entry; see LARGEST_VARIABLE."""
 LARGEST_RATIO, FREE_OF_RATIO = 200, 256 << 20
-"""It may unpack to so many times its own size, or to so many bytes."""
+"""Larger of two limits on the unpacked size: times the packed size, and bytes."""
 LARGEST_XML, MOST_ELEMENTS, DEEPEST_ELEMENT = 64 << 20, 2_000_000, 200
 LARGEST_VARIABLE = "FREEFLYER_LARGEST_ARCHIVE"
-"""Of the environment: another LARGEST, in GiB, for an archive that is trusted; then the ratio does not count."""
+"""Environment variable for a trusted archive: replaces LARGEST [GiB], disables the ratio check."""
 LARGEST_DIRECTORY = 32 << 20
-"""Bytes of the archive's list of entries."""
+"""Bytes of the archive's central directory."""
 LONGEST_NAME = 1024
 
 Element = ElementTree.Element
 
 
 class ArchiveError(ValueError):
-    """Why an archive is refused; the subject is for whoever knows what it should be."""
+    """The reason why an archive is rejected; the caller adds the subject."""
 
 
 class _Bounded(io.BufferedReader):
-    """`zipfile` reads the list of entries at once, as long as the file says that it is."""
+    """A file whose reads are bounded: `zipfile` reads the whole central directory in one call."""
 
     def read(self, count: int | None = -1) -> bytes:
         if count is not None and count > LARGEST_DIRECTORY:
@@ -53,7 +57,11 @@ class _Bounded(io.BufferedReader):
 
 @contextmanager
 def opened(path: Path) -> Iterator[Archive]:
-    """ArchiveError for whatever is wrong with the archive, then or while it is read; OSError if there is none, or no room."""
+    """Open and check an archive.
+
+    Raises ArchiveError if the archive is invalid, here or while it is read. Raises OSError if it
+    does not exist or there is no disk space.
+    """
     with _Bounded(io.FileIO(path)) as file:
         try:
             with zipfile.ZipFile(file) as archive:
@@ -84,7 +92,7 @@ _DAMAGE = (
 
 
 class Archive:
-    """`names`: every entry's."""
+    """A checked archive; `names` are the names of all entries."""
 
     def __init__(self, archive: zipfile.ZipFile, packed: int) -> None:
         self._archive = archive
@@ -95,16 +103,19 @@ class Archive:
         return self._archive.namelist()
 
     def read(self, name: str, largest: int) -> bytes:
-        """An entry's content; KeyError if there is none of this name."""
+        """Read an entry of at most `largest` bytes. Raises KeyError if it does not exist."""
         entry = self._archive.getinfo(name)
         if entry.file_size > largest:
             raise ArchiveError(
                 f"its entry {name!r} has {size(entry.file_size)}; {size(largest)} are allowed"
             )
-        return self._archive.read(entry)  # no more than file_size bytes, whatever is packed
+        return self._archive.read(entry)  # never more than file_size bytes
 
     def xml(self, name: str) -> tuple[Element, bytes]:
-        """An entry as XML: its root, and the text in UTF-8; KeyError if there is none of this name."""
+        """Parse an entry as XML; return its root and its text in UTF-8.
+
+        Raises KeyError if it does not exist, ArchiveError if it is invalid.
+        """
         data = self.read(name, LARGEST_XML)
         encoding = _check_xml(name, data)
         try:
@@ -126,10 +137,10 @@ class Archive:
                     break
                 file.write(chunk)
         if left != 0:
-            raise ArchiveError(f"its entry {name!r} has another size than it says")
+            raise ArchiveError(f"its entry {name!r} has another size than its header states")
 
     def extract_all(self, folder: Path) -> None:
-        """Write every entry below `folder`, which is empty."""
+        """Write every entry into `folder`, which must be empty."""
         for place, entry in self._files.items():
             target = folder.joinpath(*place)
             if entry.is_dir():
@@ -142,7 +153,7 @@ class Archive:
 def _checked(
     entries: list[zipfile.ZipInfo], packed: int
 ) -> Mapping[tuple[str, ...], zipfile.ZipInfo]:
-    """The entries by the parts of their names; ArchiveError unless all are harmless."""
+    """Return the entries by the parts of their names. Raises ArchiveError if one is unsafe."""
     if len(entries) > MOST_ENTRIES:
         raise ArchiveError(f"it has {len(entries)} entries; {MOST_ENTRIES} are allowed")
     trusted = os.environ.get(LARGEST_VARIABLE)
@@ -160,7 +171,7 @@ def _checked(
     spelled: dict[tuple[str, ...], str] = {}
     for entry in entries:
         place = _place(entry)
-        # As file systems that know neither case nor one of several spellings of an accent take it.
+        # File systems without case, or with another Unicode normal form, would merge these names.
         alike = tuple(unicodedata.normalize("NFC", part).casefold() for part in place)
         if alike in spelled:
             raise ArchiveError(
@@ -189,7 +200,7 @@ def _trusted(text: str) -> int:
 
 
 def _place(entry: zipfile.ZipInfo) -> tuple[str, ...]:
-    """The parts of an entry's name; ArchiveError if it is none of a plain file or folder inside."""
+    """Return the parts of an entry's name. Raises ArchiveError unless it is safe."""
     name = entry.filename
     path = PurePosixPath(name.replace("\\", "/"))
     if path.is_absolute() or ".." in path.parts or (len(name) > 1 and name[1] == ":"):
@@ -202,7 +213,7 @@ def _place(entry: zipfile.ZipInfo) -> tuple[str, ...]:
         or len(name) > LONGEST_NAME
     ):
         raise ArchiveError(
-            f"its entry {name[:200]!r} has a name that is none of a file on every system"
+            f"its entry {name[:200]!r} has a name that is invalid on some operating systems"
         )
     kind = stat.S_IFMT(entry.external_attr >> 16)
     if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
@@ -217,7 +228,10 @@ def _place(entry: zipfile.ZipInfo) -> tuple[str, ...]:
 
 
 def _check_xml(name: str, data: bytes) -> str:
-    """The encoding in lower case; ArchiveError for what is no XML, has a document type, or is too much of it."""
+    """Check XML before it is parsed; return its encoding in lower case.
+
+    Raises ArchiveError if it is not well-formed, has a document type, or exceeds a limit.
+    """
     parser = expat.ParserCreate()
     encoding, elements, depth = "utf-8", 0, 0
 
@@ -228,7 +242,7 @@ def _check_xml(name: str, data: bytes) -> str:
     def doctype(*_: object) -> None:
         raise ArchiveError(f"its {name} is refused: it declares a document type")
 
-    def begin(*_: object) -> None:
+    def start(*_: object) -> None:
         nonlocal elements, depth
         elements, depth = elements + 1, depth + 1
         if elements > MOST_ELEMENTS or depth > DEEPEST_ELEMENT:
@@ -241,7 +255,7 @@ def _check_xml(name: str, data: bytes) -> str:
         depth -= 1
 
     parser.XmlDeclHandler, parser.StartDoctypeDeclHandler = declared, doctype
-    parser.StartElementHandler, parser.EndElementHandler = begin, end
+    parser.StartElementHandler, parser.EndElementHandler = start, end
     try:
         parser.Parse(data, True)
     except ArchiveError:

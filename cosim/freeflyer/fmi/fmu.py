@@ -1,4 +1,4 @@
-"""An FMU as a component: FMPy loads, checks and calls it; FMI 2.0 and FMI 3.0 co-simulation."""
+"""An FMU as a component (FMI 2.0 and 3.0 co-simulation); FMPy loads, checks and calls it."""
 
 from __future__ import annotations
 
@@ -33,21 +33,21 @@ from freeflyer.fmi.fmu_description import (
 )
 from freeflyer.foundation.errors import ComponentError, StepFailed
 
-ASKED_TO_END = "the FMU asks for the end of the simulation"
+TERMINATE_REQUESTED = "the FMU requests the end of the simulation"
 DISCARD = 2
 FATAL = 4
-"""The status, in FMI 2.0 and 3.0, after which no function of the FMU may be called any more."""
+"""Status of FMI 2.0 and 3.0 after which no further function of the FMU may be called."""
 CALLS = {
     2: ("fmi2SetReal", "fmi2DoStep", "fmi2GetReal"),
     3: ("fmi3SetFloat64", "fmi3DoStep", "fmi3GetFloat64"),
 }
-"""What a step consists of, by FMI version: hand over inputs, step, read outputs."""
+"""The FMI calls of a step, by FMI version: write inputs, step, read outputs."""
 REQUIREMENT = "logRequirement"
-"""Log category by which our FMUs say that the run has left what their equations hold for."""
+"""Log category in which our FMUs report that their equations left their range of validity."""
 
 
-# FMPy's proxy, which formats an FMI 2.0 message's variable arguments, knows one logger for the whole process: it is this one,
-# and the environment pointer says whose message it is.
+# FMPy's proxy formats the variable arguments of FMI 2.0 messages and has one logger per process,
+# `_route`. The environment pointer identifies the component that sent a message.
 _listeners: dict[int, FmuComponent] = {}
 _numbers = itertools.count(1)
 
@@ -68,15 +68,19 @@ def _route(
 _LOGGER = fmi2.fmi2CallbackLoggerTYPE(_route)
 
 
-def _forget_modules(directory: Path) -> None:
-    """Python inside an FMU is imported by our own interpreter: its modules must not be taken for another FMU's of the same name."""
+def _remove_modules(directory: Path) -> None:
+    """Remove the modules of an FMU from `sys.modules`.
+
+    Python inside an FMU is imported by our own interpreter. Another FMU may have modules of the
+    same names, which must not be resolved to these.
+    """
     inside = _inside(directory)
     for name, module in list(sys.modules.items()):
         if inside(getattr(module, "__file__", None)):
             del sys.modules[name]
 
 
-def _forget_paths(directory: Path) -> None:
+def _remove_paths(directory: Path) -> None:
     inside = _inside(directory)
     sys.path[:] = [entry for entry in sys.path if not inside(entry)]
 
@@ -104,19 +108,18 @@ class FmuComponent:
         self._messages: deque[str] = deque(maxlen=5)
         self._moment: Callable[[], int] = lambda: 0
         self._noted_at = 0
-        self._dead = False
+        self._fatal = False
         self._left_validity = False
         self._listener = 0
         self._buffers: list[Any] = []
         self._check_binary(interface.modelIdentifier)
         self._directory = self._unpack()
         try:
-            with contextlib.chdir(
-                Path.cwd()
-            ):  # FMPy stays in the library's folder when loading fails
+            # FMPy does not restore the working directory after a failed load.
+            with contextlib.chdir(Path.cwd()):
                 self._slave = self._instantiate(interface.modelIdentifier)
         except BaseException:
-            _forget_paths(self._directory)
+            _remove_paths(self._directory)
             unpacked.remove(self._directory)
             raise
 
@@ -125,7 +128,7 @@ class FmuComponent:
         return self._ports
 
     def variables_of(self, port: str) -> Sequence[ModelVariable]:
-        """The model variables that make up a port, in order."""
+        """Return the model variables of a port, in order."""
         return self._variables[port]
 
     # Loading
@@ -186,17 +189,16 @@ class FmuComponent:
                 slave.instantiate(logMessage=self._log, loggingOn=True)
         except Exception as error:
             raise ComponentError(
-                f"FMU {self.path} of component {self.name} cannot be instantiated: {self._why(error)}"
+                f"FMU {self.path} of component {self.name} cannot be instantiated: {self._reason(error)}"
             ) from error
         finally:
-            self._forget_python()
+            self._remove_python_modules()
         return slave
 
-    def _forget_python(self) -> None:
-        if (
-            self.description.generationTool != OWN_TOOL
-        ):  # ours have none, and looking through all modules takes 1 ms
-            _forget_modules(self._directory)
+    def _remove_python_modules(self) -> None:
+        # Our own FMUs contain no Python, and the search through all modules takes 1 ms.
+        if self.description.generationTool != OWN_TOOL:
+            _remove_modules(self._directory)
 
     def _callbacks(self) -> Any:
         callbacks = fmi2.fmi2CallbackFunctions()
@@ -204,7 +206,7 @@ class FmuComponent:
         callbacks.componentEnvironment = self._listener = _listen(self)
         callbacks.allocateMemory = fmi2.defaultCallbacks.allocateMemory
         callbacks.freeMemory = fmi2.defaultCallbacks.freeMemory
-        # PythonFMU hands over what its user logs as the format itself: a "%" in it would be taken for an argument.
+        # PythonFMU passes log texts as the format string: the proxy would expand a "%" in them.
         if not (self.description.generationTool or "").startswith("PythonFMU"):
             addLoggerProxy(ctypes.byref(callbacks))
         return callbacks
@@ -215,7 +217,7 @@ class FmuComponent:
         self.note(category, message)
 
     def note(self, category: object, message: bytes | None) -> None:
-        """Keep the last log messages of the FMU until its failure is told, or its step has succeeded."""
+        """Keep the last log messages of the FMU until a failure is reported or a step succeeds."""
         if message:
             if self._moment() != self._noted_at:
                 self._messages.clear()
@@ -225,14 +227,14 @@ class FmuComponent:
 
     def _failed(self, error: Exception) -> StepFailed:
         left, self._left_validity = self._left_validity, False
-        return StepFailed(self.name, self._why(error), left_validity=left)
+        return StepFailed(self.name, self._reason(error), left_validity=left)
 
-    def _why(self, error: Exception) -> str:
-        """What the FMU itself said, or else what FMPy says."""
-        self._dead |= getattr(error, "status", None) == FATAL
-        said = "; ".join(" ".join(message.split()) for message in self._messages)
+    def _reason(self, error: Exception) -> str:
+        """Return the log messages of the FMU, or else the message of FMPy."""
+        self._fatal |= getattr(error, "status", None) == FATAL
+        messages = "; ".join(" ".join(message.split()) for message in self._messages)
         self._messages.clear()
-        return said or sentence(error)
+        return messages or sentence(error)
 
     # Life cycle
 
@@ -246,14 +248,14 @@ class FmuComponent:
             else:
                 self._slave.enterInitializationMode(startTime=start)
         except (FMICallException, OSError) as error:
-            raise ComponentError(f"component {self.name}: {self._why(error)}") from error
+            raise ComponentError(f"component {self.name}: {self._reason(error)}") from error
 
     def exit_initialization(self) -> None:
         try:
             self._slave.exitInitializationMode()
         except (FMICallException, OSError) as error:
             raise ComponentError(
-                f"component {self.name} cannot be initialised: {self._why(error)}"
+                f"component {self.name} cannot be initialised: {self._reason(error)}"
             ) from error
 
     def _set(self, name: str, value: Array) -> None:
@@ -282,43 +284,47 @@ class FmuComponent:
 
     @property
     def instance(self) -> int:
-        """The FMU's instance, as an address."""
+        """Address of the FMU's instance."""
         return int(getattr(self._slave.component, "value", self._slave.component))
 
     def address(self, call: str) -> int:
-        """Of a function of the FMU's library."""
+        """Return the address of a function of the FMU's library."""
         return int(ctypes.cast(getattr(self._slave.dll, call), ctypes.c_void_p).value or 0)
 
     def references(self, names: Sequence[str]) -> NDArray[np.uint32]:
-        """(n) uint32, one a value in FMI 2.0, one a variable in FMI 3.0. Raises ComponentError for what is not real."""
+        """Return the value references of variables as uint32.
+
+        There is one per value in FMI 2.0 and one per variable in FMI 3.0. Raises ComponentError if
+        a variable is not real.
+        """
         variables = self._reals(names)
         return np.array([variable.valueReference for variable in variables], dtype=np.uint32)
 
     def count_moments_by(self, moment: Callable[[], int]) -> None:
-        """Messages of an earlier moment are forgotten when there are new ones."""
+        """Set a counter of instants; a message of a new instant discards those of earlier ones."""
         self._moment = moment
 
     def failure(self, call: str, status: int) -> StepFailed:
-        """What `call`, which gave `status`, is told as."""
+        """Return the failure for a status that the FMI function `call` returned to the C core."""
         if self._noted_at != self._moment():
             self._messages.clear()
-        if call == "fmi2DoStep" and status == DISCARD and self._asked_to_end():
-            return StepFailed(self.name, ASKED_TO_END)
+        if call == "fmi2DoStep" and status == DISCARD and self._terminate_requested():
+            return StepFailed(self.name, TERMINATE_REQUESTED)
         return self._failed(FMICallException(call, status))
 
     # Called from Python
 
     def _reals(self, names: Sequence[str]) -> list[ModelVariable]:
         variables = [variable for name in names for variable in self._variables[name]]
-        strange = [variable.name for variable in variables if variable.type not in REAL]
-        if strange:
+        unsupported = [variable.name for variable in variables if variable.type not in REAL]
+        if unsupported:
             raise ComponentError(
-                f"component {self.name}: {strange[0]} is not a real variable; only real variables can be connected"
+                f"component {self.name}: {unsupported[0]} is not a real variable; only real variables can be connected"
             )
         return variables
 
     def _bound(self, names: Sequence[str], buffer: Array) -> tuple[Any, int, Any, int]:
-        """References and a pointer into the buffer, made once; the arrays are kept alive with the component."""
+        """Return the references and a pointer to the buffer; both live as long as the component."""
         variables = self._reals(names)
         references = (ctypes.c_uint32 * len(variables))(
             *(variable.valueReference for variable in variables)
@@ -359,17 +365,17 @@ class FmuComponent:
             if self.version == 2:
                 self._slave.fmi2DoStep(self._slave.component, time, size, 1)
             elif self._slave.doStep(time, size)[1]:
-                raise StepFailed(self.name, ASKED_TO_END)
+                raise StepFailed(self.name, TERMINATE_REQUESTED)
         except FMICallException as error:
-            if self.version == 2 and error.status == DISCARD and self._asked_to_end():
-                raise StepFailed(self.name, ASKED_TO_END) from error
+            if self.version == 2 and error.status == DISCARD and self._terminate_requested():
+                raise StepFailed(self.name, TERMINATE_REQUESTED) from error
             raise self._failed(error) from error
         except OSError as error:
             raise self._failed(error) from error
         if self._messages:
             self._messages.clear()
 
-    def _asked_to_end(self) -> bool:
+    def _terminate_requested(self) -> bool:
         try:
             return bool(self._slave.getBooleanStatus(fmi2.fmi2Terminated))
         except (FMICallException, OSError):
@@ -378,15 +384,15 @@ class FmuComponent:
     def close(self) -> None:
         slave, self._slave = self._slave, None
         if slave is not None:
-            # A failed instance may refuse to be terminated; it is freed all the same, but for a dead one.
-            if not self._dead:
+            # A failed instance may reject terminate() and is freed anyway; FATAL forbids both.
+            if not self._fatal:
                 with contextlib.suppress(FMICallException, OSError):
                     slave.terminate()
                 slave.freeInstance()
             _listeners.pop(self._listener, None)
-            self._forget_python()
-            _forget_paths(self._directory)
-            if self._dead:
+            self._remove_python_modules()
+            _remove_paths(self._directory)
+            if self._fatal:
                 unpacked.remove(self._directory)
             else:
                 unpacked.give_back(self._directory)

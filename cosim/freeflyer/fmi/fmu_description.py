@@ -1,6 +1,6 @@
-"""What an FMU says of itself: its model description, its ports, its terminals; a file that is no usable FMU in one sentence.
+"""Model description, ports and terminals of an FMU. An unusable file raises one clear error.
 
-Arrays of FMI 2.0 (`name[1]` ... `name[n]`) appear as one port, as they do in FMI 3.0.
+FMI 2.0 arrays (`name[1]` ... `name[n]`) appear as one port, as in FMI 3.0.
 """
 
 from __future__ import annotations
@@ -29,18 +29,21 @@ ELEMENT = re.compile(r"^(?P<name>.+)\[(?P<index>\d+)\]$")
 REAL = ("Real", "Float64")
 UNITS_ANNOTATION = "org.freeflyer-cosim.units"
 OWN_TOOL = "freeflyer-cosim"
-"""The generation tool of FMUs that are known to keep nothing outside their instances."""
+"""Generation tool of our FMUs, which are known to keep no state outside their instances."""
 Read = TypeVar("Read")
 
 
 def same_file(path: Path) -> tuple[int, ...]:
-    """What changes when a file does; OSError if there is none."""
+    """Return values that change when the file changes. Raises OSError if it does not exist."""
     status = path.stat()
     return status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns
 
 
-def _once_a_file(read: Callable[[Path], Read]) -> Callable[[Path], Read]:
-    """Keep what was read for as long as the file stays as it is: of a sweep's run, half would be reading XML. Nobody changes it."""
+def _cached_per_file(read: Callable[[Path], Read]) -> Callable[[Path], Read]:
+    """Cache a reader's result until the file changes. Callers must not modify the result.
+
+    Without the cache, a sweep would spend half of each run on reading XML.
+    """
     kept: dict[Path, tuple[tuple[int, ...], Read]] = {}
 
     @functools.wraps(read)
@@ -48,7 +51,7 @@ def _once_a_file(read: Callable[[Path], Read]) -> Callable[[Path], Read]:
         try:
             state = same_file(path)
         except (OSError, ValueError):
-            return read(path)  # it says what is wrong
+            return read(path)  # raises the appropriate error
         if path not in kept or kept[path][0] != state:
             kept[path] = (state, read(path))
         return kept[path][1]
@@ -58,7 +61,7 @@ def _once_a_file(read: Callable[[Path], Read]) -> Callable[[Path], Read]:
 
 @contextmanager
 def opened(path: Path) -> Iterator[Archive]:
-    """The FMU's archive, checked; ComponentError with one sentence for whatever is wrong with it, then or while it is read."""
+    """Open and check an FMU's archive. Raises ComponentError, here or while the archive is read."""
     if not path.is_file():
         raise ComponentError(
             f"FMU {path} " + ("is not a file" if path.exists() else "does not exist")
@@ -74,11 +77,12 @@ def opened(path: Path) -> Iterator[Archive]:
         raise ComponentError(f"FMU {path} is refused: {error}") from error
 
 
-@_once_a_file
+@_cached_per_file
 def describe_fmu(path: Path) -> ModelDescription:
-    """The FMU's model description; ComponentError with one sentence for a file that is no usable FMU.
+    """Read the model description of an FMU. Raises ComponentError if the file is unusable.
 
-    Nothing of the FMU is run. FMPy, whose parser leaves entities and document types to lxml's version, sees the checked text alone.
+    Nothing in the FMU is executed. FMPy receives only the checked text, because its XML parser
+    leaves entities and document types to lxml.
     """
     try:
         with opened(path) as found:
@@ -100,16 +104,19 @@ def describe_fmu(path: Path) -> ModelDescription:
 
 
 def _alone(text: bytes) -> io.BytesIO:
-    """An archive with nothing but the description, as FMPy takes it."""
+    """Return an archive that contains only the description, for FMPy."""
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w") as made:
         made.writestr(DESCRIPTION, text)
     return file
 
 
-@_once_a_file
+@_cached_per_file
 def annotated_units(path: Path) -> dict[str, tuple[str, ...]]:
-    """Units element by element, which our FMI 3.0 FMUs give in an annotation (FMI 3.0 itself has one unit for an array)."""
+    """Read the units per element from the annotation in our FMI 3.0 FMUs.
+
+    FMI 3.0 itself has one unit per array.
+    """
     with opened(path) as found:
         root, _ = found.xml(DESCRIPTION)
     units = {}
@@ -120,9 +127,12 @@ def annotated_units(path: Path) -> dict[str, tuple[str, ...]]:
     return units
 
 
-@_once_a_file
+@_cached_per_file
 def terminals_of(path: Path) -> dict[str, dict[str, str]]:
-    """Terminal -> member -> variable, from FMI 3.0's terminalsAndIcons.xml; our FMI 2.0 FMUs have the same in an annotation."""
+    """Read the terminals: terminal -> member -> variable.
+
+    FMI 3.0 has them in terminalsAndIcons.xml, our FMI 2.0 FMUs in an annotation.
+    """
     with opened(path) as found:
         inside = "terminalsAndIcons/terminalsAndIcons.xml"
         root, _ = found.xml(inside if inside in found.names else DESCRIPTION)
@@ -135,9 +145,9 @@ def terminals_of(path: Path) -> dict[str, dict[str, str]]:
     }
 
 
-@_once_a_file
+@_cached_per_file
 def ports_in(path: Path) -> tuple[dict[str, Port], dict[str, list[ModelVariable]]]:
-    """`ports_of` a file, with its annotated units."""
+    """Return `ports_of` an FMU file, with its annotated units. Raises ComponentError."""
     try:
         return ports_of(describe_fmu(path), annotated_units(path))
     except (ValueError, OverflowError) as error:
@@ -149,14 +159,20 @@ def ports_in(path: Path) -> tuple[dict[str, Port], dict[str, list[ModelVariable]
 def ports_of(
     description: ModelDescription, annotated: Mapping[str, tuple[str, ...]]
 ) -> tuple[dict[str, Port], dict[str, list[ModelVariable]]]:
-    """Ports by name, and for each the model variables that make it up, in order. ValueError for numbers that are none, or too many."""
+    """Return the ports by name, and the model variables of each port in order.
+
+    Raises ValueError for an invalid number or for more than MOST_NUMBERS elements.
+    """
+    # The limit is checked before anything of this size is allocated.
     numbers = sum(map(_size, description.modelVariables))
     if numbers > MOST_NUMBERS:
         raise ValueError(f"its variables have {numbers} elements; {MOST_NUMBERS} are allowed")
+    # The elements of an FMI 2.0 array are one port.
     groups: dict[str, list[ModelVariable]] = {}
     for variable in description.modelVariables:
         match = ELEMENT.match(variable.name)
         groups.setdefault(match["name"] if match else variable.name, []).append(variable)
+    # The model structure has the dependencies; without them an output depends on every input.
     unknown = {id(item.variable): item for item in description.outputs}
     inputs = {
         id(variable) for variable in description.modelVariables if variable.causality == "input"
@@ -166,6 +182,7 @@ def ports_of(
     ports = {}
     for name, group in groups.items():
         first = group[0]
+        # Units per element: annotated ones replace the single unit of an FMI 3.0 array.
         sizes = [_size(variable) for variable in group]
         units: list[str | None] = []
         for variable, size in zip(group, sizes, strict=True):
@@ -176,6 +193,7 @@ def ports_of(
         items = (
             first.declaredType.items if first.type == "Enumeration" and first.declaredType else []
         )
+        # Inputs on which the port depends directly.
         direct: set[str] = set()
         for variable in group:
             item = unknown.get(id(variable))
@@ -209,9 +227,10 @@ def _size(variable: ModelVariable) -> int:
 def _start(variable: ModelVariable) -> list[float]:
     if variable.start is None or variable.type in ("String", "Binary"):
         return []
-    words = str(variable.start).split()
-    return [float({"true": 1, "false": 0}.get(word.lower(), word)) for word in words]
+    items = str(variable.start).split()
+    return [float({"true": 1, "false": 0}.get(item.lower(), item)) for item in items]
 
 
 def sentence(error: Exception) -> str:
+    """Return the message of an exception on one line of at most 300 characters."""
     return " ".join(str(error).split())[:300]

@@ -1,4 +1,4 @@
-"""A model-exchange FMU as a component: its derivatives, integrated here by SciPy's DOP853 to a tight tolerance."""
+"""A model-exchange FMU as a component; SciPy's DOP853 integrates it with a tight tolerance."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ABSOLUTE_TOLERANCE = 1e-12
 
 
 class ModelExchangeComponent(FmuComponent):
-    """Continuous FMUs without events: no event indicators, no time events."""
+    """A continuous FMU without events: no event indicators, no time events."""
 
     _classes = (fmi2.FMU2Model, fmi3.FMU3Model)
 
@@ -99,9 +99,9 @@ class ModelExchangeComponent(FmuComponent):
                 solver.step()
             if solver.status != "finished":
                 raise StepFailed(
-                    self.name, f"the integration did not come from {time:g} s to {end:g} s"
+                    self.name, f"the integration from {time:g} s to {end:g} s did not converge"
                 )
-            # A fresh solver begins each step: let it begin where the last one had got to, not by feeling its way.
+            # Each step has a new solver: the step size of the previous one avoids a new search.
             self._first_step = max(solver.h_abs, 1e-6)
             self._x = solver.y
             self._rates(end, self._x)

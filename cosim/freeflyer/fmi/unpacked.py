@@ -1,4 +1,4 @@
-"""Folders that FMUs are unpacked into: one for each instance at a time, whatever else its library or its Python keeps there."""
+"""Folders into which FMUs are unpacked. Each instance has a folder that no other instance uses."""
 
 from __future__ import annotations
 
@@ -13,16 +13,17 @@ from freeflyer.fmi.fmu_description import OWN_TOOL, describe_fmu, opened, same_f
 Version = tuple[Path, tuple[int, ...]]
 _free: dict[Version, list[Path]] = {}
 _of: dict[Path, Version] = {}
-"""Which version of which file a folder in use, that may be used again, was unpacked from."""
+"""File and file version of each reusable folder that is in use."""
 _place: Path | None = None
-"""Where folders are kept for the next instance of the same file; None: nowhere."""
+"""Where folders are kept for the next instance of the same file; None: they are removed."""
 
 
 @contextmanager
 def kept_in(place: Path) -> Iterator[None]:
-    """Meanwhile folders that our own FMUs gave back are handed out again; all are inside `place`, which its owner removes.
+    """Keep the folders of our own FMUs in `place` for reuse; the caller removes `place`.
 
-    FMUs of others always get a folder of their own: what they leave there, or in the library's memory, is not known.
+    Third-party FMUs always get a new folder, because they may keep state there or in the memory of
+    their library.
     """
     global _place
     before, _place = _place, place
@@ -33,8 +34,9 @@ def kept_in(place: Path) -> Iterator[None]:
 
 
 def take(path: Path) -> Path:
-    """A folder with the FMU's contents, which nobody else uses; nothing of it is run. OSError if it cannot be written, ComponentError
-    if the FMU is refused.
+    """Return a folder with the FMU's contents for one instance; nothing in it is executed.
+
+    Raises OSError if it cannot be written, ComponentError if the FMU is rejected.
     """
     again = _place is not None and describe_fmu(path).generationTool == OWN_TOOL
     version = (path, same_file(path))
@@ -62,7 +64,7 @@ def _kept(version: Version) -> Path | None:
 
 
 def give_back(folder: Path) -> None:
-    """After the instance is freed."""
+    """Return a folder for reuse, or remove it. Call this after the instance is freed."""
     version = _of.pop(folder, None)
     if version is not None and _place is not None:
         _free.setdefault(version, []).append(folder)
@@ -71,5 +73,6 @@ def give_back(folder: Path) -> None:
 
 
 def remove(folder: Path) -> None:
+    """Delete a folder that must not be used again."""
     _of.pop(folder, None)
     shutil.rmtree(folder, ignore_errors=True)

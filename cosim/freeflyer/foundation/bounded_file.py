@@ -1,4 +1,4 @@
-"""A file from anybody, read whole: a regular one, and no larger than what is asked of it could need."""
+"""Reading of untrusted files: only regular files up to a size limit."""
 
 from __future__ import annotations
 
@@ -9,13 +9,16 @@ from pathlib import Path
 
 
 def content(path: Path, largest: int) -> bytes:
-    """At most `largest` bytes. OSError, with the reason in `strerror`, for what is no regular file, or larger."""
+    """Read a file of at most `largest` bytes.
+
+    Raises OSError, with the reason in `strerror`, if it is no regular file or is larger.
+    """
     try:
-        # A FIFO that nobody writes to, or a terminal, must not hold us.
+        # The open call must not block on a FIFO without a writer or on a terminal.
         descriptor = os.open(
             path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
         )
-    except ValueError as error:  # a name with a NUL
+    except ValueError as error:  # a name with a NUL character
         raise OSError(errno.EINVAL, "no file can have this name") from error
     with open(descriptor, "rb") as file:
         if not stat.S_ISREG(os.fstat(descriptor).st_mode):
@@ -27,7 +30,7 @@ def content(path: Path, largest: int) -> bytes:
 
 
 def size(count: int) -> str:
-    """Bytes, in words."""
+    """Format a number of bytes, for messages."""
     for unit, bits in (("GiB", 30), ("MiB", 20), ("KiB", 10)):
         if count >= 1 << bits:
             return f"{count / (1 << bits):.4g} {unit}"

@@ -1,4 +1,4 @@
-"""Time as integer nanoseconds: never accumulated, never compared as floating point."""
+"""Time as integer nanoseconds; no time is accumulated or compared in floating point."""
 
 from __future__ import annotations
 
@@ -10,7 +10,11 @@ SECOND = 1_000_000_000
 
 
 def nanoseconds(seconds: float, subject: str) -> int:
-    """The exact number of nanoseconds of a decimal number of seconds, which must be positive and whole."""
+    """Convert a positive decimal number of seconds to nanoseconds, exactly.
+
+    `subject` names the quantity in the error message. Raises ScenarioError if the result is not a
+    positive whole number.
+    """
     exact = Decimal(repr(float(seconds))) * SECOND if abs(seconds) < 9e9 else Decimal(0)
     if exact != int(exact) or exact <= 0:
         raise ScenarioError(
@@ -20,9 +24,10 @@ def nanoseconds(seconds: float, subject: str) -> int:
 
 
 def seconds(time: int) -> float:
-    """The nearest double."""
+    """Return the double nearest to `time` [ns], in seconds."""
     return time / SECOND
 
 
 def shown(time: int) -> str:
+    """Format a time [ns] in seconds, for messages."""
     return f"{seconds(time):.9g} s"

@@ -1,4 +1,4 @@
-"""What can go wrong, as one small tree. Every message is one sentence for the user: subject, got, expected, remedy."""
+"""Exceptions. Every message is one sentence for the user: subject, got, expected, remedy."""
 
 import sys
 
@@ -7,38 +7,38 @@ DONE, BAD_INPUT, STOPPED = 0, 2, 3
 
 
 class CosimError(Exception):
-    """Bad input; the command ends with exit code 2."""
+    """The input is invalid; the command ends with exit code 2."""
 
     exit_code = BAD_INPUT
 
 
 class ScenarioError(CosimError):
-    """A scenario file or an override that cannot be used."""
+    """A scenario file or an override is invalid."""
 
 
 class GraphError(CosimError):
-    """Components, connections or periods that do not fit each other."""
+    """Components, connections or periods are inconsistent."""
 
 
 class ComponentError(CosimError):
-    """An FMU or component that cannot be loaded or initialised, or refuses a value."""
+    """An FMU or component cannot be loaded or initialised, or rejects a value."""
 
 
 class RecordError(CosimError):
-    """A record that cannot be read, or that lacks what is asked of it."""
+    """A record cannot be read or lacks required data."""
 
 
 class OutputError(CosimError):
-    """Results that cannot be written."""
+    """Results cannot be written."""
 
     exit_code = STOPPED
 
 
 class StepFailed(Exception):
-    """A component could not make its step; the run stops there and keeps what it has.
+    """A component failed in a step. The run stops and keeps the results up to that instant.
 
-    `left_validity`: the equations' own limits were passed (a singular Jacobian, a state that is not finite), which makes the
-    run a diverged one; else something is wrong with the system or the call.
+    `left_validity` is True if the equations left their range of validity (a singular Jacobian, a
+    state that is not finite). The run then counts as diverged, otherwise as failed.
     """
 
     def __init__(self, component: str, message: str, *, left_validity: bool = False) -> None:
@@ -46,7 +46,7 @@ class StepFailed(Exception):
         self.left_validity = left_validity
 
 
-def complain(sentence: str, code: int) -> int:
-    """Print the one sentence that a command fails with; return its exit code."""
+def report_error(sentence: str, code: int) -> int:
+    """Print the error message of a command to stderr; return its exit code."""
     print(f"freeflyer: {sentence}", file=sys.stderr)
     return code

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM as something to look at between two steps, in place of an exception in the middle of one."""
+"""Deferred handling of Ctrl-C and SIGTERM: the master checks for them between two steps."""
 
 from __future__ import annotations
 
@@ -11,17 +11,19 @@ from contextlib import contextmanager
 ENDING = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
 )
-"""Signals that end a run in order; one that is ignored (nohup) stays so."""
+"""Signals that end a run in order. A signal that is ignored (nohup) stays ignored."""
 _noted: list[list[float]] = []
-"""The list of the outermost `interrupts`, while there is one."""
+"""The list of the outermost active `interrupts` context, or empty."""
 
 
 @contextmanager
 def interrupts() -> Iterator[list[float]]:
-    """Ctrl-C and SIGTERM as a list that fills, so that a run ends between two instants. Nested ones share one list: what came
-    before a run began ends it at its first instant.
+    """Collect the arrival times [s] of Ctrl-C and SIGTERM in a list, so that a run ends between two
+    instants.
 
-    Another one, more than two seconds after the first, interrupts for good: somebody waits for a component that hangs.
+    Nested contexts share one list: a signal from before a run ends that run at its first instant.
+    A further signal, more than two seconds after the first, raises KeyboardInterrupt immediately:
+    the user is then waiting for a component that hangs.
     """
     if _noted:
         yield _noted[0]
@@ -52,7 +54,7 @@ def interrupts() -> Iterator[list[float]]:
 
 @contextmanager
 def no_interrupts() -> Iterator[None]:
-    """Nothing of the kind reaches the block, which must be short: the stop of devices is not stopped."""
+    """Ignore these signals in a short block, so that the stop of devices completes."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

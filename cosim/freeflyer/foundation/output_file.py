@@ -1,4 +1,4 @@
-"""Write result files whole or not at all."""
+"""Atomic writing of result files: a complete file or none."""
 
 from __future__ import annotations
 
@@ -12,7 +12,10 @@ from freeflyer.foundation.errors import BAD_INPUT, OutputError
 
 
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:
-    """Call `write(partial_path)` and move the result into place, so that no half-written file is taken for a whole one."""
+    """Call `write(partial_path)` and move the result into place, so that no partial file remains.
+
+    Raises OutputError if the file cannot be written.
+    """
     partial = path.with_name(path.name + ".partial")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -21,18 +24,18 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
     except OSError as error:
         raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
     finally:
-        with contextlib.suppress(
-            OSError
-        ):  # nothing half-written stays, whatever interrupted the writing
+        # The partial file is removed after any interruption.
+        with contextlib.suppress(OSError):
             partial.unlink(missing_ok=True)
 
 
 def write_text(path: Path, text: str) -> None:
+    """Write a text file in UTF-8, completely or not at all. Raises OutputError."""
     write_whole(path, lambda partial: Path(partial).write_text(text, encoding="utf-8"))
 
 
 def check_writable(directory: Path) -> None:
-    """OutputError before a long run rather than after it."""
+    """Check before a run that results can be written. Raises OutputError with exit code 2."""
     probe = directory / ".writable"
     try:
         directory.mkdir(parents=True, exist_ok=True)

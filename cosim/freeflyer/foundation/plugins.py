@@ -1,4 +1,4 @@
-"""Extensions of other packages: component kinds, FMU directories, virtual devices and commands, found through entry points."""
+"""Entry points of other packages: component kinds, FMU directories, devices and commands."""
 
 from __future__ import annotations
 
@@ -10,17 +10,20 @@ from typing import Any
 from freeflyer.foundation.errors import CosimError
 
 RENAMED = {"cosim": "freeflyer", "fmu_src": "freeflyer_fmus", "adapters": "freeflyer_adapters"}
-"""Import names of 0.1.0."""
+"""Import names of version 0.1.0 and their successors."""
 
 
 @functools.cache
 def plugins(group: str) -> Mapping[str, EntryPoint]:
-    """Entry points by name. Cached: looking through every installed package takes longer than loading an FMU."""
+    """Return the entry points of a group by name.
+
+    The result is cached: the scan of all installed packages takes longer than loading an FMU.
+    """
     return {point.name: point for point in entry_points(group=group)}
 
 
 def load(point: EntryPoint) -> Any:
-    """Load what an entry point names. Raises CosimError in one sentence, whatever its package raises."""
+    """Load the object of an entry point. Raises CosimError for any exception of its package."""
     try:
         return point.load()
     except CosimError:
@@ -33,7 +36,7 @@ def load(point: EntryPoint) -> Any:
 
 
 def renamed(error: BaseException) -> str:
-    """The remedy for an import that failed because it uses a name of 0.1.0; empty for any other error."""
+    """Return the remedy for an import that failed because of a name of version 0.1.0, else ''."""
     old = (error.name or "").partition(".")[0] if isinstance(error, ImportError) else ""
     return (
         f"; since 0.2.0 {old} is {RENAMED[old]}: see the table in CHANGELOG.md"

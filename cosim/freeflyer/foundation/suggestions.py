@@ -1,4 +1,4 @@
-"""'Did you mean': the nearest known name, for error messages."""
+"""'Did you mean' suggestions for error messages."""
 
 from __future__ import annotations
 
@@ -7,7 +7,10 @@ from collections.abc import Iterable
 
 
 def did_you_mean(name: str, candidates: Iterable[str]) -> str:
-    """'; did you mean NAME?' or, where nothing is near, '; known are ...' for a short list, or nothing."""
+    """Return '; did you mean NAME?' for a similar candidate, else '; known are ...' or ''.
+
+    The candidates are listed only if there are 4 to 12 of them.
+    """
     known = list(candidates)
     close = difflib.get_close_matches(name, known, n=1)
     if close:

@@ -1,7 +1,7 @@
-"""TOML from anybody: text as tables of plain values; ValueError, whose text says what is wrong, for whatever is none.
+"""Parser for untrusted TOML; returns tables of plain values.
 
-Python's `tomllib` takes what TOML 1.0 leaves to its reader: integers of any size, nesting until Python itself gives up, and keys of
-any number of parts, for which it needs a time that grows with their square.
+TOML 1.0 leaves some limits to the parser, and Python's `tomllib` sets none: integers of any size,
+nesting up to Python's recursion limit, and dotted keys, for which its time is quadratic.
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ from typing import Any
 from freeflyer.foundation.bounded_file import content
 
 LARGEST = 256 << 10
-"""Bytes of a file; the largest that is shipped has 6 kB."""
+"""Bytes of a file; the largest shipped file has 6 kB."""
 DEEPEST = 40
-"""Tables and arrays within each other."""
+"""Nesting depth of tables and arrays."""
 MOST_PARTS = 500
-"""Dots of a line, other than those of a list's numbers."""
+"""Dots in a line, without those of the numbers in a list."""
 INTEGERS = range(-(1 << 63), 1 << 63)
-"""What TOML 1.0 asks of every reader."""
+"""The integers that every TOML 1.0 parser must accept."""
 _NUMBER_OF_A_LIST = re.compile(r"\d\.\d[\d_eE+-]*[ \t]*[,\]]")
 
 
 def read(path: Path) -> dict[str, Any]:
-    """A file's tables. OSError if it cannot be read, ValueError if it is no TOML that can be used."""
+    """Read a TOML file. Raises OSError if it is unreadable, ValueError if it is invalid."""
     try:
         text = content(path, LARGEST).decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -34,7 +34,7 @@ def read(path: Path) -> dict[str, Any]:
 
 
 def parsed(text: str) -> dict[str, Any]:
-    """ValueError if it is no TOML that can be used."""
+    """Parse TOML text. Raises ValueError, with the reason, if it is invalid or exceeds a limit."""
     for number, line in enumerate(text.split("\n"), 1):
         if (
             line.count(".") > MOST_PARTS
@@ -47,7 +47,7 @@ def parsed(text: str) -> dict[str, Any]:
         raise ValueError(f"it is nested deeper than {DEEPEST} tables and arrays") from error
     except tomllib.TOMLDecodeError:
         raise
-    except ValueError as error:  # Python's int() takes no more than some thousand digits
+    except ValueError as error:  # Python's int() limits the number of digits to some thousands
         raise ValueError("an integer of more than 64 bits") from error
     _check(tables, 0)
     return tables

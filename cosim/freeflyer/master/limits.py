@@ -1,4 +1,4 @@
-"""Limits of a run: what is watched at every instant, and when it counts as diverged."""
+"""Limits of a run: a run whose signal exceeds a limit has diverged."""
 
 from __future__ import annotations
 
@@ -15,8 +15,10 @@ from freeflyer.master.graph import port
 
 @dataclass(frozen=True, kw_only=True)
 class Limit:
-    """The run has diverged once the signal's largest element (or its Euclidean norm) is above a maximum, or its least below a
-    minimum, without a break for longer than `lasting` [ns]. `elements` (first, last), counted from 1, picks a part of an array.
+    """A bound on the largest absolute element of a signal, its Euclidean norm or its least element.
+
+    The run has diverged when the bound is exceeded without a break for longer than `lasting` [ns].
+    `elements` (first, last), counted from 1, selects a part of an array.
     """
 
     signal: str
@@ -29,7 +31,7 @@ class Limit:
 
 
 def check(limit: Limit, components: Mapping[str, Component]) -> None:
-    """Raises GraphError for a limit on something that is no real output, or on elements that are not there."""
+    """Raise GraphError if the limit's signal is no real output or lacks the selected elements."""
     found = port(components, limit.signal, "limit")
     if found.causality != "output" or not found.real:
         raise GraphError(f"limit: {limit.signal} is not a real output")
@@ -41,19 +43,17 @@ def check(limit: Limit, components: Mapping[str, Component]) -> None:
 
 
 class Watch:
-    """A limit on the present value of its signal. Call it once an instant, whenever the limit may be passed or was."""
+    """The check of a limit. Call it at every instant where the limit may be or was exceeded."""
 
     def __init__(self, limit: Limit, signal: Array, tick: int) -> None:
         first, last = limit.elements or (1, signal.size)
         self.limit, self.view = limit, signal[first - 1 : last]
-        self._square = (
-            limit.bound * limit.bound
-        )  # infinite, where a power would be an OverflowError
+        self._square = limit.bound * limit.bound  # overflows to inf; ** would raise OverflowError
         self._patience = limit.lasting // tick
         self._passed = 0
 
     def __call__(self) -> str | None:
-        """Why the run has diverged, or None."""
+        """Return why the run has diverged, or None."""
         cause = self._below() if self.limit.is_minimum else self._above()
         if not self._patience:
             return cause
@@ -65,7 +65,8 @@ class Watch:
         )
 
     def _above(self) -> str | None:
-        # The Euclidean norm bounds the largest element: one product decides the common case; NaN fails it.
+        # The Euclidean norm is an upper bound of the largest element, so one product decides the
+        # common case. NaN fails the comparison.
         limit, view = self.limit, self.view
         if view @ view <= self._square:
             return None

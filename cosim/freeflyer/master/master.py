@@ -1,13 +1,15 @@
-"""The master: steps the components of a graph on a multi-rate schedule, and records.
+"""The master: steps the components of a graph on a multi-rate schedule, and records their outputs.
 
 At an instant t:
-1. delayed connections keep what their sources had before t;
-2. components whose last step ends at t hand over their outputs of t;
-3. controllers due at t sample and answer, in the graph's order, each output used at once;
+1. delayed connections store the outputs of their sources from before t;
+2. the outputs at t of components whose last step ends at t are read;
+3. controllers due at t sample and compute one after the other, in the graph's order; the next one
+   uses the outputs of the same instant;
 4. the instant is recorded, and the limits are checked;
-5. all other components due at t take their inputs, and then step on.
+5. all other components due at t take their inputs and then step.
 
-`Master.run` does this in Python, call by call; cosim/freeflyer/master/core does the same in C, and cosim/freeflyer/master/native.py hands a master to it.
+`Master.run` is the Python implementation and calls every component itself. The C implementation is
+in cosim/freeflyer/master/core; cosim/freeflyer/master/native.py runs a master with it.
 """
 
 from __future__ import annotations
@@ -33,8 +35,10 @@ from freeflyer.master.slaves import Slave, Slaves
 
 @dataclass(kw_only=True)
 class Outcome:
-    """How a run ended. `cause` says why it stopped before its time: it `diverged` (a limit, or an FMU whose equations' own limits
-    were passed), it `failed` (anything else that went wrong), or it was `interrupted`.
+    """The result of a run, and why it stopped early, in `cause`.
+
+    `diverged`: a limit was exceeded, or an FMU's equations left their range of validity. `failed`:
+    any other error. `interrupted`: the user stopped the run.
     """
 
     record: Record
@@ -58,7 +62,7 @@ Progress = Callable[[float], None]
 
 
 class InstantHook(Protocol):
-    """Ties a run's instants to the outside: called at every instant k, before anything happens and after all has.
+    """Hook of a run, called at every instant k: `before` its first and `after` its last operation.
 
     `before` returns a reason to end the run before this instant, or None.
     """
@@ -69,7 +73,10 @@ class InstantHook(Protocol):
 
 
 class Master:
-    """Binds a graph to its buffers; a master runs once. `recorded` chooses among the signals COMPONENT.VARIABLE."""
+    """A graph bound to its buffers. A master runs once.
+
+    `recorded` selects the recorded signals by their names COMPONENT.VARIABLE.
+    """
 
     def __init__(
         self,
@@ -89,9 +96,10 @@ class Master:
         self.record = Record(signals, schedule.ticks // schedule.record_ratio + 2)
 
     def initialise(self, start_values: Mapping[str, Mapping[str, Array]]) -> None:
-        """Components with plant-like outputs first, so that the others are initialised with real inputs.
+        """Initialise all components with their start values. Raises CosimError.
 
-        An input whose source is not initialised yet keeps its own start value. Raises CosimError.
+        Components whose outputs belong to the end of a step are first, so that the others get their
+        outputs. An input whose source is not initialised yet keeps its own start value.
         """
         ready: set[str] = set()
         for name in (*self.graph.then, *self.graph.first):
@@ -111,21 +119,25 @@ class Master:
             ready.add(name)
 
     def value(self, signal: str) -> Array:
-        """The present value of an output, COMPONENT.VARIABLE: a view."""
+        """Return a view of the present value of the output COMPONENT.VARIABLE."""
         return self.slaves.value(signal)
 
-    def hand_over(self, name: str) -> None:
-        """Give a component its inputs at the end of an instant, delayed ones too: for a hook that sends commands there."""
+    def write_inputs_now(self, name: str) -> None:
+        """Write a component's inputs at the end of an instant, for a hook that sends commands then.
+
+        Delayed connections deliver their present values here, too.
+        """
         self.slaves[name].take_present_inputs()
         self.slaves[name].write()
 
     def run(self, progress: Progress | None = None, hooks: Sequence[InstantHook] = ()) -> Outcome:
+        """Run to the stop time or until the run stops early. Raises ComponentError at instant 0."""
         outcome = self.outcome()
-        begin = time.perf_counter()
+        start = time.perf_counter()
         with interrupts() as interrupted:
             for _ in self.instants(outcome, interrupted, progress, hooks):
                 pass
-        outcome.wall = time.perf_counter() - begin
+        outcome.wall = time.perf_counter() - start
         return outcome
 
     def instants(
@@ -135,9 +147,9 @@ class Master:
         progress: Progress | None = None,
         hooks: Sequence[InstantHook] = (),
     ) -> Iterator[None]:
-        """One instant after another, for who has other things to do between them; `outcome` is whole once there are no more.
+        """Yield after every instant. `outcome` is complete when the iterator ends.
 
-        The run ends where `interrupted` is no longer empty.
+        The run ends at the first instant at which `interrupted` is not empty.
         """
         schedule = self.schedule
         before, after = [hook.before for hook in hooks], [hook.after for hook in hooks]
@@ -163,7 +175,7 @@ class Master:
                 yield
         except StepFailed as error:
             if not hooks:
-                self.refuse_at_start(k, error)
+                self.reject_failure_at_start(k, error)
             outcome.stopped_by(error)
             whole = False
         self.finish(outcome, k, whole=whole)
@@ -176,20 +188,20 @@ class Master:
             steps=dict.fromkeys(self.graph.components, 0),
         )
 
-    def refuse_at_start(self, k: int, error: StepFailed) -> None:
-        """What fails before anything has moved is no result. Raises ComponentError."""
+    def reject_failure_at_start(self, k: int, error: StepFailed) -> None:
+        """Raise ComponentError if a component failed at instant 0, where there is no result yet."""
         if k == 0 and not error.left_validity:
             raise ComponentError(f"component {error}") from error
 
     def finish(self, outcome: Outcome, k: int, *, whole: bool) -> None:
-        """The run has ended at tick k, which is recorded too; but not an instant that a failed step has left incomplete."""
+        """End the run at tick k and record it, unless a failed step left the instant incomplete."""
         outcome.simulated = seconds(k * self.schedule.tick)
         record = self.record
         if record.rows == 0 or (whole and record.time[-1] < outcome.simulated):
             record.append(outcome.simulated, self.slaves.now[self.columns])
 
     def _instant(self, k: int, outcome: Outcome, *, last: bool) -> str | None:
-        """Everything that happens at tick k; at the last one nobody steps on. A cause if a limit is passed."""
+        """Execute tick k, without steps at the last one. Return a cause if a limit is exceeded."""
         schedule, graph, slaves = self.schedule, self.graph, self.slaves
         moment = seconds(k * schedule.tick)
         slaves.keep_delayed()
@@ -229,19 +241,20 @@ class Master:
             )
         except StepFailed:
             raise
-        except Exception as error:  # a component written by others fails in its own ways; the run is kept all the same
+        except Exception as error:  # third-party components raise any type; the record is kept
             raise failure(name, error) from error
         outcome.steps[name] += 1
 
 
 def failure(name: str, error: Exception) -> StepFailed:
+    """Convert an exception of a component to StepFailed."""
     return StepFailed(
         name, message_of(error), left_validity=bool(getattr(error, "left_validity", False))
     )
 
 
 def message_of(error: Exception) -> str:
-    """One sentence for an exception of somebody else's component: its own if it knows of us, else with kind and place."""
+    """Format a component's exception; one that is not ours with its type and location."""
     if hasattr(error, "left_validity"):
         return " ".join(str(error).split())
     place = traceback.extract_tb(error.__traceback__)[-1]

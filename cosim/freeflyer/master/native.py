@@ -1,7 +1,7 @@
-"""A master's schedule executed by cosim/freeflyer/master/core: FMUs are stepped in C through their own functions, without the interpreter's lock.
+"""Native execution of a master: cosim/freeflyer/master/core steps FMUs in C, without the GIL.
 
-Components that are not co-simulation FMUs are called in Python, at their own instants. The record is the same, bit for bit, as
-that of `Master.run`.
+Components that are not co-simulation FMUs are called in Python at their instants. The record is
+identical, bit for bit, to that of `Master.run`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from cffi import FFI
 from numpy.typing import NDArray
 
 from freeflyer.fmi.component import Array
-from freeflyer.fmi.fmu import ASKED_TO_END, CALLS, FmuComponent
+from freeflyer.fmi.fmu import CALLS, TERMINATE_REQUESTED, FmuComponent
 from freeflyer.foundation.clock import seconds
 from freeflyer.foundation.errors import ComponentError, CosimError, StepFailed
 from freeflyer.foundation.interrupts import interrupts
@@ -28,7 +28,7 @@ LIBRARY = DIRECTORY / "prebuilt" / "core.so"
 LONGEST = 2**53
 """Times [ns] up to which the core's division is correctly rounded."""
 PAUSE = 0.05
-"""Seconds of wall time, about, between two looks at progress and interrupts."""
+"""Approximate wall time [s] between two updates of progress and checks for interrupts."""
 SET, STEP, GET, LIMIT = range(4)
 
 
@@ -42,23 +42,23 @@ def _library() -> tuple[FFI, Any]:
     except OSError as error:
         raise CosimError(
             f"the native core {LIBRARY} cannot be loaded ({error}); it is built when the package is installed: install it again, or "
-            f"take --master python"
+            f"use --master python"
         ) from error
 
 
 def run(master: Master, progress: Progress | None = None) -> Outcome:
-    """As `Master.run`. Raises ComponentError for what fails before anything has moved."""
+    """Run a master like `Master.run`. Raises ComponentError if a component fails at instant 0."""
     return Run(master).run(progress)
 
 
 class Run:
-    """The master as the C structures of core.h; whatever they point to is kept in `_alive`."""
+    """A master as the C structures of core.h; `_alive` keeps references to their memory."""
 
     def __init__(self, master: Master) -> None:
         if master.schedule.stop >= LONGEST:
             raise ComponentError(
                 f"a run of {seconds(master.schedule.stop):g} s is too long for the native core, which counts up to "
-                f"{LONGEST / 1e9:.0f} s; take --master python"
+                f"{LONGEST / 1e9:.0f} s; use --master python"
             )
         self.master = master
         self._ffi, self._library = _library()
@@ -72,7 +72,7 @@ class Run:
     def run(self, progress: Progress | None) -> Outcome:
         master, core, end = self.master, self._core, self._library
         outcome = master.outcome()
-        begin = time.perf_counter()
+        start = time.perf_counter()
         chunk, ended = 64, end.PAUSED
         with interrupts() as interrupted:
             while ended == end.PAUSED:
@@ -80,23 +80,23 @@ class Run:
                     self.cancel()
                 before = time.perf_counter()
                 ended = self._library.core_run(core, min(core.at + chunk, core.ticks + 1))
-                # So many instants at a time that somebody who waits for progress, or for the end, sees it soon.
+                # Adapt the number of instants per call to the interval PAUSE.
                 spent = time.perf_counter() - before
                 chunk = max(1, min(2 * chunk, int(chunk * PAUSE / max(spent, 1e-9))))
                 if progress and ended == end.PAUSED:
                     progress(seconds(core.at * core.tick))
-        outcome.wall = time.perf_counter() - begin
+        outcome.wall = time.perf_counter() - start
         master.record.rows = core.rows
         outcome.steps = {
             slave.component.name: int(core.slave[i].steps) for i, slave in enumerate(self._order)
         }
         outcome.steps = {name: outcome.steps[name] for name in master.graph.components}
         outcome.interrupted = bool(core.cancel) and core.at < core.ticks
-        if ended == end.PASSED:
+        if ended == end.LIMIT_EXCEEDED:
             outcome.diverged, outcome.cause = True, self._cause
         elif ended == end.FAILED:
-            error = self._told()
-            master.refuse_at_start(core.at, error)
+            error = self._step_failure()
+            master.reject_failure_at_start(core.at, error)
             outcome.stopped_by(error)
         elif outcome.interrupted:
             outcome.cause = "interrupted by the user"
@@ -104,13 +104,13 @@ class Run:
         return outcome
 
     def cancel(self) -> None:
-        """The next instant is the last; may be called from any thread."""
+        """Make the next instant the last one; any thread may call this."""
         self._core.cancel = 1
 
-    # What Python does on the way
+    # Callbacks from C
 
     def _called(self, index: int, operation: int, moment: float, size: float) -> int:
-        """An operation of a component that is not an FMU, or the verdict on a limit; 1 to stop the run."""
+        """Run an operation of a Python component, or check a limit; return 1 to stop the run."""
         try:
             if operation == LIMIT:
                 self._cause = self.master.watches[index]()
@@ -120,15 +120,13 @@ class Run:
                 slave.component.step(moment, size)
             else:
                 (slave.write if operation == SET else slave.read)()
-        except (
-            BaseException
-        ) as error:  # nothing can be thrown through C: it is thrown, or told, when C has come back
+        except BaseException as error:  # no exception can pass through C: `run` raises it later
             self._failure = error
             return 1
         return 0
 
-    def _told(self) -> StepFailed:
-        """Why the core has stopped. Raises what is no component's failure."""
+    def _step_failure(self) -> StepFailed:
+        """Return a component's failure that stopped the core; raise any other exception."""
         core = self._core
         if self._failure is not None:
             error = self._failure
@@ -139,8 +137,8 @@ class Run:
             return failure(self._order[core.index].component.name, error)
         component = self._order[core.index].component
         assert isinstance(component, FmuComponent)
-        if core.status == self._library.ASKED_TO_END:
-            return StepFailed(component.name, ASKED_TO_END)
+        if core.status == self._library.TERMINATE_REQUESTED:
+            return StepFailed(component.name, TERMINATE_REQUESTED)
         return component.failure(CALLS[component.version][core.operation], core.status)
 
     # Filling the structures
@@ -197,9 +195,8 @@ class Run:
         native.used.values = sum(
             component.ports[variable].size for variable in slave.outputs[: slave.used]
         )
-        if (
-            type(component) is FmuComponent
-        ):  # no other knows how to be stepped by its functions alone
+        # Subclasses of FmuComponent override methods, so the FMI functions alone do not step them.
+        if type(component) is FmuComponent:
             self._fill_fmu(native, slave, component)
 
     def _fill_fmu(self, native: Any, slave: Slave, component: FmuComponent) -> None:
@@ -232,6 +229,6 @@ class Run:
         return (array.ctypes.data + array.itemsize * places).astype(np.uintp)
 
     def _pointers(self, *addresses: NDArray[np.uintp]) -> Any:
-        """An array of pointers to doubles that are kept elsewhere."""
+        """Return an array of pointers to doubles of existing arrays."""
         every = np.concatenate([np.zeros(0, dtype=np.uintp), *addresses])
         return self._ffi.cast("double **", self._keep(self._ffi.from_buffer(every)))

@@ -1,4 +1,4 @@
-"""What a record came from: the system's parameters, steps and connections, so that a record can be understood by itself."""
+"""Provenance of a record: the system's parameters, steps and connections."""
 
 from __future__ import annotations
 
@@ -8,26 +8,28 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 KEY = b"freeflyer.origin"
-"""Of the Parquet file's schema metadata; the value is JSON."""
+"""Key in the Parquet file's schema metadata; the value is JSON."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Provenance:
+    """Contents of a record's metadata that make the record self-contained."""
+
     scenario: str
     exchange: str
     steps: Mapping[str, int]
     """Communication step of every component [ns]."""
     parameters: Mapping[str, Mapping[str, Any]]
-    """Start values of every component [SI]: a number, a list, a Boolean, or the name of an enumeration's choice."""
+    """Start values of every component [SI]: number, list, Boolean, or enumeration item."""
     sources: Mapping[str, str]
-    """COMPONENT.OUTPUT that drives an input, under the input's COMPONENT.VARIABLE."""
+    """Source COMPONENT.OUTPUT of each connected input COMPONENT.VARIABLE."""
 
     def to_json(self) -> str:
         return json.dumps(asdict(self))
 
     @classmethod
     def from_json(cls, text: bytes | str) -> Provenance:
-        """ValueError for anything that `to_json` has not written."""
+        """Parse the output of `to_json`. Raises ValueError if the text is something else."""
         try:
             raw = json.loads(text)
         except RecursionError as error:

@@ -1,7 +1,8 @@
-"""What a run leaves behind: time and every recorded signal, one column per element, as Parquet.
+"""The record of a run: time and every recorded signal, one column per element, as Parquet.
 
-`pandas.read_parquet(path)` loads it in one line; the units are in `.attrs["units"]` of the frame, and in the file's schema. There,
-too, is the record's `provenance`, under the key freeflyer.origin, where the run was one of a scenario.
+`pandas.read_parquet(path)` loads it; the units are in `.attrs["units"]` of the frame and in the
+file's schema. The schema also has the `provenance` of a scenario's run, under the key
+freeflyer.origin.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from freeflyer.foundation.output_file import write_whole
 from freeflyer.master.provenance import KEY, Provenance
 
 MOST_NUMBERS = 1 << 30
-"""Of a record that is read; as doubles, they are 8 GiB."""
+"""Numbers that a record to be read may contain; as doubles, they need 8 GiB."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +42,7 @@ class Signal:
 
 
 class Record:
-    """Preallocated rows of (time, signals)."""
+    """A table with preallocated rows of time and signals. Raises CosimError if memory is short."""
 
     def __init__(self, signals: Sequence[Signal], rows: int) -> None:
         self.signals: Mapping[str, Signal] = {signal.name: signal for signal in signals}
@@ -52,7 +53,7 @@ class Record:
         except MemoryError as error:
             size = rows * (width + 1) * 8 / 2**30
             raise CosimError(
-                f"the record of {rows} rows with {width} columns needs {size:.3g} GiB, more than there is; record less often "
+                f"the record of {rows} rows with {width} columns needs {size:.3g} GiB, more than is available; record less often "
                 f"([record] every_s) or stop earlier"
             ) from error
         self.rows = 0
@@ -65,16 +66,16 @@ class Record:
 
     @property
     def storage(self) -> tuple[Array, Array]:
-        """Times (all rows) and values (all rows, width), of which the first `rows` are in use."""
+        """Times (all rows) and values (all rows, width); the first `rows` of them are in use."""
         return self._time, self._values
 
     @property
     def time(self) -> Array:
-        """(rows) [s]."""
+        """Times [s], shape (rows)."""
         return self._time[: self.rows]
 
     def __getitem__(self, name: str) -> Array:
-        """(rows, size) of one signal, or (rows) of a scalar; KeyError if it was not recorded."""
+        """Return a signal, shape (rows, size), or (rows) for a scalar. Raises KeyError."""
         signal = self.signals[name]
         block = self._values[: self.rows, signal.first : signal.first + signal.size]
         return block[:, 0] if signal.size == 1 else block
@@ -84,6 +85,7 @@ class Record:
 
     @property
     def units(self) -> dict[str, str]:
+        """Unit of every column, or "" without one."""
         named = {
             column: unit or ""
             for signal in self.signals.values()
@@ -93,18 +95,20 @@ class Record:
 
     @classmethod
     def read(cls, path: Path) -> Record:
-        """What `write` has written; OSError or pyarrow.ArrowException if it cannot be read, ValueError, TypeError or LookupError if it
-        is something else. Nothing in it is run.
+        """Read a file of `write`; nothing in it is executed.
+
+        Raises OSError or pyarrow.ArrowException if it is unreadable, and ValueError, TypeError or
+        LookupError if its content is something else.
         """
         with parquet.ParquetFile(path) as file:
             rows, columns = file.metadata.num_rows, file.metadata.num_columns
-            if (
-                not 0 < columns * max(rows, 1) <= MOST_NUMBERS
-            ):  # a few bytes of Parquet can stand for any number of rows
+            # A few bytes of compressed Parquet can expand to any number of rows.
+            if not 0 < columns * max(rows, 1) <= MOST_NUMBERS:
                 raise ValueError(
                     f"it has {rows} rows of {columns} columns; {MOST_NUMBERS} numbers at most are expected"
                 )
             table = file.read()
+        # The columns NAME[1], NAME[2], ... are one signal.
         elements: dict[str, list[str]] = {}
         for column in table.column_names[1:]:
             elements.setdefault(column.partition("[")[0], []).append(column)
@@ -116,6 +120,7 @@ class Record:
             )
             signals.append(Signal(name=name, first=first, size=len(columns), units=units))
             first += len(columns)
+        # The values, and the provenance in the schema.
         record = cls(signals, table.num_rows)
         record._time[:] = table.column(0).to_numpy()
         for place, column in enumerate(c for columns in elements.values() for c in columns):
@@ -126,7 +131,7 @@ class Record:
         return record
 
     def write(self, path: Path) -> None:
-        """Whole or not at all; OutputError if it cannot be written."""
+        """Write a Parquet file, completely or not at all. Raises OutputError."""
         columns = {"time": self.time}
         for signal in self.signals.values():
             for offset, column in enumerate(signal.columns):
@@ -138,7 +143,7 @@ class Record:
         if self.provenance is not None:
             metadata[KEY] = self.provenance.to_json()
         schema = pa.schema(fields, metadata=metadata)
-        # By its buffer: `pa.array` of an array imports pandas first.
+        # From buffers, because `pa.array` would import pandas.
         arrays = [
             pa.Array.from_buffers(
                 pa.float64(), len(values), [None, pa.py_buffer(np.ascontiguousarray(values))]

@@ -1,4 +1,4 @@
-"""The multi-rate schedule: every component's step as a whole number of the smallest one."""
+"""The multi-rate schedule: every component's step is a multiple of the smallest step, the tick."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from freeflyer.foundation.errors import GraphError
 
 @dataclass(frozen=True, kw_only=True)
 class Schedule:
-    """Times in ns. At tick k (time k * tick) every component with k % ratio == 0 makes a step of its own size."""
+    """Times in ns. At tick k, time k * tick, every component with k % ratio == 0 makes a step."""
 
     tick: int
     ratios: Mapping[str, int]
@@ -23,14 +23,17 @@ class Schedule:
         return self.stop // self.tick
 
     def size(self, component: str, k: int) -> int:
-        """The step of `component` from tick k, cut short at the stop time."""
+        """Return the step [ns] of `component` from tick k, shortened at the stop time."""
         return min(self.ratios[component] * self.tick, self.stop - k * self.tick)
 
 
 def build(
     steps: Mapping[str, int], stop: int, record_every: int, variable_step: Mapping[str, bool]
 ) -> Schedule:
-    """Raises GraphError for a step that is no multiple of the smallest, and says which would fit."""
+    """Build the schedule from steps, stop time and recording interval [ns].
+
+    Raises GraphError, with times that would fit, if one is no multiple of the smallest step.
+    """
     tick = min(steps.values())
     for name, step in steps.items():
         _multiple(step, tick, f"component {name}: its step", "the smallest step")

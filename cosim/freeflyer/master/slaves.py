@@ -1,4 +1,4 @@
-"""A graph's components with everything bound that a step needs: one flat vector of all outputs, and every slave's inputs."""
+"""Buffers of a graph's components: one flat vector of all outputs, and the inputs of each slave."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Places = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Wires:
-    """buffer[into[i]] = outputs[places[i]]; of component `source`."""
+    """Connections from component `source` to one slave: buffer[into[i]] = outputs[places[i]]."""
 
     source: str
     delayed: bool
@@ -28,8 +28,10 @@ class Wires:
 
 
 class Slave:
-    """One component. `buffer` holds its connected inputs, the variables `targets`, one after the other; `view` its outputs, those
-    variables first (`used` of them) that connections and limits need at every step.
+    """A component with its buffers.
+
+    `buffer` contains its connected inputs, the variables `targets`, one after the other. `view`
+    contains its outputs; connections and limits need the first `used` variables at every step.
     """
 
     def __init__(
@@ -47,7 +49,7 @@ class Slave:
         self.component, self.ratio = component, ratio
         self.targets, self.wires = targets, wires
         self.outputs, self.used, self.view = outputs, used, now[own]
-        # Every input begins with its own start value.
+        # Every input has its own start value until a source is read.
         starts = [
             np.array(component.ports[target].start or [0.0] * component.ports[target].size)
             for target in targets
@@ -69,15 +71,16 @@ class Slave:
 
     @cached_property
     def write(self) -> Callable[[], None]:
-        """Hands the buffer over to the component."""
+        """Function that writes the buffer to the component's inputs."""
         return self.component.bind_inputs(self.targets, self.buffer) if self.targets else _nothing
 
     @cached_property
     def read(self) -> Callable[[], None]:
-        """Reads all outputs."""
+        """Function that reads all outputs of the component into `view`."""
         return self.component.bind_outputs(self.outputs, self.view) if self.outputs else _nothing
 
     def take_inputs(self) -> None:
+        """Copy the sources of all connections to the buffer."""
         into, places = self._prompt
         if into.size:
             self.buffer[into] = self._now[places]
@@ -86,19 +89,22 @@ class Slave:
             self.buffer[into] = self._before[places]
 
     def take_first_inputs(self, ready: set[str]) -> None:
-        """From those components only that are initialised."""
+        """Copy only the sources in initialised components."""
         for wire in self.wires:
             if wire.source in ready:
                 self.buffer[wire.into] = self._now[wire.places]
 
     def take_present_inputs(self) -> None:
-        """Delayed ones as they are now, too."""
+        """Copy the present values of all sources, also those of delayed connections."""
         for wire in self.wires:
             self.buffer[wire.into] = self._now[wire.places]
 
 
 class Slaves:
-    """All of them, by name. `now` is the flat vector of all outputs, `before` its state before the present instant."""
+    """All slaves by name.
+
+    `now` is the flat vector of all outputs, `before` its value before the present instant.
+    """
 
     def __init__(
         self, graph: Graph, ratios: Mapping[str, int], watched: Sequence[str] = ()
@@ -130,15 +136,19 @@ class Slaves:
         return self._by_name[name]
 
     def keep_delayed(self) -> None:
+        """Store the sources of the delayed connections."""
         if self.delayed.size:
             self.before[self.delayed] = self.now[self.delayed]
 
     def value(self, signal: str) -> Array:
-        """The present value of an output: a view."""
+        """Return a view of the present value of an output."""
         return self.now[self.places[signal]]
 
     def signals(self, graph: Graph, recorded: Callable[[str], bool]) -> tuple[list[Signal], Places]:
-        """The record's signals, in the order of components and ports, and the places of their columns in `now`."""
+        """Return the record's signals and the places of their columns in `now`.
+
+        Signals have the order of the components and their ports.
+        """
         signals, columns = [], [np.zeros(0, dtype=np.int64)]
         first = 0
         for name, component in graph.components.items():
@@ -181,7 +191,7 @@ class Slaves:
 
 
 def _outputs(name: str, component: Component, used: set[str]) -> list[str]:
-    """Those in use first, so that they can be read alone."""
+    """Return the outputs of a component, those in use first, so that these can be read alone."""
     found = [
         port.name for port in component.ports.values() if port.causality == "output" and port.real
     ]

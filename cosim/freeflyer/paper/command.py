@@ -1,4 +1,4 @@
-"""`freeflyer reproduce`."""
+"""The command `freeflyer reproduce`."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class ReproduceCommand:
         parser.add_argument(
             "--real-time",
             action="store_true",
-            help="also the facility experiment in real time over CAN and Zenoh (a minute more)",
+            help="also run the facility experiment in real time over CAN and Zenoh (1 min more)",
         )
 
     def execute(self, arguments: argparse.Namespace, console: Console) -> int:

@@ -1,6 +1,7 @@
-"""The facility experiment over real bytes: the virtual facility and the loop as commands of their own, as a user would start them.
+"""The facility experiment in real time.
 
-How they do it is not known here; what they write is read.
+The virtual facility and the control loop are separate commands, as a user would start them. This
+module uses only the files that they write.
 """
 
 from __future__ import annotations
@@ -27,17 +28,20 @@ CASES = ("facility", "facility_without_pc")
 
 
 def run(scenario: Scenario, directory: Path, settings: Sequence[str] = ()) -> Result:
-    """Starts a facility, runs the loop on it, and stops it; `settings` as for `--set`. What was recorded is the result, also of a loop that stopped early.
+    """Start a virtual facility, run the control loop on it, and stop the facility.
 
-    Raises OutputError, with the command's own words, if there is no result.
+    `settings` are further arguments of `--set`. A loop that stopped early has a result, too. Raises
+    OutputError, with the output of the command, if there is no result.
     """
+    # A bus name and a port of this process, so that runs at the same time do not interfere.
     settings = [
         *settings,
         f'devices.arm_drive.channel="reproduce-{os.getpid()}"',
         f'devices.base_robot.connect=["tcp/127.0.0.1:{_free_port()}"]',
     ]
-    arguments = [scenario.name, *(word for setting in settings for word in ("--set", setting))]
-    for name in WRITTEN:  # what an earlier run has left must not be taken for this one's
+    arguments = [scenario.name, *(part for setting in settings for part in ("--set", setting))]
+    # Files of an earlier run must not be mistaken for those of this run.
+    for name in WRITTEN:
         with contextlib.suppress(FileNotFoundError):
             (directory / name).unlink()
     with _facility([*COMMAND, "facility", *arguments, "--out", str(directory)]):
@@ -46,6 +50,7 @@ def run(scenario: Scenario, directory: Path, settings: Sequence[str] = ()) -> Re
             capture_output=True,
             text=True,
         )
+    # The result, from the files of the loop.
     if loop.returncode not in (DONE, STOPPED):
         raise OutputError(f"the loop of {scenario.name} did not run: {loop.stderr.strip()}")
     try:
@@ -65,18 +70,19 @@ def run(scenario: Scenario, directory: Path, settings: Sequence[str] = ()) -> Re
 
 @contextlib.contextmanager
 def _facility(command: list[str]) -> Iterator[None]:
+    """Run a facility while the context is open; wait until it is ready. Raises OutputError."""
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     ) as process:
         assert process.stdout is not None
         try:
-            said = ""
+            last = ""
             for line in process.stdout:
-                said = line.strip()
+                last = line.strip()
                 if "is there" in line:
                     break
             else:
-                raise OutputError(f"the virtual facility did not start: {said}")
+                raise OutputError(f"the virtual facility did not start: {last}")
             yield
         finally:
             if process.poll() is None:

@@ -1,4 +1,4 @@
-"""One self-contained HTML page: figures, table, scenarios, versions."""
+"""The report: one self-contained HTML page with figures, tables, scenarios and versions."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Verdict = Literal["as stated", "in part", "differs", "not in the paper"]
 
 @dataclass(frozen=True, kw_only=True)
 class Statement:
-    """One statement of the paper beside what was measured."""
+    """A statement of the paper, the measured result, and their comparison."""
 
     where: str
     paper: str
@@ -36,8 +36,8 @@ class Figure:
 
 ASSUMPTIONS = (
     "The paper's text gives neither gains, trajectory amplitudes, start posture, mount, tool nor arm masses (its reference [16] is not "
-    "public). All of them are this project's assumptions, so curves can agree with the paper's in kind, not in value: where the "
-    "paper gives no number, the table says so and claims no agreement."
+    "public). All of them are assumptions of this project. Curves can therefore agree with the paper's in kind, but not in value. "
+    "Where the paper gives no number, the table states this and claims no agreement."
 )
 
 
@@ -47,7 +47,7 @@ def write(
     figures: Sequence[Figure],
     results: Mapping[str, Result],
 ) -> None:
-    """Raises OutputError."""
+    """Write the page. Raises OutputError."""
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(Path(__file__).parent),
         autoescape=True,
@@ -65,6 +65,6 @@ def write(
 
 
 def _embedded(path: Path) -> tuple[str, int]:
-    """A PNG as base64, and its width on a page: half its pixels, which a PNG's header holds at byte 16."""
+    """Return a PNG as base64, and its width on the page: half its width in pixels (byte 16)."""
     data = path.read_bytes()
     return base64.b64encode(data).decode(), int.from_bytes(data[16:20], "big") // 2

@@ -1,4 +1,4 @@
-"""`freeflyer reproduce`: the paper's simulation, its figures, and its statements beside what was measured."""
+"""Reproduction of the paper's simulation: figures, and its statements with measured results."""
 
 from __future__ import annotations
 
@@ -23,15 +23,18 @@ from freeflyer.scenario import experiment, scenario
 from freeflyer.scenario.experiment import Result
 
 ATTEMPTS = 3
-"""At a loop in real time."""
+"""Attempts at a loop in real time."""
 
 
 def reproduce(directory: Path, fmi: int, console: Console, *, in_real_time: bool = False) -> int:
-    """Run every case, then write. Ctrl-C keeps the cases that are done, and what was simulated of the present one.
+    """Run every case, and write figures, tables and report into `directory`. Return the exit code.
 
-    `in_real_time`: the facility experiment once more, against the virtual facility over CAN and Zenoh.
+    `in_real_time` also runs the facility experiment on the virtual facility over CAN and Zenoh.
+    After Ctrl-C, the completed cases and the results of the interrupted one are saved. Raises
+    OutputError or another CosimError.
     """
     check_writable(directory)
+    # The cases, up to an interrupt.
     scenarios = [scenario.load(name) for name in CASES]
     results: dict[str, Result] = {}
     with experiment.progress_bar(console, scenarios) as reports:
@@ -40,6 +43,7 @@ def reproduce(directory: Path, fmi: int, console: Console, *, in_real_time: bool
             experiment.write(results[case.name], directory / case.name)
             if results[case.name].outcome.interrupted:
                 break
+    # The loops in real time, and the summary of all runs.
     loops = (
         run_in_real_time(directory, console) if in_real_time and len(results) == len(CASES) else {}
     )
@@ -51,6 +55,7 @@ def reproduce(directory: Path, fmi: int, console: Console, *, in_real_time: bool
             soft_wrap=True,
         )
         return STOPPED
+    # The comparison with the paper.
     stated = statements(results) + real_time_statements(results, loops)
     drawn = draw(results, directory) + draw_real_time(loops, directory)
     report.write(directory / "report.html", stated, drawn, {**results, **loops})
@@ -60,15 +65,17 @@ def reproduce(directory: Path, fmi: int, console: Console, *, in_real_time: bool
         f"Report: {directory / 'report.html'}; figures, records and summary.json beside it",
         soft_wrap=True,
     )
-    surprises = [name for name, result in {**results, **loops}.items() if not result.as_expected]
-    if surprises:
-        console.print(f"Not as expected: {', '.join(surprises)}")
-    return STOPPED if surprises else DONE
+    unexpected = [name for name, result in {**results, **loops}.items() if not result.as_expected]
+    if unexpected:
+        console.print(f"Not as expected: {', '.join(unexpected)}")
+    return STOPPED if unexpected else DONE
 
 
 def run_in_real_time(directory: Path, console: Console) -> dict[str, Result]:
-    """With and without passivity controllers. A machine that is not for real time may hold a process up for longer than the
-    watchdogs allow: a loop that was stopped is run again, and said to have been.
+    """Run the facility experiment with and without passivity controllers.
+
+    A machine without a real-time kernel may suspend a process for longer than the watchdogs allow.
+    A loop that stopped is therefore reported and run again, up to ATTEMPTS times.
     """
     loops = {}
     for case in map(scenario.load, real_time.CASES):
@@ -87,16 +94,18 @@ def run_in_real_time(directory: Path, console: Console) -> dict[str, Result]:
 
 
 def draw_real_time(loops: Mapping[str, Result], directory: Path) -> list[Figure]:
+    """Draw the figures of the loops in real time; return them with captions."""
     if not loops:
         return []
     passive, without = (result.outcome.record for result in loops.values())
-    bytes_ = "In real time against the virtual facility over CAN FD and Zenoh (its drives, noise and delay: assumed)"
+    setting = "In real time against the virtual facility over CAN FD and Zenoh (its drives, noise and delay: assumed)"
+    # Number, drawing, record and caption of each figure.
     drawings = [
         (
             "11",
             figures.facility_manipulator,
             passive,
-            "tracking error of the hand (top), force of the manipulator (bottom)",
+            "tracking error of the end-effector (top), force of the manipulator (bottom)",
         ),
         (
             "12",
@@ -117,6 +126,7 @@ def draw_real_time(loops: Mapping[str, Result], directory: Path) -> list[Figure]
             "with passivity controllers: energy observers of manipulator (top) and base (bottom)",
         ),
     ]
+    # Files fig11_real_time.png and so on.
     drawn = []
     with rc_context(STYLE):
         for number, drawing, record, caption in drawings:
@@ -124,17 +134,19 @@ def draw_real_time(loops: Mapping[str, Result], directory: Path) -> list[Figure]
             save(drawing(record), path)
             drawn.append(
                 Figure(
-                    number=f"Fig. {number} (real time)", caption=f"{bytes_}: {caption}.", path=path
+                    number=f"Fig. {number} (real time)", caption=f"{setting}: {caption}.", path=path
                 )
             )
     return drawn
 
 
 def draw(results: Mapping[str, Result], directory: Path) -> list[Figure]:
+    """Draw the figures of the paper and the energy audits; return them with captions."""
     continuous, unstable, passive = (results[name].outcome.record for name in CASES[:3])
     facility, without = (results[name].outcome.record for name in CASES[4:])
     both = "T_m = 1 ms, T_b = 0.3 s"
     inside = "Facility experiment inside one FMI system (T_m = 1 ms, T_b = 4 ms; drives, noise, delay: assumed)"
+    # Number, drawing, record and caption of each figure.
     drawings = [
         ("2", figures.trajectory, continuous, "Desired end-effector position x and orientation theta (amplitudes and frequency: assumed)."),
         ("3", figures.errors, continuous, "Both controllers at 1 ms (FMUs): error of the end-effector (top) and of the base (bottom)."),
@@ -144,11 +156,12 @@ def draw(results: Mapping[str, Result], directory: Path) -> list[Figure]:
         ("8", figures.corrections, passive, f"Forces and torques of the passivity controllers, {both}: manipulator (top), base (bottom)."),
         ("9", figures.energies, passive, f"Energy observers with passivity controllers, {both}: manipulator (top), base (bottom); E(0) included."),
         ("10", figures.errors, passive, f"With passivity controllers, {both}: error of the end-effector (top) and of the base (bottom)."),
-        ("11", figures.facility_manipulator, facility, f"{inside}: tracking error of the hand (top), force of the manipulator (bottom)."),
+        ("11", figures.facility_manipulator, facility, f"{inside}: tracking error of the end-effector (top), force of the manipulator (bottom)."),
         ("12", figures.facility_base, facility, f"{inside}: regulation error of the base (top), force on the base (bottom)."),
         ("13", figures.energies, without, f"{inside}, without passivity controllers: energy observers of manipulator (top) and base (bottom)."),
         ("14", figures.energies, facility, f"{inside}, with passivity controllers: energy observers of manipulator (top) and base (bottom)."),
     ]  # fmt: skip
+    # The overview compares the three cases of the simulation.
     labels = ("both controllers at 1 ms", "base at 0.3 s, no PC", "base at 0.3 s, with PC")
     lines = [
         (label, results[name].outcome.record.time, results[name].errors)
@@ -162,6 +175,7 @@ def draw(results: Mapping[str, Result], directory: Path) -> list[Figure]:
             path=overview,
         )
     ]
+    # The figures of the paper. The continuous-time figure has the signals of another component.
     with rc_context(STYLE):
         save(figures.overview(lines), overview)
         for number, drawing, record, caption in drawings:
@@ -172,21 +186,23 @@ def draw(results: Mapping[str, Result], directory: Path) -> list[Figure]:
             )
             save(figure, path)
             drawn.append(Figure(number=f"Fig. {number}", caption=caption, path=path))
+    # The energy audits.
     for name, record in (("multirate_unstable", unstable), ("multirate_passive", passive)):
         path = directory / f"energy_audit_{name}.png"
         save(audit_figure.draw(ledger.audit(recorded_loop.find(record))), path)
-        caption = f"Energy audit of {name} (not in the paper): powers, balance, where energy enters and goes, observers beside the truth."
+        caption = f"Energy audit of {name} (not in the paper): powers, balance, energy sources and sinks, observed and true energy."
         drawn.append(Figure(number="Energy audit", caption=caption, path=path))
     return drawn
 
 
 def table(stated: list[Statement]) -> Table:
+    """Return the statements as a table for the console."""
     shown = Table(
-        title="The paper's statements beside what was measured",
+        title="The paper's statements and the measured results",
         title_justify="left",
         show_lines=True,
     )
-    for header in ("where", "the paper says", "measured", ""):
+    for header in ("where", "paper", "measured", ""):
         shown.add_column(header, overflow="fold")
     for s in stated:
         shown.add_row(s.where, s.paper, f"{s.measured}\n{s.remark}".strip(), s.verdict)

@@ -1,4 +1,4 @@
-"""What the writer and the reader of SSP files share: namespaces, annotation types, the file's fixed names."""
+"""Namespaces, annotation types and fixed names of SSP files, for the writer and the reader."""
 
 from __future__ import annotations
 
@@ -6,14 +6,17 @@ from xml.etree import ElementTree
 
 DESCRIPTION = "SystemStructure.ssd"
 ANNOTATION = "org.freeflyer-cosim"
-"""Type of our annotations: what of a scenario SSP has no place for."""
+"""Type of our annotations, which contain the parts of a scenario that SSP has no elements for."""
 STEP_ANNOTATION = "com.opensimulationplatform"
-"""Type of the annotations in which libcosim and ecos look for communication steps; neither SSP 1.0 nor 2.0 has a place for them."""
+"""Type of the annotations with communication steps, which SSP has no elements for.
+
+libcosim and ecos read them from there.
+"""
 FMU_TYPE = "application/x-fmu-sharedlibrary"
 SETTINGS = ("title", "paper", "expect", "exchange", "record", "limits", "errors", "observed_energy")
-"""Keys of a scenario that are about the experiment and not about the system; they travel as TOML."""
+"""Scenario keys that describe the experiment, not the system; an annotation has them as TOML."""
 
-# libcosim and ecos compare prefixes, not namespaces: these prefixes are part of the format for them.
+# libcosim and ecos compare prefixes instead of namespaces, so these prefixes must not change.
 NAMESPACES = {
     "ssc": "http://ssp-standard.org/SSP1/SystemStructureCommon",
     "ssd": "http://ssp-standard.org/SSP1/SystemStructureDescription",
@@ -27,6 +30,6 @@ for _prefix, _namespace in NAMESPACES.items():
 
 
 def tag(name: str) -> str:
-    """`ssd:System` -> the name as ElementTree writes it."""
+    """Convert `ssd:System` to the form of ElementTree, `{NAMESPACE}System`."""
     prefix, _, local = name.partition(":")
     return f"{{{NAMESPACES[prefix]}}}{local}"

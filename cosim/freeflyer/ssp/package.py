@@ -1,4 +1,4 @@
-"""The zip archive of an SSP file, from anybody: its entries as XML and as files."""
+"""The zip archive of an untrusted SSP file: its entries as XML and as files."""
 
 from __future__ import annotations
 
@@ -19,7 +19,10 @@ Element = ElementTree.Element
 
 @contextmanager
 def opened(path: Path, directory: Path) -> Iterator[Package]:
-    """ScenarioError, in one sentence, for whatever is wrong with the archive, then or while it is read."""
+    """Open and check an SSP file; `directory` is for its unpacked FMUs.
+
+    Raises ScenarioError if the archive is invalid, here or while it is read.
+    """
     package = Package(path, directory)
     if not path.is_file():
         raise package.fail("it is not a file" if path.exists() else "it does not exist")
@@ -38,11 +41,14 @@ def opened(path: Path, directory: Path) -> Iterator[Package]:
 
 
 class Package:
+    """An open SSP file."""
+
     def __init__(self, path: Path, directory: Path) -> None:
         self.path, self.directory = path, directory
         self._unpacked: dict[str, Path] = {}
 
     def fail(self, message: str) -> ScenarioError:
+        """Return an exception whose message starts with the file."""
         return ScenarioError(f"SSP file {self.path}: {message}")
 
     def enter(self, found: Archive) -> None:
@@ -53,6 +59,7 @@ class Package:
             raise self.fail(f"it contains no {name}{did_you_mean(name, self._archive.names)}")
 
     def xml(self, name: str, wanted: str) -> Element:
+        """Read an entry whose root element must be `wanted`. Raises ScenarioError."""
         self._require(name)
         root, _ = self._archive.xml(name)
         if root.tag != tag(wanted):
@@ -60,7 +67,10 @@ class Package:
         return root
 
     def source(self, element: Element, subject: str) -> str:
-        """The entry that a `source` attribute names: relative to the description, inside the archive."""
+        """Return the entry of a `source` attribute: relative to the description, in the archive.
+
+        Raises ScenarioError with `subject` for any other source.
+        """
         try:
             uri = urlsplit(element.get("source", ""))
         except ValueError as error:
@@ -86,6 +96,7 @@ class Package:
         return name
 
     def unpack(self, name: str) -> Path:
+        """Extract an entry once; return its path."""
         if name not in self._unpacked:
             self._require(name)
             target = self.directory / name

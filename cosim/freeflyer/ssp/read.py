@@ -1,7 +1,8 @@
-"""A system structure package (SSP 1.0 or 2.0), ours or another tool's -> a scenario.
+"""Conversion of a system structure package (SSP 1.0 or 2.0, from any tool) to a scenario.
 
-Nested systems are flattened, parameter sets collected from all levels; what cannot be simulated here is refused in one sentence.
-SSP has no communication steps: they come from annotations, or from `step`, or else from the FMUs' default experiments.
+Nested systems are flattened, and the parameter sets of all levels are collected. Unsupported
+content is rejected. SSP has no communication steps: they come from annotations, from `step`, or
+from the default experiments of the FMUs.
 """
 
 from __future__ import annotations
@@ -37,15 +38,16 @@ from freeflyer.ssp.package import Package, opened
 
 Element = ElementTree.Element
 Node = tuple[tuple[str, ...], str]
-"""A connector: the path of the element that has it, and its name."""
+"""A connector: the path of its element, and its name."""
 
 
 def read(
     path: Path, directory: Path, *, step: float | None = None, overrides: Sequence[str] = ()
 ) -> Scenario:
-    """Unpack the FMUs into `directory`; they must stay there as long as the scenario is used. Raises CosimError.
+    """Read a scenario from an SSP file, and unpack its FMUs into `directory`. Raises CosimError.
 
-    `step` [s] is for components that have none of their own in the file.
+    The scenario needs the directory while it is used. `step` [s] is for components without a step
+    in the file; `overrides` are the arguments of `--set`.
     """
     with opened(path, directory) as package:
         raw = _System(package).tables(step, overrides)
@@ -64,24 +66,27 @@ class _Part:
     description: ModelDescription
     ports: Mapping[str, Port]
     owner: Mapping[str, tuple[str, int]]
-    """Model variable -> the port that it is a part of, and which one of its variables."""
+    """Model variable -> its port, and its index among the port's variables."""
     width: Mapping[str, int]
-    """Port -> how many model variables it has."""
+    """Port -> number of its model variables."""
     parameters: dict[str, Any] = field(default_factory=dict)
     step: float | None = None
     samples: bool | None = None
 
 
 class _System:
+    """The flattened system: its FMUs and their connections, while the description is read."""
+
     def __init__(self, package: Package) -> None:
         self.package, self.fail = package, package.fail
         self.parts: dict[tuple[str, ...], _Part] = {}
         self.edges: list[tuple[Node, Node, bool]] = []
         self.elements: set[tuple[str, ...]] = {()}
         self.unmatched: list[str] = []
-        """Parameters that no FMU has."""
+        """Parameters that match no FMU."""
 
     def tables(self, step: float | None, overrides: Sequence[str]) -> Raw:
+        """Read the description; return the tables of the scenario."""
         root = self.package.xml(DESCRIPTION, "ssd:SystemStructureDescription")
         if not root.get("version", "").startswith(("1.", "2.")):
             raise self.fail(
@@ -123,6 +128,7 @@ class _System:
             kinds[place, connector.get("name", "")] = connector.get("kind", "")
 
     def _component(self, element: Element, place: tuple[str, ...]) -> _Part:
+        # The FMU. Other component types are not supported.
         subject = f"component {'.'.join(place)}"
         if element.get("type", FMU_TYPE) != FMU_TYPE:
             raise self.fail(
@@ -132,6 +138,7 @@ class _System:
             raise self.fail(f"{subject} has no source; an FMU in the archive is expected")
         path = self.package.unpack(self.package.source(element, subject))
         description = describe_fmu(path)
+        # Co-simulation or model exchange.
         wanted = element.get("implementation", "any")
         if wanted == "ScheduledExecution":
             raise self.fail(
@@ -144,6 +151,7 @@ class _System:
         exchanged = wanted == "ModelExchange" or (
             wanted == "any" and description.coSimulation is None
         )
+        # Ports, and the settings in annotations.
         ports, groups = ports_of(description, {})
         part = _Part(
             name=self._free_name(place),
@@ -165,7 +173,7 @@ class _System:
         return part
 
     def _free_name(self, place: tuple[str, ...]) -> str:
-        """A name as scenarios have it, of letters, digits and underscores."""
+        """Return an unused component name of letters, digits and underscores."""
         name = re.sub(r"\W", "_", "_".join(place), flags=re.ASCII)
         name = name if name.isidentifier() else f"_{name}"
         taken = {part.name for part in self.parts.values()}
@@ -188,7 +196,7 @@ class _System:
                 raise self.fail(
                     f"{subject} is restricted to single elements of an array, which is not supported"
                 )
-        # `start` and `end` are only names: which way data flows is told by the connectors.
+        # The direction of the data follows from the connectors, not from `start` and `end`.
         if self._takes(end, where, kinds) is False or self._takes(start, where, kinds) is True:
             start, end = end, start
         delayed = self._annotated(element, ANNOTATION, "freeflyer:Delayed") is not None
@@ -213,7 +221,7 @@ class _System:
         return node
 
     def _takes(self, node: Node, where: tuple[str, ...], kinds: Mapping[Node, str]) -> bool | None:
-        """Whether a connection hands a value to this connector (True) or takes one from it (False)."""
+        """Return True if data flows into this connector, False if out of it, None if unknown."""
         part = self.parts.get(node[0])
         kind = part.ports[part.owner[node[1]][0]].causality if part else kinds.get(node, "")
         takes = {
@@ -222,7 +230,7 @@ class _System:
             "output": False,
             "calculatedParameter": False,
         }.get(kind)
-        # The connectors of the enclosing system are seen from inside: its inputs give.
+        # Inside a system, the system's own inputs are sources.
         return takes if takes is None or node[0] != where else not takes
 
     # Parameters
@@ -230,7 +238,11 @@ class _System:
     def _parameters(
         self, element: Element, place: tuple[str, ...], above: list[tuple[str, Any]]
     ) -> None:
-        """`above` are values from the levels above, by names relative to this element; they win."""
+        """Collect the parameters of an element and its children.
+
+        `above` are values from higher levels, by names relative to this element. They take
+        precedence over the element's own values.
+        """
         values = [*self._bound(element, place), *above]
         part = self.parts.get(place)
         if part is not None:
@@ -292,7 +304,7 @@ class _System:
         return targets
 
     def _value(self, parameter: Element, subject: str) -> Any:
-        """A value as a scenario has it: { value, unit }, a number, a list, a name, a Boolean."""
+        """Convert a parameter to a scenario value: number, list, name, Boolean, { value, unit }."""
         typed = next(
             (child for child in parameter if child.tag.startswith(f"{{{NAMESPACES['ssv']}}}")), None
         )
@@ -302,10 +314,10 @@ class _System:
         if kind == "Enumeration":
             return text
         if kind == "Boolean":
-            strange = [word for word in text.split() if word not in ("true", "false", "1", "0")]
-            if strange:
-                raise self.fail(f"{subject} is {strange[0]!r}; true or false is expected")
-            items: list[Any] = [word in ("true", "1") for word in text.split()]
+            unsupported = [item for item in text.split() if item not in ("true", "false", "1", "0")]
+            if unsupported:
+                raise self.fail(f"{subject} is {unsupported[0]!r}; true or false is expected")
+            items: list[Any] = [item in ("true", "1") for item in text.split()]
         elif kind in ("String", "Binary", "Clock"):
             raise self.fail(
                 f"{subject} is of type {kind}; numbers, Booleans and enumerations are supported"
@@ -313,8 +325,8 @@ class _System:
         else:
             try:
                 items = [
-                    float(word) if kind in ("Real", "Float64", "Float32") else int(word)
-                    for word in text.split()
+                    float(item) if kind in ("Real", "Float64", "Float32") else int(item)
+                    for item in text.split()
                 ]
             except ValueError:
                 raise self.fail(f"{subject} is {text!r}; {kind} is expected") from None
@@ -322,7 +334,8 @@ class _System:
         return {"value": value, "unit": typed.get("unit")} if typed.get("unit") else value
 
     def _grouped(self, part: _Part, values: list[tuple[str, Any]]) -> dict[str, Any]:
-        """Values of the FMU's variables -> values of its ports. Names that the FMU does not have are none of its business."""
+        """Group the values of model variables to values of ports; other names are ignored."""
+        # port -> index of the variable -> value; later values replace earlier ones
         given: dict[str, dict[int, Any]] = {}
         for name, value in values:
             if name in part.owner:
@@ -352,18 +365,19 @@ class _System:
     # The scenario
 
     def _raw(self, root: Element, step: float | None, overrides: Sequence[str]) -> Raw:
+        # A scenario starts at time 0.
         experiment = root.find("ssd:DefaultExperiment", NAMESPACES)
         times = experiment.attrib if experiment is not None else {}
         if self._number(times.get("startTime", "0"), "the start time") != 0.0:
             raise self.fail(
                 f"it starts at {times['startTime']} s; only runs that start at 0 are supported"
             )
+        # Settings of the experiment, from our annotation.
         raw: Raw = {"title": root.get("description") or root.get("name", "")}
         settings = self._annotated(root, ANNOTATION, "freeflyer:Experiment")
         if settings is None:
-            raw["exchange"] = (
-                "parallel"  # as other tools that read SSP have it: loops need no order then
-            )
+            # Other SSP tools exchange in parallel, where algebraic loops need no order.
+            raw["exchange"] = "parallel"
         else:
             try:
                 raw |= {
@@ -375,6 +389,7 @@ class _System:
                 raise self.fail(
                     f"its annotation {ANNOTATION} is not valid TOML: {error}"
                 ) from error
+        # The stop time.
         if "stopTime" in times:
             raw["stop_s"] = self._number(times["stopTime"], "the stop time")
         if "stop_s" not in raw and not any(
@@ -383,10 +398,10 @@ class _System:
             raise self.fail("it has no stop time: give one with --set stop_s=SECONDS")
         if step is not None and all(part.step is not None for part in self.parts.values()):
             raise self.fail("--step has no effect: every component has its step in the file")
-        if (
-            settings is not None and self.unmatched
-        ):  # other tools share parameter sets between components
+        # Unmatched parameters are errors only in our files: other tools share parameter sets.
+        if settings is not None and self.unmatched:
             raise self.fail(f"parameter {self.unmatched[0]} belongs to none of its FMUs")
+        # Components and connections.
         common = step or self._common_step(experiment)
         raw["components"] = {part.name: self._table(part, common) for part in self.parts.values()}
         raw["connections"], raw["delayed"] = self._joined()
@@ -412,7 +427,7 @@ class _System:
         step = part.step or common
         if step is None:
             raise self.fail(
-                f"component {part.name} has no communication step, and SSP has no place for one: give --step"
+                f"component {part.name} has no communication step, and SSP has no element for one: give --step"
             )
         table: Raw = {
             "kind": part.kind,
@@ -423,12 +438,17 @@ class _System:
         return table if part.samples is None else table | {"samples": part.samples}
 
     def _joined(self) -> tuple[list[str], list[str]]:
-        """Connections of FMU variables, followed through the connectors of systems, as connections of whole ports."""
+        """Return the immediate and the delayed connections between whole ports.
+
+        Connections of model variables are followed through the connectors of nested systems.
+        """
+        # Each connector has at most one source.
         giver = {end: (start, delayed) for start, end, delayed in self.edges}
         ends = Counter(end for _, end, _ in self.edges)
         twice = [end for end, count in ends.items() if count > 1]
         if twice:
             raise self.fail(f"{shown(twice[0])} has two sources")
+        # (output, input) -> index of the input's variable -> index of the output's, and delay
         pairs: dict[tuple[str, str], dict[int, tuple[int, bool]]] = {}
         for end in giver:
             if end[0] not in self.parts:
@@ -440,13 +460,14 @@ class _System:
                 start, further = giver[start]
                 delayed |= further
             if start[0] not in self.parts:
-                continue  # an input of the whole system, which nobody drives here
+                continue  # an input of the whole system, without a source
             source, target = self.parts[start[0]], self.parts[end[0]]
             (output, i), (taken, j) = source.owner[start[1]], target.owner[end[1]]
             pairs.setdefault((f"{source.name}.{output}", f"{target.name}.{taken}"), {})[j] = (
                 i,
                 delayed,
             )
+        # Only connections of whole ports, in order, are supported.
         prompt: list[str] = []
         delays: list[str] = []
         width = {
@@ -501,11 +522,12 @@ class _System:
 
 
 def shown(node: Node) -> str:
+    """Format a connector, for messages."""
     return ".".join((*node[0], node[1]))
 
 
 def _plain(value: Any, unit: str | None) -> Any:
-    """The bare number where it is in the FMU's own unit already."""
+    """Remove the unit from a value that is in the FMU's own unit."""
     if isinstance(value, dict) and (
         unit is None or value["unit"] == unit or same(value["unit"], unit or DIMENSIONLESS)
     ):

@@ -1,7 +1,8 @@
-"""A scenario -> a system structure package: SSP 1.0 for FMUs of FMI 2.0, SSP 2.0 for FMUs of FMI 3.0.
+"""Export of a scenario as a system structure package: SSP 1.0 for FMI 2.0, SSP 2.0 for FMI 3.0.
 
-Elements of FMI 2.0 arrays are connectors of their own; arrays of FMI 3.0 are connectors with dimensions. Communication steps
-are written as libcosim and ecos read them, everything else that SSP has no place for as annotations of our own.
+Each element of an FMI 2.0 array is a connector; an FMI 3.0 array is a connector with dimensions.
+Communication steps are annotations that libcosim and ecos read. Our own annotations contain the
+other data that SSP has no elements for.
 """
 
 from __future__ import annotations
@@ -34,9 +35,10 @@ Element = ElementTree.Element
 
 
 def write(scenario: Scenario, system: System, path: Path) -> None:
-    """The whole file or none; equal systems give equal bytes.
+    """Write an SSP file, completely or not at all. Equal systems give identical files.
 
-    Raises ScenarioError or ComponentError for a system that SSP cannot hold, OutputError if the file cannot be written.
+    Raises ScenarioError or ComponentError if SSP cannot represent the system, OutputError if the
+    file cannot be written.
     """
     specs = {spec.name: spec for spec in scenario.components}
     components = _checked(specs, system)
@@ -74,7 +76,7 @@ def _checked(specs: Mapping[str, ComponentSpec], system: System) -> dict[str, Fm
 
 
 def _sources(components: Mapping[str, FmuComponent]) -> dict[str, str]:
-    """Where each component's FMU is in the archive; components that share an FMU share the copy."""
+    """Return the archive entry of each component's FMU; components with the same FMU share it."""
     places: dict[Path, str] = {}
     for name, component in components.items():
         if component.path not in places:
@@ -86,7 +88,10 @@ def _sources(components: Mapping[str, FmuComponent]) -> dict[str, str]:
 
 
 def _changed(component: FmuComponent, values: Mapping[str, Array]) -> dict[str, Array]:
-    """Values that differ from the FMU's own; libcosim and ecos refuse a file in which they find an enumeration."""
+    """Return the values that differ from the FMU's start values.
+
+    Unchanged values are left out, because libcosim and ecos reject a file with an enumeration.
+    """
     return {
         name: value
         for name, value in values.items()
@@ -107,6 +112,7 @@ def _description(
     sources: Mapping[str, str],
     version: str,
 ) -> Element:
+    # The root element.
     root = Element(
         tag("ssd:SystemStructureDescription"),
         version=version,
@@ -114,6 +120,7 @@ def _description(
         description=scenario.title,
         generationTool=f"freeflyer-cosim {installed('freeflyer-cosim')}",
     )
+    # Components with connectors, parameters and annotations.
     steps, top = system.steps, _add(root, "ssd:System", name=scenario.name)
     elements = _add(top, "ssd:Elements")
     units: dict[str, dict[str, str]] = {}
@@ -152,11 +159,13 @@ def _description(
                 "freeflyer:Outputs",
                 samples=str(samples).lower(),
             )
+    # Connections and definitions.
     _connections(top, system, components)
     if enumerations:
         _enumerations(root, "ssd:Enumerations", enumerations)
     if units:
         _units(root, "ssd:Units", units)
+    # The experiment. Its last annotation contains the scenario's settings.
     experiment = _add(
         root, "ssd:DefaultExperiment", startTime="0.0", stopTime=_number(seconds(scenario.stop))
     )
@@ -176,7 +185,7 @@ def _description(
 def _interface(
     component: FmuComponent, given: Mapping[str, Array]
 ) -> Iterable[tuple[ModelVariable, Port]]:
-    """Inputs, outputs, and the parameters that have a value here: an FMU's other variables need no connector."""
+    """Yield the variables that need a connector: inputs, outputs, and parameters with a value."""
     for port in component.ports.values():
         if port.causality in ("input", "output") or (
             port.name in given and "arameter" in port.causality
@@ -202,7 +211,11 @@ def _dimensions(parent: Element, variable: ModelVariable) -> None:
 
 
 def _unit_name(variable: ModelVariable, port: Port) -> str | None:
-    """SSP, like FMI, has one unit for an array; an array of mixed units has none (the FMU's own annotation tells them)."""
+    """Return the unit of a connector.
+
+    SSP, like FMI, has one unit per array. An array of mixed units has None; the FMU's annotation
+    contains its units.
+    """
     if variable.shape:
         return port.units[0] if len(set(port.units)) == 1 else None
     declared = variable.declaredType
@@ -280,7 +293,10 @@ def _value(port: Port, variable: ModelVariable, numbers: Array) -> str:
 def _unit(
     component: FmuComponent, name: str | None, known: Mapping[str, Mapping[str, str]]
 ) -> dict[str, dict[str, str]]:
-    """The FMU's own definition of a unit; one whose dimensions it does not tell is refused, for SSP demands them."""
+    """Return the FMU's definition of a unit in SI base units, which SSP requires.
+
+    Raises ComponentError if there is none, or if it differs from `known`.
+    """
     if name is None:
         return {}
     base = next(
@@ -288,7 +304,7 @@ def _unit(
     )
     if base is None:
         raise ComponentError(
-            f"FMU {component.path} uses the unit {name!r} and does not say what it is in SI base units"
+            f"FMU {component.path} uses the unit {name!r} without a definition in SI base units"
         )
     found = {key: str(getattr(base, key)) for key in BASE_UNITS if getattr(base, key)}
     found |= {
@@ -298,7 +314,7 @@ def _unit(
     }
     if known.get(name, found) != found:
         raise ComponentError(
-            f"FMU {component.path} means something else by the unit {name!r} than another FMU of the system"
+            f"FMU {component.path} defines the unit {name!r} differently from another FMU of the system"
         )
     return {name: found}
 

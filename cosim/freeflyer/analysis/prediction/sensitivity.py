@@ -98,7 +98,7 @@ class DifferentiableFmu(FmuComponent):
                     call(*arguments)
                     matrix[:, column] = buffer
             except (FMICallException, OSError) as error:
-                raise ComponentError(f"component {self.name}: {self._why(error)}") from error
+                raise ComponentError(f"component {self.name}: {self._reason(error)}") from error
             return matrix
 
         return derivative
@@ -114,7 +114,7 @@ class DifferentiableFmu(FmuComponent):
                 self._slave.getFloat64(references, nValues=sum(self._size(v) for v in variables))
             )
         except (FMICallException, OSError) as error:
-            raise ComponentError(f"component {self.name}: {self._why(error)}") from error
+            raise ComponentError(f"component {self.name}: {self._reason(error)}") from error
 
     def enter_initialization(self, start: float, values: Mapping[str, Array]) -> None:
         """As of every component; but it may come again, at any time, and then is a new begin."""
@@ -123,7 +123,7 @@ class DifferentiableFmu(FmuComponent):
                 self._slave.reset()
             except (FMICallException, OSError) as error:
                 raise ComponentError(
-                    f"component {self.name} cannot be reset: {self._why(error)}"
+                    f"component {self.name} cannot be reset: {self._reason(error)}"
                 ) from error
         self._begun = True
         super().enter_initialization(start, values)

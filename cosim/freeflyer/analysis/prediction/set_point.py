@@ -81,7 +81,7 @@ def set_point(model: LoopModel) -> Point:
     plant = model.fmus[model.roles.plant]
     for name in model.roles.laws:
         _refuse_memory(model, name, point)
-    master.hand_over(model.roles.plant)
+    master.write_inputs_now(model.roles.plant)
     rates = np.abs(plant.rates())
     if rates.max() > REST:
         elements = [name for name in plant.states for _ in range(plant.ports[name].size)]

@@ -12,12 +12,12 @@ EXPORT End core_run(Core *core, int64_t until);
 
 static double seconds(int64_t time)
 {
-    return (double)time / 1e9; /* correctly rounded as long as `time` is below 2^53 ns, 104 days */
+    return (double)time / 1e9; /* correctly rounded for `time` below 2^53 ns, 104 days */
 }
 
 static int64_t least(int64_t a, int64_t b) { return a < b ? a : b; }
 
-/* The end of the run in `failed`, if `status` says so. */
+/* Return true and store the cause in the core if `status` is a failure. */
 static bool fails(Core *core, int index, Operation operation, int status)
 {
     if (status == 0) {
@@ -41,14 +41,14 @@ static bool step_fails(Core *core, int index, int64_t k)
     return false;
 }
 
-/* The outputs that nobody uses are read where they are recorded. A slow slave is ahead of time until its next step: it is read
-   whole while its outputs are those of the instant. */
+/* Outputs without a connection are read only where they are recorded. A slow slave is ahead of the
+   instant until its next step, so all its outputs are read while they belong to the instant. */
 static bool get_fails(Core *core, int index, bool all)
 {
     return fails(core, index, GET, get_outputs(core, index, all || core->slave[index].ratio > 1));
 }
 
-static bool looks_passed(const Limit *limit)
+static bool maybe_exceeded(const Limit *limit)
 {
     double sum = 0.0;
     bool within = true; /* NaN is not */
@@ -57,18 +57,18 @@ static bool looks_passed(const Limit *limit)
         within = within && (limit->minimum ? x >= limit->bound : fabs(x) <= limit->bound);
         sum += x * x;
     }
-    /* Sums of squares are rounded in an order of their own: what is close is judged by the limit's owner. */
+    /* Python may round the sum of squares differently: it decides the cases near the bound. */
     return !within || (limit->euclidean && !(sum <= limit->bound * limit->bound * (1.0 - 1e-12)));
 }
 
-/* The owner judges, and counts how long a limit is passed: it is asked once more after the last time. */
-static bool limit_passed(Core *core)
+/* Python decides, and counts how long a limit is exceeded. The call after that resets it. */
+static bool limit_exceeded(Core *core)
 {
     for (int i = 0; i < core->limits; i++) {
         Limit *limit = &core->limit[i];
-        bool before = limit->looks_passed;
-        limit->looks_passed = looks_passed(limit);
-        if ((before || limit->looks_passed) &&
+        bool before = limit->maybe_exceeded;
+        limit->maybe_exceeded = maybe_exceeded(limit);
+        if ((before || limit->maybe_exceeded) &&
             fails(core, i, LIMIT, core->call(i, LIMIT, 0.0, 0.0))) {
             return true;
         }
@@ -85,7 +85,7 @@ static void record(Core *core, int64_t k)
     }
 }
 
-/* Slaves whose outputs belong to the end of a step hand over those of instant k. */
+/* Read the outputs at instant k of the slaves whose outputs belong to the end of a step. */
 static bool settled_outputs_fail(Core *core, int64_t k, bool all)
 {
     for (int i = core->first; i < core->slaves; i++) {
@@ -96,7 +96,7 @@ static bool settled_outputs_fail(Core *core, int64_t k, bool all)
     return false;
 }
 
-/* Controllers sample one after the other, each output used at once. */
+/* Step the controllers one after the other; the next one uses the outputs of the same instant. */
 static bool samples_fail(Core *core, int64_t k, bool all)
 {
     for (int i = 0; i < core->first; i++) {
@@ -112,7 +112,7 @@ static bool samples_fail(Core *core, int64_t k, bool all)
     return false;
 }
 
-/* All others take their inputs before any of them moves. */
+/* Step all other slaves; all inputs are taken before the first of them steps. */
 static bool steps_fail(Core *core, int64_t k)
 {
     for (int i = core->first; i < core->slaves; i++) {
@@ -131,7 +131,7 @@ static bool steps_fail(Core *core, int64_t k)
     return false;
 }
 
-/* Where the run ends between two recorded instants, what was not read is read now; slow slaves were read whole. */
+/* At an end between two recorded instants, read the remaining outputs of the fast slaves. */
 static bool reading_all_fails(Core *core)
 {
     for (int i = 0; i < core->slaves; i++) {
@@ -160,13 +160,13 @@ static End instant(Core *core, int64_t k, bool last)
     if (recorded) {
         record(core, k);
     }
-    if (limit_passed(core)) {
+    if (limit_exceeded(core)) {
         int index = core->index, status = core->status;
         if (!recorded && reading_all_fails(core)) {
             return FAILED;
         }
         fails(core, index, LIMIT, status);
-        return PASSED;
+        return LIMIT_EXCEEDED;
     }
     if (last) {
         return DONE;

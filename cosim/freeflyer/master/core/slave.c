@@ -39,7 +39,7 @@ int make_step(const Core *core, int index, double time, double size)
     case 3: {
         int status =
             failure(s->step3(s->instance, time, size, true, &event, &terminate, &early, &reached));
-        return status == 0 && terminate ? ASKED_TO_END : status;
+        return status == 0 && terminate ? TERMINATE_REQUESTED : status;
     }
     default:
         return core->call(index, STEP, time, size);

@@ -1,4 +1,4 @@
-/* One slave: take its inputs, hand them over, step it, read it. Each gives 0, or the status of a failure. */
+/* Inputs, step and outputs of one slave. Functions return 0, or the status of a failure. */
 #ifndef SLAVE_H
 #define SLAVE_H
 
