@@ -1,4 +1,4 @@
-"""The audit of real runs: it closes, it agrees with the observers' own bookkeeping, and it finds where energy enters."""
+"""Energy audit of runs: closed balance, agreement with the observers, multi-rate energy."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def without_pc(T_b: float, *overrides: str) -> Audit:
     ],
     ids=lambda overrides: overrides[0] if overrides else "as shipped",
 )
-def test_the_held_work_is_the_kinetic_energy_and_the_ports_close_to_the_stated_residual(
+def test_the_held_work_equals_the_kinetic_energy_and_the_ports_have_the_stated_residual(
     overrides: tuple[str, ...],
 ) -> None:
     audit = audited("multirate_passive", "stop_s=20", EVERY_SAMPLE, *overrides)
@@ -51,12 +51,12 @@ def test_the_held_work_is_the_kinetic_energy_and_the_ports_close_to_the_stated_r
     assert balance is not None
     assert balance.kinetic.max() > 0.01
     assert np.abs(balance.residual_of_held).max() < 1e-9 * balance.moved
-    assert np.abs(balance.residual_of_ports).max() < 5e-6  # stated: 3.2e-6 J in 20 s
+    assert np.abs(balance.residual_of_ports).max() < 5e-6  # docs/energy_audit.md: 3.2e-6 J in 20 s
     assert np.all(balance.others == 0.0)
 
 
 def terms(port: Port) -> np.ndarray:
-    """What port.work is made of."""
+    """Return the sum of all terms of port.work."""
     return (
         port.feed_forward
         + port.reference
@@ -82,36 +82,36 @@ def test_the_terms_of_each_port_add_up_to_its_work(name: str) -> None:
         assert np.all(np.diff(port.dissipated) >= 0.0)
 
 
-def test_the_observers_that_book_what_was_applied_saw_the_truth() -> None:
-    """Two computations: the controllers' own sums of sampled velocities, and the audit's of poses and recorded wrenches."""
+def test_observers_of_the_applied_wrench_compute_the_true_energy() -> None:
+    """The controllers integrate sampled velocities; the audit uses recorded poses and wrenches."""
     audit = without_pc(0.3)
     moved = audit.balance.moved if audit.balance else 0.0
     for port, largest in ((audit.base, 1e-3), (audit.manipulator, 1e-2)):
         assert np.abs(port.work).max() > largest
-        assert np.abs(port.believed - port.absorbed)[:-1].max() < 1e-8 * moved
+        assert np.abs(port.observed - port.absorbed)[:-1].max() < 1e-8 * moved
 
 
-def test_the_papers_observer_did_not_see_the_multi_rate_energy() -> None:
-    """It watches the held F_B: what it misses of port B is what the audit says entered there."""
+def test_the_papers_observer_misses_exactly_the_multi_rate_energy() -> None:
+    """It observes the held F_B. Its error at port B is the multi-rate energy of the audit."""
     audit = without_pc(0.3, "manipulator_controller.observer=paper")
-    missed = (audit.base.believed - audit.base.absorbed).sum(axis=1)[:-1]
+    missed = (audit.base.observed - audit.base.absorbed).sum(axis=1)[:-1]
     assert np.abs(missed).max() > 1e-3
     assert missed == pytest.approx(audit.base.stale[:-1], abs=1e-3 * np.abs(missed).max())
 
 
-def test_no_multi_rate_energy_enters_at_one_rate_and_more_does_the_slower_the_base_is() -> None:
+def test_multi_rate_energy_is_zero_at_one_rate_and_increases_with_the_base_period() -> None:
     audits = [without_pc(T_b) for T_b in (0.001, 0.1, 0.2, 0.3)]
     at_one_rate, *slower = (np.abs(audit.base.stale).max() for audit in audits)
     balance = audits[0].balance
     assert balance is not None
     assert at_one_rate < 1e-15 * balance.moved
     assert 1e-4 < slower[0] < slower[1] < slower[2]
-    made = [audit.base.virtual[-1] for audit in audits]
-    assert 0.0 < made[0] < 1e-9 * balance.moved
-    assert 5e-5 < made[1] < made[2] < made[3]
+    virtual = [audit.base.virtual[-1] for audit in audits]
+    assert 0.0 < virtual[0] < 1e-9 * balance.moved
+    assert 5e-5 < virtual[1] < virtual[2] < virtual[3]
 
 
-def test_a_coarser_record_gives_the_same_story_with_a_larger_residual() -> None:
+def test_a_coarser_record_gives_the_same_energies_with_a_larger_residual() -> None:
     fine, coarse = (
         without_pc(0.3),
         audited("multirate_unstable", "stop_s=10", "base_controller.period=0.3"),
@@ -128,8 +128,8 @@ def test_a_coarser_record_gives_the_same_story_with_a_larger_residual() -> None:
     assert np.abs(coarse.balance.residual_of_held).max() > 1e-9 * coarse.balance.moved
 
 
-def test_the_passivity_controllers_took_what_their_wrenches_say() -> None:
-    """Against a plain sum of F_pcb x_b' T over the record."""
+def test_the_energy_taken_by_the_passivity_controllers_is_the_work_of_their_wrenches() -> None:
+    """The reference is the sum of F_pcb x_b' T over the record."""
     audit = audited("multirate_passive", "stop_s=20", EVERY_SAMPLE)
     record = recorded("multirate_passive", "stop_s=20", EVERY_SAMPLE)
     power = np.sum(
@@ -140,7 +140,7 @@ def test_the_passivity_controllers_took_what_their_wrenches_say() -> None:
     assert np.all(audited("multirate_unstable", "stop_s=10").base.taken == 0.0)
 
 
-def test_a_record_keeps_what_the_audit_needs(tmp_path: Path) -> None:
+def test_a_record_file_has_all_data_for_the_audit(tmp_path: Path) -> None:
     record = recorded("multirate_unstable", "stop_s=10")
     record.write(tmp_path / "record.parquet")
     again = Record.read(tmp_path / "record.parquet")
@@ -151,7 +151,7 @@ def test_a_record_keeps_what_the_audit_needs(tmp_path: Path) -> None:
     )
 
 
-def test_rows_that_are_not_finite_are_left_out_and_said_to_be() -> None:
+def test_rows_that_are_not_finite_are_left_out_with_a_note() -> None:
     record = experiment.run(scenario.load("multirate_unstable", ["stop_s=2"])).outcome.record
     record["free_flyer.base_velocity"][150:, 4] = np.nan
     audit = ledger.audit(recorded_loop.find(record))
@@ -165,16 +165,16 @@ def test_a_facility_record_has_ports_but_no_balance() -> None:
     assert audit.balance is None
     assert "kinetic_energy" in audit.notes[0]
     assert np.abs(audit.manipulator.work).max() > 1e-4
-    # The observers take the same measured velocities by the trapezoid.
-    assert np.abs(audit.base.believed - audit.base.absorbed)[:-1].max() < 1e-12
+    # The observers integrate the same measured velocities by the trapezoidal rule.
+    assert np.abs(audit.base.observed - audit.base.absorbed)[:-1].max() < 1e-12
 
 
-def test_other_exchange_is_refused() -> None:
+def test_parallel_exchange_is_rejected() -> None:
     with pytest.raises(RecordError, match="exchange = 'parallel'"):
         audited("multirate_passive", "stop_s=1", "exchange=parallel")
 
 
-def test_what_a_user_puts_between_controller_and_robot_is_the_work_of_others(
+def test_a_users_component_between_controller_and_robot_is_in_the_work_of_others(
     tmp_path: Path,
 ) -> None:
     (tmp_path / "kick.py").write_text(
@@ -197,8 +197,8 @@ def test_what_a_user_puts_between_controller_and_robot_is_the_work_of_others(
     balance = ledger.audit(recorded_loop.find(record)).balance
     assert balance is not None
     during = (record.time > 0.9995) & (record.time < 1.0995)
-    turned = 0.001 * record["free_flyer.joint_velocity"][during, 1].sum()
-    assert balance.others[-1] == pytest.approx(0.5 * turned, rel=0.02)
+    joint_angle = 0.001 * record["free_flyer.joint_velocity"][during, 1].sum()
+    assert balance.others[-1] == pytest.approx(0.5 * joint_angle, rel=0.02)
     assert abs(balance.others[-1]) > 1e-4
     assert np.all(balance.others[record.time < 1.0] == 0.0)
     assert np.abs(balance.residual_of_held).max() < 1e-9 * balance.moved

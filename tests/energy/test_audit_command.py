@@ -1,4 +1,4 @@
-"""`freeflyer audit` as a user gives it: what it writes, and one sentence for every mistake."""
+"""`freeflyer audit` on the command line: its output files and its error messages."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return directory
 
 
-def test_the_audit_writes_figure_and_numbers_and_says_what_they_amount_to(
+def test_the_audit_writes_a_figure_and_numbers_and_prints_a_table(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert command.call(["audit", str(run), "--out", str(tmp_path)]) == 0
@@ -50,7 +50,7 @@ def test_the_audit_writes_figure_and_numbers_and_says_what_they_amount_to(
 
 
 @pytest.mark.slow
-def test_the_file_itself_will_do_and_results_go_beside_it(run: Path) -> None:
+def test_a_record_file_is_accepted_and_results_are_written_beside_it(run: Path) -> None:
     assert command.call(["audit", str(run / "record.parquet")]) == 0
     assert (run / "energy_audit.json").is_file()
 
@@ -71,7 +71,7 @@ def test_a_diverged_run_is_audited_to_its_end(
 def changed(
     run: Path, target: Path, *, drop: str = "", metadata: dict[bytes, bytes] | None = None
 ) -> str:
-    """A record without some columns, or with other metadata."""
+    """Write a record without columns that start with `drop`, or with other metadata."""
     table = parquet.read_table(run / "record.parquet")
     table = table.select(
         [name for name in table.column_names if not (drop and name.startswith(drop))]
@@ -82,24 +82,24 @@ def changed(
     return str(target)
 
 
-def test_mistakes_get_one_sentence(
+def test_invalid_records_are_rejected_with_the_reason(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = ("--out", str(tmp_path / "out"))
     whole = (run / "record.parquet").read_bytes()
     (tmp_path / "half.parquet").write_bytes(whole[: len(whole) // 2])
     (tmp_path / "text.parquet").write_text("nothing")
-    parquet.write_table(pa.table({"time": ["a", "b"]}), tmp_path / "words.parquet")
+    parquet.write_table(pa.table({"time": ["a", "b"]}), tmp_path / "texts.parquet")
     parquet.write_table(pa.table({}), tmp_path / "empty.parquet")
-    origin = json.loads(parquet.read_schema(run / "record.parquet").metadata[KEY])
-    no_gains = {**origin, "parameters": {**origin["parameters"], "base_controller": {}}}
-    unconnected = {**origin, "sources": {}}
+    provenance = json.loads(parquet.read_schema(run / "record.parquet").metadata[KEY])
+    no_gains = {**provenance, "parameters": {**provenance["parameters"], "base_controller": {}}}
+    unconnected = {**provenance, "sources": {}}
     cases = [
         (str(tmp_path / "nowhere"), "does not exist; a directory that `freeflyer run` has written"),
         (str(run.parent), "has no record.parquet; there is one in passive"),
         (str(tmp_path / "half.parquet"), "cannot be read as a record of `freeflyer run`"),
         (str(tmp_path / "text.parquet"), "cannot be read as a record of `freeflyer run`"),
-        (str(tmp_path / "words.parquet"), "cannot be read as a record of `freeflyer run`"),
+        (str(tmp_path / "texts.parquet"), "cannot be read as a record of `freeflyer run`"),
         (str(tmp_path / "empty.parquet"), "cannot be read as a record of `freeflyer run`"),
         (str(run / "summary.json"), "cannot be read as a record of `freeflyer run`"),
         (
@@ -139,7 +139,7 @@ def test_mistakes_get_one_sentence(
     assert not (tmp_path / "out").exists()
 
 
-def test_an_output_directory_that_cannot_be_is_said_before_anything_is_written(
+def test_an_invalid_output_directory_is_rejected(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "file").write_text("")

@@ -1,4 +1,4 @@
-"""A held spring makes K/2 (its displacement)^2 per hold, a held damper what its stale velocity makes; turning counts as it should."""
+"""Energy that held springs and dampers generate, in translation and rotation."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ NANOSECONDS = 1_000_000_000
 
 
 def on_x(values: Array) -> Array:
+    """Return 6-vectors (n, 6) with `values` (n) as the x component."""
     six = np.zeros((len(values), 6))
     six[:, 0] = values
     return six
@@ -33,8 +34,10 @@ def on_x(values: Array) -> Array:
 def test_the_virtual_energy_of_a_held_spring_damper_on_a_mass(
     K: float, D: float, m: float, milliseconds: int, rows_per_hold: int, x: float, v: float
 ) -> None:
-    """Per hold, with the acceleration a: K/2 dx^2 of the spring; D (v a T^2/2 + a^2 T^3/3) of the damper, which is the integral
-    of (v(t) - v(0)) v(t). And the mass has gained what the law gave: V less what the spring stored and the damper took.
+    """Per hold, with the acceleration a: K/2 dx^2 by the spring, D (v a T^2/2 + a^2 T^3/3) by the
+    damper. The latter is the integral of D (v(t) - v(0)) v(t).
+
+    The kinetic energy of the mass changes by V less the stored and the dissipated energy.
     """
     period = milliseconds * 1_000_000 // rows_per_hold * rows_per_hold
     T, h = period / NANOSECONDS, period / rows_per_hold / NANOSECONDS
@@ -53,24 +56,24 @@ def test_the_virtual_energy_of_a_held_spring_damper_on_a_mass(
     position, velocity = on_x(np.array(xs)), on_x(np.array(vs))
     sampled = [energy.last_samples(time, values, period) for values in (position, velocity)]
     force = energy.held(-K * sampled[0] - D * sampled[1], share=1.0)
-    given = energy.work(force, np.diff(position, axis=0))
+    worked = energy.work(force, np.diff(position, axis=0))
     stored = energy.spring_energy(np.full(6, K), position)
-    taken = energy.dissipation(time, np.full(6, D), velocity)
-    virtual = energy.virtual_energy(given, stored, taken)[-1, 0]
-    scale = np.abs(given).max() + stored.max() + taken.max() + 1e-12
+    dissipated = energy.dissipation(time, np.full(6, D), velocity)
+    virtual = energy.virtual_energy(worked, stored, dissipated)[-1, 0]
+    scale = np.abs(worked).max() + stored.max() + dissipated.max() + 1e-12
     assert virtual == pytest.approx(expected, abs=1e-9 * scale)
     gained = 0.5 * m * (vs[-1] ** 2 - vs[0] ** 2)
-    assert virtual - (stored[-1] - stored[0])[0] - taken[-1, 0] == pytest.approx(
+    assert virtual - (stored[-1] - stored[0])[0] - dissipated[-1, 0] == pytest.approx(
         gained, abs=1e-9 * (scale + 0.5 * m)
     )
 
 
-def test_a_held_spring_wins_against_its_damper_beyond_twice_the_damping() -> None:
-    """K T/2 > D: the sampled spring makes more than the damper takes (physics: K_P T_b/2 > K_D)."""
+def test_a_held_spring_generates_more_than_its_damper_dissipates_if_its_period_is_long() -> None:
+    """The condition is K T/2 > D, which is K_P T_b/2 > K_D for the base."""
     time = np.linspace(0.0, 60.0, 60_001)
     slow = on_x(np.sin(0.5 * time))
     speed = on_x(0.5 * np.cos(0.5 * time))
-    for D, wins in ((14.0, True), (16.0, False)):
+    for D, generates in ((14.0, True), (16.0, False)):
         K, period = 150.0, 200_000_000
         force = energy.held(
             -K * energy.last_samples(time, slow, period)
@@ -78,11 +81,14 @@ def test_a_held_spring_wins_against_its_damper_beyond_twice_the_damping() -> Non
             1.0,
         )
         gain = energy.work(force, np.diff(slow, axis=0))[-1, 0]
-        assert (gain + 0.5 * K * slow[-1, 0] ** 2 > 0.0) == wins
+        assert (gain + 0.5 * K * slow[-1, 0] ** 2 > 0.0) == generates
 
 
-def turning(time: Array, spin: float, nod: float) -> tuple[Array, Array, Array]:
-    """Orientation, twist and exact integral of w of R = R_z(spin t) R_x(nod t): w = spin z + nod R_z x."""
+def rotation(time: Array, spin: float, nod: float) -> tuple[Array, Array, Array]:
+    """Return quaternion, twist and exact integral of w of R = R_z(spin t) R_x(nod t).
+
+    Its angular velocity is w = spin z + nod R_z x.
+    """
     orientation = (
         Rotation.from_rotvec(np.outer(time, [0, 0, spin]))
         * Rotation.from_rotvec(np.outer(time, [nod, 0, 0]))
@@ -101,7 +107,7 @@ def test_the_integral_of_the_angular_velocity_is_of_fourth_order() -> None:
     errors = []
     for rows in (101, 201):
         time = np.linspace(0.0, 5.0, rows)
-        orientation, twist, integral = turning(time, 0.7, 1.1)
+        orientation, twist, integral = rotation(time, 0.7, 1.1)
         moved = energy.summed(energy.displacement(time, np.zeros((rows, 3)), orientation, twist))[
             :, 3:
         ]
@@ -110,39 +116,37 @@ def test_the_integral_of_the_angular_velocity_is_of_fourth_order() -> None:
     assert errors[0] / errors[1] == pytest.approx(16.0, rel=0.1)
 
 
-def test_a_held_torsion_spring_to_a_turning_reference_makes_energy_in_proportion_to_its_period() -> (
-    None
-):
-    """So its potential is the right one: with a wrong one, something stays as the period goes to nothing."""
-    made = []
+def test_the_virtual_energy_of_a_held_torsion_spring_is_proportional_to_its_period() -> None:
+    """This verifies the potential: with a wrong one, the limit for a period of zero is not zero."""
+    generated = []
     for rows in (2001, 4001):
         time = np.linspace(0.0, 8.0, rows)
-        actual, w, _ = turning(time, 0.7, 0.4)
-        desired, w_d, _ = turning(time, 0.5, -0.3)
-        place = np.zeros((rows, 3))
-        error = energy.pose_error(place, actual, place, desired)
-        relative = energy.displacement(time, place, actual, w) - energy.displacement(
-            time, place, desired, w_d
+        actual, w, _ = rotation(time, 0.7, 0.4)
+        desired, w_d, _ = rotation(time, 0.5, -0.3)
+        position = np.zeros((rows, 3))
+        error = energy.pose_error(position, actual, position, desired)
+        relative = energy.displacement(time, position, actual, w) - energy.displacement(
+            time, position, desired, w_d
         )
-        given = energy.work(energy.held(-40.0 * error, 1.0), relative).sum(axis=1)
+        worked = energy.work(energy.held(-40.0 * error, 1.0), relative).sum(axis=1)
         stored = energy.spring_energy(np.full(6, 40.0), error).sum(axis=1)
         assert np.ptp(stored) > 10.0
-        made.append(energy.virtual_energy(given, stored, np.zeros(rows))[-1])
-    assert made[0] > 0.0
-    assert made[0] / made[1] == pytest.approx(2.0, rel=0.01)
+        generated.append(energy.virtual_energy(worked, stored, np.zeros(rows))[-1])
+    assert generated[0] > 0.0
+    assert generated[0] / generated[1] == pytest.approx(2.0, rel=0.01)
 
 
 @given(first=st.floats(-10, 10), last=st.floats(-10, 10), samples=st.integers(1, 30))
-def test_the_mean_of_samples_on_a_line_each_held(first: float, last: float, samples: int) -> None:
+def test_the_mean_of_held_samples_on_a_line(first: float, last: float, samples: int) -> None:
     each = [first + (last - first) * k / samples for k in range(samples)]
     mean = energy.held(np.array([[first], [last]]), 1.0 / samples)[0, 0]
     assert mean == pytest.approx(sum(each) / samples, abs=1e-12)
 
 
 @given(st.lists(st.floats(-5, 5), min_size=15, max_size=15))
-def test_a_wrench_at_the_hand_has_the_same_power_at_the_base_that_carries_it(
+def test_an_end_effector_wrench_has_the_same_power_at_a_rigidly_connected_base(
     numbers: list[float],
 ) -> None:
     F, p, twist = np.array(numbers[:6]), np.array(numbers[6:9]), np.array(numbers[9:])
-    hand = np.concatenate([twist[:3] + np.cross(twist[3:], p), twist[3:]])
-    assert energy.at_base(F[None], p[None])[0] @ twist == pytest.approx(F @ hand, abs=1e-9)
+    end_effector = np.concatenate([twist[:3] + np.cross(twist[3:], p), twist[3:]])
+    assert energy.at_base(F[None], p[None])[0] @ twist == pytest.approx(F @ end_effector, abs=1e-9)

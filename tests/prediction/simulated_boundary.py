@@ -1,4 +1,7 @@
-"""Random gains, and the boundary of the simulated loop beside the predicted one: by the fitted growth of a small perturbation."""
+"""Simulated and predicted stability boundary for random gains.
+
+The simulated growth rate is fitted to the growth of a small perturbation.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +36,10 @@ class Side:
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """The simulated boundary lies between `below` and `above`, which are as far from the predicted one as the tolerance is."""
+    """Growth rates below and above the predicted boundary of `predicted` T_m, at the tolerance.
+
+    The simulation agrees if its boundary lies between `below` and `above`.
+    """
 
     seed: int
     predicted: int
@@ -53,7 +59,7 @@ class Comparison:
 
 
 def random_gains(seed: int) -> list[str]:
-    """Every axis has its own; springs and dampers of the base over more than a decade each."""
+    """Return overrides with random gains per axis; those of the base vary by more than a decade."""
     random = np.random.default_rng(seed)
 
     def drawn(least: tuple[float, float], most: tuple[float, float]) -> list[float]:
@@ -72,7 +78,7 @@ def random_gains(seed: int) -> list[str]:
 
 
 def comparisons() -> Iterator[Comparison]:
-    """Of every set, in the order of seeds, whose predicted boundary lies within the scan."""
+    """Yield the comparisons of all seeds whose predicted boundary lies within the scan."""
     seed = 0
     while True:
         found = compared(seed)
@@ -82,14 +88,14 @@ def comparisons() -> Iterator[Comparison]:
 
 
 def compared(seed: int) -> Comparison | None:
-    """None if the loop is stable, or unstable, at all periods scanned."""
+    """Return a comparison, or None if the loop is stable, or unstable, at all scanned periods."""
     overrides = [*QUIET, *random_gains(seed)]
     with at_set_point(scenario.load(NAME, overrides)) as here:
         prediction = scan(here, LONGEST)
         n = round(prediction.largest_stable_s / prediction.tick_s)
         if not prediction.boundary or not prediction.limit or n < 2:
             return None
-        # The simulated boundary may be off by 2 % or one T_m, whichever is more; the first unstable period is one T_m beyond.
+        # Tolerance: 2 % or one T_m, whichever is larger. The first unstable period is n + 1.
         off = max(int(0.02 * n), 1)
         below, above = (
             side(here, prediction.coordinates, overrides, k, seed) for k in (n - off, n + off + 1)
@@ -100,10 +106,11 @@ def compared(seed: int) -> Comparison | None:
 def side(
     here: SetPoint, coordinates: TaskCoordinates, overrides: list[str], n: int, seed: int
 ) -> Side:
-    """Both growth rates with a base period of n T_m."""
+    """Return both growth rates with a base period of n T_m."""
     values, vectors = np.linalg.eig(lifting.lifted(here.loop(n), n))
     worst = int(np.abs(values).argmax())
-    # Along the predicted mode, so that it need not outlive all others first; with a hundredth of everything else.
+    # Start along the predicted mode, which then dominates from the start, plus 1 % in a random
+    # direction.
     start, rest = vectors[:24, worst].real, np.random.default_rng(seed).normal(size=24)
     start = start / np.linalg.norm(start) + 0.01 * rest / np.linalg.norm(rest)
     rate = fitted_growth(overrides, PERTURBATION * start, n, coordinates)
@@ -113,8 +120,10 @@ def side(
 def fitted_growth(
     overrides: list[str], start: Array, n: int, coordinates: TaskCoordinates
 ) -> float:
-    """[1/s]: slope of ln sqrt(energy) at the base's samples, over the second half of a run (or of what comes before the
-    perturbation has grown a thousandfold).
+    """Return the growth rate [1/s]: the slope of ln sqrt(energy) at the base's samples.
+
+    The fit uses the second half of the run, or of the part before the perturbation has grown by a
+    factor of 1000.
     """
     period = n * 1e-3
     stop = round(DURATION / period) * n / 1000

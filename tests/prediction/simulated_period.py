@@ -1,4 +1,4 @@
-"""What one run through the master, from a given state of the plant, makes of that state: the prediction's independent witness."""
+"""Jacobian of simulated runs by the plant's start: independent reference for the prediction."""
 
 from __future__ import annotations
 
@@ -23,29 +23,33 @@ QUIET = (
     "reference_trajectory.translation_amplitude=0",
     "reference_trajectory.rotation_amplitude=0",
 )
-"""No passivity controllers, and a reference that stays where it is."""
+"""Overrides: no passivity controllers, and a constant reference."""
 
 
 def starting_at(x: Array) -> list[str]:
-    """Overrides for a start at x (24), a small displacement from rest: position, rotation vector, base velocity, joints."""
+    """Return overrides for a start at x (24); see `start_values`."""
     return [
         f"free_flyer.{name}={[float(v) for v in value]}" for name, value in start_values(x).items()
     ]
 
 
 def start_values(x: Array) -> dict[str, Array]:
-    """Of the plant, for a start at x (24), a small displacement from rest: position, rotation vector, base velocity, joints."""
-    turned = Rotation.from_rotvec(x[3:6]).as_quat()
-    return dict(zip(STATES, (x[:3], turned, x[6:12], POSTURE + x[12:18], x[18:24]), strict=True))
+    """Return start values of the plant for x (24), a small displacement from rest.
+
+    x: base position, rotation vector, base velocity (6), joint positions, joint velocities. SI.
+    """
+    orientation = Rotation.from_rotvec(x[3:6]).as_quat()
+    values = (x[:3], orientation, x[6:12], POSTURE + x[12:18], x[18:24])
+    return dict(zip(STATES, values, strict=True))
 
 
 def displacement(last: Mapping[str, Array]) -> Array:
-    """The other way round."""
-    turned = Rotation.from_quat(last["base_orientation"]).as_rotvec()
+    """Return x (24) from values of the plant, the inverse of `start_values`."""
+    rotation_vector = Rotation.from_quat(last["base_orientation"]).as_rotvec()
     return np.concatenate(
         [
             last["base_position"],
-            turned,
+            rotation_vector,
             last["base_velocity"],
             last["joint_position"] - POSTURE,
             last["joint_velocity"],
@@ -54,7 +58,10 @@ def displacement(last: Mapping[str, Array]) -> Array:
 
 
 def jacobian(name: str, overrides: Sequence[str], time: float, step: float = 1e-6) -> Array:
-    """(24, 24) by central differences of runs through the master, with FMUs that are loaded once and reset in between."""
+    """Return d x(`time`) / d x(0) (24, 24) by central differences of runs through the master.
+
+    The FMUs are loaded once, and reset before each run.
+    """
     chosen = scenario.load(
         name, [*QUIET, *overrides, f"stop_s={time!r}", f"record.every_s={time!r}"]
     )

@@ -1,4 +1,4 @@
-"""Growth of a small perturbation along the scenario's motion, from the difference of two simulated runs."""
+"""Simulated growth of a small perturbation along a motion: the difference of two runs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from freeflyer.scenario import scenario
 from freeflyer.scenario.assemble import assembled
 
 OFF = QUIET[:2]
-"""No passivity controllers; but the reference moves."""
+"""Overrides: no passivity controllers; the reference moves."""
 
 
 def _run(name: str, overrides: Sequence[str], start: Array) -> Record:
@@ -27,7 +27,11 @@ def _run(name: str, overrides: Sequence[str], start: Array) -> Record:
 def growth_rate(
     name: str, overrides: Sequence[str], coordinates: TaskCoordinates, starts: int = 1
 ) -> float:
-    """[1/s]: slope, over the second half, of ln sqrt(energy) of the difference that 1e-6 at the start has made."""
+    """Return the growth rate [1/s] of a perturbation of 1e-6 at the start.
+
+    It is the slope of ln sqrt(energy) over the second half. The energy is the sum over `starts`
+    random perturbations.
+    """
     period = next(
         text.partition("=")[2] for text in overrides if text.startswith("base_controller.period")
     )
@@ -38,11 +42,11 @@ def growth_rate(
         start = random.normal(size=24)
         other = _run(name, overrides, 1e-6 * start / np.linalg.norm(start))
         parts = [other[f"free_flyer.{s}"] - reference[f"free_flyer.{s}"] for s in STATES]
-        turned = [
+        orientations = [
             Rotation.from_quat(record["free_flyer.base_orientation"])
             for record in (other, reference)
         ]
-        parts[1] = (turned[0] * turned[1].inv()).as_rotvec()
+        parts[1] = (orientations[0] * orientations[1].inv()).as_rotvec()
         total = total + coordinates.energy(np.hstack(parts).T).sum(axis=0)
     time = reference.time
     late = time >= 0.5 * time[-1]

@@ -1,4 +1,4 @@
-"""Growth along a motion against the difference of two simulated runs, and where the loop frozen in time says something else."""
+"""Growth rate along a motion: comparison with two simulated runs, and with the frozen loop."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ NAME = "multirate_unstable"
 
 
 def overrides_for(n: int, stop: float) -> list[str]:
-    """A base period of n ms, and a whole number of them."""
+    """Return overrides for a whole number of base periods of n ms, up to `stop` [s]."""
     return [
         f"base_controller.period={n / 1000!r}",
         f"stop_s={math.floor(1000 * stop / n) * n / 1000!r}",
@@ -24,7 +24,7 @@ def overrides_for(n: int, stop: float) -> list[str]:
 
 
 def both(n: int, stop: float) -> tuple[float, float]:
-    """Predicted and simulated growth rate [1/s], from the same start."""
+    """Return the predicted and the simulated growth rate [1/s] from the same start."""
     overrides = overrides_for(n, stop)
     with at_set_point(scenario.load(NAME, [*OFF, *overrides])) as here:
         coordinates = here.coordinates(n)
@@ -35,8 +35,8 @@ def both(n: int, stop: float) -> tuple[float, float]:
 
 @pytest.mark.slow
 def test_a_perturbation_grows_along_the_motion_as_predicted() -> None:
-    """T_b = 0.15 s over 40 s. The operating points are those of the run at T_m, from which the simulated run at T_b is up to 2 deg
-    away: that is the difference.
+    """T_b = 0.15 s over 40 s. The operating points are from the run at T_m. The run at T_b differs
+    from it by up to 2 deg, which the tolerance covers.
     """
     predicted, simulated = both(150, 40.0)
     print(predicted, simulated)
@@ -44,14 +44,14 @@ def test_a_perturbation_grows_along_the_motion_as_predicted() -> None:
     assert predicted == pytest.approx(simulated, abs=1e-3)
 
 
-def test_at_rest_the_growth_along_the_trajectory_is_that_of_the_set_point() -> None:
-    """A reference that stays where it is: the product's rate is ln(radius) / T_b, whatever the cells are."""
-    still = [
+def test_with_a_constant_reference_the_growth_rate_is_that_of_the_set_point() -> None:
+    """The growth rate is then ln(radius) / T_b for any interval between linearisations."""
+    constant = [
         "reference_trajectory.translation_amplitude=0",
         "reference_trajectory.rotation_amplitude=0",
         "stop_s=60",
     ]
-    with at_set_point(scenario.load(NAME, [*OFF, *still, "base_controller.period=0.3"])) as here:
+    with at_set_point(scenario.load(NAME, [*OFF, *constant, "base_controller.period=0.3"])) as here:
         trajectory = Trajectory(here.model, here.coordinates(300), 1.0)
         along, own = trajectory.growth_rate(300), here.modes(300)[0].growth_rate
         frozen = trajectory.frozen_growth_rates(300)
@@ -61,15 +61,15 @@ def test_at_rest_the_growth_along_the_trajectory_is_that_of_the_set_point() -> N
 
 @pytest.mark.benchmark
 @pytest.mark.parametrize("n", [90, 104, 110, 150])
-def test_over_100_s_the_growth_is_the_predicted_one(n: int) -> None:
+def test_the_growth_over_100_s_is_the_predicted_one(n: int) -> None:
     predicted, simulated = both(n, 100.0)
     print(f"\nT_b = {n} ms: predicted {predicted:+.5f}, simulated {simulated:+.5f} 1/s")
     assert predicted == pytest.approx(simulated, abs=5e-4)
 
 
 @pytest.mark.benchmark
-def test_the_loop_frozen_in_time_calls_unstable_what_decays() -> None:
-    """T_b = 90 ms: frozen, it would be unstable for a third of the time; the perturbation decays."""
+def test_a_perturbation_can_decay_although_the_frozen_loop_is_unstable() -> None:
+    """T_b = 90 ms: the frozen loop is unstable for a third of the time, but perturbations decay."""
     overrides = overrides_for(90, 100.0)
     with at_set_point(scenario.load(NAME, [*OFF, *overrides])) as here:
         trajectory = Trajectory(here.model, here.coordinates(90))

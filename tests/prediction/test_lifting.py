@@ -1,4 +1,4 @@
-"""The map over a base period against other ways to the same numbers: simulated runs, and loops that can be written down."""
+"""Map over a base period, compared with simulated runs and with analytic maps."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from freeflyer.scenario import scenario
 
 NAME = "multirate_unstable"
 ROUNDING = 2e-8
-"""Differences of 1e-6 leave the states' rounding of some 1e-15, times 1e6 and the entries' sizes (up to 20); the runs' RK4 and the
-exact exponential differ by less.
+"""Tolerance: rounding of the states (about 1e-15) over the step of 1e-6, times the size of the
+entries (up to 20). The error of the runs' RK4 is smaller.
 """
 
 
@@ -32,7 +32,7 @@ exact exponential differ by less.
 def test_the_lifted_map_is_the_derivative_of_the_simulated_period(
     n: int, overrides: list[str]
 ) -> None:
-    """All 24 directions, 1e-6 to either side, each through the master and its co-simulation FMUs."""
+    """Differences of 1e-6 in all 24 directions, simulated by the master with co-simulation FMUs."""
     with at_set_point(scenario.load(NAME, [*QUIET, *overrides])) as here:
         predicted = lifting.lifted(here.loop(n), n)
     simulated = jacobian(NAME, overrides, n / 1000)
@@ -41,11 +41,11 @@ def test_the_lifted_map_is_the_derivative_of_the_simulated_period(
 
 
 def test_the_lifted_map_is_the_derivative_of_the_simulated_period_in_parallel_exchange() -> None:
-    """Two base periods: what the controllers answered to the start acts in the second one only."""
+    """Two base periods, because the outputs of the first sample act in the second period only."""
     n, overrides = 20, ["base_controller.period=0.02", "exchange=parallel"]
     with at_set_point(scenario.load(NAME, [*QUIET, *overrides])) as here:
         loop = here.loop(n)
-    # At the start the controllers have answered to it in their order already, as they do at initialisation.
+    # At initialisation the controllers have already computed their outputs in sequential order.
     instants = Instants(loop)
     rows = np.zeros((instants.size, 24))
     rows[:24] = np.eye(24)
@@ -64,7 +64,7 @@ def test_the_lifted_map_is_the_derivative_of_the_simulated_period_in_parallel_ex
 def one_axis(
     m: float, k: float, d: float, tick: float, *, delayed: bool = False, parallel: bool = False
 ) -> Loop:
-    """Mass, and a slow spring-damper alone."""
+    """Return the loop of a mass with one slow spring-damper law."""
     plant = lifting.plant(
         np.array([[0.0, 1.0], [0.0, 0.0]]),
         np.array([[0.0], [1.0 / m]]),
@@ -84,6 +84,7 @@ def one_axis(
 
 
 def held(m: float, period: float) -> tuple[Array, Array]:
+    """Return A (2, 2) and B (2, 1) of a mass over a period with a held force."""
     both = expm(np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0 / m], [0.0, 0.0, 0.0]]) * period)
     return both[:2, :2], both[:2, 2:]
 
@@ -99,28 +100,27 @@ def test_one_axis_lifts_to_the_held_double_integrator(m: float, k: float, d: flo
 
 
 @given(k=st.floats(1.0, 500.0), d=st.floats(1.0, 500.0), n=st.integers(2, 200))
-def test_in_parallel_exchange_the_answer_comes_a_period_late(k: float, d: float, n: int) -> None:
+def test_parallel_exchange_delays_the_output_by_one_period(k: float, d: float, n: int) -> None:
     A, B = held(20.0, 1e-3 * n)
-    late = np.block(
-        [[A, B], [np.array([[-k, -d]]), np.zeros((1, 1))]]
-    )  # the answer waits for the next sample
+    # The state is [x, v, force]; the force acts from the next sample.
+    late = np.block([[A, B], [np.array([[-k, -d]]), np.zeros((1, 1))]])
     found = np.sort_complex(
         np.linalg.eigvals(lifting.lifted(one_axis(20.0, k, d, 1e-3, parallel=True), n))
     )
     exact = np.sort_complex(np.linalg.eigvals(late))
-    # The order of complex pairs may differ by rounding: compare what does not depend on it.
+    # The order of complex pairs may differ by rounding; the characteristic polynomial does not.
     assert np.poly(found) == pytest.approx(np.poly(exact), abs=1e-8)
 
 
 @given(k=st.floats(1.0, 500.0), d=st.floats(1.0, 500.0), n=st.integers(2, 50))
-def test_a_delayed_connection_brings_the_answer_one_step_late(k: float, d: float, n: int) -> None:
-    """The first T_m of a period still has the last period's answer."""
+def test_a_delayed_connection_delays_the_output_by_one_step(k: float, d: float, n: int) -> None:
+    """The force of the last period still acts in the first T_m of a period."""
     first, rest = held(20.0, 1e-3), held(20.0, 1e-3 * (n - 1))
-    answer = np.array([[-k, -d]])
+    gain = np.array([[-k, -d]])
     exact = np.block(
         [
-            [rest[0] @ first[0] + rest[1] @ answer, rest[0] @ first[1]],
-            [answer, np.zeros((1, 1))],
+            [rest[0] @ first[0] + rest[1] @ gain, rest[0] @ first[1]],
+            [gain, np.zeros((1, 1))],
         ]
     )
     found = lifting.lifted(one_axis(20.0, k, d, 1e-3, delayed=True), n)
@@ -131,11 +131,11 @@ def test_a_delayed_connection_brings_the_answer_one_step_late(k: float, d: float
 
 @pytest.mark.parametrize("discretisation", ["emulated", "matched"])
 def test_a_scan_gives_the_map_of_every_period(discretisation: str) -> None:
-    """The scan carries the fast map's power on; each map by itself is computed from nothing."""
+    """The scan updates the power of the fast map; the single maps are computed independently."""
     with at_set_point(
         scenario.load(NAME, [f"base_controller.discretisation={discretisation}"])
     ) as here:
         scanned = list(lifting.lifted_maps(here.loop(n) for n in range(1, 61)))
         for n in (1, 2, 17, 60):
-            alone = lifting.lifted(here.loop(n), n)
-            assert np.abs(scanned[n - 1] - alone).max() < 1e-11 * np.abs(alone).max()
+            single = lifting.lifted(here.loop(n), n)
+            assert np.abs(scanned[n - 1] - single).max() < 1e-11 * np.abs(single).max()

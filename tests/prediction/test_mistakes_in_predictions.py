@@ -1,4 +1,4 @@
-"""Every mistake in the arguments of `freeflyer predict`: one sentence, exit code 2."""
+"""Errors in the arguments of `freeflyer predict`: one-line message, exit code 2."""
 
 from __future__ import annotations
 
@@ -9,82 +9,83 @@ import pytest
 from commands import run_command
 
 MISTAKES = {
-    "a scenario's name": (["multirate_unstabel"], "did you mean 'multirate_unstable'?"),
-    "an SSP file": (["loop.ssp"], "a scenario is expected here"),
-    "a parameter's name": (
+    "misspelt scenario": (["multirate_unstabel"], "did you mean 'multirate_unstable'?"),
+    "SSP file": (["loop.ssp"], "a scenario is expected here"),
+    "misspelt parameter": (
         ["multirate_unstable", "--set", "base_controller.perod=1"],
         "did you mean 'period'?",
     ),
-    "an override without a value": (
+    "override without a value": (
         ["multirate_unstable", "--set", "base_controller"],
         "COMPONENT.PARAMETER=VALUE is expected",
     ),
-    "no time": (
+    "zero time": (
         ["multirate_unstable", "--longest", "0"],
         "a time of 0.001 s (the fast controllers' step) or more is expected",
     ),
-    "no number": (["multirate_unstable", "--longest", "nan"], "--longest nan"),
-    "no number at all": (["multirate_unstable", "--longest", "long"], "invalid float value"),
+    "not a number": (["multirate_unstable", "--longest", "nan"], "--longest nan"),
+    "text instead of a number": (
+        ["multirate_unstable", "--longest", "long"],
+        "invalid float value",
+    ),
     "too many periods": (["multirate_unstable", "--longest", "1e9"], "at most 100 s is expected"),
-    "a controller's name": (
+    "misspelt controller": (
         ["multirate_unstable", "--period", "base_controler"],
         "did you mean 'base_controller'?",
     ),
-    "no controller": (
+    "component that is not a controller": (
         ["multirate_unstable", "--period", "free_flyer"],
         "no controller whose step_s follows a parameter",
     ),
-    "a directory": (["multirate_unstable", "--out", "/proc/nowhere"], "cannot be written"),
-    "no directory": (["multirate_unstable", "--out", ""], "a directory is expected"),
-    "a moving start": (
+    "read-only directory": (["multirate_unstable", "--out", "/proc/nowhere"], "cannot be written"),
+    "empty directory name": (["multirate_unstable", "--out", ""], "a directory is expected"),
+    "moving start": (
         ["multirate_unstable", "--set", "free_flyer.base_velocity=0.1"],
-        "the start is no set point",
+        "the start is not a set point",
     ),
-    "a base beside its set point": (
+    "base away from its set point": (
         ["multirate_unstable", "--set", "base_controller.position_setpoint=[0.1, 0, 0]"],
-        "the start is no set point",
+        "the start is not a set point",
     ),
-    "a singular posture": (
+    "singular posture": (
         ["multirate_unstable", "--set", "free_flyer.joint_position=0"],
         "singular value of J_m",
     ),
-    "a period between samples": (
+    "period between samples": (
         ["multirate_unstable", "--set", "base_controller.period=0.0015"],
         "0.001 s or 0.002 s would fit",
     ),
-    "a plant that is too slow": (
+    "plant that is too slow": (
         ["multirate_unstable", "--set", "free_flyer.step_s=0.002"],
         "0.001 s is expected",
     ),
-    "a controller that misses samples": (
+    "controller that misses samples": (
         ["multirate_unstable", "--set", "manipulator_controller.step_s=0.002"],
         "passes over a sample",
     ),
-    "too short a motion": (
+    "motion that is too short": (
         ["multirate_unstable", "--along-trajectory", "--set", "stop_s=0.5"],
         "along a trajectory 2.4 s or more are expected",
     ),
-    "a motion that cannot be": (
+    "infeasible motion": (
         [
             "multirate_unstable",
             "--along-trajectory",
             "--set",
             "reference_trajectory.translation_amplitude=2",
         ],
-        "there is no trajectory to predict along",
+        "there is no trajectory for the prediction",
     ),
     "controllers with memory": (["facility"], "the prediction covers controllers without memory"),
 }
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
-def test_a_mistake_is_told_in_one_sentence(
-    mistake: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_error_has_a_one_line_message(mistake: str, capsys: pytest.CaptureFixture[str]) -> None:
     arguments, expected = MISTAKES[mistake]
     try:
         code, error = run_command(capsys, "predict", *arguments)
-    except SystemExit as end:  # argparse's own
+    except SystemExit as end:  # raised by argparse
         code, error = int(end.code or 0), capsys.readouterr().err
     assert code == 2
     assert expected in error
@@ -101,7 +102,7 @@ CHANGES = {
 
 
 @pytest.mark.parametrize("kind", CHANGES)
-def test_a_plant_that_is_no_fmu_is_refused_by_kind(
+def test_a_plant_that_is_not_an_fmu_is_rejected(
     kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     table, expected = CHANGES[kind]
@@ -112,25 +113,25 @@ def test_a_plant_that_is_no_fmu_is_refused_by_kind(
     assert expected in error
 
 
-def test_an_fmu_without_derivatives_is_refused(
+def test_an_fmu_without_directional_derivatives_is_rejected(
     fmus: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    other = tmp_path / "silent.fmu"
+    other = tmp_path / "no_derivatives.fmu"
     with ZipFile(fmus / "fmi2" / "base_controller.fmu") as source, ZipFile(other, "w") as target:
         for name in source.namelist():
             target.writestr(
                 name, source.read(name).replace(b' providesDirectionalDerivative="true"', b"")
             )
-    path = tmp_path / "silent.toml"
+    path = tmp_path / "no_derivatives.toml"
     path.write_text(
-        'extends = "multirate_unstable"\n[components.base_controller]\nfmu = "silent.fmu"\n'
+        'extends = "multirate_unstable"\n[components.base_controller]\nfmu = "no_derivatives.fmu"\n'
     )
     code, error = run_command(capsys, "predict", str(path))
     assert code == 2
     assert "provides no directional derivatives" in error
 
 
-def test_two_plants_are_refused_by_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_two_plants_are_rejected(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "two.toml"
     path.write_text(
         'extends = "multirate_unstable"\n'
@@ -142,7 +143,9 @@ def test_two_plants_are_refused_by_name(tmp_path: Path, capsys: pytest.CaptureFi
     assert "2 connected components have continuous states (free_flyer, second)" in error
 
 
-def test_results_are_written_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_results_are_written_without_temporary_files(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     code, _ = run_command(
         capsys, "predict", "multirate_unstable", "--longest", "0.12", "--out", str(tmp_path / "out")
     )

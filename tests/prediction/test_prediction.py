@@ -1,4 +1,4 @@
-"""What the prediction says of loops whose limits are known, or simulated."""
+"""Predictions for loops with known or simulated stability limits."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def default() -> Prediction:
 
 
 def test_the_default_gains_are_stable_to_98_ms(default: Prediction) -> None:
-    """docs and an independent prototype: about 98 ms."""
+    """docs/prediction.md and an independent prototype give about 98 ms."""
     assert default.largest_stable_s == pytest.approx(0.098, abs=1e-3)
     assert default.stable_s == ((0.001, default.largest_stable_s),)
     assert default.own.growth_rate > 0.0
@@ -37,8 +37,8 @@ def test_the_default_gains_are_limited_by_the_sampled_spring(default: Prediction
     assert default.limit.kind == "sampled spring"
     assert default.boundary.body == "base"
     assert default.boundary.oscillates
-    assert "sampled spring" in default.limit.words()
-    assert default.limit.axis in default.boundary.words()
+    assert "sampled spring" in default.limit.description()
+    assert default.limit.axis in default.boundary.description()
 
 
 def test_too_much_damping_is_limited_by_the_sampled_damper() -> None:
@@ -76,7 +76,7 @@ def test_matched_gains_have_no_boundary_within_the_scan(name: str) -> None:
 
 
 def test_parallel_exchange_has_a_third_of_the_period(default: Prediction) -> None:
-    """The base's wrench comes a whole period late, so that the spring acts 3/2 T_b late and not T_b / 2."""
+    """The base's wrench is delayed by T_b. The mean delay of the spring is 3/2 T_b, not T_b / 2."""
     parallel = predict(scenario.load(NAME, ["exchange=parallel"]))
     assert parallel.largest_stable_s == pytest.approx(default.largest_stable_s / 3.0, rel=0.05)
     assert parallel.limit is not None
@@ -85,11 +85,11 @@ def test_parallel_exchange_has_a_third_of_the_period(default: Prediction) -> Non
 
 def test_both_fmi_versions_predict_the_same(default: Prediction) -> None:
     chosen = scenario.load(NAME)
-    threes = tuple(replace(spec, options={**spec.options, "fmi": 3}) for spec in chosen.components)
-    assert np.array_equal(predict(replace(chosen, components=threes)).radius, default.radius)
+    fmi3 = tuple(replace(spec, options={**spec.options, "fmi": 3}) for spec in chosen.components)
+    assert np.array_equal(predict(replace(chosen, components=fmi3)).radius, default.radius)
 
 
-def test_a_scan_that_ends_at_the_boundary_finds_the_same_one(default: Prediction) -> None:
+def test_a_scan_that_stops_at_the_boundary_finds_the_same_boundary(default: Prediction) -> None:
     short = predict(scenario.load(NAME), beyond=False)
     assert short.largest_stable_s == default.largest_stable_s
     assert short.longest_s < default.longest_s
@@ -100,7 +100,7 @@ def test_the_passivity_controllers_are_off_in_the_prediction(default: Prediction
     assert np.array_equal(predict(scenario.load("multirate_passive")).radius, default.radius)
 
 
-def test_the_gains_come_back_from_the_linear_loop(default: Prediction) -> None:
+def test_the_linear_loop_reproduces_the_given_gains(default: Prediction) -> None:
     given = (
         [150.0] * 3 + [40.0] * 3 + [500.0] * 3 + [50.0] * 3,
         [10.0] * 3 + [2.0] * 3 + [80.0] * 3 + [3.0] * 3,
@@ -109,7 +109,7 @@ def test_the_gains_come_back_from_the_linear_loop(default: Prediction) -> None:
     assert default.coordinates.damping == pytest.approx(given[1], rel=1e-6)
 
 
-def test_an_axis_without_stiffness_is_neutral_and_left_out(default: Prediction) -> None:
+def test_an_axis_without_stiffness_is_neutral_and_excluded(default: Prediction) -> None:
     free = predict(scenario.load(NAME, ["base_controller.stiffness=[0, 150, 150, 40, 40, 40]"]))
     assert free.neutral == 1
     assert default.neutral == 0
@@ -117,14 +117,16 @@ def test_an_axis_without_stiffness_is_neutral_and_left_out(default: Prediction) 
     assert (free.radius[: round(free.largest_stable_s / free.tick_s)] < 1.0).all()
 
 
-def test_shares_of_energy_add_up_and_name_the_largest(default: Prediction) -> None:
+def test_energy_shares_add_up_to_one_and_the_description_lists_the_largest_first(
+    default: Prediction,
+) -> None:
     assert default.boundary is not None
     assert default.boundary.shares.sum() == pytest.approx(1.0)
-    assert default.boundary.words().startswith(DEGREES[int(default.boundary.shares.argmax())])
+    assert default.boundary.description().startswith(DEGREES[int(default.boundary.shares.argmax())])
 
 
 def test_the_plants_matrices_are_the_derivatives_of_its_rates() -> None:
-    """A and B at the set point against central differences of the FMU's own rates."""
+    """Compares A and B at the set point with central differences of the FMU's state derivatives."""
     with at_set_point(scenario.load(NAME)) as here:
         model, point, plant = here.model, here.point, here.plant
         fmu, values = model.fmus["free_flyer"], model.system.values["free_flyer"]
@@ -150,7 +152,7 @@ def test_the_plants_matrices_are_the_derivatives_of_its_rates() -> None:
     assert np.abs(B - plant.B).max() < 1e-7 * np.abs(plant.B).max()
 
 
-def test_components_without_connections_are_no_part_of_the_loop() -> None:
+def test_components_without_connections_are_not_part_of_the_loop() -> None:
     with linearisation.opened(scenario.load("continuous")) as model:
         assert "continuous_loop" not in model.fmus
         assert model.roles.scanned == "base_controller"
@@ -158,21 +160,24 @@ def test_components_without_connections_are_no_part_of_the_loop() -> None:
 
 @pytest.mark.parametrize("seed", family([0, 5, 16]))
 def test_the_simulated_boundary_is_the_predicted_one(seed: int) -> None:
-    """Three of the fifty below: a sampled damper, and two sampled springs."""
+    """Three of the fifty sets below: one sampled damper and two sampled springs."""
     found = compared(seed)
     assert found is not None
     assert found.agrees, found
 
 
 @pytest.mark.slow
-def test_stable_islands_beyond_the_first_boundary_are_simulated_too() -> None:
-    """A well damped base over a hand that is hardly damped: unstable from 0.6 s, stable again, unstable again. Not monotone."""
-    hardly = [
+def test_the_simulation_confirms_a_stable_interval_above_the_first_boundary() -> None:
+    """Stability is not monotone for a well damped base and a weakly damped end-effector.
+
+    The loop is unstable from 0.6 s, then stable again, then unstable.
+    """
+    weakly_damped = [
         *QUIET,
         "base_controller.damping=[60, 60, 60, 15, 15, 15]",
         "manipulator_controller.damping=[1, 1, 1, 0.05, 0.05, 0.05]",
     ]
-    with at_set_point(scenario.load(NAME, hardly)) as here:
+    with at_set_point(scenario.load(NAME, weakly_damped)) as here:
         prediction = scan(here, 0.8)
         assert len(prediction.stable_s) == 2
         (_, first), (again, last) = prediction.stable_s
@@ -182,13 +187,13 @@ def test_stable_islands_beyond_the_first_boundary_are_simulated_too() -> None:
             (round(500 * (again + last)), True),
             (800, False),
         ):
-            found = side(here, prediction.coordinates, hardly, n, seed=1)
+            found = side(here, prediction.coordinates, weakly_damped, n, seed=1)
             assert (found.simulated < 0.0) == (found.predicted < 0.0) == stable
 
 
 @pytest.mark.benchmark
 def test_the_simulated_boundary_is_the_predicted_one_in_fifty_random_gain_sets() -> None:
-    """Within max(2 %, one T_m), by the fitted growth rate of a perturbation of 1e-6; and the growth rates themselves."""
+    """Compares boundaries within max(2 %, one T_m), and the growth rates of a 1e-6 perturbation."""
     agreeing = 0
     print(
         "\nset  predicted  n: simulated (predicted) growth rate [1/s] below and above  limited by"

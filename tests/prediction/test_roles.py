@@ -58,7 +58,7 @@ def test_the_prediction_does_not_depend_on_the_names_of_variables(folder: Path) 
     assert own.own.growth_rate == shipped.own.growth_rate
     assert own.limit is not None
     assert shipped.limit is not None
-    assert own.limit.words() == shipped.limit.words()
+    assert own.limit.description() == shipped.limit.description()
 
 
 @pytest.mark.parametrize(

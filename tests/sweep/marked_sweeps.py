@@ -1,4 +1,4 @@
-"""Sweeps of quick runs that leave a mark each, so that a test sees what was run, how often and by whom."""
+"""Sweeps of short runs. Each run writes a mark, so that a test can count runs and their workers."""
 
 from __future__ import annotations
 
@@ -19,11 +19,14 @@ from freeflyer.cli import main as command
 
 MARKING = Path(__file__).parents[1] / "data" / "marking.py"
 PATIENCE = 90.0
-"""Longer than anything takes on a busy machine [s]."""
+"""Timeout of all waits, with margin for a busy machine [s]."""
 
 
 class MarkedSweep:
-    """A scenario and a sweep file in `directory`, with runs x = 1 ... count that take `nap` seconds each."""
+    """Scenario and sweep file in `directory`, with runs x = 1 ... `count` of `nap` seconds each.
+
+    The run x = `deadly` kills its worker. `more` is inserted into the head of the sweep file.
+    """
 
     def __init__(
         self, directory: Path, *, count: int, nap: float = 0.0, deadly: int = -1, more: str = ""
@@ -40,7 +43,7 @@ class MarkedSweep:
         self.file.write_text(f'scenario = "marked.toml"\n{more}\n[grid]\n"one.x" = {values}\n')
 
     def start(self) -> subprocess.Popen[str]:
-        """As a command of its own, with two workers."""
+        """Start the command in its own process, with two workers."""
         return subprocess.Popen(
             [
                 sys.executable,
@@ -57,11 +60,14 @@ class MarkedSweep:
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
-            start_new_session=True,  # a group of its own, as a terminal gives it
+            start_new_session=True,  # own process group, as in a terminal
         )
 
     def run(self, capsys: pytest.CaptureFixture[str], *options: str) -> tuple[int, str, str]:
-        """In this process, which has imported everything already; its workers inherit where marks belong."""
+        """Run the command in this process. Returns the exit code, standard output and error output.
+
+        The workers inherit the directory of the marks.
+        """
         capsys.readouterr()
         with pytest.MonkeyPatch.context() as patch:
             patch.setenv("MARKS", str(self.marks))
@@ -76,7 +82,7 @@ class MarkedSweep:
 
     @property
     def parts(self) -> dict[str, tuple[int, bytes]]:
-        """Time and contents of every finished part."""
+        """Modification time [ns] and content of every finished part."""
         return {
             path.name: (path.stat().st_mtime_ns, path.read_bytes())
             for path in (self.out / "parts").glob("*.parquet")
@@ -91,12 +97,12 @@ def until(condition: Callable[[], bool], process: subprocess.Popen[Any]) -> None
     end = time.monotonic() + PATIENCE
     while not condition():
         assert process.poll() is None, process.communicate()
-        assert time.monotonic() < end, "nothing happened"
+        assert time.monotonic() < end, "the condition was not met in time"
         time.sleep(0.02)
 
 
 def workers_of(process: subprocess.Popen[str]) -> list[psutil.Process]:
-    """Worker processes of a sweep's command, without Python's own helper."""
+    """Return the worker processes of a sweep command, without Python's resource tracker."""
     children = psutil.Process(process.pid).children(recursive=True)
     return [child for child in children if "spawn_main" in " ".join(child.cmdline())]
 

@@ -1,4 +1,4 @@
-"""Dask schedulers and workers as others start them: processes of their own, on the loopback only."""
+"""External Dask schedulers and workers: separate processes, on loopback only."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PATIENCE = 90.0
 
 @contextmanager
 def scheduler(directory: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
-    """Its address, and its process."""
+    """Start a scheduler; yield its address and its process."""
     ready = directory / "scheduler.json"
     options = [
         "--port",
@@ -41,7 +41,10 @@ def scheduler(directory: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
 def worker(
     address: str, directory: Path, *, before: str = "", path: Path | None = None
 ) -> Iterator[subprocess.Popen[bytes]]:
-    """A worker in one process. `before` is Python that it runs first; `path` is searched before all other packages."""
+    """Start a worker in one process.
+
+    `before` is Python code that runs first; `path` precedes all other entries of PYTHONPATH.
+    """
     code = f"{before}\nimport sys\nfrom distributed.cli.dask_worker import main\nsys.argv[0] = 'dask worker'\nmain()\n"
     options = [
         "--no-nanny",

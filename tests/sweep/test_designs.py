@@ -1,4 +1,4 @@
-"""Laws of designs: every point of a grid once, every stratum of a Latin hypercube once, the same draws from the same seed."""
+"""Designs: each grid point once, each Latin hypercube stratum once, equal draws for equal seeds."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_a_logarithmic_latin_hypercube_is_stratified_by_ratio(
 
 
 @given(method=st.sampled_from(["latin_hypercube", "random"]), seed=st.integers(0, 2**31))
-def test_the_seed_alone_decides_the_draws(method: str, seed: int) -> None:
+def test_the_draws_depend_only_on_the_seed(method: str, seed: int) -> None:
     def drawn(seed: int) -> list[tuple[float, ...]]:
         return Sample(method=method, count=5, seed=seed, axes=unit_axes(3)).rows  # type: ignore[arg-type]
 
@@ -63,7 +63,7 @@ def test_the_seed_alone_decides_the_draws(method: str, seed: int) -> None:
 
 
 @given(low=numbers, span=st.floats(1e-3, 1e3), share=st.floats(0.0, 1.0), logarithmic=st.booleans())
-def test_an_interval_is_never_left(
+def test_values_stay_inside_the_interval(
     low: float, span: float, share: float, logarithmic: bool
 ) -> None:
     interval = Interval(low=low, high=low + span, logarithmic=logarithmic)
@@ -117,7 +117,7 @@ def test_an_axis_has_both_ends_and_equal_distances(count: int, low: float, span:
     assert np.ptp(np.diff(values)) <= 1e-9 * (low + span)
 
 
-def test_values_that_rounding_makes_equal_count_once() -> None:
+def test_duplicates_from_rounding_are_removed() -> None:
     assert Interval(low=0.001, high=0.003, multiple_of=0.001).spread(20).values == (
         0.001,
         0.002,
@@ -126,7 +126,7 @@ def test_values_that_rounding_makes_equal_count_once() -> None:
 
 
 @pytest.mark.parametrize(("first", "last"), [(1, 6), (1, 3), (4, 6), (2, 2)])
-def test_elements_and_factors_leave_the_rest_of_a_vector_alone(
+def test_elements_and_factors_do_not_change_the_rest_of_a_vector(
     tmp_path: Path, first: int, last: int
 ) -> None:
     (tmp_path / "parts.toml").write_text(
@@ -145,7 +145,7 @@ def test_elements_and_factors_leave_the_rest_of_a_vector_alone(
         assert assignments["base_controller.damping"] == [10.0 * factor] * 3 + [2.0, 2.0, damping]
 
 
-def test_units_are_converted_for_elements_too(tmp_path: Path) -> None:
+def test_units_of_elements_are_converted(tmp_path: Path) -> None:
     (tmp_path / "units.toml").write_text(
         'scenario = "multirate_passive"\n[grid]\n"base_controller.period" = { values = [150, 300], unit = "ms" }\n'
         '"base_controller.stiffness[4]" = { values = [2.0], unit = "N.m/deg" }\n'

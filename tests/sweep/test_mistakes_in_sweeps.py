@@ -1,4 +1,4 @@
-"""Every mistake in a sweep: one sentence, exit code 2, before any run starts and any worker is begun."""
+"""Errors in sweep files and options: one-line message, exit code 2, no run is started."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from freeflyer.analysis.sweep import cluster, verdict
 P = '"base_controller.period"'
 
 
-def said_of(capsys: pytest.CaptureFixture[str], directory: Path, text: str, *options: str) -> str:
-    """What is said of a sweep file; the head `scenario` is given unless the text has one."""
+def error_of(capsys: pytest.CaptureFixture[str], directory: Path, text: str, *options: str) -> str:
+    """Return the error message for a sweep file `text`; a missing key `scenario` is added."""
     file = directory / "mine.toml"
     file.write_text(
         text
@@ -38,8 +38,8 @@ def said_of(capsys: pytest.CaptureFixture[str], directory: Path, text: str, *opt
     ("text", "message"),
     [
         (f"[grid]\n{P} = []", "[grid] base_controller.period is []; a list of at least one value"),
-        ("[grid]", "nothing is varied; a [grid] or a [sample] with parameters is expected"),
-        ("", "nothing is varied"),
+        ("[grid]", "varies no parameter; a [grid] or a [sample] with parameters is expected"),
+        ("", "varies no parameter"),
         ('[grid]\n"base_controller.perod" = [0.1]', "no parameter 'perod'; did you mean 'period'"),
         (
             '[grid]\n"base_controler.period" = [0.1]',
@@ -68,7 +68,7 @@ def said_of(capsys: pytest.CaptureFixture[str], directory: Path, text: str, *opt
         ),
         (
             f"[grid]\n{P} = {{ first = 0, last = 1, count = 3, logarithmic = true }}",
-            "begins at 0.0; a number above zero",
+            "starts at 0.0; a number above zero",
         ),
         (
             f"[grid]\n{P} = {{ first = 0.2, last = 0.3, count = 3, multiple_of = 0.4 }}",
@@ -92,12 +92,12 @@ def said_of(capsys: pytest.CaptureFixture[str], directory: Path, text: str, *opt
         ),
         (
             '[grid]\n"base_controller.stiffness[3:1]" = [1]',
-            "elements are counted from 1, the first one first",
+            "elements are counted from 1, and the first must not exceed the last",
         ),
         ('[grid]\n"manipulator_controller.observer" = ["prot"]', "did you mean 'port'"),
         (
             '[grid]\n"manipulator_controller.observer[1]" = [1]',
-            "is no real parameter; elements and factors",
+            "is not a real parameter; a sweep cannot vary its elements",
         ),
         (
             '[grid]\n"base_controller.stiffness[1:3]" = [1]\n"base_controller.stiffness[3]" = [1]',
@@ -133,10 +133,10 @@ def said_of(capsys: pytest.CaptureFixture[str], directory: Path, text: str, *opt
             "[map] x and y are both base_controller.period",
         ),
         ("scenario = 'multirate_pasive'\n[grid]\nstop_s = [1]", "no scenario 'multirate_pasive'"),
-        ("[grid]\n'facility.seed' = [1, 2]", "facility.seed changes nothing that a sweep measures"),
+        ("[grid]\n'facility.seed' = [1, 2]", "facility.seed has no effect on the results"),
         (
             "[grid]\n'record.signals' = ['a']",
-            "record.signals changes nothing that a sweep measures",
+            "record.signals has no effect on the results",
         ),
         (
             "scenario = 3",
@@ -150,8 +150,10 @@ def said_of(capsys: pytest.CaptureFixture[str], directory: Path, text: str, *opt
         ),
     ],
 )
-def test_files(capsys: pytest.CaptureFixture[str], tmp_path: Path, text: str, message: str) -> None:
-    assert message in said_of(capsys, tmp_path, text)
+def test_errors_in_files_are_rejected(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, text: str, message: str
+) -> None:
+    assert message in error_of(capsys, tmp_path, text)
 
 
 @pytest.mark.parametrize(
@@ -173,7 +175,7 @@ def test_files(capsys: pytest.CaptureFixture[str], tmp_path: Path, text: str, me
         ),
     ],
 )
-def test_arguments(
+def test_errors_in_options_are_rejected(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, arguments: tuple[str, ...], message: str
 ) -> None:
     code, error = run_command(capsys, "sweep", *arguments, "--out", str(tmp_path / "out"))
@@ -182,7 +184,7 @@ def test_arguments(
     assert not (tmp_path / "out" / "parts").exists()
 
 
-def test_a_directory_with_another_sweep_is_refused(
+def test_a_directory_with_another_sweep_is_rejected(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     sweep = MarkedSweep(tmp_path, count=1)
@@ -191,7 +193,8 @@ def test_a_directory_with_another_sweep_is_refused(
     code, _, error = sweep.run(capsys)
     assert code == 2
     assert (
-        "holds another sweep ('sweep'; designs differ): give another --out, or remove it" in error
+        "has results of another sweep ('sweep'; designs differ); choose another --out, or remove it"
+        in error
     )
     sweep.file.write_text(sweep.file.read_text().replace("[2]", "[1]"))
     code, _, error = sweep.run(capsys, "--set", "one.nap=0.1")
@@ -200,11 +203,11 @@ def test_a_directory_with_another_sweep_is_refused(
     (sweep.out / "sweep.json").write_text("[]")
     code, _, error = sweep.run(capsys)
     assert code == 2
-    assert "is no plan of a sweep" in error
+    assert "is not a plan of a sweep" in error
     assert sweep.times_run(2) == 0
 
 
-def test_a_directory_that_is_a_file_is_refused(
+def test_a_file_as_output_directory_is_rejected(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     (tmp_path / "file").write_text("")
@@ -216,7 +219,7 @@ def test_a_directory_that_is_a_file_is_refused(
 @pytest.mark.parametrize(
     "address", ["tcp://127.0.0.1:{port}", "127.0.0.1:{port}", "nonsense", "ftp://127.0.0.1:{port}"]
 )
-def test_a_scheduler_that_is_not_there(
+def test_an_unreachable_scheduler_is_an_error(
     capsys: pytest.CaptureFixture[str],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -224,7 +227,7 @@ def test_a_scheduler_that_is_not_there(
 ) -> None:
     monkeypatch.setattr("freeflyer.analysis.sweep.cluster.ANSWER", 1.0)
     with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))  # nobody listens
+        free.bind(("127.0.0.1", 0))  # no process listens on this port
         where = address.format(port=free.getsockname()[1])
         code, _, error = MarkedSweep(tmp_path, count=2).run(capsys, "--scheduler", where)
     assert code == 2
@@ -232,7 +235,7 @@ def test_a_scheduler_that_is_not_there(
     assert len(error.strip().splitlines()) == 1, error
 
 
-def test_a_scheduler_without_workers(
+def test_a_scheduler_without_workers_is_an_error(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("freeflyer.analysis.sweep.cluster.ANSWER", 2.0)
@@ -246,13 +249,13 @@ def test_a_scheduler_without_workers(
 
 OTHER_PYTHON = """
 import sys, distributed.versions
-there = distributed.versions.get_package_info
-distributed.versions.get_package_info = lambda names: there(names) | {"python": "2.7.18.final.0"}
+original = distributed.versions.get_package_info
+distributed.versions.get_package_info = lambda names: original(names) | {"python": "2.7.18.final.0"}
 """
 
 
 @pytest.mark.parametrize("other", family(["package", "python"]))
-def test_a_worker_with_another_version_is_refused(
+def test_a_worker_with_another_version_is_rejected(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, other: str
 ) -> None:
     sweep = MarkedSweep(tmp_path, count=2)
@@ -275,7 +278,7 @@ def test_a_worker_with_another_version_is_refused(
     assert sweep.times_run(1) == sweep.times_run(2) == 0
 
 
-def test_a_scheduler_of_others_computes_the_sweep(
+def test_an_external_scheduler_computes_the_sweep(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sweep = MarkedSweep(tmp_path, count=6)
@@ -283,29 +286,29 @@ def test_a_scheduler_of_others_computes_the_sweep(
     with scheduler(tmp_path) as (address, _), worker(address, tmp_path) as process:
         code, _, error = sweep.run(capsys, "--scheduler", address)
         assert (code, error) == (0, "")
-        assert process.poll() is None  # it is theirs, and stays
+        assert process.poll() is None  # the command does not stop an external worker
     assert [sweep.times_run(x) for x in range(1, 7)] == [1] * 6
 
 
 @pytest.mark.slow
-def test_a_scheduler_that_dies_stops_the_sweep_and_keeps_what_is_finished(
+def test_a_killed_scheduler_stops_the_sweep_and_finished_runs_are_kept(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sweep = MarkedSweep(tmp_path, count=200, nap=0.1)
     monkeypatch.setitem(cluster.CONFIGURATION, "distributed.comm.timeouts.connect", "1s")
     monkeypatch.setenv("MARKS", str(sweep.marks))
 
-    def kill_once_a_part_is_there(process: subprocess.Popen[bytes]) -> None:
+    def kill_after_the_first_part(process: subprocess.Popen[bytes]) -> None:
         until(lambda: bool(sweep.parts), process)
         process.kill()
 
     with scheduler(tmp_path) as (address, process), worker(address, tmp_path):
-        killer = threading.Thread(target=kill_once_a_part_is_there, args=(process,))
+        killer = threading.Thread(target=kill_after_the_first_part, args=(process,))
         killer.start()
         code, _, error = sweep.run(capsys, "--scheduler", address)
         killer.join()
     assert code == 3
-    assert "the scheduler does not answer any more; what was finished is kept" in error
+    assert "the scheduler does not answer any more; finished runs are kept" in error
     assert sweep.parts
 
 
@@ -313,7 +316,7 @@ errors = st.floats(0.0, 1e3)
 
 
 @given(last=errors, before=errors, unit=st.sampled_from(["m", "deg"]))
-def test_errors_that_fall_are_stable_and_those_that_grow_beyond_the_floor_are_not(
+def test_decreasing_errors_are_stable_and_errors_that_grow_above_the_floor_are_unstable(
     last: float, before: float, unit: str
 ) -> None:
     summary = {
@@ -331,7 +334,7 @@ def test_errors_that_fall_are_stable_and_those_that_grow_beyond_the_floor_are_no
     assert verdict.stable(summary | {"simulated_s": 19.0}, {f"x_error_{unit}": before}) is None
 
 
-def test_what_the_sweep_varies_is_not_set_beside_it(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_varied_parameter_cannot_be_set_by_an_option(capsys: pytest.CaptureFixture[str]) -> None:
     code, error = run_command(capsys, "sweep", "stability_map", "--set", "base_controller.period=1")
     assert code == 2
     assert "base_controller.period is varied by the sweep" in error

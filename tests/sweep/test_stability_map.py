@@ -1,4 +1,4 @@
-"""The map shows what the table says: one cell a pair of values, in the colour of its verdict, the boundary where it was given."""
+"""Stability map: one cell per pair of values in the colour of its verdict, with the boundary."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ UNITS = {"a.x": "s", "a.y": "1"}
 
 
 def table(ys: Array, *, cases: tuple[str, ...] = ("one", "two")) -> pa.Table:
-    """Stable for x = 0.1, growing for 0.2, diverged at 10 y for 0.3."""
+    """Return results: stable for x = 0.1, growing for 0.2, diverged at 10 y for 0.3."""
     rows = [
         {
             "case": case,
@@ -52,7 +52,7 @@ def test_cells_have_the_colour_of_their_verdict() -> None:
         assert np.allclose(cells[:, 0], colors.to_rgba(stability_map.STABLE))
         assert np.allclose(cells[:, 1], colors.to_rgba(stability_map.GROWING))
         brightness = cells[:, 2, :3].sum(axis=1)
-        assert brightness[1] > brightness[0]  # what diverges later is lighter
+        assert brightness[1] > brightness[0]  # later divergence is lighter
         assert panel.get_xlabel() == "a.x [s]"
     plt.close(figure)
 
@@ -67,7 +67,7 @@ def test_the_worst_run_of_a_cell_is_shown() -> None:
         plt.close(figure)
 
 
-def test_a_boundary_is_drawn_where_it_was_given_and_on_its_own_panel(tmp_path: Path) -> None:
+def test_a_boundary_is_drawn_only_on_the_panel_of_its_case(tmp_path: Path) -> None:
     line = (np.array([0.1, 0.2]), np.array([1.0, 2.0]))
     figure = stability_map.draw(table(np.array([1.0, 2.0])), "a.x", "a.y", UNITS, {"two": line})
     assert not figure.axes[0].lines
@@ -76,7 +76,7 @@ def test_a_boundary_is_drawn_where_it_was_given_and_on_its_own_panel(tmp_path: P
     assert {path.name for path in tmp_path.iterdir()} == {"map.png", "map.pdf"}
 
 
-def test_the_boundary_is_the_predicted_one_with_a_gap_where_a_value_is_refused(
+def test_the_boundary_is_the_predicted_one_with_a_gap_at_a_rejected_value(
     tmp_path: Path,
 ) -> None:
     path = tmp_path / "some.toml"
@@ -110,5 +110,5 @@ def test_every_value_lies_inside_its_cell(values: list[float]) -> None:
 @pytest.mark.parametrize(
     ("values", "expected"), [(np.geomspace(0.1, 10, 20), True), (np.linspace(0.02, 0.5, 25), False)]
 )
-def test_an_axis_is_logarithmic_where_its_values_are(values: Array, expected: bool) -> None:
+def test_an_axis_with_geometric_values_is_logarithmic(values: Array, expected: bool) -> None:
     assert stability_map.is_logarithmic(values) is expected

@@ -1,4 +1,4 @@
-"""Sweeps on a real local cluster: what is computed is what `freeflyer run` computes."""
+"""Sweeps on a local cluster have the same results as `freeflyer run`."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_every_design_is_run_in_every_case(swept: Path) -> None:
     assert frame.attrs["units"]["base_position_error_m_max"] == "m"
 
 
-def test_a_row_is_what_the_same_run_alone_gives(swept: Path, tmp_path: Path) -> None:
+def test_a_row_equals_the_result_of_a_single_run(swept: Path, tmp_path: Path) -> None:
     frame = pandas.read_parquet(swept / "results.parquet")
     picked = frame["base_controller.period"].eq(0.5) & frame["base_controller.damping[4:6]"].eq(
         100.0
@@ -91,7 +91,9 @@ def test_a_row_is_what_the_same_run_alone_gives(swept: Path, tmp_path: Path) -> 
         assert row[f"{name}_observed_energy_min_j"] == energy["min"]
 
 
-def test_a_refused_value_is_a_row_with_its_reason_and_a_diverged_run_a_result(swept: Path) -> None:
+def test_a_rejected_value_is_a_failed_row_with_its_cause_and_a_diverged_run_is_a_result(
+    swept: Path,
+) -> None:
     frame = pandas.read_parquet(swept / "results.parquet")
     refused = frame[frame["free_flyer.base_mass"].eq(-1)]
     assert refused["failed"].all()
@@ -99,7 +101,8 @@ def test_a_refused_value_is_a_row_with_its_reason_and_a_diverged_run_a_result(sw
     assert not refused["stable"].any()
     rest = frame[frame["free_flyer.base_mass"].eq(150)]
     assert not rest["failed"].any()
-    # K_D T_b > 2 M~: the second mechanism, which no passivity controller with a bounded damper cures.
+    # K_D T_b > 2 M~: the second mechanism of instability. A passivity controller with a bounded
+    # damper cannot stabilise it.
     heavy = rest[
         rest["base_controller.period"].eq(0.5) & rest["base_controller.damping[4:6]"].eq(100.0)
     ]

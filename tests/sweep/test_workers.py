@@ -1,4 +1,4 @@
-"""What a worker is and keeps: the loopback only, one BLAS thread, folders that no two instances share, nothing of another build."""
+"""Workers: loopback only, one BLAS thread, no shared FMU folders, no files of another build."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ def test_workers_listen_on_the_loopback_only_and_have_one_blas_thread() -> None:
     )
 
 
-def test_other_commands_do_not_wait_for_dask_and_statistics() -> None:
+def test_other_commands_do_not_import_dask_and_scipy_stats() -> None:
     code = "import sys\nfrom freeflyer.cli import run, sweep\nassert not {'distributed', 'scipy.stats'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-def test_a_robot_parameter_is_given_to_plant_and_controllers_alike(plan: Plan) -> None:
+def test_a_robot_parameter_is_set_in_plant_and_controllers(plan: Plan) -> None:
     run = plan.run(1)
     chosen = plan.setup.scenario(run.case, run.assignments)
     with assemble.loaded(chosen) as system:
@@ -61,7 +61,7 @@ def test_a_robot_parameter_is_given_to_plant_and_controllers_alike(plan: Plan) -
     assert alone.robot == chosen.robot
 
 
-def test_a_worker_with_other_files_is_refused(plan: Plan) -> None:
+def test_a_worker_with_other_files_is_rejected(plan: Plan) -> None:
     other = replace(plan.setup, files={**plan.setup.files, "base_controller": "0" * 64})
     with pytest.raises(
         sweep_task.WorkerRefused,
@@ -72,7 +72,7 @@ def test_a_worker_with_other_files_is_refused(plan: Plan) -> None:
         sweep_task.run_batch(plan.setup, "9.9", [plan.run(0)])
 
 
-def test_instances_never_share_a_folder_and_kept_ones_are_used_again(
+def test_instances_never_share_a_folder_and_kept_folders_are_reused(
     fmus: Path, tmp_path: Path
 ) -> None:
     path = fmus / "fmi2" / "reference_trajectory.fmu"
@@ -90,7 +90,7 @@ def test_instances_never_share_a_folder_and_kept_ones_are_used_again(
     assert len(list(tmp_path.iterdir())) == 2
 
 
-def test_a_run_after_another_is_as_if_it_were_the_first(plan: Plan, tmp_path: Path) -> None:
+def test_a_run_does_not_depend_on_earlier_runs(plan: Plan, tmp_path: Path) -> None:
     def numbers(row: sweep_task.Row) -> sweep_task.Row:
         return {key: value for key, value in row.items() if key not in ("wall_s", "run_s")}
 
@@ -101,14 +101,14 @@ def test_a_run_after_another_is_as_if_it_were_the_first(plan: Plan, tmp_path: Pa
     assert alone[0] != alone[1]
 
 
-def test_a_changed_file_is_read_again(fmus: Path, tmp_path: Path) -> None:
+def test_a_changed_fmu_file_is_unpacked_again(fmus: Path, tmp_path: Path) -> None:
     path = tmp_path / "some.fmu"
     path.write_bytes((fmus / "fmi2" / "reference_trajectory.fmu").read_bytes())
     (tmp_path / "kept").mkdir()
     with unpacked.kept_in(tmp_path / "kept"):
         before = FmuComponent("one", path)
         path.write_bytes((fmus / "fmi2" / "linear_trajectory.fmu").read_bytes())
-        before.close()  # its folder holds what the file was
+        before.close()  # its folder has the previous content of the file
         after = FmuComponent("one", path)
         after.enter_initialization(0.0, {})
         after.close()

@@ -1,4 +1,4 @@
-"""How every figure looks, and how it is saved."""
+"""Common style of all figures, and their output formats."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ STYLE: Any = {
     "axes.formatter.limits": (-2, 3),
     "figure.constrained_layout.use": True,
 }
-# Distinguishable in grey print by their dashes, and for the colour-blind by these colours.
+# Dashes distinguish the lines in grey print, colours also for colour-blind readers.
 LINES = (
     {"color": "#0072B2", "ls": "-"},
     {"color": "#D55E00", "ls": "--"},
@@ -32,7 +32,7 @@ LINES = (
 
 
 def save(figure: Any, path: Path) -> None:
-    """PNG for the screen and, beside it, PDF for print."""
+    """Write `path` as PNG and PDF, and close the figure. Raises OutputError."""
     write_whole(
         path.with_suffix(".png"), lambda partial: figure.savefig(partial, format="png", dpi=200)
     )

@@ -152,7 +152,7 @@ def _observation(audit: Audit, port: Port) -> dict[str, Any]:
 
     The last row is left out, because the observer takes no sample there.
     """
-    observed, true = port.believed[:-1], port.absorbed[:-1]
+    observed, true = port.observed[:-1], port.absorbed[:-1]
     row, axis = np.unravel_index(int(np.argmin(observed)), observed.shape)
     return {
         "sum_at_end_j": float(observed[-1].sum()),

@@ -103,9 +103,9 @@ def _print_set_point(prediction: Prediction, console: Console) -> None:
     for first, last in beyond:
         print_line(f"Stable again: {milliseconds(first)} to {milliseconds(last)}")
     if prediction.boundary and prediction.limit:
-        print_line(f"Unstable mode: {prediction.boundary.words()}")
+        print_line(f"Unstable mode: {prediction.boundary.description()}")
         print_line(f"  at {_grows(prediction.boundary)}")
-        print_line(f"Limited by {prediction.limit.words()}")
+        print_line(f"Limited by {prediction.limit.description()}")
     print_line(f"The scenario's own T_b: at {_grows(prediction.own)}")
     if prediction.neutral:
         print_line(

@@ -1,9 +1,10 @@
-"""Where the energy of a recorded run came from and went: power and work at ports B and M, the true balance, what the held laws
-made beyond the springs and dampers that they stand for, what the passivity controllers took, and what the observers believed.
+"""Energy audit of a recorded run: energy sources and sinks at the ports B and M.
 
-At each port, with everything else as it is in docs/energy_audit.md:
+The audit has the power and work at both ports and the kinetic energy of the robot. It has the
+energy that the held laws generate, the energy that the passivity controllers remove, and the
+energy that the observers computed. docs/energy_audit.md has all equations. At each port
     work = feed_forward + reference + stale + virtual - stored - dissipated - taken
-and of the robot: kinetic = work at B + work at M + others + residual.
+and for the robot: kinetic = work at B + work at M + others + residual.
 """
 
 from __future__ import annotations
@@ -20,60 +21,63 @@ from freeflyer.fmi.component import Array
 
 @dataclass(frozen=True, kw_only=True)
 class Port:
-    """Energies [J] since the first row, (n) unless said otherwise; positive is given to the robot, but for `stored`, `dissipated`
-    and `taken`, which are what has left it.
+    """Energies [J] since the first row, (n) unless stated otherwise.
+
+    Positive energy flows into the robot. `stored`, `dissipated` and `taken` are energies out of it.
     """
 
     power: Array
-    """[W], of the wrench that really acts."""
+    """Power [W] of the true wrench."""
     work: Array
     feed_forward: Array
-    """Of F* as it was sampled and held."""
+    """Work of the sampled and held F*."""
     reference: Array
-    """Of the law on the desired motion: what moving the spring's other end costs."""
+    """Work of the law on the desired motion, which moves the reference end of the spring."""
     stale: Array
-    """Of the wrench that really acts at B less the held one: where multi-rate energy enters."""
+    """Work of the true wrench at B less the held one: the multi-rate energy."""
     virtual: Array
-    """What the held law gave beyond a continuous spring-damper on the same motion."""
+    """Energy that the held law generates beyond a continuous spring-damper on the same motion."""
     stored: Array
-    """Change of the spring's potential."""
+    """Change of the spring's potential energy."""
     dissipated: Array
-    """What a continuous damper K_D would have taken."""
+    """Energy that a continuous damper K_D dissipates on the same motion."""
     taken: Array
-    """By the passivity controller."""
-    believed: Array
-    """(n, 6) observed energy, E(0) included."""
+    """Energy that the passivity controller removes."""
+    observed: Array
+    """Energy (n, 6) that the passivity observer computed, including E(0)."""
     absorbed: Array
-    """(n, 6) E(0) less the true work: what an observer of the true port would say."""
+    """E(0) less the true work (n, 6), the value of an ideal observer of this port."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Balance:
-    """Energies [J] since the first row (n); residuals are what is left of `kinetic`."""
+    """Energy balance of the robot: energies [J] since the first row (n)."""
 
     kinetic: Array
     base_wrench: Array
     joint_torque: Array
     others: Array
-    """Work of what acted on the robot beside the controllers' outputs (a disturbance of the user's)."""
+    """Work that other components add to the controllers' outputs, such as a user's disturbance."""
     residual_of_held: Array
-    """Beside the held pair (F_b, tau)."""
+    """`kinetic` less the work of the held pair (F_b, tau)."""
     residual_of_ports: Array
-    """Beside the ports' derived pair (F_B, F_m)."""
+    """`kinetic` less the work of the ports' derived pair (F_B, F_m) and `others`."""
     moved: float
-    """Sum of the magnitudes of all work of (F_b, tau): what residuals are measured by."""
+    """Sum of the magnitudes of all work of (F_b, tau), the scale of the residuals."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Audit:
+    """Result of `audit`."""
+
     loop: RecordedLoop
     base: Port
     manipulator: Port
     tracking_power: Array
-    """(F'_m - F_m*) (x_m' - x_md') [W] (n)."""
+    """Power of the tracking error (F'_m - F_m*) (x_m' - x_md') [W] (n)."""
     balance: Balance | None
     notes: tuple[str, ...]
-    """What has to be known to read the figures, one sentence each."""
+    """Limitations of this audit, one sentence each."""
 
     @property
     def time(self) -> Array:
@@ -81,35 +85,42 @@ class Audit:
 
 
 def audit(loop: RecordedLoop) -> Audit:
+    """Compute the energy audit of a recorded loop."""
+    # Hold times as fractions of a row interval, and displacements of the true and desired motion.
     time, law_m, law_b = loop.time, loop.manipulator_law, loop.base_law
     share_m, share_b = (_share(loop, law.period) for law in (law_m, law_b))
-    moved_b, moved_m = (_moved(loop, motion) for motion in (loop.base, loop.hand))
+    moved_b, moved_m = (_moved(loop, motion) for motion in (loop.base, loop.end_effector))
     moved_d = energy.displacement(
         time, loop.desired.position, loop.desired.orientation, loop.desired.velocity
     )
     at_rest = np.zeros_like(moved_d)
 
-    # The wrench that acts at B between the base's samples: F'_b(k_b) - J_b(k)^T F'_m(k), beside F'_B(k_b).
-    from_hand = energy.at_base(loop.end_effector_wrench, loop.hand.position - loop.base.position)
-    F_B_true = loop.base_wrench - from_hand
-    acting = energy.held(loop.base_wrench, share_b) - energy.held(from_hand, share_m)
+    # True wrench at B between the base's samples: F'_b(k_b) - J_b(k)^T F'_m(k). The base controller
+    # assumes F'_B(k_b) instead.
+    from_end_effector = energy.at_base(
+        loop.end_effector_wrench, loop.end_effector.position - loop.base.position
+    )
+    F_B_true = loop.base_wrench - from_end_effector
+    acting = energy.held(loop.base_wrench, share_b) - energy.held(from_end_effector, share_m)
     stale = acting - energy.held(loop.port_wrench, share_b)
 
+    # The tracking observer damps the motion of the tracking error, the others that of the port.
     tracking = loop.observer == "tracking"
+    # Port M first: its F* is part of the tracking power. The base's reference is at rest.
     port_m, F_m_star = _port(
         loop,
         law_m,
         share_m,
-        actual=loop.hand,
+        actual=loop.end_effector,
         desired=loop.desired,
         wrench=loop.end_effector_wrench,
         passivity_wrench=loop.manipulator_passivity_wrench,
-        power=_power(loop.end_effector_wrench, loop.hand.velocity),
+        power=_power(loop.end_effector_wrench, loop.end_effector.velocity),
         stale=at_rest,
         moved=moved_m,
         moved_desired=moved_d,
-        watched=moved_m - moved_d if tracking else moved_m,
-        believed=loop.manipulator_observed_energy,
+        damped_motion=moved_m - moved_d if tracking else moved_m,
+        observed=loop.manipulator_observed_energy,
     )
     port_b, _ = _port(
         loop,
@@ -123,15 +134,15 @@ def audit(loop: RecordedLoop) -> Audit:
         stale=stale,
         moved=moved_b,
         moved_desired=at_rest,
-        watched=moved_b,
-        believed=loop.base_observed_energy,
+        damped_motion=moved_b,
+        observed=loop.base_observed_energy,
     )
     return Audit(
         loop=loop,
         base=port_b,
         manipulator=port_m,
         tracking_power=_power(
-            loop.end_effector_wrench - F_m_star, loop.hand.velocity - loop.desired.velocity
+            loop.end_effector_wrench - F_m_star, loop.end_effector.velocity - loop.desired.velocity
         ),
         balance=_balance(loop, port_b, port_m, moved_b),
         notes=tuple(notes(loop)),
@@ -139,7 +150,7 @@ def audit(loop: RecordedLoop) -> Audit:
 
 
 def _share(loop: RecordedLoop, period: int) -> float:
-    """Of the interval between two rows, for which a sample is held."""
+    """Return the fraction of a row interval for which a sample is held; at most 1."""
     return min(1.0, period / loop.interval)
 
 
@@ -166,11 +177,13 @@ def _port(
     stale: Array,
     moved: Array,
     moved_desired: Array,
-    watched: Array,
-    believed: Array,
+    damped_motion: Array,
+    observed: Array,
 ) -> tuple[Port, Array]:
-    """One port, and F* (n, 6) of its law. `stale` (n - 1, 6) acts beside the law's own wrench; `watched` is the displacement
-    that the passivity controller's damper acts on.
+    """Return one port, and F* (n, 6) of its law.
+
+    `stale` (n - 1, 6) acts in addition to the law's wrench. `damped_motion` (n - 1, 6) is the
+    displacement on which the damper of the passivity controller acts.
     """
 
     def errors(motion: Motion) -> tuple[Array, Array]:
@@ -179,12 +192,12 @@ def _port(
         )
         return pose, motion.velocity - desired.velocity
 
-    # -K_P Delta x - K_D Delta x' as it was sampled; F* is what the law adds to it. Sampled gains are not in a record: then the
-    # whole law stands in its place.
-    seen_pose, seen_velocity = (
+    # Split the law into the sampled spring-damper -K_P Delta x - K_D Delta x' and the rest, F*.
+    # Sampled gains are not recorded: then the whole law counts as spring-damper.
+    sampled_pose, sampled_velocity = (
         energy.last_samples(loop.time, values, law.period) for values in errors(law.measured)
     )
-    spring_damper = -law.stiffness * seen_pose - law.damping * seen_velocity
+    spring_damper = -law.stiffness * sampled_pose - law.damping * sampled_velocity
     star = wrench - passivity_wrench - spring_damper if law.is_plain else np.zeros_like(wrench)
     held_star, held_law, held_pc = (
         energy.held(values, share)
@@ -194,6 +207,7 @@ def _port(
     def total(force: Array, displacement: Array) -> Array:
         return np.asarray(energy.work(force, displacement).sum(axis=1))
 
+    # Energies of the continuous spring-damper on the true motion, and the work of all wrenches.
     pose, velocity = errors(actual)
     stored = energy.spring_energy(law.stiffness, pose).sum(axis=1)
     dissipated = energy.dissipation(loop.time, law.damping, velocity).sum(axis=1)
@@ -202,13 +216,13 @@ def _port(
         power=power,
         work=worked.sum(axis=1),
         feed_forward=total(held_star, moved),
-        reference=total(held_law, moved_desired) + total(held_pc, moved - watched),
+        reference=total(held_law, moved_desired) + total(held_pc, moved - damped_motion),
         stale=total(stale, moved),
         virtual=energy.virtual_energy(total(held_law, moved - moved_desired), stored, dissipated),
         stored=stored - stored[0],
         dissipated=dissipated,
-        taken=0.0 - total(held_pc, watched),  # never a negative zero
-        believed=believed,
+        taken=0.0 - total(held_pc, damped_motion),  # never a negative zero
+        observed=observed,
         absorbed=law.initial_energy - worked,
     )
     return port, star
@@ -223,6 +237,7 @@ def _balance(loop: RecordedLoop, port_b: Port, port_m: Port, moved_b: Array) -> 
     def held(values: Array, period: int) -> Array:
         return energy.held(values, _share(loop, period))
 
+    # Work of the wrenches and torques that the plant received.
     by_base, by_joints = (
         held(plant.base_wrench, plant.base_wrench_period),
         held(plant.joint_torque, plant.joint_torque_period),
@@ -231,11 +246,12 @@ def _balance(loop: RecordedLoop, port_b: Port, port_m: Port, moved_b: Array) -> 
         energy.work(force, moved).sum(axis=1)
         for force, moved in ((by_base, moved_b), (by_joints, moved_q))
     )
-    others = energy.work(by_base - held(loop.base_wrench, loop.base_law.period), moved_b).sum(
-        axis=1
-    ) + energy.work(by_joints - held(loop.joint_torque, loop.manipulator_law.period), moved_q).sum(
-        axis=1
-    )
+    # Work of the differences to the controllers' outputs.
+    other_wrench = by_base - held(loop.base_wrench, loop.base_law.period)
+    other_torque = by_joints - held(loop.joint_torque, loop.manipulator_law.period)
+    others = energy.work(other_wrench, moved_b).sum(axis=1) + energy.work(
+        other_torque, moved_q
+    ).sum(axis=1)
     kinetic = plant.kinetic_energy - plant.kinetic_energy[0]
     return Balance(
         kinetic=kinetic,

@@ -1,4 +1,4 @@
-"""What has to be known of a record to read its energy audit, one sentence each."""
+"""Notes on the limitations of an energy audit, derived from its record."""
 
 from __future__ import annotations
 
@@ -9,41 +9,41 @@ from freeflyer.foundation.clock import seconds
 
 
 def notes(loop: RecordedLoop) -> list[str]:
-    said = []
+    """Return the notes on a recorded loop; an empty list if the audit has no limitation."""
+    found = []
     step = loop.interval
     laws = {"manipulator": loop.manipulator_law, "base": loop.base_law}
     if loop.plant is None:
-        said.append(
-            "No component has the robot's kinetic_energy under base_wrench and joint_torque (at the facility the arm moves in 1 g "
-            "behind its drives), so there is no balance to close: work is that of the commanded wrenches on the measured motion."
+        found.append(
+            "No component outputs kinetic_energy and receives base_wrench and joint_torque (at the facility the arm is driven in 1 g), "
+            "so the audit has no energy balance. Work is that of the commanded wrenches on the measured motion."
         )
     if any(law.period < step for law in laws.values()):
         finest = seconds(min(law.period for law in laws.values()))
-        said.append(
-            f"The record has a row every {seconds(step):g} s, but not every sample is a row, so that work is approximated: "
-            f"`freeflyer run SCENARIO --set record.every_s={finest:g}` {'closes the balance' if loop.plant else 'has them all'}."
+        found.append(
+            f"The record has a row every {seconds(step):g} s and does not have all samples, so work is approximated: "
+            f"`freeflyer run SCENARIO --set record.every_s={finest:g}` {'closes the balance' if loop.plant else 'records all samples'}."
         )
     for name, law in laws.items():
         if law.period > step and law.period % step:
-            said.append(
-                f"The {name}'s samples, every {seconds(law.period):g} s, fall between the record's rows, every {seconds(step):g} s: "
-                "its work is approximated."
+            found.append(
+                f"The {name} controller samples every {seconds(law.period):g} s, which is not a multiple of the row interval of "
+                f"{seconds(step):g} s, so its work is approximated."
             )
         if not law.is_plain:
-            said.append(
-                f"The {name}'s sampled gains are not recorded: its virtual energy is that of the whole law, feed-forward included, "
-                "beyond the continuous K_P and K_D."
+            found.append(
+                f"The sampled gains of the {name} controller are not recorded. Its virtual energy is therefore that of the whole law, "
+                "including feed-forward, beyond the continuous K_P and K_D."
             )
-        turning = law.stiffness[3:]
-        if np.ptp(turning) > 0.0:
-            said.append(
-                f"The {name}'s rotational stiffness is not isotropic, so that its torque has no potential: its virtual energy holds "
-                "that, too."
+        if np.ptp(law.stiffness[3:]) > 0.0:
+            found.append(
+                f"The rotational stiffness of the {name} controller is not isotropic, so its torque has no potential. Its virtual "
+                "energy includes this effect."
             )
     if loop.joint_torque.shape[1] != 6:
-        said.append(
-            "The arm has joint torques in the null space of J_m, whose work is in the residual of the ports."
+        found.append(
+            "The arm has joint torques in the null space of J_m; their work is part of the residual of the ports."
         )
     if loop.rows_left_out:
-        said.append(f"The last {loop.rows_left_out} rows are left out: they are not finite.")
-    return said
+        found.append(f"The last {loop.rows_left_out} rows are left out: they are not finite.")
+    return found

@@ -74,7 +74,7 @@ class RecordedLoop:
     provenance: Provenance
     time: Array
     base: Motion
-    hand: Motion
+    end_effector: Motion
     desired: Motion
     setpoint: Motion
     manipulator_law: Law
@@ -200,7 +200,7 @@ class _Finder:
             provenance=self.provenance,
             time=self.record.time,
             base=true_base or measured_base,
-            hand=true_hand or measured_hand,
+            end_effector=true_hand or measured_hand,
             desired=desired,
             setpoint=rest,
             manipulator_law=laws[0],

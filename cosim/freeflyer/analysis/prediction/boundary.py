@@ -20,20 +20,23 @@ from freeflyer.foundation.errors import ScenarioError
 from freeflyer.scenario.scenario import Scenario
 
 LONGEST = 0.5
-"""How far periods are scanned [s], if nothing else is said; the scenario's own period is always among them."""
+"""Default of the longest period [s]; the scan always includes the scenario's own period."""
 MOST_PERIODS = 100_000
-TOGETHER = 50
-"""So many periods' eigenvalues are computed in one call."""
+BATCH = 50
+"""Number of periods whose eigenvalues are computed in one call."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Prediction:
-    """Times in s. `periods` and `radius` (spectral radius of the map over a base period, neutral directions apart) are the scan.
+    """Result of a scan over the base period. Times in s.
 
-    `largest_stable_s`: every period up to it is stable; 0 if not even T_m is; the longest one scanned if all are.
-    `stable_s`: all stable intervals, first and last period. `boundary` is the mode that is unstable first beyond
-    `largest_stable_s`, `limit` what makes it so; None if no period is unstable. `own` is the least stable mode at the scenario's
-    own period. `neutral`: number of directions in which the loop lets the plant rest anywhere.
+    `periods`, `radius`: the scan; spectral radius of the map over a base period, without neutral
+    directions. `largest_stable_s`: all periods up to this one are stable. It is 0 if T_m is
+    unstable, and the longest scanned period if all are stable. `stable_s`: first and last period
+    of each stable interval. `boundary`: the mode that becomes unstable above `largest_stable_s`.
+    `limit`: its cause. Both are None if all periods are stable. `own`: the least stable mode at
+    the scenario's own period. `neutral`: number of directions without a restoring force, in which
+    the plant can rest at any position.
     """
 
     scenario: str
@@ -55,7 +58,7 @@ class Prediction:
         return float(self.periods[-1])
 
     def summary(self) -> dict[str, Any]:
-        """For prediction.json."""
+        """Return the content of prediction.json."""
         return {
             "scenario": self.scenario,
             "component": self.component,
@@ -90,7 +93,7 @@ def _mode_summary(mode: Mode) -> dict[str, Any]:
         "growth_rate_per_s": mode.growth_rate,
         "frequency_hz": mode.frequency,
         "body": mode.body,
-        "words": mode.words(),
+        "words": mode.description(),
     }
 
 
@@ -101,25 +104,27 @@ def predict(
     component: str | None = None,
     beyond: bool = True,
 ) -> Prediction:
-    """Scan the period of `component` (default: the slowest controller) up to `longest` [s] in steps of T_m. Raises CosimError.
+    """Scan the period of `component` (default: the slowest controller) up to `longest` [s].
 
-    Without `beyond` the scan ends soon after the first unstable period, and tells no stable periods beyond: for sweeps.
-
-    The loop is that of the scenario with its passivity controllers off, at its start, which must be a set point.
+    The step of the scan is T_m. With `beyond` false, the scan stops soon after the first unstable
+    period and misses stable periods above it; sweeps use this. The passivity controllers are
+    off. The start of the scenario must be a set point. Raises CosimError.
     """
     with at_set_point(scenario, component) as here:
         return scan(here, longest, beyond=beyond)
 
 
 def scan(here: SetPoint, longest: float | None, *, beyond: bool = True) -> Prediction:
-    """See `predict`."""
+    """Scan the period of the loop at a set point; see `predict`."""
+    # Spectral radius of each period, in batches.
     roles = here.model.roles
     own, count = roles.period // roles.tick, _count(longest, roles.tick, roles.period)
     maps, found = lifting.lifted_maps(here.loop(n) for n in range(1, count + 1)), list[float]()
-    while part := list(islice(maps, TOGETHER)):
+    while part := list(islice(maps, BATCH)):
         found += [here.radius(multipliers) for multipliers in lifting.multipliers(part)]
         if not beyond and max(found) >= 1.0:
             break
+    # Stable intervals, and the first unstable mode.
     radius = np.array(found)
     periods = np.array([seconds(n * roles.tick) for n in range(1, radius.size + 1)])
     stable = radius < 1.0
@@ -155,9 +160,9 @@ def _count(longest: float | None, tick: int, period: int) -> int:
         )
     if longest > seconds(MOST_PERIODS * tick):
         raise ScenarioError(
-            f"--longest {longest:g}: that is more than {MOST_PERIODS} periods; at most {shown(MOST_PERIODS * tick)} is expected"
+            f"--longest {longest:g}: this is more than {MOST_PERIODS} periods; at most {shown(MOST_PERIODS * tick)} is expected"
         )
-    # A user's decimal number need not be a multiple; a little above one is meant to be it.
+    # Round down to a multiple of T_m, with a tolerance for rounding of the decimal number.
     return int(longest / seconds(tick) + 1e-6)
 
 

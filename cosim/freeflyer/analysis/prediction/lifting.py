@@ -1,7 +1,8 @@
-"""The linear loop over one base period: fast laws renewed every T_m, slow laws held for n T_m.
+"""Lifting: the map of the linear loop over one base period n T_m.
 
-The state at an instant is [x; signals; signals before the instant; answers not yet handed over]. What the master does at an
-instant is a sequence of assignments to rows of it, each linear; what nobody reads later drops out.
+The fast laws are sampled every T_m, the slow laws every n T_m. The loop's state at an instant is
+[x; signals; signals before the instant; pending outputs]. The master's actions at an instant are
+linear assignments to rows of this state. Rows that are never read later are removed.
 """
 
 from __future__ import annotations
@@ -20,7 +21,10 @@ Indices = NDArray[np.intp]
 
 @dataclass(frozen=True, kw_only=True)
 class Inputs:
-    """Where a component's inputs come from: elements of the loop's signals, and which of them are of before the instant."""
+    """Sources of a component's inputs: indices into the loop's signals.
+
+    `delayed` marks inputs that read the value before the instant.
+    """
 
     sources: Indices
     delayed: NDArray[np.bool_]
@@ -28,9 +32,10 @@ class Inputs:
 
 @dataclass(frozen=True, kw_only=True)
 class Plant:
-    """x' = A x + B u, y = C x around an operating point; y are the first signals. x without constraints (rotation vectors).
+    """Linear plant x' = A x + B u, y = C x around an operating point.
 
-    `step` and `step_input`: x over T_m with held inputs, exactly.
+    x has rotation vectors instead of quaternions, so its elements are independent. y are the
+    first signals. `step`, `step_input`: exact map of x and u over T_m with held inputs.
     """
 
     A: Array
@@ -42,7 +47,7 @@ class Plant:
 
 
 def plant(A: Array, B: Array, C: Array, inputs: Inputs, tick: float) -> Plant:
-    """With its step over `tick` [s] by the matrix exponential."""
+    """Return the plant with its step over `tick` [s], from the matrix exponential."""
     n, m = B.shape
     both = expm(np.block([[A, B], [np.zeros((m, n + m))]]) * tick)
     return Plant(A=A, B=B, C=C, inputs=inputs, step=both[:n, :n], step_input=both[:n, n:])
@@ -50,7 +55,10 @@ def plant(A: Array, B: Array, C: Array, inputs: Inputs, tick: float) -> Plant:
 
 @dataclass(frozen=True, kw_only=True)
 class Law:
-    """A sampled component without memory around an operating point: outputs = gain inputs. `first`, `last`: its signals."""
+    """Sampled component without memory around an operating point: outputs = gain @ inputs.
+
+    `first`, `last`: the slice of its outputs in the loop's signals.
+    """
 
     name: str
     gain: Array
@@ -62,7 +70,10 @@ class Law:
 
 @dataclass(frozen=True, kw_only=True)
 class Loop:
-    """`laws` in the order of an instant. `tick`: T_m [s]. `parallel`: all outputs are handed over at the end of a step."""
+    """Linear loop. `laws` are in order of execution; `width` is the number of signals.
+
+    `tick`: T_m [s]. `parallel`: outputs are forwarded at the end of a step.
+    """
 
     plant: Plant
     laws: tuple[Law, ...]
@@ -72,7 +83,7 @@ class Loop:
 
 
 class Instants:
-    """What an instant of the loop, and the plant's step of T_m after it, make of the loop's state (rows)."""
+    """Maps of the loop's state (rows) over one instant and the following step T_m of the plant."""
 
     def __init__(self, loop: Loop) -> None:
         self.loop = loop
@@ -89,14 +100,17 @@ class Instants:
         return np.asarray(rows[places])
 
     def apply(self, rows: Array, *, slow: bool) -> None:
-        """One instant and one T_m, in place: (size, any number of columns). `slow`: the slow laws are due too."""
+        """Advance `rows` (size, any number of columns) by one instant and T_m, in place.
+
+        `slow`: the slow laws are sampled too.
+        """
         loop, plant, now, w = self.loop, self.loop.plant, self._now, self.loop.width
         if self._delays:
             rows[self._before : self._before + w] = rows[now : now + w]
         rows[now : now + plant.C.shape[0]] = plant.C @ rows[self._x]
         due = [law for law in loop.laws if slow or not law.slow]
         if loop.parallel:
-            for law in due:  # what was answered at the last step begins to count
+            for law in due:  # the outputs of the last step become visible
                 rows[now + law.first : now + law.last] = rows[
                     self._pending + law.first : self._pending + law.last
                 ]
@@ -112,16 +126,20 @@ class Instants:
         )
 
     def after(self, rows: Array, *, slow: bool) -> Array:
-        """See `apply`; of a copy."""
+        """Like `apply`, but return a copy."""
         rows = rows.copy()
         self.apply(rows, slow=slow)
         return rows
 
     def matrix(self, *, slow: bool) -> Array:
+        """Return the matrix (size, size) of `apply`."""
         return self.after(np.eye(self.size), slow=slow)
 
     def feedback(self) -> Array:
-        """(inputs of the plant, states): what all laws together answer to the plant's state at once (parallel: later)."""
+        """Return the static gain (plant inputs, plant states) of all laws together.
+
+        In parallel exchange the outputs propagate in several instants, with a constant state.
+        """
         rows = np.eye(self.size)[:, self._x]
         for _ in range(len(self.loop.laws) + 1 if self.loop.parallel else 1):
             state = rows[self._x].copy()
@@ -130,11 +148,12 @@ class Instants:
         return self._read(rows, self.loop.plant.inputs)
 
 
-def remembered(loop: Loop) -> Indices:
-    """The elements of the loop's state that reach the plant's states (the first ones) sooner or later, whatever the slow laws'
-    gains are: nothing else decides how it goes on.
+def relevant(loop: Loop) -> Indices:
+    """Return the elements of the loop's state that can affect the plant's states.
+
+    The plant's states are the first ones. The result does not depend on the slow laws' gains.
     """
-    # So that no element of a slow law is zero by chance.
+    # Gains of 1, because an element of a slow law's gain may be zero by chance.
     laws = tuple(
         replace(law, gain=np.ones_like(law.gain)) if law.slow else law for law in loop.laws
     )
@@ -155,41 +174,43 @@ def _ancestors(states: int, *maps: Array) -> Indices:
 
 
 def reduced(loop: Loop, kept: Indices) -> tuple[Array, Array]:
-    """The maps over T_m of what is remembered: where only the fast laws are due, and where all are. The plant's state is first."""
+    """Return the maps of the elements `kept` over T_m: with fast laws only, and with all laws."""
     instants = Instants(loop)
     columns = np.eye(instants.size)[:, kept]
     return instants.after(columns, slow=False)[kept], instants.after(columns, slow=True)[kept]
 
 
 def lifted(loop: Loop, n: int) -> Array:
-    """The map over n T_m, of what is remembered at the begin of a base period: its first elements are the plant's state."""
-    fast, slow = reduced(loop, remembered(loop))
-    return _at_begin(np.linalg.matrix_power(fast, n - 1) @ slow, loop.plant.A.shape[0])
+    """Return the map of the relevant state over n T_m. The plant's states come first."""
+    fast, slow = reduced(loop, relevant(loop))
+    return _without_irrelevant(np.linalg.matrix_power(fast, n - 1) @ slow, loop.plant.A.shape[0])
 
 
-def _at_begin(period: Array, states: int) -> Array:
-    kept = _ancestors(states, period)
-    return period[np.ix_(kept, kept)]
+def _without_irrelevant(period_map: Array, states: int) -> Array:
+    """Remove the elements of the state that do not affect the plant from one period to the next."""
+    kept = _ancestors(states, period_map)
+    return period_map[np.ix_(kept, kept)]
 
 
 def lifted_maps(loops: Iterable[Loop]) -> Iterator[Array]:
-    """The map over n T_m for n = 1, 2, ..., each of its own loop (laws may depend on the period). The fast map's power is
-    carried on for as long as the fast laws stay the same to the last bit.
+    """Yield the map over n T_m for the n-th loop, n = 1, 2, ...; its laws may depend on n.
+
+    The power of the fast map is updated incrementally while the fast laws stay bitwise equal.
     """
     before: Loop | None = None
     for n, loop in enumerate(loops, start=1):
         states = loop.plant.A.shape[0]
-        if before is None or not _same_but_slow(before, loop):
-            kept = remembered(loop)
+        if before is None or not _same_fast_laws(before, loop):
+            kept = relevant(loop)
             fast, slow = reduced(loop, kept)
             power = np.linalg.matrix_power(fast, n - 1)
         else:
             slow, power = reduced(loop, kept)[1], fast @ power
-        yield _at_begin(power @ slow, states)
+        yield _without_irrelevant(power @ slow, states)
         before = loop
 
 
-def _same_but_slow(one: Loop, other: Loop) -> bool:
+def _same_fast_laws(one: Loop, other: Loop) -> bool:
     if one.plant is not other.plant:
         return False
     return all(
@@ -198,7 +219,7 @@ def _same_but_slow(one: Loop, other: Loop) -> bool:
 
 
 def multipliers(maps: Sequence[Array]) -> list[NDArray[np.complex128]]:
-    """Eigenvalues of each map, in one call where their sizes agree."""
+    """Return the eigenvalues of each map; in one call if all sizes are equal."""
     if len({one.shape for one in maps}) == 1:
         return list(np.linalg.eigvals(np.stack(maps)).astype(np.complex128))
     return [np.linalg.eigvals(one).astype(np.complex128) for one in maps]

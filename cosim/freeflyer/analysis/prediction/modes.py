@@ -1,4 +1,4 @@
-"""A mode of the lifted loop in words: which degrees of freedom move, how fast, how it grows, and what makes it grow."""
+"""Modes of the lifted loop: degrees of freedom, frequency, growth rate, cause of instability."""
 
 from __future__ import annotations
 
@@ -13,24 +13,29 @@ from freeflyer.analysis.prediction.task_coordinates import DEGREES, TaskCoordina
 from freeflyer.fmi.component import Array
 
 MOSTLY = 0.9
-"""Share of the energy from which a mode belongs to one body."""
-WORTH_SAYING = 0.05
-"""Share of the energy from which a degree of freedom is named."""
+"""Minimum share of the energy for a mode to belong to one body."""
+REPORTED_SHARE = 0.05
+"""Minimum share of the energy for a degree of freedom to be listed."""
 AT_LIMIT = 0.9
-"""From this much of its limit on, at the boundary, an axis's sampled spring or damper counts as what limits T_b: coupling moves
-boundaries by some percent. Beyond 1 the axis alone would be unstable already, and the coupling helps.
+"""An axis is the cause if its sampled spring or damper reaches this value at the boundary. The
+limit of a single axis is 1, but coupling shifts the boundary by a few percent to either side.
 """
 REAL = 1e-6
 """Angle [rad] below which a multiplier counts as real."""
 
 
 Kind = Literal["sampled spring", "sampled damper", "hand", "coupling"]
-"""What limits T_b: one of the two conditions of freeflyer.analysis.prediction.held_axis in an axis of the base, the hand's own loop, or neither."""
+"""Cause that limits T_b: one of the two conditions of `held_axis` in an axis of the base, the loop
+of the end-effector (in prediction.json: "hand"), or the coupling of both.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Mode:
-    """One multiplier of the map over a base period [s], and its eigenvector's energy per degree of freedom, in shares (12)."""
+    """One eigenvalue (multiplier) of the map over a base period [s].
+
+    `shares` (12): energy of the eigenvector per degree of freedom; the sum is 1.
+    """
 
     period: float
     multiplier: complex
@@ -38,23 +43,25 @@ class Mode:
 
     @property
     def growth_rate(self) -> float:
-        """ln |z| / T_b [1/s]; negative: it decays."""
+        """ln |z| / T_b [1/s]; negative for a decaying mode."""
         return math.log(abs(self.multiplier)) / self.period
 
     @property
     def frequency(self) -> float:
-        """[Hz]; at most half of the sampling frequency."""
+        """Frequency [Hz], at most half of the sampling frequency."""
         return abs(math.atan2(self.multiplier.imag, self.multiplier.real)) / (
             2.0 * math.pi * self.period
         )
 
     @property
     def body(self) -> Literal["base", "hand", "coupling"]:
+        """Body with most of the energy; "hand" is the end-effector."""
         base = float(self.shares[:6].sum())
         return "base" if base >= MOSTLY else "hand" if base <= 1.0 - MOSTLY else "coupling"
 
     @property
     def alternates(self) -> bool:
+        """Whether the multiplier is real and negative: the mode changes sign at every sample."""
         return (
             self.multiplier.real < 0.0
             and abs(math.atan2(self.multiplier.imag, -self.multiplier.real)) < REAL
@@ -62,38 +69,41 @@ class Mode:
 
     @property
     def oscillates(self) -> bool:
+        """Whether the multiplier is complex."""
         return (
             not self.alternates
             and abs(math.atan2(self.multiplier.imag, self.multiplier.real)) >= REAL
         )
 
-    def words(self) -> str:
-        order = [int(k) for k in np.argsort(-self.shares) if self.shares[k] >= WORTH_SAYING]
+    def description(self) -> str:
+        """Return the mode in one phrase: degrees of freedom by energy, body, time behaviour."""
+        order = [int(k) for k in np.argsort(-self.shares) if self.shares[k] >= REPORTED_SHARE]
         parts = ", ".join(f"{DEGREES[k]} ({100 * self.shares[k]:.0f} %)" for k in order)
         kind = {
             "base": "a base mode",
-            "hand": "a hand mode",
-            "coupling": "a coupling of base and hand",
+            "hand": "an end-effector mode",
+            "coupling": "a coupled mode of base and end-effector",
         }[self.body]
         if self.alternates:
-            how = f"changes sign from one sample of the base to the next ({self.frequency:.3g} Hz)"
+            behaviour = f"changes sign at every sample of the base ({self.frequency:.3g} Hz)"
         elif self.oscillates:
-            how = f"oscillates at {self.frequency:.3g} Hz, {1.0 / (self.frequency * self.period):.3g} samples of the base a cycle"
+            behaviour = f"oscillates at {self.frequency:.3g} Hz, {1.0 / (self.frequency * self.period):.3g} samples of the base per cycle"
         else:
-            how = (
+            behaviour = (
                 "grows without oscillating"
                 if abs(self.multiplier) >= 1.0
                 else "decays without oscillating"
             )
-        return f"{parts}: {kind}, which {how}"
+        return f"{parts}: {kind}, which {behaviour}"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Limit:
-    """What limits T_b, judged from one axis alone: the base's axis with the largest share in the mode that becomes unstable.
+    """Cause that limits T_b, from the base's axis with the largest share in the unstable mode.
 
-    `spring` = K_P T_b / 2 K_D and `damper` = K_D T_b / 2 M~ of the base's six axes at the boundary: an axis by itself is stable
-    with both below 1. `late`: what parallel exchange makes of them, 3 K_P T_b / 2 K_D and K_D T_b / M~.
+    `spring` (6) = K_P T_b / 2 K_D and `damper` (6) = K_D T_b / 2 M~ are those of the base's axes at
+    the boundary. A single axis is stable if both are below 1. In parallel exchange (`late`) they
+    are 3 K_P T_b / 2 K_D and K_D T_b / M~.
     """
 
     kind: Kind
@@ -102,7 +112,8 @@ class Limit:
     damper: Array
     late: bool
 
-    def words(self) -> str:
+    def description(self) -> str:
+        """Return the cause in one phrase, with the figures of its axis and the remedy."""
         k = DEGREES.index(self.axis)
         names = (
             ("3 K_P T_b / 2 K_D", "K_D T_b / M~")
@@ -110,25 +121,28 @@ class Limit:
             else ("K_P T_b / 2 K_D", "K_D T_b / 2 M~")
         )
         figures = f"{names[0]} = {self.spring[k]:.3g} and {names[1]} = {self.damper[k]:.3g} in {self.axis}"
-        figures += ", a whole T_b late by parallel exchange" if self.late else ""
+        figures += ", delayed by T_b in parallel exchange" if self.late else ""
         if self.kind == "sampled spring":
             return f"the sampled spring ({figures}; the limit is 1): more damping helps"
         if self.kind == "sampled damper":
             return f"the sampled damper ({figures}; the limit is 1): more damping makes it worse"
         if self.kind == "hand":
-            return "the hand's own loop: the base hardly moves in this mode"
-        return f"the coupling with the arm ({figures}: neither is near its limit of 1)"
+            return "the end-effector loop: the base hardly moves in this mode"
+        return f"the coupling of base and manipulator ({figures}: neither is near its limit of 1)"
 
 
 def modes(
     period_map: Array, period: float, coordinates: TaskCoordinates, states: int
 ) -> list[Mode]:
-    """All modes of a map over a base period [s], the least stable first; of a complex pair the one with positive frequency."""
+    """Return all modes of a map over a base period [s], the least stable first.
+
+    A complex pair is one mode. The first `states` elements of the map are the plant's states.
+    """
     values, vectors = np.linalg.eig(period_map)
     found = []
     for k in np.argsort(-np.abs(values), kind="stable"):
         if values[k].imag >= 0.0:
-            energy = coordinates.energy(vectors[:states, k])  # none in a null space
+            energy = coordinates.energy(vectors[:states, k])  # zero in a null space
             found.append(
                 Mode(
                     period=period,
@@ -140,7 +154,10 @@ def modes(
 
 
 def limit_of(mode: Mode, coordinates: TaskCoordinates, *, late: bool = False) -> Limit:
-    """What limits T_b at the boundary, where this mode's multiplier leaves the unit circle. `late`: in parallel exchange."""
+    """Return what limits T_b, for the mode whose multiplier leaves the unit circle at the boundary.
+
+    `late`: parallel exchange.
+    """
     axis = int(np.argmax(mode.shares[:6]))
     spring = sampled_spring(
         coordinates.stiffness[:6], coordinates.damping[:6], mode.period, late=late

@@ -1,4 +1,4 @@
-"""An FMU's exact partial derivatives, through FMI's directional derivatives of a co-simulation instance."""
+"""Exact partial derivatives of an FMU, from FMI directional derivatives in co-simulation."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from freeflyer.foundation.errors import ComponentError
 
 
 def _provides_derivatives(path: Path) -> bool:
-    """As FMI 2.0 and FMI 3.0 spell it; FMPy's description knows only the former."""
+    """Return whether the FMU has directional derivatives: FMPy reads only the FMI 2.0 attribute."""
     with zipfile.ZipFile(path) as archive:
         interface = ElementTree.fromstring(archive.read("modelDescription.xml")).find(
             "CoSimulation"
@@ -29,19 +29,19 @@ def _provides_derivatives(path: Path) -> bool:
 
 
 class DifferentiableFmu(FmuComponent):
-    """A component that also tells its derivatives, at the state and the inputs that it has at the time of the call.
+    """FMU with directional derivatives at its present state and inputs.
 
-    FMI 2.0 and 3.0 let a co-simulation FMU list its states' derivatives in ModelStructure for this purpose.
+    In FMI 2.0 and 3.0 a co-simulation FMU can list the derivatives of its states in ModelStructure.
     """
 
     def __init__(self, name: str, path: Path) -> None:
-        """ComponentError if the file is no such FMU."""
+        """Load the FMU. Raises ComponentError if it has no directional derivatives."""
         super().__init__(name, path)
-        self._begun = False
+        self._started = False
         if not _provides_derivatives(path):
             self.close()
             raise ComponentError(
-                f"FMU {path} of component {name} provides no directional derivatives; its loop can be run, but not linearised"
+                f"FMU {path} of component {name} provides no directional derivatives; its loop can be simulated, but not linearised"
             )
         self._rates: dict[str, list[ModelVariable]] = {}
         owner = {id(variable): port for port in self.ports for variable in self.variables_of(port)}
@@ -52,15 +52,18 @@ class DifferentiableFmu(FmuComponent):
 
     @property
     def states(self) -> Sequence[str]:
-        """Ports that are continuous states, in ModelStructure's order; none of a sampled component."""
+        """Ports that are continuous states, in ModelStructure's order; empty if it is sampled."""
         return tuple(self._rates)
 
     def bind_derivative(
         self, unknowns: Sequence[str], knowns: Sequence[str]
     ) -> Callable[[], Array]:
-        """A function that gives d unknowns / d knowns, elements by elements. Unknowns: outputs and states; `der(STATE)` is a
-        state's rate. Knowns: inputs and states. It raises ComponentError if the FMU refuses.
+        """Return a function that computes the Jacobian (unknown elements, known elements).
+
+        Unknowns: outputs, states, and state derivatives `der(STATE)`. Knowns: inputs and states.
+        The function raises ComponentError if the FMU returns an error.
         """
+        # Allocate the buffers of all calls once, because the function is called often.
         results, rows = self._references(unknowns)
         known = [
             (variable.valueReference, self._size(variable))
@@ -73,6 +76,7 @@ class DifferentiableFmu(FmuComponent):
             self._slave,
             self._slave.component,
         )
+        # One call per known element, with the unit vector of this element as seed.
         calls: list[tuple[Any, ...]] = []
         for reference, size in known:
             given = (ctypes.c_uint32 * 1)(reference)
@@ -84,6 +88,7 @@ class DifferentiableFmu(FmuComponent):
                     calls.append(
                         (instance, results, len(results), given, 1, seed, size, found, rows)
                     )
+        # The views on the C buffers stay valid between calls.
         call = (
             slave.fmi2GetDirectionalDerivative
             if self.version == 2
@@ -104,7 +109,7 @@ class DifferentiableFmu(FmuComponent):
         return derivative
 
     def rates(self) -> Array:
-        """The present rates of all states, in the order of `states`."""
+        """Return the present derivatives of all states, in the order of `states`."""
         variables = [variable for group in self._rates.values() for variable in group]
         references = [variable.valueReference for variable in variables]
         try:
@@ -117,19 +122,19 @@ class DifferentiableFmu(FmuComponent):
             raise ComponentError(f"component {self.name}: {self._reason(error)}") from error
 
     def enter_initialization(self, start: float, values: Mapping[str, Array]) -> None:
-        """As of every component; but it may come again, at any time, and then is a new begin."""
-        if self._begun:
+        """Enter initialization mode; unlike other components, also after a start: with a reset."""
+        if self._started:
             try:
                 self._slave.reset()
             except (FMICallException, OSError) as error:
                 raise ComponentError(
                     f"component {self.name} cannot be reset: {self._reason(error)}"
                 ) from error
-        self._begun = True
+        self._started = True
         super().enter_initialization(start, values)
 
     def restart(self, values: Mapping[str, Array]) -> None:
-        """A new begin with these parameters, start values and inputs. ComponentError if one is refused."""
+        """Restart with these parameters, start values and inputs. Raises ComponentError."""
         self.enter_initialization(0.0, values)
         self.exit_initialization()
 

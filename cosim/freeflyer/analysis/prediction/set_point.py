@@ -1,4 +1,7 @@
-"""A scenario's start as an operating point: that it is one, that the controllers are without memory, and the loop around it."""
+"""Set point: the start of a scenario as the operating point of the linear loop.
+
+The start must be an equilibrium, and the controllers must have no memory. Both are checked.
+"""
 
 from __future__ import annotations
 
@@ -19,15 +22,15 @@ from freeflyer.foundation.signal_name import split
 from freeflyer.scenario.scenario import Scenario
 
 REST = 1e-6
-"""Rates of the plant's states [SI] below which it is at rest."""
+"""Largest rate of a plant's state [SI] that counts as rest."""
 MEMORY = 1e-9
-"""Share of a passed disturbance that may be left in the answer of a component without memory."""
+"""Largest ratio of the output error after a disturbance to that during it, without memory."""
 NEUTRAL = 1e-12
-"""Singular value of (map - 1) below which the loop does not hold a direction at all."""
+"""Singular value of (map - 1) below which a direction is neutral (no restoring force)."""
 
 
 class SetPoint:
-    """The loop at the set point, ready for any period that is a multiple of T_m."""
+    """Linear loop at the set point, for base periods of n T_m."""
 
     def __init__(self, model: LoopModel) -> None:
         self.model = model
@@ -37,18 +40,20 @@ class SetPoint:
         self.neutral = self._neutral()
 
     def loop(self, n: int) -> Loop:
+        """Return the linear loop with a base period of n T_m."""
         return self.model.loop(self.plant, self.point, n * self.model.roles.tick)
 
     def coordinates(self, n: int) -> TaskCoordinates:
+        """Return the task coordinates of the loop with a base period of n T_m."""
         return task_coordinates(self.model, self.loop(n), self.point)
 
     def radius(self, multipliers: NDArray[np.complex128]) -> float:
-        """The largest modulus, the neutral directions' multipliers of 1 apart."""
+        """Return the largest modulus, without the neutral directions' multipliers of 1."""
         order = np.argsort(np.abs(multipliers - 1.0))
         return float(np.abs(multipliers[order[self.neutral :]]).max())
 
     def modes(self, n: int) -> list[Mode]:
-        """The least stable first; see freeflyer.analysis.prediction.modes. Neutral directions are left out."""
+        """Return the modes without neutral directions, the least stable first."""
         loop = self.loop(n)
         period = seconds(n * self.model.roles.tick)
         found = modes(
@@ -69,54 +74,57 @@ class SetPoint:
 
 @contextmanager
 def at_set_point(scenario: Scenario, component: str | None = None) -> Iterator[SetPoint]:
-    """See freeflyer.analysis.prediction.linearisation.opened. Raises CosimError."""
+    """Open the loop as `linearisation.opened` does, at its set point. Raises CosimError."""
     with linearisation.opened(scenario, component) as model:
         yield SetPoint(model)
 
 
 def set_point(model: LoopModel) -> Point:
-    """The start, which must be an equilibrium; ScenarioError if it is none."""
+    """Return the start as operating point. Raises ScenarioError if it is not an equilibrium."""
     master = model.started(max(model.system.steps.values()), model.roles.tick)
     point = {signal: master.value(signal).copy() for signal in model.recorded()}
     plant = model.fmus[model.roles.plant]
     for name in model.roles.laws:
-        _refuse_memory(model, name, point)
+        _check_memory(model, name, point)
     master.write_inputs_now(model.roles.plant)
     rates = np.abs(plant.rates())
     if rates.max() > REST:
         elements = [name for name in plant.states for _ in range(plant.ports[name].size)]
         raise ScenarioError(
-            f"the start is no set point: {model.roles.plant}.{elements[int(rates.argmax())]} changes by {rates.max():.3g} a second "
-            f"(SI); let the robot start at rest, its base where base_controller holds it"
+            f"the start is not a set point: {model.roles.plant}.{elements[int(rates.argmax())]} changes by {rates.max():.3g} per second "
+            f"(SI units); the robot must start at rest, with its base at the set point of base_controller"
         )
     return point
 
 
-def _refuse_memory(model: LoopModel, name: str, point: Point) -> None:
-    """A disturbance of the inputs, at one sample, must be gone from the answer at the next. On an initialised instance."""
+def _check_memory(model: LoopModel, name: str, point: Point) -> None:
+    """Disturb the inputs of an initialised instance for one sample, then check the next outputs.
+
+    Raises ScenarioError if the disturbance still affects them.
+    """
     fmu, roles = model.fmus[name], model.roles
     names, outputs = model.driven(name), [split(s)[1] for s in model.signals if split(s)[0] == name]
     if not names or not outputs:
         return
-    entry = np.zeros(sum(fmu.ports[n].size for n in names))
-    answer = np.zeros(sum(fmu.ports[n].size for n in outputs))
-    write, read = fmu.bind_inputs(names, entry), fmu.bind_outputs(outputs, answer)
+    u = np.zeros(sum(fmu.ports[n].size for n in names))
+    y = np.zeros(sum(fmu.ports[n].size for n in outputs))
+    write, read = fmu.bind_inputs(names, u), fmu.bind_outputs(outputs, y)
     rest = np.concatenate([point[c.source] for c in model.connections_of(name)])
-    disturbance = 1e-4 * np.random.default_rng(0).uniform(-1.0, 1.0, entry.size)
-    answers = []
-    for k, given in enumerate((rest, rest + disturbance, rest)):
-        entry[:] = given
+    disturbance = 1e-4 * np.random.default_rng(0).uniform(-1.0, 1.0, u.size)
+    sampled = []
+    for k, inputs in enumerate((rest, rest + disturbance, rest)):
+        u[:] = inputs
         write()
         try:
             fmu.step(seconds(k * roles.tick), seconds(roles.tick))
         except StepFailed as error:
             raise ComponentError(f"component {error}") from error
         read()
-        answers.append(answer.copy())
-    passed, left = np.abs(answers[1] - answers[0]), np.abs(answers[2] - answers[0])
-    if left.max() > MEMORY * passed.max():
-        worst = [n for n in outputs for _ in range(fmu.ports[n].size)][int(left.argmax())]
+        sampled.append(y.copy())
+    during, after = np.abs(sampled[1] - sampled[0]), np.abs(sampled[2] - sampled[0])
+    if after.max() > MEMORY * during.max():
+        worst = [n for n in outputs for _ in range(fmu.ports[n].size)][int(after.argmax())]
         raise ScenarioError(
-            f"component {name} has a memory: its output {worst} still shows a disturbance of its inputs that has passed; the "
+            f"component {name} has memory: a disturbance of its inputs still affects its output {worst} one sample later; the "
             f"prediction covers controllers without memory (passivity controllers off)"
         )

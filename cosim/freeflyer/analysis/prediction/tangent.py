@@ -1,4 +1,4 @@
-"""Small rotations as three coordinates: the tangent chart of a unit quaternion."""
+"""Tangent chart of a unit quaternion: small rotations as three independent coordinates."""
 
 from __future__ import annotations
 
@@ -11,29 +11,34 @@ from freeflyer.fmi.component import Array
 
 
 def from_rotation(quaternion: Array) -> Array:
-    """(4, 3): change of the quaternion [x, y, z, w] by a small rotation vector in I, dq = 1/2 (d, 0) q."""
+    """Return dq/dd (4, 3) of the quaternion [x, y, z, w] for a small rotation vector d in I.
+
+    The derivative follows from dq = 1/2 (d, 0) q.
+    """
     x, y, z, w = quaternion / np.linalg.norm(quaternion)
     return 0.5 * np.array([[w, z, -y], [-z, w, x], [y, -x, w], [-x, -y, -z]])
 
 
 def to_rotation(quaternion: Array) -> Array:
-    """(3, 4): the rotation vector in I of a small change of the quaternion; a change of its length has none."""
+    """Return dd/dq (3, 4), the inverse map; it ignores a change of the quaternion's length."""
     return 4.0 * from_rotation(quaternion).T
 
 
 def chart(
     names: Sequence[str], values: Sequence[Array], quaternions: frozenset[str]
 ) -> tuple[Array, Array]:
-    """Small changes of these variables, one after the other, from coordinates without a constraint (a rotation vector in place
-    of every quaternion), and the way back: (m, n) and (n, m).
+    """Return the map (m, n) from chart coordinates to changes of the variables, and its inverse.
+
+    The variables (m) are concatenated. The coordinates (n) have a rotation vector in place of each
+    quaternion, so they are independent.
     """
-    turned = [name in quaternions for name in names]
+    rotational = [name in quaternions for name in names]
     out = [
-        from_rotation(value) if t else np.eye(value.size)
-        for t, value in zip(turned, values, strict=True)
+        from_rotation(value) if r else np.eye(value.size)
+        for r, value in zip(rotational, values, strict=True)
     ]
     back = [
-        to_rotation(value) if t else np.eye(value.size)
-        for t, value in zip(turned, values, strict=True)
+        to_rotation(value) if r else np.eye(value.size)
+        for r, value in zip(rotational, values, strict=True)
     ]
     return block_diag(*out), block_diag(*back)

@@ -1,7 +1,7 @@
-"""The linear loop in the paper's coordinates [x_b; x_m]: inertia, stiffness and damping per degree of freedom, from the matrices.
+"""Linear loop in the paper's coordinates [x_b; x_m]: inertia, stiffness, damping per axis.
 
-x_b: position of B and small rotation of the base; x_m: the same of the end-effector; all in I. Wrenches are those of the ports,
-[F_B; F_m], which do work on [x_b'; x_m'].
+x_b: position of B and small rotation of the base; x_m: the same for the end-effector; both in I.
+The wrenches are those of the ports, [F_B; F_m], which do work on [x_b'; x_m'].
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from freeflyer.foundation.errors import ScenarioError
 POSE = ("base_position", "base_orientation", "end_effector_position", "end_effector_orientation")
 VELOCITY = ("base_velocity", "end_effector_velocity")
 WRENCHES = {"base_velocity": "base_wrench", "joint_velocity": "joint_torque"}
-"""A plant's velocities (states), and its inputs that do work on them."""
+"""Velocities (states) of the plant, and the inputs that do work on them."""
 DEGREES = tuple(
     f"{body} {motion} {axis}"
-    for body in ("base", "hand")
+    for body in ("base", "end-effector")
     for motion in ("translation along", "rotation about")
     for axis in ("x", "y", "z")
 )
@@ -30,9 +30,12 @@ DEGREES = tuple(
 
 @dataclass(frozen=True, kw_only=True)
 class TaskCoordinates:
-    """`pose` and `velocity`: (12, n) of the plant's states. Diagonals (12): `inertia` M~ [kg, kg m2], felt at each port while
-    nothing acts at the other; `stiffness` [N/m, N m/rad] and `damping` [N s/m, N m s/rad] of the laws as they are sampled
-    (of a redundant arm's hand an estimate, for null space and hand share its joints).
+    """Task coordinates of the plant's states (n) and diagonals (12) of the loop's matrices.
+
+    `pose`, `velocity` (12, n): coordinates and their rates from the states. `inertia`: M~
+    [kg, kg m2] at each port without a wrench at the other. `stiffness` [N/m, N m/rad] and `damping`
+    [N s/m, N m s/rad] of the sampled laws. For a redundant manipulator those of the end-effector
+    are estimates, because it shares the joints with the null space.
     """
 
     pose: Array
@@ -42,8 +45,10 @@ class TaskCoordinates:
     damping: Array
 
     def energy(self, x: Array) -> Array:
-        """(12) per degree of freedom [J], of real or complex states (n), or (12, k) of k states: 1/2 M~ |x'|^2 + 1/2 K_P |x|^2.
-        All terms are positive, and metres, radians and speeds compare; M's coupling terms are left out.
+        """Return 1/2 M~ |x'|^2 + 1/2 K_P |x|^2 (12) or (12, k) [J] of states (n) or (n, k).
+
+        States may be complex. The energy makes metres, radians and velocities comparable. No term
+        is negative, because the coupling terms of M are omitted.
         """
         kinetic = self.inertia * np.abs(self.velocity @ x).T ** 2
         return np.asarray(
@@ -52,7 +57,10 @@ class TaskCoordinates:
 
 
 def task_coordinates(model: LoopModel, loop: Loop, point: Point) -> TaskCoordinates:
-    """At the point where the plant was last linearised. ScenarioError if the plant has not a free-flyer's variables."""
+    """Return the task coordinates at the last linearisation point of the plant.
+
+    Raises ScenarioError if the plant lacks a variable of a free-flyer.
+    """
     name = model.roles.plant
     fmu = model.fmus[name]
     variables = {}
@@ -70,19 +78,21 @@ def task_coordinates(model: LoopModel, loop: Loop, point: Point) -> TaskCoordina
     inputs = model.inputs_of_plant([variables[role] for role in WRENCHES.values()])
     # x' = J v, so that the generalised forces are J^T F and M^-1 = J H^-1 J^T.
     J = velocity[:, speeds]
-    moved = J @ loop.plant.B[np.ix_(speeds, inputs)]  # x'' by generalised forces
-    inverse = moved @ J.T
+    acceleration = J @ loop.plant.B[np.ix_(speeds, inputs)]  # x'' by generalised forces
+    inverse = acceleration @ J.T
     inertia = np.concatenate(
         [np.diag(np.linalg.inv(inverse[part, part])) for part in (slice(0, 6), slice(6, 12))]
     )
-    # F = -K_P x - K_D x', the wrench that moves the ports as the laws' forces do: a redundant arm's null space takes the rest.
+    # F = -K_P x - K_D x': the port wrench with the same port acceleration as the laws' forces. In a
+    # redundant manipulator the other forces act in the null space.
     F = (
-        np.linalg.solve(inverse, moved)
+        np.linalg.solve(inverse, acceleration)
         @ Instants(loop).feedback()[inputs]
         @ np.linalg.pinv(np.vstack([pose, velocity]))
     )
     stiffness, damping = -np.diag(F[:, :12]), -np.diag(F[:, 12:])
-    own = _own_answer(loop, inputs[:6])
+    # The base's own law without the compensation of the end-effector wrench.
+    own = _own_law(loop, inputs[:6])
     stiffness[:6] = -np.diag(own @ np.linalg.pinv(pose[:6]))
     damping[:6] = -np.diag(own[:, model.states_of_plant([variables["base_velocity"]], point)])
     return TaskCoordinates(
@@ -90,9 +100,10 @@ def task_coordinates(model: LoopModel, loop: Loop, point: Point) -> TaskCoordina
     )
 
 
-def _own_answer(loop: Loop, inputs: Indices) -> Array:
-    """(6, n): the base's wrench by the plant's state, as far as its controller sees that itself. What it adds for the hand's
-    wrench, J_b^T F_m, is no spring of the base.
+def _own_law(loop: Loop, inputs: Indices) -> Array:
+    """Return the base wrench (6, n) by the plant's states that the base controller measures itself.
+
+    The compensation J_b^T F_m of the end-effector wrench is omitted: it is no spring of the base.
     """
     sources = loop.plant.inputs.sources[inputs]
     law = next(
@@ -100,7 +111,7 @@ def _own_answer(loop: Loop, inputs: Indices) -> Array:
     )
     if law is None:
         return np.zeros((6, loop.plant.A.shape[0]))
-    seen = law.inputs.sources < loop.plant.C.shape[0]
+    measured = law.inputs.sources < loop.plant.C.shape[0]
     return np.asarray(
-        law.gain[np.ix_(sources - law.first, seen)] @ loop.plant.C[law.inputs.sources[seen]]
+        law.gain[np.ix_(sources - law.first, measured)] @ loop.plant.C[law.inputs.sources[measured]]
     )

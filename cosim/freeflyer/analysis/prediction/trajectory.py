@@ -1,9 +1,10 @@
-"""Stability along a trajectory: the growth rate of small perturbations, from the product of the lifted tangent maps.
+"""Stability along a trajectory: growth rate of small perturbations, from lifted tangent maps.
 
-Eigenvalues of the loop frozen at each instant decide nothing in a time-varying loop: it may grow with all of them inside the
-unit circle, or decay with some outside. What decides are Floquet's multipliers: the eigenvalues of the product of the tangent maps
-along the motion. Taken over the run's second half, they are those of the motion that repeats this half for ever; it should hold
-whole periods of the motion, up to one T_b.
+The eigenvalues of the loop frozen at each instant do not determine the stability of a time-varying
+loop. It can be unstable with all of them inside the unit circle, and stable with some outside.
+Stability is determined by the Floquet multipliers, the eigenvalues of the product of the tangent
+maps along the motion. The product is taken over the second half of the run, which is treated as
+one period of a periodic motion. This half should have whole periods of the motion, within one T_b.
 """
 
 from __future__ import annotations
@@ -25,20 +26,23 @@ from freeflyer.foundation.clock import nanoseconds, seconds
 from freeflyer.foundation.errors import ScenarioError
 
 CELL = 0.05
-"""The loop is linearised every 50 ms, and taken as constant around each of these instants [s]."""
+"""Interval between linearisations [s]; the loop is assumed constant around each of them."""
 
 LEAST_PERIODS = 8
-"""Base periods that a run must have at least: a slope is fitted to half of them."""
+"""Minimum number of base periods of a run; a slope is fitted to half of them."""
 
 Progress = Callable[[float], None]
-"""Called with the share that is done."""
+"""Called with the completed fraction."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class AlongTrajectory:
-    """`growth_rate` [1/s] at the scenario's own period; `largest_stable_s`: by bisection (one boundary is assumed), 0 if not even
-    T_m is stable. `frozen_growth_rate` [1/s]: the largest of the loop frozen at each instant, at `frozen_at_s`; `frozen_unstable`:
-    the share of the time at which the frozen loop is unstable.
+    """Result of the analysis along a trajectory, from `from_s` to `to_s`.
+
+    `growth_rate` [1/s] is that at the scenario's own period. `largest_stable_s` is found by
+    bisection, which assumes a single boundary; it is 0 if T_m is unstable. `frozen_growth_rate`
+    [1/s] is the largest one of the frozen loop, at `frozen_at_s`. `frozen_unstable` is the fraction
+    of the time in which the frozen loop is unstable.
     """
 
     period_s: float
@@ -51,6 +55,7 @@ class AlongTrajectory:
     frozen_unstable: float
 
     def summary(self) -> dict[str, Any]:
+        """Return the result for prediction.json."""
         return {
             "period_s": self.period_s,
             "from_s": self.from_s,
@@ -64,10 +69,13 @@ class AlongTrajectory:
 
 
 class Trajectory:
-    """A run of the loop with all controllers at T_m, as the plant's linearisations along it."""
+    """Linearisations of the plant along a run with all controllers at T_m."""
 
     def __init__(self, model: LoopModel, coordinates: TaskCoordinates, cell: float = CELL) -> None:
-        """Runs the scenario; ScenarioError if it does not come to its end."""
+        """Run the scenario, and linearise it every `cell` [s].
+
+        Raises ScenarioError if the run stops early.
+        """
         self.model, self._coordinates, tick = model, coordinates, model.roles.tick
         self.cell = max(nanoseconds(cell, "the cell") // tick, 1)  # [T_m]
         cells = model.scenario.stop // tick // self.cell
@@ -77,8 +85,8 @@ class Trajectory:
             raise KeyboardInterrupt
         if outcome.cause:
             raise ScenarioError(
-                f"scenario {model.scenario.name}: even with all controllers at {seconds(tick):g} s it stops at {outcome.simulated:g} s "
-                f"({outcome.cause}); there is no trajectory to predict along"
+                f"scenario {model.scenario.name}: even with all controllers at {seconds(tick):g} s the run stops at {outcome.simulated:g} s "
+                f"({outcome.cause}), so there is no trajectory for the prediction"
             )
         record = outcome.record
         self.points: list[Point] = [
@@ -90,7 +98,7 @@ class Trajectory:
         self._moves = [back @ into for (into, _), (_, back) in pairwise(self._charts)]
 
     def loops(self, n: int) -> list[Loop]:
-        """At every cell's instant, with a base period of n T_m."""
+        """Return the loop at each linearisation point, with a base period of n T_m."""
         period = n * self.model.roles.tick
         return [
             self.model.loop(plant, point, period)
@@ -98,29 +106,32 @@ class Trajectory:
         ]
 
     def growth_rate(self, n: int, loops: Sequence[Loop] | None = None) -> float:
-        """[1/s] with a base period of n T_m: ln(spectral radius) / time of the product over the second half. It tells modes apart
-        that differ by less than 1 / time, where a perturbation's size would show their mixture.
+        """Return the growth rate [1/s] with a base period of n T_m.
+
+        It is ln(spectral radius) / time of the product over the second half. Unlike the fitted size
+        of a perturbation, it separates modes whose growth rates differ by less than 1 / time.
         """
         loops = loops or self.loops(n)
-        periods, kept = self.ticks // n, _remembered(loops)
+        periods, kept = self.ticks // n, _relevant(loops)
         first = periods // 2
         *_, (vectors, scale) = self._product(n, loops, kept, np.eye(kept.size), first)
         states, ends = (
             self.plants[0].A.shape[0],
             (self._cell(first * n), self._cell(periods * n - 1)),
         )
-        vectors[:states] = (
-            self._charts[ends[0]][1] @ self._charts[ends[1]][0] @ vectors[:states]
-        )  # back to where it began
+        # Return to the tangent chart of the first instant.
+        vectors[:states] = self._charts[ends[0]][1] @ self._charts[ends[1]][0] @ vectors[:states]
         radius = float(np.abs(np.linalg.eigvals(vectors)).max())
         return (math.log(radius) + scale) / ((periods - first) * n * seconds(self.model.roles.tick))
 
     def growth_of(self, starts: Array, n: int) -> float:
-        """[1/s]: what a simulation shows of these perturbations of the start, (states, any number) in the chart's coordinates:
-        the slope, over the second half, of ln sqrt(energy) of all together.
+        """Return the growth rate [1/s] of perturbations of the start, as a simulation shows it.
+
+        It is the slope of ln sqrt(total energy) over the second half. `starts` (states, any number)
+        are the perturbations in chart coordinates. The base period is n T_m.
         """
         loops = self.loops(n)
-        states, kept = self.plants[0].A.shape[0], _remembered(loops)
+        states, kept = self.plants[0].A.shape[0], _relevant(loops)
         vectors = np.zeros((kept.size, starts.shape[1]))
         vectors[:states] = starts
         sizes = np.array(
@@ -138,13 +149,16 @@ class Trajectory:
     def _product(
         self, n: int, loops: Sequence[Loop], kept: lifting.Indices, vectors: Array, first: int
     ) -> Iterator[tuple[Array, float]]:
-        """After every base period from number `first` on: what has become of the vectors, and ln of what they are divided by."""
+        """Propagate the vectors (kept, any number) from base period `first` to the end.
+
+        Yields, after each period, the scaled vectors and ln of their scale.
+        """
         maps = [lifting.reduced(loop, kept) for loop in loops]
         states, place, scale = self.plants[0].A.shape[0], self._cell(first * n), 0.0
         for k in range(first, self.ticks // n):
             for at in range(k * n, (k + 1) * n):
                 cell = self._cell(at)
-                while place < cell:  # the tangent chart goes along with the base's orientation
+                while place < cell:  # change to the tangent chart of the next linearisation point
                     vectors[:states] = self._moves[place] @ vectors[:states]
                     place += 1
                 vectors = maps[cell][at == k * n] @ vectors
@@ -156,9 +170,9 @@ class Trajectory:
         return np.asarray(self._coordinates.energy(vectors).sum(axis=0))
 
     def frozen_growth_rates(self, n: int, loops: Sequence[Loop] | None = None) -> Array:
-        """ln(spectral radius) / T_b [1/s] of the loop frozen at every cell's instant."""
+        """Return ln(spectral radius) / T_b [1/s] of the loop frozen at each linearisation point."""
         loops = loops or self.loops(n)
-        kept = _remembered(loops)
+        kept = _relevant(loops)
         maps = [
             np.linalg.matrix_power(fast, n - 1) @ slow
             for fast, slow in (lifting.reduced(loop, kept) for loop in loops)
@@ -167,8 +181,9 @@ class Trajectory:
         return np.asarray(np.log(radius) / (n * seconds(self.model.roles.tick)))
 
     def largest_stable(self, first: int, longest: int, progress: Progress | None = None) -> int:
-        """The largest n of those with a negative growth rate, by bisection from a first guess; 0 if there is none, `longest` if
-        all are. A boundary is found to 1 % or one T_m.
+        """Return the largest stable n up to `longest`, by bisection from the guess `first`.
+
+        The result is 0 if none is stable. Its resolution is 1 % or one T_m, whichever is larger.
         """
         below, above, n = 0, longest + 1, min(max(first, 1), longest)
         step, count = max(n // 10, 1), 0
@@ -184,8 +199,8 @@ class Trajectory:
         return below
 
 
-def _remembered(loops: Sequence[Loop]) -> lifting.Indices:
-    """Of all the loops together, so that no element is zero by chance."""
+def _relevant(loops: Sequence[Loop]) -> lifting.Indices:
+    """Return the relevant elements of all loops together; in one loop a gain may be 0 by chance."""
     first = loops[0]
     laws = [
         replace(law, gain=_magnitude([loop.laws[k].gain for loop in loops]))
@@ -196,7 +211,7 @@ def _remembered(loops: Sequence[Loop]) -> lifting.Indices:
         for part in ("C", "step", "step_input")
     )
     plant = replace(first.plant, C=C, step=step, step_input=step_input)
-    return lifting.remembered(replace(first, plant=plant, laws=tuple(laws)))
+    return lifting.relevant(replace(first, plant=plant, laws=tuple(laws)))
 
 
 def _magnitude(matrices: Sequence[Array]) -> Array:
@@ -204,14 +219,14 @@ def _magnitude(matrices: Sequence[Array]) -> Array:
 
 
 def check_length(model: LoopModel) -> None:
-    """ScenarioError if the scenario is too short to tell a growth rate."""
+    """Raise ScenarioError if the scenario is too short for a growth rate."""
     stop, needed = (
         seconds(model.scenario.stop),
         max(LEAST_PERIODS * seconds(model.roles.period), 4.0 * CELL),
     )
     if stop < needed:
         raise ScenarioError(
-            f"stop_s is {stop:g} s; along a trajectory {needed:g} s or more are expected ({LEAST_PERIODS} base periods)"
+            f"stop_s is {stop:g} s; along a trajectory {needed:g} s or more are expected (at least {LEAST_PERIODS} base periods)"
         )
 
 
@@ -222,8 +237,9 @@ def along_trajectory(
     longest: float,
     progress: Progress | None = None,
 ) -> AlongTrajectory:
-    """At the scenario's own period, and the boundary between T_m and `longest` [s], looked for from `guess` [s] on. Raises
-    CosimError.
+    """Analyse the scenario's own period, and search the boundary between T_m and `longest` [s].
+
+    The search starts at `guess` [s]. Raises CosimError.
     """
     check_length(model)
     trajectory = Trajectory(model, coordinates)

@@ -1,4 +1,4 @@
-"""The predicted boundary on top of a sweep's map: for each value of y the largest period that the linear loop is stable up to."""
+"""Predicted stability boundary for a sweep's map: the largest stable period for each value of y."""
 
 from __future__ import annotations
 
@@ -17,14 +17,17 @@ from freeflyer.foundation.signal_name import component_of, split
 
 
 def check(plan: Plan) -> None:
-    """ScenarioError, before anything runs, for a map whose x is no period, or a loop that cannot be predicted."""
+    """Check, before any run, that the boundary of the plan's map can be predicted.
+
+    Raises ScenarioError if x is not a controller's period or if a case cannot be linearised.
+    """
     figure = plan.sweep.map
     if figure is None or not figure.predict:
         return
     component, parameter = split(figure.x)
     if parameter != "period":
         raise ScenarioError(
-            f"sweep {plan.sweep.path}: [map] predict: x is {figure.x}; the period of a controller is expected, COMPONENT.period"
+            f"sweep {plan.sweep.path}: [map] predict: x is {figure.x}; a controller's period (COMPONENT.period) is expected"
         )
     for case in plan.sweep.cases:
         try:
@@ -41,8 +44,10 @@ def check(plan: Plan) -> None:
 def predicted(
     plan: Plan, figure: Map, done: Callable[[str | None], None]
 ) -> Mapping[str, tuple[Array, Array]]:
-    """Points (x, y) by case; x is not finite where the loop stays stable up to the map's edge, and where it cannot be predicted (a
-    value that an FMU refuses is a failed row there). `done` is called after each point, with a sentence if it cannot be predicted.
+    """Return the boundary of each case: periods x [s], and values y in the unit of the map's axis.
+
+    x is NaN if the loop is stable up to the map's edge or if the point cannot be predicted.
+    `done` is called after each point, with a message if the prediction failed and None otherwise.
     """
     component = component_of(figure.x)
     longest = max(plan.levels(figure.x))
@@ -51,28 +56,28 @@ def predicted(
         ys, xs = np.array(plan.levels(figure.y), dtype=float), []
         for y in ys:
             scenario = plan.setup.scenario(case, _assignments(plan, figure, case, float(y)))
-            found, refused = longest, None
+            found, failed = longest, None
             try:
                 found = predict(
                     scenario, longest=longest, component=component, beyond=False
                 ).largest_stable_s
             except CosimError as error:
-                refused = f"no boundary for case {case} at {figure.y} = {y:g}: {error}"
+                failed = f"no boundary for case {case} at {figure.y} = {y:g}: {error}"
             xs.append(found if found < longest else np.nan)
-            done(refused)
+            done(failed)
         lines[case] = (np.array(xs), ys)
     return lines
 
 
 def points(plan: Plan, figure: Map) -> int:
-    """How often `predicted` calls `done`."""
+    """Return the number of points that `predicted` computes, which is how often it calls `done`."""
     return len(plan.sweep.cases) * len(plan.levels(figure.y))
 
 
 def _assignments(
     plan: Plan, figure: Map, case: str, y: float | None
 ) -> tuple[tuple[str, Any], ...]:
-    """At the longest period, at `y`, and at the first value of whatever else varies."""
+    """Return assignments with the longest period, `y`, and the first value of every other axis."""
     chosen: dict[str, Any] = {figure.x: max(plan.levels(figure.x))}
     if y is not None:
         chosen[figure.y] = y

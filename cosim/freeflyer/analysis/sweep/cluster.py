@@ -1,4 +1,4 @@
-"""Dask for a sweep: workers on this machine, or somebody's scheduler by its address."""
+"""Dask client of a sweep: local workers, or an existing scheduler given by its address."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from freeflyer.foundation.errors import ScenarioError
 from freeflyer.scenario.metrics import versions
 
 START = 60.0
-"""How long workers of this machine may take to start [s]; they import the package."""
+"""Timeout for the start of the local workers [s]; they import the package."""
 ANSWER = 10.0
-"""How long a scheduler may take to answer, and to have a worker [s]."""
+"""Timeout for the connection to a scheduler, and for its first worker [s]."""
 PACKAGE = "freeflyer-cosim"
 SAFE_PATH = "PYTHONSAFEPATH"
-"""As `-P` for the processes that Dask and multiprocessing start, also later: none runs a folder of the working directory as a module."""
+"""Python's option `-P` for child processes: they never import from the working directory."""
 CONFIGURATION = {
-    # A worker that dies takes its task with it; somebody else repeats it twice before the task is blamed.
+    # Retry a task on two other workers before marking it as failed.
     "distributed.scheduler.allowed-failures": 2,
-    # No task waits on a worker beside the one at work, so that a death is never blamed on it.
+    # Queue no task on a busy worker: a queued task must not count as failed if the worker dies.
     "distributed.scheduler.worker-saturation": 1.0,
     "distributed.scheduler.work-stealing": False,
     "distributed.comm.timeouts.connect": f"{ANSWER:g}s",
@@ -39,7 +39,10 @@ CONFIGURATION = {
 
 @contextmanager
 def connected(scheduler: str | None, workers: int | None) -> Iterator[Client]:
-    """A client with at least one worker of this package's version. Raises ScenarioError in one sentence."""
+    """Connect to the address `scheduler`, or start local workers (default: one per core).
+
+    Yields a client with at least one worker. Raises ScenarioError if no worker can be used.
+    """
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     with dask.config.set(CONFIGURATION):
         if scheduler is None:
@@ -52,23 +55,22 @@ def connected(scheduler: str | None, workers: int | None) -> Iterator[Client]:
 
 @contextmanager
 def _local(workers: int) -> Iterator[Client]:
-    """One process a worker and one thread a process, reached on the loopback only. Dask gives them one BLAS thread each."""
+    """Start worker processes with one thread each (Dask sets one BLAS thread), on loopback only."""
     folder = Path(tempfile.mkdtemp(prefix="freeflyer-sweep-"))
     cluster = client = None
     before = os.environ.get(SAFE_PATH)
     os.environ[SAFE_PATH] = "1"
     try:
         try:
-            with _deaf_to_ctrl_c():
+            with _blocked_sigint():
                 cluster = LocalCluster(
                     n_workers=workers,
                     threads_per_worker=1,
                     processes=True,
                     host="127.0.0.1",
                     dashboard_address=None,
-                    scheduler_kwargs={
-                        "dashboard_address": "127.0.0.1:0"
-                    },  # the scheduler's own pages, on any free port
+                    # The scheduler's HTTP server uses any free port.
+                    scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
                     local_directory=str(folder),
                     silence_logs=logging.CRITICAL,
                     death_timeout=START,
@@ -77,7 +79,7 @@ def _local(workers: int) -> Iterator[Client]:
             client.wait_for_workers(workers, timeout=START)
         except (OSError, RuntimeError, TimeoutError) as error:
             raise ScenarioError(
-                f"{workers} workers could not be started on this machine: {_said(error)}"
+                f"{workers} workers could not be started on this machine: {_one_line(error)}"
             ) from error
         yield client
     finally:
@@ -92,11 +94,14 @@ def _local(workers: int) -> Iterator[Client]:
 
 
 @contextmanager
-def _deaf_to_ctrl_c() -> Iterator[None]:
-    """Threads and processes begun meanwhile, and theirs, never see a SIGINT: a terminal sends it to workers as well, and it is
-    the command that decides what it means. One that comes meanwhile waits for the end of this.
+def _blocked_sigint() -> Iterator[None]:
+    """Block SIGINT for the threads and processes that are started inside this context.
+
+    A terminal sends SIGINT to the workers too, but only the command handles it. A SIGINT that
+    arrives inside the context is delivered at its end.
     """
-    resource_tracker.ensure_running()  # begun later, it would open the ears of its thread again
+    # A later start of the resource tracker would unblock SIGINT in the calling thread.
+    resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -108,11 +113,10 @@ def _deaf_to_ctrl_c() -> Iterator[None]:
 def _remote(address: str) -> Iterator[Client]:
     try:
         client = _client_of(address)
-    except (
-        Exception
-    ) as error:  # a name without an address, nobody there, or somebody who is no scheduler
+    # The host name may be unknown, the port closed, or the peer not a Dask scheduler.
+    except Exception as error:
         raise ScenarioError(
-            f"the scheduler {address} does not answer within {ANSWER:g} s ({_said(error)}); start one with `dask scheduler`"
+            f"the scheduler {address} does not answer within {ANSWER:g} s ({_one_line(error)}); start one with `dask scheduler`"
         ) from error
     try:
         try:
@@ -129,7 +133,10 @@ def _remote(address: str) -> Iterator[Client]:
 
 
 def _client_of(address: str) -> Client:
-    """Once more after an AssertionError: distributed expects its greeting alone, and a worker that joins meanwhile is told with it."""
+    """Connect, and retry once after an AssertionError.
+
+    distributed fails if the scheduler's first message also announces a worker that has just joined.
+    """
     try:
         return Client(address, timeout=ANSWER)
     except AssertionError:
@@ -137,7 +144,7 @@ def _client_of(address: str) -> Client:
 
 
 def _check_versions(client: Client) -> None:
-    """Before anything is sent: what another Python pickles, this one may not read."""
+    """Raise ScenarioError if a worker's versions differ: pickles may be incompatible."""
     here = {"python": python_version(), PACKAGE: versions()[PACKAGE]}
     for address, found in client.get_versions(packages=[PACKAGE])["workers"].items():
         there = dict(found["packages"])
@@ -146,7 +153,7 @@ def _check_versions(client: Client) -> None:
             if there.get(name) != wanted:
                 has = f"{name} {there[name]}" if there.get(name) else f"no {name}"
                 raise ScenarioError(
-                    f"worker {address} has {has}, and {name} {wanted} is expected: install the same version there"
+                    f"worker {address} has {has}, and {name} {wanted} is expected; install the same version there"
                 )
 
 
@@ -154,5 +161,5 @@ def python_version() -> str:
     return f"{sys.version_info.major}.{sys.version_info.minor}"
 
 
-def _said(error: Exception) -> str:
+def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())[:200].rstrip(".") or type(error).__name__

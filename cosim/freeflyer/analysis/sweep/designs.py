@@ -1,4 +1,7 @@
-"""Designs of experiments: grids, Latin hypercubes and random draws over targets of `--set`, and over elements of vectors."""
+"""Designs of experiments: grids, Latin hypercubes and random samples of parameters.
+
+An axis varies a target of `--set`, or elements of a vector parameter.
+"""
 
 from __future__ import annotations
 
@@ -20,14 +23,17 @@ ELEMENTS = re.compile(r"^(?P<name>[^\[\]]+)\[(?P<first>\d+)(:(?P<last>\d+))?\]$"
 
 @dataclass(frozen=True, kw_only=True)
 class Target:
-    """What is varied: a target of `--set`, or the elements first ... last (counted from 1) of a vector."""
+    """Parameter that is varied, as a target of `--set`.
+
+    `elements`: the first and last element of a vector, counted from 1; None for all of them.
+    """
 
     name: str
     elements: tuple[int, int] | None = None
 
     @classmethod
     def parse(cls, text: str) -> Target:
-        """NAME, NAME[k] or NAME[first:last]; ScenarioError for anything else."""
+        """Parse NAME, NAME[k] or NAME[first:last]. Raises ScenarioError for any other text."""
         match = ELEMENTS.match(text)
         if match is None:
             if "[" in text or "]" in text:
@@ -35,7 +41,9 @@ class Target:
             return cls(name=text)
         first, last = int(match["first"]), int(match["last"] or match["first"])
         if not 1 <= first <= last:
-            raise ScenarioError(f"{text!r}: elements are counted from 1, the first one first")
+            raise ScenarioError(
+                f"{text!r}: elements are counted from 1, and the first must not exceed the last"
+            )
         return cls(name=match["name"], elements=(first, last))
 
     def __str__(self) -> str:
@@ -45,6 +53,7 @@ class Target:
         return f"{self.name}[{first}]" if first == last else f"{self.name}[{first}:{last}]"
 
     def overlaps(self, other: Target) -> bool:
+        """Return whether both targets have an element in common."""
         if self.name != other.name or self.elements is None or other.elements is None:
             return self.name == other.name
         return self.elements[0] <= other.elements[1] and other.elements[0] <= self.elements[1]
@@ -52,18 +61,21 @@ class Target:
 
 @dataclass(frozen=True, kw_only=True)
 class Levels:
-    """Values that are given one by one."""
+    """Explicit list of values."""
 
     values: tuple[Any, ...]
 
     def at(self, share: float) -> Any:
-        """The value at a share in [0, 1) of them."""
+        """Return the value at a fraction `share` in [0, 1) of the list."""
         return self.values[int(share * len(self.values))]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Interval:
-    """Numbers from `low` to `high`, both included; `multiple_of` rounds to whole multiples, exact as decimal numbers."""
+    """Closed interval [low, high]; `multiple_of` rounds values to exact decimal multiples.
+
+    Raises ScenarioError if the bounds are invalid or no multiple lies between them.
+    """
 
     low: float
     high: float
@@ -73,11 +85,11 @@ class Interval:
     def __post_init__(self) -> None:
         if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
             raise ScenarioError(
-                f"it goes from {self.low!r} to {self.high!r}; two finite numbers, the lower one first, are expected"
+                f"the interval is from {self.low!r} to {self.high!r}; two finite numbers, the lower one first, are expected"
             )
         if self.logarithmic and not self.low > 0.0:
             raise ScenarioError(
-                f"it is logarithmic and begins at {self.low!r}; a number above zero is expected"
+                f"the logarithmic interval starts at {self.low!r}; a number above zero is expected"
             )
         if self.multiple_of is not None:
             if not (math.isfinite(self.multiple_of) and self.multiple_of > 0.0):
@@ -98,26 +110,29 @@ class Interval:
         return math.ceil(low / unit), math.floor(high / unit)
 
     def at(self, share: float) -> float:
-        """The value at a share in [0, 1] of the interval, or of its logarithm."""
+        """Return the value at a fraction `share` in [0, 1] of the interval, or of its logarithm."""
         length, span = self.high / self.low if self.logarithmic else 1.0, self.high - self.low
         value: float = self.low * length**share if self.logarithmic else self.low + share * span
         value = min(max(value, self.low), self.high)
         if self.multiple_of is None:
             return value
-        # A period is a whole number of nanoseconds only as a decimal number: 7 x 0.1 is not 0.7 otherwise.
+        # Multiply as decimal numbers: 7 x 0.1 is not 0.7 in binary, and a period in whole
+        # nanoseconds must be exact.
         unit = Decimal(repr(float(self.multiple_of)))
         least, most = self._multiples
         return float(unit * min(max(round(Decimal(value) / unit), least), most))
 
     def spread(self, count: int) -> Levels:
-        """`count` values at equal distances (of the logarithm); those that rounding makes equal count once."""
+        """Return `count` equidistant values (or logarithms), without duplicates from rounding."""
         return Levels(values=tuple(dict.fromkeys(self.at(k / (count - 1)) for k in range(count))))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Axis:
-    """One target and where its values are from. `relative`: factors on the scenario's own value; `unit`: of the values; `also`:
-    targets that take the same value, or factor.
+    """One target and the source of its values.
+
+    `unit`: unit of the values. `relative`: the values are factors of the scenario's value.
+    `also`: further targets that get the same value or factor.
     """
 
     target: Target
@@ -133,7 +148,7 @@ class Axis:
 
 @dataclass(frozen=True, kw_only=True)
 class Sample:
-    """`count` draws of all axes together."""
+    """Joint sample of all axes, with `count` draws."""
 
     method: Method
     count: int
@@ -142,13 +157,12 @@ class Sample:
 
     @cached_property
     def rows(self) -> list[tuple[Any, ...]]:
-        """(count, axes). The same seed gives the same draws."""
+        """Draws (count, axes); equal seeds give equal draws."""
         generator = np.random.default_rng(self.seed)
         size = len(self.axes)
         if self.method == "latin_hypercube":
-            from scipy.stats import (
-                qmc,
-            )  # it takes a second, which every other command would pay for too
+            # Imported here because the import takes a second.
+            from scipy.stats import qmc
 
             shares = qmc.LatinHypercube(d=size, rng=generator).random(self.count)
         else:
@@ -161,7 +175,7 @@ class Sample:
 
 @dataclass(frozen=True, kw_only=True)
 class Designs:
-    """Every point of the grid with every draw of the sample; the last axis of the grid, and then the draws, change fastest."""
+    """Every grid point with every draw; draws change fastest, then the grid's last axis."""
 
     grid: tuple[Axis, ...]
     sample: Sample | None
@@ -172,7 +186,7 @@ class Designs:
 
     @property
     def levels(self) -> list[tuple[Any, ...]]:
-        """Of the grid's axes."""
+        """Values of each grid axis."""
         return [axis.source.values for axis in self.grid if isinstance(axis.source, Levels)]
 
     def __len__(self) -> int:
@@ -181,7 +195,7 @@ class Designs:
         )
 
     def __getitem__(self, number: int) -> tuple[Any, ...]:
-        """The axes' values in design `number`, counted from 0."""
+        """Return the axes' values in design `number` >= 0. Raises IndexError."""
         if not 0 <= number < len(self):
             raise IndexError(number)
         drawn: Sequence[Any] = ()

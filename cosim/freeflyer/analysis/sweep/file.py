@@ -1,4 +1,4 @@
-"""TOML -> a frozen `Sweep`. Every mistake is one sentence that names the file, the key and what was expected."""
+"""Sweep files: TOML -> frozen `Sweep`. Errors state the file, the key, and the expected value."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from freeflyer.scenario.raw_scenario import Raw, parse_value
 
 SHIPPED = Path(__file__).parents[2] / "paper" / "sweeps"
 ONE_CASE = "scenario"
-"""The case of a sweep that names none."""
+"""Name of the only case of a sweep without [cases]."""
 AXIS = (
     "first",
     "last",
@@ -33,7 +33,7 @@ AXIS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Map:
-    """What the figure shows: two targets of the grid, and whether a predicted boundary is drawn on top."""
+    """Axes of the stability map: two targets of the grid; `predict` adds the predicted boundary."""
 
     x: str
     y: str
@@ -42,7 +42,11 @@ class Map:
 
 @dataclass(frozen=True, kw_only=True)
 class Sweep:
-    """`settings` are for every run as `--set` is; `cases` are targets and values that each design is combined with."""
+    """Content of a sweep file.
+
+    `settings`: `--set` texts for every run. `cases`: targets and values of each case by name;
+    every design is run in every case.
+    """
 
     name: str
     title: str
@@ -55,11 +59,15 @@ class Sweep:
 
 
 def shipped() -> list[str]:
+    """Return the names of the shipped sweeps."""
     return sorted(path.stem for path in SHIPPED.glob("*.toml"))
 
 
 def read(name: str, settings: Sequence[str] = ()) -> Sweep:
-    """A shipped sweep by name, or a TOML file by path; `settings` are added to the file's own. Raises ScenarioError."""
+    """Read a shipped sweep by name, or a TOML file by path; append `settings` to those of the file.
+
+    Raises ScenarioError.
+    """
     path = _find(name)
     try:
         raw = toml_file.read(path)
@@ -78,7 +86,7 @@ def _find(name: str) -> Path:
         if name.endswith(".toml") and Path(name).is_file():
             return Path(name)
     except (OSError, ValueError):
-        pass  # a name that no file can have
+        pass  # not a valid file name
     if name in shipped():
         return SHIPPED / f"{name}.toml"
     if name.endswith(".toml"):
@@ -94,6 +102,7 @@ def _sweep(raw: Raw, path: Path, settings: Sequence[str]) -> Sweep:
         raise ScenarioError(
             f"scenario is {raw.get('scenario')!r}; a shipped scenario or a .toml file beside the sweep is expected"
         )
+    # Check the keys of the head, then read the axes: grid and sample.
     own = raw.get("set", [])
     if not isinstance(own, list) or not all(isinstance(text, str) for text in own):
         raise ScenarioError(f"set is {own!r}; a list of 'COMPONENT.PARAMETER=VALUE' is expected")
@@ -105,12 +114,15 @@ def _sweep(raw: Raw, path: Path, settings: Sequence[str]) -> Sweep:
     )
     designs = Designs(grid=grid, sample=_sample(_table(raw, "sample")) if "sample" in raw else None)
     if not designs.axes:
-        raise ScenarioError("nothing is varied; a [grid] or a [sample] with parameters is expected")
+        raise ScenarioError(
+            "the sweep varies no parameter; a [grid] or a [sample] with parameters is expected"
+        )
+    # A parameter may be set in one place only: an axis, a case, or `--set`.
     cases = {name: _case(name, table) for name, table in _table(raw, "cases").items()} or {
         ONE_CASE: {}
     }
     varied = [target for axis in designs.axes for target in axis.targets]
-    _refuse_twice(varied, cases)
+    _reject_duplicates(varied, cases)
     for text in settings:
         if any(
             target.name == text.partition("=")[0].strip() and target.elements is None
@@ -134,7 +146,7 @@ def _sweep(raw: Raw, path: Path, settings: Sequence[str]) -> Sweep:
 def _case(name: str, table: object) -> Mapping[str, Any]:
     if not name.isidentifier() or not isinstance(table, dict):
         raise ScenarioError(
-            f"cases.{name}: a table of targets and values, under a name of letters, digits and underscores, is expected"
+            f"cases.{name}: a table of targets and values is expected, with a name of letters, digits and underscores"
         )
     found = dict(_targets(table, f"[cases.{name}]"))
     for target in found:
@@ -153,7 +165,7 @@ def _grid_axis(target: Target, value: Any) -> Axis:
     count = value.get("count")
     if isinstance(count, bool) or not isinstance(count, int) or count < 2:
         raise ScenarioError(
-            f"{where}: count is {count!r}; at least 2 values are expected (a list may hold a single one)"
+            f"{where}: count is {count!r}; at least 2 values are expected (use a list for a single value)"
         )
     interval = _interval(value, "first", "last", where)
     return Axis(target=target, source=interval.spread(count), **_rest(value, where))
@@ -198,7 +210,7 @@ def _levels(target: Target, value: Any, where: str) -> Axis:
     values = table["values"]
     if not isinstance(values, list) or not values:
         raise ScenarioError(
-            f"{where} is {value!r}; a list of at least one value, or a table that makes one, is expected"
+            f"{where} is {value!r}; a list of at least one value, or a table that defines one, is expected"
         )
     return Axis(
         target=target,
@@ -217,7 +229,7 @@ def _interval(value: Raw, low: str, high: str, where: str) -> Interval:
         )
     if "multiple_of" in value and value.get("relative"):
         raise ScenarioError(
-            f"{where}: multiple_of rounds values, and a relative axis holds factors; only one of the two is expected"
+            f"{where}: multiple_of and relative are both set; only one is expected, because factors are not rounded"
         )
     try:
         return Interval(
@@ -231,15 +243,15 @@ def _interval(value: Raw, low: str, high: str, where: str) -> Interval:
 
 
 def _rest(value: Raw, where: str, values: Sequence[Any] = ()) -> dict[str, Any]:
-    """Keys of all axes."""
+    """Return the options that all axes have: unit, relative, also."""
     unit, relative = value.get("unit"), _switch(value, "relative", where)
     if unit is not None and (not isinstance(unit, str) or relative):
         raise ScenarioError(
-            f"{where}: unit is {unit!r}; the name of a unit is expected, and none for a relative axis"
+            f"{where}: unit is {unit!r}; the name of a unit is expected, or no unit for a relative axis"
         )
     if (unit is not None or relative) and not all(_is_number(item) for item in values):
         raise ScenarioError(
-            f"{where} is {list(values)!r}; numbers are expected where there is a unit, or a factor"
+            f"{where} is {list(values)!r}; numbers are expected with a unit or on a relative axis"
         )
     also = value.get("also", [])
     if not isinstance(also, list) or not all(isinstance(text, str) for text in also):
@@ -269,7 +281,7 @@ def _map(raw: Raw, grid: Sequence[Axis]) -> Map:
     return Map(x=raw["x"], y=raw["y"], predict=_switch(raw, "predict", "[map]"))
 
 
-def _refuse_twice(targets: Sequence[Target], cases: Mapping[str, Mapping[str, Any]]) -> None:
+def _reject_duplicates(targets: Sequence[Target], cases: Mapping[str, Mapping[str, Any]]) -> None:
     for place, target in enumerate(targets):
         for other in targets[:place]:
             if target.overlaps(other):
@@ -285,7 +297,7 @@ def _refuse_twice(targets: Sequence[Target], cases: Mapping[str, Mapping[str, An
 
 
 def _targets(table: Raw, where: str) -> Iterator[tuple[Target, Any]]:
-    """Targets with their values; COMPONENT.PARAMETER may be written with or without quotes."""
+    """Yield targets and values. The key COMPONENT.PARAMETER may be quoted, or a nested table."""
     for key, value in table.items():
         nested = (
             "." not in key
@@ -305,7 +317,7 @@ def _targets(table: Raw, where: str) -> Iterator[tuple[Target, Any]]:
 
 
 def _value(item: Any) -> Any:
-    """A text is what `--set` would take."""
+    """Parse a text like a value of `--set`."""
     return parse_value(item) if isinstance(item, str) else item
 
 

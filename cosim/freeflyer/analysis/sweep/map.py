@@ -1,4 +1,4 @@
-"""The map of a sweep over two parameters: where runs stay stable, where errors grow, where and when they diverge."""
+"""Stability map of a sweep over two parameters: stable, growing, diverged (with time) or failed."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from freeflyer.analysis.figure_style import STYLE
 from freeflyer.fmi.component import Array
 
 STABLE, GROWING, FAILED = "#56B4E9", "#F0E442", "#999999"
-"""Of the palette for the colour-blind that the other figures use; diverged runs are shaded by the time of divergence."""
+"""Colours that are safe for colour-blind readers."""
 DIVERGED = colors.LinearSegmentedColormap.from_list("divergence", ["#5B1A00", "#D55E00", "#F6C9AC"])
+"""Colour of a diverged run by its time of divergence."""
 Boundary = tuple[Array, Array]
-"""Points (x, y) of a line, in the axes' units."""
+"""Points (x, y) of a line, in the units of the axes."""
 
 
 def draw(
@@ -28,14 +29,16 @@ def draw(
     units: Mapping[str, str],
     boundary: Mapping[str, Boundary] | None = None,
 ) -> Any:
-    """One panel a case: columns `x` and `y` of the results, a cell for each pair of values; `boundary` by case, on top.
+    """Draw one panel per case, with one cell per pair of values of the columns `x` and `y`.
 
-    Where further axes give several runs a cell, the worst of them is shown.
+    If a cell has several runs (further axes), it shows the worst one. `units` are those of the
+    columns. `boundary` is drawn on top of its case. Returns the figure.
     """
     frame = table.to_pandas()
     cases = list(dict.fromkeys(frame["case"]))
     longest = float(np.nanmax(frame["simulated_s"])) if frame["simulated_s"].notna().any() else 1.0
     with plt.rc_context(STYLE | {"axes.grid": False}):
+        # All panels share their axes and the scale of divergence times.
         figure, panels = plt.subplots(
             1,
             len(cases),
@@ -46,6 +49,7 @@ def draw(
         )
         shading = plt.cm.ScalarMappable(norm=colors.Normalize(0.0, longest), cmap=DIVERGED)
         for panel, case in zip(panels[0], cases, strict=True):
+            # The cells define the limits of the axes; the boundary must not change them.
             rows = frame[frame["case"] == case]
             xs, ys = np.unique(rows[x]), np.unique(rows[y])
             panel.pcolormesh(
@@ -60,6 +64,7 @@ def draw(
                     scale("log")
             panel.set_title(case.replace("_", " "), fontsize=8)
             panel.set_xlabel(label(x, units))
+        # One colour bar and one legend for all panels.
         panels[0][0].set_ylabel(label(y, units))
         figure.colorbar(shading, ax=panels[0].tolist(), label="diverged at [s]")
         keys = [
@@ -75,9 +80,9 @@ def draw(
 
 
 def cells(rows: Any, x: str, y: str, xs: Array, ys: Array, shading: Any) -> Array:
-    """(len(ys), len(xs), 4) colours; white where there is no run."""
+    """Return the colours (len(ys), len(xs), 4) of the cells; a cell without a run is white."""
     image = np.ones((ys.size, xs.size, 4))
-    # The worst last, so that it is what stays: stable, growing, failed, late divergence, early divergence.
+    # Draw the worst run last: stable, growing, failed, late divergence, early divergence.
     rank = np.where(
         rows["diverged"].eq(True),
         4,
@@ -96,7 +101,7 @@ def cells(rows: Any, x: str, y: str, xs: Array, ys: Array, shading: Any) -> Arra
 
 
 def is_logarithmic(values: Array) -> bool:
-    """Whether values above zero stand at equal ratios rather than at equal distances."""
+    """Return whether ascending values > 0 fit a geometric grid better than a linear one."""
     if values.size < 3 or values[0] <= 0.0:
         return False
     return bool(
@@ -106,16 +111,17 @@ def is_logarithmic(values: Array) -> bool:
 
 
 def edges(values: Array) -> Array:
-    """(n + 1) borders of the cells around n values."""
+    """Return the n + 1 edges of the cells around n ascending values."""
     if values.size == 1:
         return np.array([0.9, 1.1]) * values[0] if values[0] else np.array([-0.5, 0.5])
     if is_logarithmic(values):
         return np.exp(edges_between(np.log(values)))
     borders = edges_between(values)
-    return np.maximum(borders, 0.0) if values[0] > 0.0 else borders  # no period below zero
+    return np.maximum(borders, 0.0) if values[0] > 0.0 else borders  # no negative period
 
 
 def edges_between(values: Array) -> Array:
+    """Return the n + 1 edges at the midpoints of n values, and half a cell beyond both ends."""
     middles = 0.5 * (values[1:] + values[:-1])
     return np.concatenate(
         [[1.5 * values[0] - 0.5 * values[1]], middles, [1.5 * values[-1] - 0.5 * values[-2]]]
@@ -123,6 +129,7 @@ def edges_between(values: Array) -> Array:
 
 
 def label(column: str, units: Mapping[str, str]) -> str:
+    """Return the axis label of a column; the unit "1" marks factors of the scenario's value."""
     unit = units.get(column, "")
     return (
         f"{column} [{unit}]"

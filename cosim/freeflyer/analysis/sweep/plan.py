@@ -1,4 +1,4 @@
-"""A sweep, checked before anything runs: what each run sets, and what identifies the plan in a directory of results."""
+"""Plan of a sweep: checks before the first run, the settings of each run, the plan's identity."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Assignments = tuple[tuple[str, Any], ...]
 
 @dataclass(frozen=True, kw_only=True)
 class Setup:
-    """What all runs of a sweep have in common, as it goes to the workers."""
+    """Data that all runs of a sweep share; sent to the workers."""
 
     tables: Raw
     path: Path
@@ -40,7 +40,7 @@ class Setup:
     """SHA-256 of each component's file."""
 
     def scenario(self, case: str, assignments: Assignments = ()) -> Scenario:
-        """The scenario of one run. Raises ScenarioError."""
+        """Return the scenario of one run. Raises ScenarioError."""
         tables = copy.deepcopy(self.tables)
         for target, value in self.cases[case].items():
             assign(tables, target, value, f"[cases.{case}] {target}")
@@ -51,16 +51,19 @@ class Setup:
 
 @dataclass(frozen=True, kw_only=True)
 class Run:
+    """One run of a plan, as sent to a worker."""
+
     number: int
     case: str
     assignments: Assignments
 
 
 class Plan:
-    """All runs, numbered from 0: cases change fastest, so that an unfinished sweep has every case of its designs.
+    """All runs of a sweep, numbered from 0.
 
-    Making one loads the scenario once per case, and tries the first and the last design and every value of the grid on it.
-    Raises CosimError.
+    Cases change fastest, so that an unfinished sweep has all cases of its designs. The constructor
+    loads the scenario of each case and checks the first and last design and every value of the
+    grid. It raises CosimError.
     """
 
     def __init__(self, sweep: Sweep, fmi: int | None = None) -> None:
@@ -84,7 +87,7 @@ class Plan:
         return len(self.designs) * len(self.sweep.cases)
 
     def design(self, number: int) -> tuple[int, str, tuple[Any, ...]]:
-        """Number of the design, case, and the axes' values of a run."""
+        """Return the design number, the case, and the axes' values of a run."""
         design, place = divmod(number, len(self.sweep.cases))
         return design, list(self.sweep.cases)[place], self.designs[design]
 
@@ -94,7 +97,7 @@ class Plan:
 
     @property
     def content(self) -> dict[str, Any]:
-        """Everything that the results depend on; two sweeps with the same content are the same sweep."""
+        """Everything that the results depend on; plans with equal content are the same sweep."""
         values = hashlib.sha256()
         for number in range(len(self.designs)):
             values.update(repr(self.designs[number]).encode())
@@ -120,7 +123,7 @@ class Plan:
         return result
 
     def levels(self, target: str) -> tuple[Any, ...]:
-        """An axis of the grid."""
+        """Return the values of a grid axis."""
         return next(
             levels
             for axis, levels in zip(self.designs.grid, self.designs.levels, strict=True)
@@ -131,10 +134,10 @@ class Plan:
     def first_of(axis: Axis) -> Any:
         return axis.source.values[0] if isinstance(axis.source, Levels) else axis.source.at(0.0)
 
-    # What a run sets
+    # Settings of a run
 
     def assignments(self, case: str, values: tuple[Any, ...]) -> Assignments:
-        """Targets of `--set` with their values, for the axes' values in a case."""
+        """Return the targets of `--set` with values in a case, given one value per axis."""
         found: dict[str, Any] = {}
         vectors: dict[str, Array] = {}
         pairs = [
@@ -164,11 +167,11 @@ class Plan:
             found[target.name] = [float(number) for number in vector]
         return tuple(found.items())
 
-    # Before anything runs
+    # Checks before the first run
 
     @contextmanager
     def _naming(self, case: str) -> Iterator[None]:
-        """Mistakes say where they are."""
+        """Add the sweep file and the case to the message of an error."""
         try:
             yield
         except CosimError as error:
@@ -190,14 +193,14 @@ class Plan:
                 }
                 schedule.build(steps, changed.stop, changed.record_every, variable)
             metrics.check(plain, system.components)
-        # Whatever else could be wrong: assembled as a run is.
+        # Assemble the first design as a run does, to find all other errors.
         with assemble.loaded(
             self.setup.scenario(case, self.assignments(case, self.designs[0])), self.setup.fmi
         ):
             pass
 
     def _tried(self) -> Iterator[tuple[Any, ...]]:
-        """The first and the last design, and every value of the grid once; of a sample, both ends of each interval."""
+        """Yield the first and last design, then each value of each axis (ends of an interval)."""
         first, last = self.designs[0], self.designs[len(self.designs) - 1]
         yield first
         yield last
@@ -213,15 +216,21 @@ class Plan:
     def _look_up(
         self, case: str, axis: Axis, target: Target, plain: Scenario, system: System
     ) -> None:
-        """The scenario's own value, wherever it is needed, and the unit of the axis."""
+        """Store the unit of an axis and, for factors and elements, the scenario's own value.
+
+        Raises ScenarioError if the target cannot be varied.
+        """
         needed = axis.relative or target.elements is not None
+        # Reject targets without effect. The value of a [robot] parameter is that of the first
+        # component that has it.
         component, parameter = split(target.name)
         if component in ("devices", "facility") or target.name == "record.signals":
             raise ScenarioError(
-                f"{target.name} changes nothing that a sweep measures; a parameter of a component is expected"
+                f"{target.name} has no effect on the results of a sweep; a parameter of a component is expected"
             )
         if component == "robot" and component not in system.components:
             component = _first_user(plain, system, parameter)
+        # A target that is not a variable (stop_s, step_s) has no elements and no factor.
         if (
             component not in system.components
             or parameter not in system.components[component].ports
@@ -235,6 +244,7 @@ class Plan:
                 "s" if parameter == "step_s" or target.name in ("stop_s", "record.every_s") else ""
             )
             return
+        # Only elements and factors need the scenario's own value.
         port = system.components[component].ports[parameter]
         first, last = target.elements or (1, port.size)
         if last > port.size:
@@ -244,7 +254,7 @@ class Plan:
             return
         if not port.real or port.boolean or port.choices:
             raise ScenarioError(
-                f"{target} is no real parameter; elements and factors of it cannot be varied"
+                f"{target} is not a real parameter; a sweep cannot vary its elements or scale it"
             )
         own = parameters.current(system.components, system.values, component, parameter)
         self._own[case, target] = (own.copy(), port)
@@ -255,7 +265,7 @@ def _ports(system: System, component: str) -> Mapping[str, Port]:
 
 
 def _first_user(plain: Scenario, system: System, parameter: str) -> str:
-    """The first component that takes a parameter from [robot]."""
+    """Return the first component that takes `parameter` from [robot], else "robot"."""
     for spec in plain.components:
         port = system.components[spec.name].ports.get(parameter)
         if port is not None and port.settable and parameter not in spec.parameters:
@@ -264,7 +274,7 @@ def _first_user(plain: Scenario, system: System, parameter: str) -> str:
 
 
 def files(plain: Scenario, system: System) -> dict[str, str]:
-    """SHA-256 of the file that each component is made from, its FMU or what its options name."""
+    """Return the SHA-256 of each component's files: its FMU, or the files that its options name."""
     found = {}
     for spec in plain.components:
         digest = hashlib.sha256()
@@ -280,6 +290,6 @@ def files(plain: Scenario, system: System) -> dict[str, str]:
 
 
 def _named(spec: ComponentSpec, directory: Path) -> list[Path]:
-    """Files that a component's options name: FILE.fmu, FILE.py, or FILE.py:CALLABLE."""
+    """Return existing files among a component's options: FILE.fmu, FILE.py, FILE.py:CALLABLE."""
     paths = [directory / str(value).partition(":")[0] for value in spec.options.values()]
     return [path for path in paths if path.suffix and path.is_file()]

@@ -1,6 +1,7 @@
-"""A sweep's directory: sweep.json (the plan), parts/ (one small Parquet file for each finished batch), results.parquet at the end.
+"""Directory of a sweep: sweep.json (plan), parts/ (one Parquet file per batch), results.parquet.
 
-Parts are written whole or not at all, so whatever is there is finished: the same plan in the same directory goes on from it.
+Parts are written atomically. The same plan in the same directory therefore resumes after the
+finished runs.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ PLAN, PARTS, RESULTS = "sweep.json", "parts", "results.parquet"
 
 
 class Results:
-    """What is finished of a plan. `runs` are the numbers of finished runs."""
+    """Finished results of a plan. `runs` are the numbers of the finished runs."""
 
     def __init__(self, directory: Path, plan: Plan) -> None:
         self.directory, self.plan = directory, plan
@@ -37,30 +38,32 @@ class Results:
 
     @contextmanager
     def opened(self) -> Iterator[None]:
-        """Take the directory, alone, for as long. Raises ScenarioError if it holds another sweep, or is in use."""
+        """Lock the directory and read the finished runs.
+
+        Raises ScenarioError if the directory has results of another sweep, or is locked.
+        """
         check_writable(self.directory)
         with (self.directory / ".lock").open("w") as lock:
             try:
-                fcntl.flock(
-                    lock, fcntl.LOCK_EX | fcntl.LOCK_NB
-                )  # it ends with the process, however that ends
+                # The kernel releases the lock when the process ends, also after SIGKILL.
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError as error:
                 raise ScenarioError(
-                    f"another sweep is at work in {self.directory}; wait for it, or give another --out"
+                    f"another sweep is running in {self.directory}; wait until it ends, or choose another --out"
                 ) from error
-            self._refuse_another()
+            self._check_plan()
             self.runs = set(self._finished())
             yield
 
     def add(self, rows: Sequence[Row]) -> None:
-        """A finished batch. Raises OutputError."""
+        """Write a finished batch as one part. Raises OutputError."""
         table = pa.Table.from_pylist([self._whole(row) for row in rows], schema=self.schema)
         path = self.directory / PARTS / f"runs_{rows[0]['run']:08d}.parquet"
         write_whole(path, lambda partial: parquet.write_table(table, partial, compression="zstd"))
         self.runs.update(row["run"] for row in rows)
 
     def write(self) -> pa.Table:
-        """All parts as one table, sorted by run. Raises OutputError."""
+        """Write and return all parts as one table, sorted by run. Raises OutputError."""
         tables = [parquet.read_table(path, schema=self.schema) for path in self._parts()]
         table = (
             pa.concat_tables(tables).sort_by("run").replace_schema_metadata(self.schema.metadata)
@@ -86,11 +89,12 @@ class Results:
         for path in self._parts():
             try:
                 yield from parquet.read_table(path, columns=["run"]).column(0).to_pylist()
-            except (OSError, pa.ArrowException):  # a disk that lost it: its runs are repeated
+            except (OSError, pa.ArrowException):  # damaged file: its runs are repeated
                 with suppress(OSError):
                     path.unlink()
 
-    def _refuse_another(self) -> None:
+    def _check_plan(self) -> None:
+        """Write the plan to an empty directory, or compare it with the stored plan."""
         path, content = self.directory / PLAN, self.plan.content
         try:
             found = json.loads(path.read_text(encoding="utf-8"))
@@ -98,7 +102,7 @@ class Results:
         except FileNotFoundError:
             if self._parts():
                 raise ScenarioError(
-                    f"{self.directory} holds results of a sweep without its {PLAN}; give another --out"
+                    f"{self.directory} has results of a sweep, but no {PLAN}; choose another --out"
                 ) from None
             about = {
                 "title": self.plan.sweep.title,
@@ -111,7 +115,7 @@ class Results:
             return
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise ScenarioError(
-                f"{path} is no plan of a sweep ({type(error).__name__}: {error}); give another --out"
+                f"{path} is not a plan of a sweep ({type(error).__name__}: {error}); choose another --out"
             ) from error
         different = [
             key
@@ -120,12 +124,12 @@ class Results:
         ]
         if different:
             raise ScenarioError(
-                f"{self.directory} holds another sweep ({title!r}; {' and '.join(different)} differ): give another --out, or remove it"
+                f"{self.directory} has results of another sweep ({title!r}; {' and '.join(different)} differ); choose another --out, or remove it"
             )
 
 
 def schema(plan: Plan) -> pa.Schema:
-    """Columns of a row, with units as records have them."""
+    """Return the schema of the results, with units in the same metadata as in records."""
     fields: list[tuple[str, pa.DataType, str]] = [
         ("run", pa.int64(), ""),
         ("design", pa.int64(), ""),
@@ -169,7 +173,7 @@ def shown(value: Any) -> str:
 
 
 def per_case(table: pa.Table) -> Sequence[Mapping[str, Any]]:
-    """Of every case: `case`, `runs`, and how many of them are stable, diverged, failed, and too short to be judged."""
+    """Count the runs of each case: total, stable, diverged, failed, and unjudged (too short)."""
     found = []
     for case in dict.fromkeys(table.column("case").to_pylist()):
         rows = table.filter(compute.equal(table.column("case"), case))
@@ -189,7 +193,7 @@ def per_case(table: pa.Table) -> Sequence[Mapping[str, Any]]:
 
 
 def frequent_failure(table: pa.Table) -> str | None:
-    """The cause that most failed runs have."""
+    """Return the most frequent cause of failed runs, or None."""
     causes = [
         cause
         for cause, failed in zip(

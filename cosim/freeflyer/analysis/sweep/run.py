@@ -1,4 +1,7 @@
-"""A sweep: all runs of a plan that are not finished yet, in small batches on Dask, each batch kept as soon as it is there."""
+"""Sweep execution: compute the unfinished runs of a plan in small batches on Dask.
+
+The results of each batch are written as soon as they arrive.
+"""
 
 from __future__ import annotations
 
@@ -20,28 +23,34 @@ from freeflyer.foundation.interrupts import interrupts
 from freeflyer.scenario.metrics import versions
 
 BATCH = 1.0
-"""A batch takes about this long [s]: long beside what a task costs, short beside what an interrupt may lose."""
+"""Target duration of a batch [s]: long against the overhead of a task, but short, because an
+interrupt discards unfinished batches.
+"""
 LARGEST_BATCH = 200
 AHEAD = 3
-"""Batches that are with the scheduler at a time, for each of its threads: none waits for us, and its memory stays flat."""
-LOOK = 0.02
-"""Time between two looks at what is finished [s]."""
-LOOK_AT_THREADS = 5.0
-"""Time between two counts of a scheduler's threads, which come and go [s]."""
+"""Submitted batches per thread: enough to keep all threads busy, few enough to bound memory."""
+POLL_INTERVAL = 0.02
+"""Time between two polls for finished batches [s]."""
+THREAD_COUNT_INTERVAL = 5.0
+"""Time between two counts of the threads, which change when workers join or leave [s]."""
 
 Progress = Callable[[int], None]
+"""Called with the number of finished runs."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ended:
-    """How a call of `run` ended."""
+    """Outcome of `run`; `computed` is the number of runs that it computed."""
 
     interrupted: bool
     computed: int
 
 
 def run(plan: Plan, results: Results, client: Client, progress: Progress) -> Ended:
-    """Compute what `results` has not yet. Ctrl-C ends it between two batches. Raises ScenarioError, OutputError."""
+    """Compute the runs that `results` lacks. Ctrl-C stops between two batches.
+
+    Raises ScenarioError if the scheduler or a worker fails, and OutputError.
+    """
     return _Work(plan, results, client, progress).run()
 
 
@@ -52,10 +61,9 @@ class _Work:
         self.total = len(self.pending)
         self.computed = self.sent = 0
         self.suspects: deque[int] = deque()
-        """Runs whose worker died: each is tried once more, alone, so that none is blamed for its neighbour."""
-        self.seconds: float | None = (
-            None  # of a run, smoothed; unknown at first, so that the first batches are single runs
-        )
+        """Runs whose worker died. Each is repeated alone, to find the run that kills workers."""
+        self.seconds: float | None = None
+        """Smoothed duration of a run [s]. Unknown at first: then a batch is a single run."""
         self.batches: dict[Future, list[int]] = {}
         self.finished = as_completed(loop=client.loop)
         self.version = versions()["freeflyer-cosim"]
@@ -69,28 +77,27 @@ class _Work:
                     self._submit()
                     for future in self.finished.next_batch(block=False):
                         self._take(future)
-                    time.sleep(LOOK)
+                    time.sleep(POLL_INTERVAL)
                 for future in self.batches:
                     future.cancel()
-            except OSError as error:  # also what distributed raises for a connection that is gone
+            except OSError as error:  # distributed's CommClosedError is an OSError
                 raise _lost() from error
         return Ended(interrupted=bool(interrupted), computed=self.computed)
 
     def _submit(self) -> None:
         while self.pending and len(self.batches) < AHEAD * self.threads:
-            left = math.ceil(
-                len(self.pending) / (2 * self.threads)
-            )  # towards the end all have something to do
-            wished = int(BATCH / self.seconds) if self.seconds else 1
-            size = max(1, min(wished, LARGEST_BATCH, left))
+            # Smaller batches towards the end keep all threads busy.
+            share = math.ceil(len(self.pending) / (2 * self.threads))
+            target = int(BATCH / self.seconds) if self.seconds else 1
+            size = max(1, min(target, LARGEST_BATCH, share))
             self._send([self.pending.popleft() for _ in range(min(size, len(self.pending)))])
         if self.suspects and not self.batches:
             self._send([self.suspects.popleft()])
 
     def _send(self, numbers: list[int]) -> None:
         runs = [self.plan.run(number) for number in numbers]
-        # The set-up goes along with each batch: it is 5 kB, and nothing on a worker that could be lost with it.
-        # One name for all tasks: the scheduler then hands them out one by one, as threads become free.
+        # Send the setup (5 kB) with each batch, so that workers need no state that can be lost.
+        # With a common key prefix the scheduler assigns tasks one by one to free threads.
         self.sent += 1
         future = self.client.submit(
             run_batch, self.plan.setup, self.version, runs, key=(self.name, self.sent)
@@ -104,17 +111,17 @@ class _Work:
             raise _lost()
         error = future.exception() if future.status == "error" else None
         if isinstance(error, WorkerRefused):
-            raise ScenarioError(f"a worker cannot take part: {error}")
+            raise ScenarioError(f"a worker cannot compute this sweep: {error}")
         if isinstance(error, KilledWorker):
-            self._blame(numbers, error)
+            self._handle_killed(numbers, error)
             return
         if error is not None:
-            # Not a run's own failure, which is a row: the worker could not even begin.
+            # The worker failed before its first run: the failure of a run is a row, not an error.
             self._keep(
                 [
                     {
                         "run": number,
-                        **failure(f"its worker failed: {type(error).__name__}: {error}"),
+                        **failure(f"the worker failed: {type(error).__name__}: {error}"),
                     }
                     for number in numbers
                 ]
@@ -125,12 +132,13 @@ class _Work:
         self.seconds = mean if self.seconds is None else 0.7 * self.seconds + 0.3 * mean
         self._keep(rows)
 
-    def _blame(self, numbers: Sequence[int], error: KilledWorker) -> None:
+    def _handle_killed(self, numbers: Sequence[int], error: KilledWorker) -> None:
+        """Mark a run as failed if it was alone on the workers, else repeat the runs alone."""
         alone = len(numbers) == 1 and not self.batches and not self.pending
         if not alone:
             self.suspects.extend(numbers)
             return
-        cause = f"its worker died each of {error.allowed_failures + 1} times that it was tried, the last time alone"
+        cause = f"its worker died in each of {error.allowed_failures + 1} attempts, also when the run was alone"
         self._keep([{"run": numbers[0], **failure(cause)}])
 
     def _keep(self, rows: list[dict[str, object]]) -> None:
@@ -141,14 +149,14 @@ class _Work:
     @property
     def threads(self) -> int:
         now = time.monotonic()
-        if now - self._counted > LOOK_AT_THREADS:
+        if now - self._counted > THREAD_COUNT_INTERVAL:
             self._threads, self._counted = max(1, sum(self.client.nthreads().values())), now
         return self._threads
 
 
 def _lost() -> ScenarioError:
     error = ScenarioError(
-        "the scheduler does not answer any more; what was finished is kept, and the same command goes on from there"
+        "the scheduler does not answer any more; finished runs are kept, and the same command goes on from there"
     )
     error.exit_code = STOPPED
     return error

@@ -1,4 +1,4 @@
-"""What a worker does with a few runs of a sweep: run them one after the other, and give a row for each."""
+"""Worker side of a sweep: compute the runs of a batch in order, one row of results per run."""
 
 from __future__ import annotations
 
@@ -21,16 +21,20 @@ from freeflyer.scenario.experiment import Result
 
 Row = dict[str, Any]
 _one_at_a_time = threading.Lock()
-"""FMUs are loaded from their own folders, and a process has one working directory: threads of a worker would be in each other's way."""
+"""Serialises a worker's threads: loading an FMU changes the working directory of the process."""
 _checked: list[Mapping[str, str]] = []
+"""File hashes of the plans that this worker has checked."""
 
 
 class WorkerRefused(ScenarioError):
-    """A worker that would compute something else than the command's own machine."""
+    """The worker's package or files differ from those of the sweep."""
 
 
 def run_batch(setup: Setup, version: str, runs: Sequence[Run]) -> list[Row]:
-    """Rows of finished runs, in order. Whatever goes wrong in a run is its row; WorkerRefused if this worker cannot take part."""
+    """Compute `runs` and return their rows in order; the row of a failed run has the cause.
+
+    Raises WorkerRefused if this worker's package is not `version` or its files differ.
+    """
     with _one_at_a_time:
         _check_worker(setup, version)
         with _folders_kept():
@@ -38,22 +42,21 @@ def run_batch(setup: Setup, version: str, runs: Sequence[Run]) -> list[Row]:
 
 
 def row(setup: Setup, run: Run) -> Row:
-    begin = time.perf_counter()
+    """Compute one run and return its row, also if the run fails."""
+    start = time.perf_counter()
     try:
-        scenario = replace(
-            setup.scenario(run.case, run.assignments), record_signals=()
-        )  # what is measured, and no more
+        # Record only the signals that the results need.
+        scenario = replace(setup.scenario(run.case, run.assignments), record_signals=())
         found = measured(experiment.run(scenario, fmi=setup.fmi))
-    except (
-        Exception
-    ) as error:  # a refused value, memory, or anything that a component of others raises
-        said = str(error) if isinstance(error, CosimError) else f"{type(error).__name__}: {error}"
-        found = failure(" ".join(said.split()))
-    return {"run": run.number, **found, "run_s": time.perf_counter() - begin}
+    # A rejected value, lack of memory, or any exception of a third-party component.
+    except Exception as error:
+        cause = str(error) if isinstance(error, CosimError) else f"{type(error).__name__}: {error}"
+        found = failure(" ".join(cause.split()))
+    return {"run": run.number, **found, "run_s": time.perf_counter() - start}
 
 
 def measured(result: Result) -> Row:
-    """A run's results as columns: what summary.json has, the errors before their last window, and the verdict."""
+    """Return a run's results: values of summary.json, earlier maxima of the errors, the verdict."""
     summary, record = result.summary, result.outcome.record
     before = {
         name: verdict.earlier(record.time, error, result.outcome.simulated)
@@ -73,11 +76,12 @@ def measured(result: Result) -> Row:
 
 
 def failure(cause: str) -> Row:
+    """Return the columns of a failed run."""
     return {"stable": False, "diverged": False, "failed": True, "cause": cause}
 
 
 def _folders_kept() -> AbstractContextManager[None]:
-    """Folders of unpacked FMUs go from run to run, and away with the worker; the function may also be called without one."""
+    """Keep unpacked FMUs in the worker's local folder; outside a worker, keep none."""
     try:
         return unpacked.kept_in(Path(get_worker().local_directory))
     except ValueError:
@@ -85,11 +89,11 @@ def _folders_kept() -> AbstractContextManager[None]:
 
 
 def _check_worker(setup: Setup, version: str) -> None:
-    """Refuse another version of this package, and files that are not those of the plan; once for each plan."""
+    """Raise WorkerRefused if the package version or a file differs. Checks once per plan."""
     here = metrics.versions()["freeflyer-cosim"]
     if here != version:
         raise WorkerRefused(
-            f"it has freeflyer-cosim {here}, and {version} is expected: install the same version there"
+            f"it has freeflyer-cosim {here}, and {version} is expected; install the same version there"
         )
     if setup.files in _checked:
         return
@@ -99,6 +103,6 @@ def _check_worker(setup: Setup, version: str) -> None:
     other = [name for name, digest in setup.files.items() if found.get(name) != digest]
     if other:
         raise WorkerRefused(
-            f"its file of component {other[0]} is not that of the sweep: install the same build there"
+            f"its file of component {other[0]} is not that of the sweep; install the same build there"
         )
     _checked.append(setup.files)

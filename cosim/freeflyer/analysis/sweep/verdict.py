@@ -1,8 +1,10 @@
-"""Whether a run is called stable: one published rule, because "stable" is what a map of many runs shows.
+"""Verdict on a run: the rule by which a sweep calls a run stable.
 
-A run that ends in finite time shows no limit. What it shows is whether errors still grow: whether the last 10 s are worse than
-everything since the first 10 s. The shipped references have a period of 10 s and begin within 5 s, so that the last window holds one whole period
-of what drives the errors, and the first one what comes of the beginning. docs/sweeps.md says how the constants were found.
+A finite run cannot show convergence, only whether errors still grow. A run is stable if the
+errors of its last 10 s are not larger than before. The first 10 s are left out.
+The shipped references have a period of 10 s and start within 5 s. The last window therefore has
+one whole period of the excitation, and the first one has the transient of the start.
+docs/sweeps.md explains the choice of the constants.
 """
 
 from __future__ import annotations
@@ -14,27 +16,35 @@ from freeflyer.fmi.component import Array
 from freeflyer.scenario import metrics
 
 WINDOW = metrics.LAST
-"""At the begin of a run, which is left out, and at its end [s]."""
+"""Length of the windows at the start and at the end of a run [s]."""
 GROWTH = 1.05
-"""Errors may be this much larger in the last window than ever before."""
+"""Allowed ratio of the maximum error in the last window to the maximum before it."""
 FLOORS = {"m": 3e-3, "deg": 0.1}
-"""Smaller errors may grow: a quarter of the paper's residual 12 mm of the base, and a tenth of its smallest 1.1 deg."""
+"""Growth of smaller errors is ignored [m, deg]: a quarter of the paper's residual base error of
+12 mm, and a tenth of its smallest orientation error of 1.1 deg.
+"""
 EARLIER = "earlier"
 LAST = f"last_{WINDOW:g}_s"
 
 
 def criterion() -> dict[str, Any]:
-    """The rule's constants, to stand beside the results."""
+    """Return the constants of the rule, for the results' metadata."""
     return {"window_s": WINDOW, "growth": GROWTH, "floors": FLOORS}
 
 
 def earlier(time: Array, error: Array, end: float) -> float | None:
-    """An error's maximum after the first window and before the last; None where nothing is in between."""
+    """Return the maximum of an error (n) between the first and the last window, or None.
+
+    `time` (n) and `end` are in s.
+    """
     return metrics.finite_maximum(error[(time >= WINDOW) & (time < end - WINDOW)])
 
 
 def stable(summary: Mapping[str, Any], before: Mapping[str, float | None]) -> bool | None:
-    """The verdict on a run by its summary.json and `earlier` of each error; None for a run that is too short to tell."""
+    """Return the verdict on a run, or None if the run is too short.
+
+    `summary` is the content of summary.json; `before` maps each error to its `earlier` maximum.
+    """
     if summary["diverged"] or summary["failed"]:
         return False
     if summary["simulated_s"] < 3.0 * WINDOW:
