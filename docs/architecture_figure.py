@@ -1,4 +1,4 @@
-"""Draw docs/figures/architecture.svg: packages in their layers, with their modules, from the sources.
+"""Draw docs/figures/architecture.svg from the sources: packages, layers and modules.
 
 Usage: python docs/architecture_figure.py > docs/figures/architecture.svg
 """
@@ -30,7 +30,7 @@ def layers(package: str) -> list[list[str]]:
 
 
 def modules(package: str, name: str) -> list[str]:
-    """Return the modules of a subpackage; those of an inner package as `inner.module`."""
+    """Return the modules of a subpackage; `inner.module` for modules of an inner package."""
     folder = ROOT / SOURCES[package] / package / name
     if not folder.is_dir():
         return []
@@ -39,7 +39,7 @@ def modules(package: str, name: str) -> list[str]:
 
 
 def boxes(package: str) -> Iterator[tuple[int, str, list[str]]]:
-    """Yield (layer, name, lines of modules)."""
+    """Yield (layer, name of the subpackage, lines with its modules)."""
     for level, names in enumerate(layers(package)):
         for name in names:
             text = ", ".join(modules(package, name))
@@ -47,7 +47,7 @@ def boxes(package: str) -> Iterator[tuple[int, str, list[str]]]:
 
 
 def column(package: str, left: int, top: int) -> tuple[list[str], int]:
-    """Return the SVG elements of a package, and where they end."""
+    """Return the SVG elements of a package and the y coordinate of their end."""
     shapes = [f'<text x="{left}" y="{top}" class="title">{escape(TITLES[package])}</text>']
     y, before = top + 12, -1
     for level, name, lines in boxes(package):
@@ -75,7 +75,7 @@ def figure() -> str:
         bottom = max(bottom, end)
     width, height = GAP + len(SOURCES) * (WIDTH + GAP), bottom + 44
     note = (
-        "A package imports packages below it in its column. Adapters also import freeflyer; "
+        "A subpackage imports only subpackages below it in its column. Adapters also import freeflyer; "
         "freeflyer_fmus imports freeflyer.foundation only."
     )
     shapes.append(f'<text x="{GAP}" y="{bottom + 26}">{note}</text>')

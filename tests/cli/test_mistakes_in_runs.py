@@ -61,7 +61,7 @@ def scenario_file(directory: Path, text: str, base: str | None = "multirate_pass
         ("free_flyer.base_mass=-3", "base_mass is -3; more than 0 is expected"),
         ("free_flyer.base_orientation=[0,0,0,0]", "squared norm of base_orientation is 0"),
         ("nonsense", "COMPONENT.PARAMETER=VALUE is expected"),
-        ("base_controller.period='=base_controller.period'", "refers back to itself"),
+        ("base_controller.period='=base_controller.period'", "refers to itself"),
     ],
 )
 def test_an_invalid_override_is_rejected(
@@ -235,7 +235,7 @@ def test_an_invalid_scenario_file_is_rejected(
         ),
         (
             "[components.extra]\nkind='python'\nobject='builtins:str'\nstep_s=0.001\n",
-            "gave a str; a component is expected",
+            "returned a str; a component is expected",
         ),
     ],
 )

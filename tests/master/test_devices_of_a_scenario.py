@@ -1,4 +1,4 @@
-"""The table [devices] of a scenario: inherited values, replacement of a component, errors."""
+"""Tests of the table [devices]: merged and replaced keys, overrides, and invalid tables."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def loaded(folder: Path, text: str, *overrides: str) -> scenario.Scenario:
     return scenario.load(str(path), overrides)
 
 
-def test_devices_do_not_change_a_run_in_simulation() -> None:
+def test_devices_do_not_change_the_components() -> None:
     chosen = scenario.load("facility")
     assert {spec.name for spec in chosen.devices} == {"arm_drive", "base_robot"}
     assert {spec.kind for spec in chosen.components} == {"fmu"}
@@ -38,7 +38,7 @@ def test_keys_of_a_device_are_merged_unless_its_kind_changes(tmp_path: Path) -> 
     assert (arm.kind, dict(arm.options), dict(arm.parameters)) == ("simulated", {}, {})
 
 
-def test_a_device_inherits_the_step_of_its_component(tmp_path: Path) -> None:
+def test_the_default_step_of_a_device_is_that_of_its_component(tmp_path: Path) -> None:
     (arm,) = (
         s
         for s in loaded(tmp_path, '[devices.arm_drive]\nkind = "other"').devices
@@ -47,7 +47,7 @@ def test_a_device_inherits_the_step_of_its_component(tmp_path: Path) -> None:
     assert arm.step == SECOND // 1000
 
 
-def test_command_line_settings_apply_to_devices_and_facility(tmp_path: Path) -> None:
+def test_overrides_change_devices_and_facility(tmp_path: Path) -> None:
     chosen = loaded(
         tmp_path,
         "",
@@ -70,7 +70,7 @@ def test_command_line_settings_apply_to_devices_and_facility(tmp_path: Path) -> 
         ("", ("devices=3",), "devices.NAME.KEY=VALUE"),
         ("", ("devices.arm_drive=3",), "devices.NAME.KEY=VALUE is expected"),
         ("", ("devices.arm_drive.=3",), "is expected"),
-        ("", ("devices.arm_drive.channel.x=3",), "'channel' is no table"),
+        ("", ("devices.arm_drive.channel.x=3",), "'channel' is not a table"),
         ("", ("facility=3",), "facility.KEY=VALUE is expected"),
         ('[[limits]]\nsignal = "satellite.base_velocity"\nmaximum = 1\nfor_s = -1', (), "for_s"),
         (
@@ -80,7 +80,7 @@ def test_command_line_settings_apply_to_devices_and_facility(tmp_path: Path) -> 
         ),
     ],
 )
-def test_an_invalid_devices_table_is_rejected(
+def test_invalid_tables_are_rejected(
     tmp_path: Path, text: str, overrides: tuple[str, ...], sentence: str
 ) -> None:
     with pytest.raises(ScenarioError, match=sentence):

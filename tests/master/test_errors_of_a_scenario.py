@@ -1,4 +1,4 @@
-"""The table [errors]: what is measured, under which name, and its mistakes."""
+"""Tests of the table [errors]: names and kinds of errors, and invalid tables."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def loaded(folder: Path, text: str) -> scenario.Scenario:
     return scenario.load(str(path))
 
 
-def test_an_error_of_any_name_has_a_declared_kind(tmp_path: Path) -> None:
+def test_an_error_with_a_declared_kind_has_any_name(tmp_path: Path) -> None:
     chosen = loaded(tmp_path, f'tilt = {{ {SIGNALS}, kind = "orientation" }}')
     found = experiment.run(chosen).summary
     assert found["tilt_error_deg"] == found["base_orientation_error_deg"]
@@ -38,7 +38,7 @@ def test_an_error_of_any_name_has_a_declared_kind(tmp_path: Path) -> None:
         "base_position = [1, 2]",
     ],
 )
-def test_mistakes_in_errors(tmp_path: Path, text: str) -> None:
+def test_invalid_errors_are_rejected(tmp_path: Path, text: str) -> None:
     with pytest.raises(
         ScenarioError, match=r"errors\.\w+: \[actual, desired\] signals are expected"
     ):

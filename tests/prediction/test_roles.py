@@ -1,4 +1,4 @@
-"""A plant whose variables have other names is predicted once `[roles]` declares them."""
+"""Tests of `[roles]`: the prediction of a plant with renamed variables."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ROLES = "\n".join(f'{role} = "chaser.{name}"' for role, name in NAMES.items())
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """`chaser.fmu`: the shipped plant with other names of variables."""
+    """Return a folder with `chaser.fmu`, the shipped plant with renamed variables."""
     made = tmp_path_factory.mktemp("roles")
     with (
         zipfile.ZipFile(directory() / "fmi2" / "free_flyer.fmu") as plant,
@@ -41,7 +41,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def chosen(folder: Path, roles: str) -> scenario.Scenario:
-    """The shipped scenario with `chaser` in the place of `free_flyer`."""
+    """Return the shipped scenario with `chaser` instead of `free_flyer`."""
     text = (scenario.SHIPPED / "_free_flyer_loop.toml").read_text()
     for old, new in NAMES.items():
         text = text.replace(f"free_flyer.{old}", f"chaser.{new}")
@@ -53,12 +53,12 @@ def chosen(folder: Path, roles: str) -> scenario.Scenario:
 
 
 def test_the_prediction_does_not_depend_on_the_names_of_variables(folder: Path) -> None:
-    own, shipped = predict(chosen(folder, ROLES)), predict(scenario.load("multirate_unstable"))
-    assert own.largest_stable_s == shipped.largest_stable_s
-    assert own.own.growth_rate == shipped.own.growth_rate
-    assert own.limit is not None
+    renamed, shipped = predict(chosen(folder, ROLES)), predict(scenario.load("multirate_unstable"))
+    assert renamed.largest_stable_s == shipped.largest_stable_s
+    assert renamed.own.growth_rate == shipped.own.growth_rate
+    assert renamed.limit is not None
     assert shipped.limit is not None
-    assert own.limit.description() == shipped.limit.description()
+    assert renamed.limit.description() == shipped.limit.description()
 
 
 @pytest.mark.parametrize(
@@ -68,7 +68,7 @@ def test_the_prediction_does_not_depend_on_the_names_of_variables(folder: Path) 
         ("base_velocity", r'no variable \'base_velocity\'; .*base_velocity = "chaser.VARIABLE"'),
     ],
 )
-def test_a_role_that_is_missing_is_named(folder: Path, left_out: str, expected: str) -> None:
+def test_the_error_names_a_missing_role(folder: Path, left_out: str, expected: str) -> None:
     roles = "\n".join(line for line in ROLES.splitlines() if not line.startswith(left_out))
     with pytest.raises(CosimError, match=expected):
         predict(chosen(folder, roles))
@@ -84,6 +84,6 @@ def test_a_role_that_is_missing_is_named(folder: Path, left_out: str, expected: 
         ('orientations = ["a", 1]', r"a list of COMPONENT.VARIABLE is expected"),
     ],
 )
-def test_mistakes_in_roles(folder: Path, roles: str, expected: str) -> None:
+def test_invalid_roles_are_rejected(folder: Path, roles: str, expected: str) -> None:
     with pytest.raises(CosimError, match=expected):
         predict(chosen(folder, roles))

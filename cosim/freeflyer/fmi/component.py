@@ -1,4 +1,4 @@
-"""What the master steps: the protocol that FMUs, Python objects and devices share."""
+"""Components that the master steps: the protocol of FMUs, Python components and devices."""
 
 from __future__ import annotations
 
@@ -17,12 +17,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Port:
-    """A variable as the graph sees it.
+    """A variable of a component.
 
-    `units` has one entry per element, None where none is declared. `settable` is true for parameters and for start values
-    of states. Only `real` ports can be connected and recorded. `direct` names the inputs that an output depends on at the same
-    instant; `sampled` outputs are computed at the begin of a step even if they depend on none. `choices` are an enumeration's
-    names.
+    `units` has one entry per element, or None where no unit is declared. `settable` is true for
+    parameters and for start values of states. `choices` are the names of an enumeration. Only
+    `real` ports can be connected and recorded. `direct` names the inputs that an output depends on
+    at the same instant. `sampled` outputs are computed at the start of a step, even if they depend
+    on no inputs.
     """
 
     name: str
@@ -61,58 +62,72 @@ class Port:
 
     @property
     def prompt(self) -> bool:
-        """Whether the value of an instant is there only after the component's step that begins at that instant."""
+        """Whether the output at an instant is computed by the step that starts at this instant."""
         return bool(self.direct) or self.sampled
 
 
 class Component(Protocol):
-    """One slave. Calls come in this order: enter_initialization, input writers, exit_initialization, output readers; then
-    for every step the input writers, `step`, and the output readers; at last `close`, which may come at any time.
+    """A component that the master steps. The master calls it in this order:
+
+    1. `enter_initialization`, input writers, `exit_initialization`, output readers;
+    2. for every step: input writers, `step`, output readers;
+    3. `close`, which is allowed at any time.
     """
 
     name: str
     variable_step: bool
-    """Whether a step may be shorter than the others (the last one of a run)."""
+    """Whether the last step may be shorter than the others."""
 
     @property
     def ports(self) -> Mapping[str, Port]: ...
 
     def enter_initialization(self, start: float, values: Mapping[str, Array]) -> None:
-        """Set parameters and start values [SI]; ComponentError if one is refused."""
+        """Set parameters and start values [SI] at the time `start` [s].
+
+        Raises ComponentError if a value is rejected.
+        """
 
     def exit_initialization(self) -> None:
-        """ComponentError if the component cannot start from its values."""
+        """Compute the outputs at the start.
+
+        Raises ComponentError if the component cannot start from its values.
+        """
 
     def bind_inputs(self, names: Sequence[str], buffer: Array) -> Callable[[], None]:
-        """A function that hands the buffer's current contents (the named inputs, one after the other) to the component."""
+        """Return a function that writes `buffer` to the named inputs.
+
+        `buffer` is one-dimensional and holds the inputs in the order of `names`.
+        """
 
     def bind_outputs(self, names: Sequence[str], buffer: Array) -> Callable[[], None]:
-        """A function that reads the named outputs into the buffer."""
+        """Return a function that reads the named outputs into `buffer`, in the order of `names`."""
 
     def step(self, time: float, size: float) -> None:
-        """From `time` to `time + size` [s]; StepFailed if that cannot be done."""
+        """Step from `time` to `time + size` [s]. Raises StepFailed."""
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        """Release all resources."""
 
 
-class _InPlace(dict[str, Array]):
-    """Arrays that stay where they are: assigning to a name copies into its array, because the master holds on to it."""
+class _FixedArrays(dict[str, Array]):
+    """Arrays with fixed memory, which the master refers to: assignment copies into the array."""
 
     def __setitem__(self, name: str, value: Array) -> None:
         self[name][:] = value
 
 
 def memory(ports: Iterable[Port]) -> dict[str, Array]:
-    """Allocate one array for each port, filled with its start value or zeros."""
+    """Return one array per port by name, filled with the start value or zeros."""
     starts = ((port.name, port.start or (0.0,) * port.size) for port in ports)
-    return _InPlace((name, np.array(start, dtype=float)) for name, start in starts)
+    return _FixedArrays((name, np.array(start, dtype=float)) for name, start in starts)
 
 
 class PythonComponent:
-    """A component written in Python: declare ports, then override `advance`.
+    """Base class of components in Python: declare ports, then override `advance`.
 
-    `values` holds every variable as an array under its name. Outputs whose ports are `direct` or `sampled` belong to the begin
-    of a step (a controller's), the others to its end (a plant's).
+    `values` holds every variable as an array by its name. Outputs with `direct` or `sampled` ports,
+    as of a controller, are those at the start of a step. Other outputs, as of a plant, are those at
+    its end.
     """
 
     variable_step = True
@@ -120,7 +135,10 @@ class PythonComponent:
     def __init__(
         self, name: str, ports: Sequence[Port], values: dict[str, Array] | None = None
     ) -> None:
-        """`values`: the `memory` of these ports, if it exists already."""
+        """Allocate the variables, unless `values` is the `memory` of these ports.
+
+        Raises ComponentError if a unit is unknown.
+        """
         self.name = name
         self._ports = {port.name: port for port in ports}
         for port in ports:
@@ -136,11 +154,11 @@ class PythonComponent:
         return self._ports
 
     def advance(self, time: float, size: float) -> None:
-        """Compute the outputs into `self.values`."""
+        """Compute the outputs in `self.values` for the step from `time` to `time + size` [s]."""
         raise NotImplementedError
 
     def initialise(self, start: float) -> None:
-        """Compute the outputs at the start; parameters and inputs are in `self.values`."""
+        """Compute the outputs in `self.values` at the time `start` [s]."""
 
     def enter_initialization(self, start: float, values: Mapping[str, Array]) -> None:
         self._start = start

@@ -1,8 +1,8 @@
-"""Components and connections: everything checked before anything moves, and the order of the components at an instant.
+"""The graph of components and connections: checks, and the execution order at an instant.
 
-A component's output that depends directly on its inputs, or is sampled, must be computed before anybody uses it at the same
-instant (a controller's); an output that is neither (a plant's) is there already. A connection declared delayed carries the
-value from before the instant and orders nothing.
+An output of a controller depends directly on its inputs, or is sampled. It must be computed before
+other components use it at the same instant. An output of a plant is available from its last step.
+A delayed connection carries the value from before the instant and imposes no order.
 """
 
 from __future__ import annotations
@@ -19,15 +19,19 @@ from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer.foundation.units import same
 
 Exchange = Literal["sequential", "parallel"]
-"""Sequential (Gauss-Seidel): a controller's output is used at the instant of its sample. Parallel (Jacobi): everybody steps with
-what all had at the end of their last steps, so that a controller's output reaches the others one step of its own late.
+"""The coupling scheme of the components.
+
+Sequential (Gauss-Seidel): other components use a controller's output at the instant of its sample.
+Parallel (Jacobi): every component steps with the outputs at the end of the last steps, so that a
+controller's output reaches the other components one controller step later.
 """
 
 
 @dataclass(frozen=True, kw_only=True)
 class Connection:
-    """`source` and `target` are COMPONENT.VARIABLE; of terminals, which stand for all connections between their members, they
-    are COMPONENT.TERMINAL.
+    """A connection from an output to an input, both COMPONENT.VARIABLE.
+
+    With `of_terminals` both ends are COMPONENT.TERMINAL, and all matching members are connected.
     """
 
     source: str
@@ -35,7 +39,7 @@ class Connection:
     delayed: bool = False
     of_terminals: bool = False
     optional: bool = False
-    """Left out where the source component has no such variable."""
+    """The connection is omitted if its source does not exist."""
 
     def __str__(self) -> str:
         return f"{self.source} {'<->' if self.of_terminals else '->'} {self.target}"
@@ -43,8 +47,10 @@ class Connection:
 
 @dataclass(frozen=True, kw_only=True)
 class Graph:
-    """Checked. `first` holds the components to be stepped one after the other at an instant, `then` those to be stepped
-    together after them, with inputs taken before any of them moves.
+    """Checked components and connections with their execution order.
+
+    At an instant the master steps the components of `first` one after the other. It then writes the
+    inputs of all components of `then`, and steps these together.
     """
 
     components: Mapping[str, Component]
@@ -53,6 +59,7 @@ class Graph:
     then: tuple[str, ...]
 
     def inputs_of(self, component: str) -> list[Connection]:
+        """Return the connections to the inputs of a component."""
         return [
             connection
             for connection in self.connections
@@ -61,12 +68,16 @@ class Graph:
 
 
 def has_source(components: Mapping[str, Component], connection: Connection) -> bool:
+    """Return whether the source of a connection exists."""
     component, variable = split(connection.source)
     return component in components and variable in components[component].ports
 
 
 def port(components: Mapping[str, Component], signal: str, subject: str) -> Port:
-    """The port that COMPONENT.VARIABLE names; GraphError, with the nearest name, if there is none."""
+    """Return the port of COMPONENT.VARIABLE.
+
+    Raises GraphError, with the prefix `subject` and a suggestion, if there is none.
+    """
     component, variable = split(signal)
     if component not in components:
         raise GraphError(
@@ -83,13 +94,15 @@ def port(components: Mapping[str, Component], signal: str, subject: str) -> Port
 def expand(
     components: Mapping[str, Component], connections: Sequence[Connection]
 ) -> list[Connection]:
-    """Connections of terminals -> those of their members: output to input, where both terminals have the member. GraphError if
-    there is no such terminal, or nothing that fits.
+    """Replace connections of terminals by connections of their members.
+
+    A member that is an output in one terminal is connected to the input of the same name in the
+    other. Raises GraphError if a terminal does not exist, or if no members match.
     """
     single = [connection for connection in connections if not connection.of_terminals]
     given = {(connection.source, connection.target, connection.delayed) for connection in single}
     for connection in connections:
-        if connection.of_terminals:  # what is there already, one by one, is the same wire
+        if connection.of_terminals:  # members that are also connected one by one are not repeated
             members = _members(components, connection)
             single += [m for m in members if (m.source, m.target, m.delayed) not in given]
     return single
@@ -132,11 +145,11 @@ def build(
     samples: Mapping[str, bool] | None = None,
     exchange: Exchange = "sequential",
 ) -> Graph:
-    """Check every connection and find the order. Raises GraphError with one sentence.
+    """Check all connections and determine the execution order. Raises GraphError.
 
-    `samples` overrides, component by component, what their descriptions say of their outputs: True, they belong to the begin
-    of a step; False, to its end. In `parallel` exchange all outputs belong to the end of a step, so that there is no order and
-    nothing left to delay.
+    `samples` overrides the model descriptions by component. True: the outputs are those at the
+    start of a step. False: at its end. In `parallel` exchange all outputs are those at the end of a
+    step. There is then no order, and `delayed` has no effect.
     """
     connections = expand(components, connections)
     driven: dict[str, Connection] = {}
@@ -182,7 +195,10 @@ def _order(
     connections: Sequence[Connection],
     samples: Mapping[str, bool],
 ) -> tuple[str, ...]:
-    """Components whose outputs in use belong to the begin of a step, each after those whose outputs it uses."""
+    """Return the components that compute their used outputs at the start of a step.
+
+    Each follows the components whose outputs it uses. Raises GraphError for an algebraic loop.
+    """
     used: dict[str, set[str]] = {name: set() for name in components}
     for connection in connections:
         source, variable = split(connection.source)
@@ -193,7 +209,7 @@ def _order(
         if _is_early(name, component, used[name], samples.get(name))
     }
     sorter: TopologicalSorter[str] = TopologicalSorter()
-    for name in components:  # those that wait for nobody come in the scenario's order
+    for name in components:  # independent components keep the order of the scenario
         sorter.add(name)
     for connection in connections:
         (source, _), (target, _) = split(connection.source), split(connection.target)
@@ -202,16 +218,20 @@ def _order(
     try:
         ordered = list(sorter.static_order())
     except CycleError as error:
-        # graphlib lists the loop against the flow of data.
+        # graphlib lists the loop against the direction of the data.
         loop = " -> ".join(reversed(error.args[1]))
         raise GraphError(
-            f"algebraic loop: {loop}: each needs the other's output of the same instant; declare one of the connections delayed"
+            f"algebraic loop: {loop}: each component needs an output of another one at the same instant; declare one of the connections delayed"
         ) from error
     return tuple(name for name in ordered if name in early)
 
 
 def _is_early(name: str, component: Component, used: set[str], samples: bool | None) -> bool:
-    """A component whose outputs nobody uses (a monitor) counts by what it has; one with both kinds in use must be declared."""
+    """Return whether a component computes its used outputs at the start of a step.
+
+    If no outputs are used, as for a monitor, all outputs count. Raises GraphError if outputs of
+    both kinds are used and `samples` is not declared.
+    """
     if samples is not None:
         return samples
     outputs = [
@@ -224,6 +244,6 @@ def _is_early(name: str, component: Component, used: set[str], samples: bool | N
     if prompt and settled and used:
         raise GraphError(
             f"component {name}: its output {prompt[0]} depends directly on its inputs and its output {settled[0]} does not, and "
-            f"both are in use; declare samples = true (its outputs belong to the begin of a step) or false (to its end)"
+            f"both are in use; declare samples = true (outputs at the start of a step) or false (at its end)"
         )
     return bool(prompt)

@@ -1,4 +1,7 @@
-"""The paper's figures from records: same quantities, axes and units as its captions, in a column's width for print."""
+"""Draw the figures of the paper from records, with its quantities, axes and units.
+
+The figures have the width of one or two columns in print.
+"""
 
 from __future__ import annotations
 
@@ -18,16 +21,20 @@ YPR = (r"$\psi$ (yaw)", r"$\theta$ (pitch)", r"$\phi$ (roll)")
 
 
 def orientation_error_angles(actual: Array, desired: Array) -> Array:
-    """Yaw, pitch, roll (rows, 3) [deg] of the rotation from desired to actual, both quaternions [x, y, z, w] in I."""
+    """Return yaw, pitch, roll (rows, 3) [deg] of the rotation from desired to actual orientation.
+
+    Both are quaternions [x, y, z, w] (rows, 4) in I.
+    """
     relative = Rotation.from_quat(actual) * Rotation.from_quat(desired).inv()
     return np.asarray(relative.as_euler("ZYX", degrees=True))
 
 
 def panel(axes: Any, time: Array, values: Array, names: Sequence[str], label: str) -> None:
+    """Draw the columns of `values` (rows, n) over `time` [s]; `label` is that of the y axis."""
     for column, name, line in zip(values.T, names, LINES, strict=True):
         axes.plot(time, column, label=name, **line)
     axes.set_ylabel(label)
-    # Above the axes, so that it hides nothing.
+    # The legend is above the axes, where it hides no line.
     axes.legend(
         loc="lower right",
         bbox_to_anchor=(1.0, 0.97),
@@ -41,7 +48,10 @@ def panel(axes: Any, time: Array, values: Array, names: Sequence[str], label: st
 def two_by_two(
     time: Array, rows: Sequence[tuple[str, Sequence[tuple[Array, Sequence[str], str]]]]
 ) -> Any:
-    """Two rows (manipulator, base), two columns (translation, rotation)."""
+    """Draw two rows (for example manipulator, base) and two columns (translation, rotation).
+
+    `rows` holds for each row its title and, for each column, (values (n, 3), names, label).
+    """
     figure, grid = plt.subplots(2, 2, figsize=(7.0, 3.9), sharex=True)
     for axes_row, (title, panels) in zip(grid, rows, strict=True):
         for axes, (values, names, label) in zip(axes_row, panels, strict=True):
@@ -53,7 +63,10 @@ def two_by_two(
 
 
 def overview(cases: Sequence[tuple[str, Array, Mapping[str, Array]]]) -> Any:
-    """Errors of hand and base over time, one line a case: (label, time, errors under their names in summary.json)."""
+    """Draw the errors of end-effector and base over time, with one line per case.
+
+    A case is (label, time [s], errors by their names in summary.json).
+    """
     figure, grid = plt.subplots(1, 2, figsize=(7.0, 2.6), sharex=True)
     quantities = (
         ("end_effector_position_error_m", "end-effector position error [m]"),
@@ -72,7 +85,7 @@ def overview(cases: Sequence[tuple[str, Array, Mapping[str, Array]]]) -> Any:
 
 
 def trajectory(record: Record) -> Any:
-    """Fig. 2: desired position x and orientation theta of the end-effector."""
+    """Draw Fig. 2: desired position x and orientation theta of the end-effector."""
     figure, (top, bottom) = plt.subplots(2, 1, figsize=(3.5, 3.0), sharex=True)
     time = record.time
     position = record["reference_trajectory.position"]
@@ -90,23 +103,26 @@ def trajectory(record: Record) -> Any:
 
 
 def errors(record: Record, plant: str = "free_flyer") -> Any:
-    """Figs. 3, 4, 10: tracking error of the end-effector (top), error of the base (bottom); position and orientation."""
-    hand = (f"{plant}.end_effector_position", f"{plant}.end_effector_orientation")
+    """Draw Figs. 3, 4, 10: errors of the end-effector (top) and the base (bottom).
+
+    Each has position (left) and orientation (right). The set point of the base is the origin of I.
+    """
+    actual = (f"{plant}.end_effector_position", f"{plant}.end_effector_orientation")
     if plant == "free_flyer":
         desired = ("reference_trajectory.position", "reference_trajectory.orientation")
     else:
         desired = (f"{plant}.desired_position", f"{plant}.desired_orientation")
     base = record[f"{plant}.base_orientation"]
-    held = np.broadcast_to([0.0, 0.0, 0.0, 1.0], base.shape)
+    setpoint = np.broadcast_to([0.0, 0.0, 0.0, 1.0], base.shape)
     return two_by_two(
         record.time,
         [
             (
                 "end-effector",
                 [
-                    (record[hand[0]] - record[desired[0]], XYZ, r"$\Delta p_m$ [m]"),
+                    (record[actual[0]] - record[desired[0]], XYZ, r"$\Delta p_m$ [m]"),
                     (
-                        orientation_error_angles(record[hand[1]], record[desired[1]]),
+                        orientation_error_angles(record[actual[1]], record[desired[1]]),
                         YPR,
                         r"$\Delta\Phi_m$ [deg]",
                     ),
@@ -116,7 +132,7 @@ def errors(record: Record, plant: str = "free_flyer") -> Any:
                 "base",
                 [
                     (record[f"{plant}.base_position"], XYZ, r"$\Delta p_b$ [m]"),
-                    (orientation_error_angles(base, held), YPR, r"$\Delta\Phi_b$ [deg]"),
+                    (orientation_error_angles(base, setpoint), YPR, r"$\Delta\Phi_b$ [deg]"),
                 ],
             ),
         ],
@@ -143,7 +159,10 @@ def _both(
 
 
 def energies(record: Record) -> Any:
-    """Figs. 7, 9: energy observers of manipulator (top) and base (bottom), E(0) included; degree of freedom by degree of freedom."""
+    """Draw Figs. 7, 9: energy observers of manipulator (top) and base (bottom).
+
+    There is one line per degree of freedom. The energies include E(0).
+    """
     return _both(
         record,
         "manipulator_controller.manipulator_observed_energy",
@@ -154,7 +173,7 @@ def energies(record: Record) -> Any:
 
 
 def facility_manipulator(record: Record) -> Any:
-    """Fig. 11: tracking error of the end-effector (top), force F'_m of the manipulator (bottom)."""
+    """Draw Fig. 11: tracking error of the end-effector (top), wrench F'_m (bottom)."""
     position = (
         record["hand_kinematics.end_effector_position"] - record["reference_trajectory.position"]
     )
@@ -166,7 +185,10 @@ def facility_manipulator(record: Record) -> Any:
 
 
 def facility_base(record: Record) -> Any:
-    """Fig. 12: regulation error of the base (top), force F'_b on the base (bottom). The base starts at its set point."""
+    """Draw Fig. 12: regulation error of the base (top), wrench F'_b (bottom).
+
+    The base starts at its set point.
+    """
     position, orientation = (
         record["base_robot.base_position"],
         record["base_robot.base_orientation"],
@@ -195,7 +217,7 @@ def _error_and_force(
 
 
 def corrections(record: Record) -> Any:
-    """Fig. 8: the passivity controllers' forces and torques at the manipulator (top) and the base (bottom)."""
+    """Draw Fig. 8: wrenches of the passivity controllers, manipulator (top) and base (bottom)."""
     return _both(
         record,
         "manipulator_controller.passivity_wrench",

@@ -1,4 +1,7 @@
-"""Scenario -> components -> a master that is ready to run. Component kinds and FMU directories come by entry point."""
+"""Load the components of a scenario and build the master.
+
+Component kinds and FMU directories are entry points.
+"""
 
 from __future__ import annotations
 
@@ -27,15 +30,19 @@ Factory = Callable[[str, Mapping[str, Any], Path], Component]
 
 
 def find_fmu(name: str, options: Mapping[str, Any], directory: Path) -> Path:
-    """`fmu` in options is a path (relative to the scenario), or the name of a shipped FMU (default: the component's name)."""
-    _known_options(name, options, ("fmu", "fmi"))
+    """Return the path of a component's FMU. Raises ComponentError if there is none.
+
+    `options["fmu"]` is a path relative to `directory`, or the name of a shipped FMU. The default
+    is the name of the component. `options["fmi"]` is 2 (default) or 3.
+    """
+    _check_options(name, options, ("fmu", "fmi"))
     fmu, version = str(options.get("fmu", name)), options.get("fmi", 2)
     if version not in (2, 3):
         raise ComponentError(f"component {name}: fmi is {version!r}; 2 or 3 is expected")
     if fmu.endswith(".fmu"):
         return directory / fmu
     known: list[str] = []
-    # Ours first: a package of others that is broken does not keep a shipped FMU from being found.
+    # The shipped FMUs come first, so that a broken third-party package cannot hide them.
     for point in sorted(
         plugins("freeflyer.fmus").values(), key=lambda point: point.name != "default"
     ):
@@ -49,7 +56,7 @@ def find_fmu(name: str, options: Mapping[str, Any], directory: Path) -> Path:
     )
 
 
-def _known_options(name: str, options: Mapping[str, Any], known: tuple[str, ...]) -> None:
+def _check_options(name: str, options: Mapping[str, Any], known: tuple[str, ...]) -> None:
     for key in options:
         if key not in known:
             raise ComponentError(
@@ -62,16 +69,19 @@ def fmu_component(name: str, options: Mapping[str, Any], directory: Path) -> Com
 
 
 def model_exchange_component(name: str, options: Mapping[str, Any], directory: Path) -> Component:
-    from freeflyer.fmi.model_exchange import (
-        ModelExchangeComponent,
-    )  # SciPy's integrators are for these alone
+    # Imported here because only this kind needs SciPy's integrators.
+    from freeflyer.fmi.model_exchange import ModelExchangeComponent
 
     return ModelExchangeComponent(name, find_fmu(name, options, directory))
 
 
 def python_component(name: str, options: Mapping[str, Any], directory: Path) -> Component:
-    """`object` is FILE.py:CALLABLE (relative to the scenario) or MODULE:CALLABLE; it is called with the component's name."""
-    _known_options(name, options, ("object",))
+    """Call `options["object"]` with the component's name and return the component that it returns.
+
+    `object` is MODULE:CALLABLE, or FILE.py:CALLABLE with a file relative to `directory`.
+    Raises ComponentError.
+    """
+    _check_options(name, options, ("object",))
     where, colon, attribute = str(options.get("object", "")).partition(":")
     if not colon:
         raise ComponentError(
@@ -90,18 +100,22 @@ def python_component(name: str, options: Mapping[str, Any], directory: Path) -> 
         made: Component = getattr(module, attribute)(name)
     except CosimError:
         raise
-    except (Exception, SystemExit) as error:  # a user's file may fail in any way
+    except (Exception, SystemExit) as error:  # user code can raise anything
         raise ComponentError(
             f"component {name}: {where}:{attribute} cannot be used: {type(error).__name__}: {error}{renamed(error)}"
         ) from error
     if not hasattr(made, "ports") or not hasattr(made, "step"):
         raise ComponentError(
-            f"component {name}: {where}:{attribute} gave a {type(made).__name__}; a component is expected"
+            f"component {name}: {where}:{attribute} returned a {type(made).__name__}; a component is expected"
         )
     return made
 
 
 def make(spec: ComponentSpec, directory: Path, fmi: int | None) -> Component:
+    """Return the component of a specification. Raises ComponentError.
+
+    `directory` is the folder of the scenario. `fmi`, if given, overrides the FMI version.
+    """
     points = plugins("freeflyer.components")
     if spec.kind not in points:
         raise ComponentError(
@@ -115,15 +129,15 @@ def make(spec: ComponentSpec, directory: Path, fmi: int | None) -> Component:
         return factory(spec.name, options, directory)
     except CosimError:
         raise
-    except Exception as error:  # a component kind of another package has errors of its own
+    except Exception as error:  # kinds of third-party packages can raise anything
         text = " ".join(str(error).split())
         raise ComponentError(
             text if text.startswith("component ") else f"component {spec.name}: {text}"
         ) from error
 
 
-def _refuse_driven(wiring: graph.Graph, values: Values) -> None:
-    """A value for an input that a connection drives would be lost without a word."""
+def _check_inputs(wiring: graph.Graph, values: Values) -> None:
+    """Raise ScenarioError if an input has both a value and a connection."""
     for connection in wiring.connections:
         component, variable = split(connection.target)
         if variable in values.get(component, {}):
@@ -140,7 +154,7 @@ def check_roles(scenario: Scenario, components: Mapping[str, Component]) -> None
 
 
 def _recorded(scenario: Scenario, components: Mapping[str, Component]) -> Callable[[str], bool]:
-    """Which signals are recorded; ScenarioError for a pattern that fits none."""
+    """Return a predicate for recorded signals. Raises ScenarioError if a pattern matches none."""
     outputs = {
         f"{name}.{port.name}"
         for name, component in components.items()
@@ -157,7 +171,7 @@ def _recorded(scenario: Scenario, components: Mapping[str, Component]) -> Callab
         found = fnmatch.filter(outputs, pattern)
         if not found:
             raise ScenarioError(
-                f"[record] signals: no output fits {pattern!r}{did_you_mean(pattern, outputs)}"
+                f"[record] signals: no output matches {pattern!r}{did_you_mean(pattern, outputs)}"
             )
         chosen |= set(found)
     return chosen.__contains__
@@ -165,7 +179,7 @@ def _recorded(scenario: Scenario, components: Mapping[str, Component]) -> Callab
 
 @dataclass(frozen=True, kw_only=True)
 class System:
-    """A scenario with its components loaded and everything checked, before anything is initialised. `steps` in ns."""
+    """A scenario with loaded components, checked but not initialised. `steps` are in ns."""
 
     components: Mapping[str, Component]
     values: Values
@@ -175,7 +189,10 @@ class System:
 
 @contextmanager
 def loaded(scenario: Scenario, fmi: int | None = None) -> Iterator[System]:
-    """Components are closed at the end. Raises CosimError."""
+    """Load and check a scenario; close its components at the end. Raises CosimError.
+
+    `fmi`, if given, overrides the FMI version of all FMUs.
+    """
     components: dict[str, Component] = {}
     try:
         for spec in scenario.components:
@@ -190,21 +207,23 @@ def loaded(scenario: Scenario, fmi: int | None = None) -> Iterator[System]:
             if not connection.optional or graph.has_source(components, connection)
         ]
         wiring = graph.build(components, connections, samples, scenario.exchange)
-        _refuse_driven(wiring, values)
+        _check_inputs(wiring, values)
         check_roles(scenario, components)
         steps = parameters.steps(scenario, components, values)
         yield System(components=components, values=values, steps=steps, wiring=wiring)
     finally:
         for component in components.values():
-            with suppress(
-                Exception
-            ):  # one that cannot be closed must not keep the others, or the results, from theirs
+            # An error of one component must not prevent closing the others or lose the results.
+            with suppress(Exception):
                 component.close()
 
 
 @contextmanager
 def assembled(scenario: Scenario, fmi: int | None = None) -> Iterator[tuple[Master, Values]]:
-    """A master with everything loaded, checked and initialised; components are closed at the end. Raises CosimError."""
+    """Load a scenario and initialise its master; close the components at the end.
+
+    `fmi`, if given, overrides the FMI version of all FMUs. Raises CosimError.
+    """
     with loaded(scenario, fmi) as system:
         variable_step = {
             name: component.variable_step for name, component in system.components.items()

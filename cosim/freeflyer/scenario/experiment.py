@@ -1,4 +1,4 @@
-"""One scenario, from file to results on disk."""
+"""Run one scenario and write its results."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from freeflyer.scenario.scenario import Scenario
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """`errors` are time series (rows of the record) under their names in summary.json."""
+    """Results of a run. `errors` are time series (rows,) by their names in summary.json."""
 
     scenario: Scenario
     outcome: Outcome
@@ -37,13 +37,17 @@ class Result:
 
     @property
     def as_expected(self) -> bool:
+        """Whether the run completed or diverged, as the scenario expects."""
         return not (self.outcome.interrupted or self.outcome.failed) and self.outcome.diverged == (
             self.scenario.expect == "diverges"
         )
 
 
 Engine = Literal["core", "python"]
-"""Who executes the schedule: C (see cosim/freeflyer/master/native.py), or Python through FMPy; with the same numbers."""
+"""The engine that executes the schedule: C (`freeflyer.master.native`), or Python with FMPy.
+
+Both give the same numbers.
+"""
 
 
 def run(
@@ -53,10 +57,15 @@ def run(
     progress: Report | None = None,
     engine: Engine = "core",
 ) -> Result:
-    """Load, check, simulate, measure. Raises CosimError before the run; afterwards everything is in the result."""
+    """Load, check and simulate a scenario, and compute its errors and summary.
+
+    `fmi`, if given, overrides the FMI version of all FMUs. `progress` receives the simulated time.
+    Raises CosimError for errors before the first step. The result contains later errors.
+    """
     with assembled(scenario, fmi) as (master, values):
         metrics.check(scenario, master.graph.components)
-        with interrupts():  # what was simulated is measured too, whenever a Ctrl-C comes
+        # Until the summary is complete, Ctrl-C ends the simulation but does not lose its results.
+        with interrupts():
             outcome = native.run(master, progress) if engine == "core" else master.run(progress)
             outcome.record.provenance = provenance(scenario, master, values)
             series = metrics.errors(scenario, outcome.record, master.graph.components, values)
@@ -65,7 +74,10 @@ def run(
 
 
 def provenance(scenario: Scenario, master: Master, values: Values) -> Provenance:
-    """What the master's record comes from: parameters as they were given, or as the components have them by default."""
+    """Return the origin of the record of `master`: steps [ns], connections and parameters.
+
+    Parameters that are not in `values` have their start values.
+    """
     components, schedule = master.graph.components, master.schedule
     return Provenance(
         scenario=scenario.name,
@@ -84,7 +96,7 @@ def provenance(scenario: Scenario, master: Master, values: Values) -> Provenance
 
 
 def _plain(port: Port, value: Array) -> Any:
-    """A parameter's value as JSON has it."""
+    """Return the value of a parameter as a JSON type; for an enumeration, its name."""
     if port.choices and value.size == 1 and 1 <= value[0] <= len(port.choices):
         return port.choices[int(value[0]) - 1]
     if port.boolean:
@@ -93,15 +105,18 @@ def _plain(port: Port, value: Array) -> Any:
 
 
 def write(result: Result, directory: Path) -> None:
-    """record.parquet and summary.json, each whole or not at all. Raises OutputError."""
-    with interrupts():  # a Ctrl-C that comes now waits until both are whole
+    """Write record.parquet and summary.json, each atomically. Raises OutputError."""
+    with interrupts():  # Ctrl-C does not prevent the second file
         result.outcome.record.write(directory / "record.parquet")
         write_text(directory / "summary.json", json.dumps(result.summary, indent=2) + "\n")
 
 
 @contextmanager
 def progress_bar(console: Console, scenarios: Sequence[Scenario]) -> Iterator[dict[str, Report]]:
-    """A bar per scenario, with the simulated time; shown only where somebody watches."""
+    """Show a progress bar of simulated time per scenario, if `console` is a terminal.
+
+    Yields the progress functions (argument: simulated time [s]) by scenario name.
+    """
     columns = (
         TextColumn("{task.description}", markup=False),
         BarColumn(),

@@ -1,4 +1,4 @@
-"""What a run amounts to: errors, observed energies, and summary.json."""
+"""Metrics of a run: errors, observed energies, and the content of summary.json."""
 
 from __future__ import annotations
 
@@ -20,19 +20,20 @@ from freeflyer.scenario.parameters import Values, current
 from freeflyer.scenario.scenario import Scenario
 
 LAST = 10.0
-"""Errors are also given as the maximum over the last 10 s of a run."""
+"""Length of the window at the end of a run [s] for the second maximum of each error."""
 
 
 def position_error(actual: Array, desired: Array) -> Array:
-    """Euclidean distance (rows) [m]."""
+    """Return the Euclidean distances (rows,) [m] between positions (rows, 3) [m]."""
     return np.asarray(np.linalg.norm(actual - desired, axis=1))
 
 
 def orientation_error(actual: Array, desired: Array) -> Array:
-    """Angle (rows) [deg] between quaternions [x, y, z, w]."""
+    """Return the angles (rows,) [deg] between quaternions [x, y, z, w] (rows, 4)."""
     actual = actual / np.linalg.norm(actual, axis=1, keepdims=True)
     desired = desired / np.linalg.norm(desired, axis=1, keepdims=True)
-    # By the chord between the two, the shorter way round: exact near zero, where a scalar product has lost all digits.
+    # The chord is accurate for small angles, where the scalar product loses all digits.
+    # q and -q are the same orientation; the sign of `desired` is chosen for the smaller angle.
     nearer = desired * np.where(np.sum(actual * desired, axis=1, keepdims=True) < 0.0, -1.0, 1.0)
     return np.asarray(np.degrees(4.0 * np.arcsin(0.5 * np.linalg.norm(actual - nearer, axis=1))))
 
@@ -43,7 +44,10 @@ ERRORS = {"position": position_error, "orientation": orientation_error}
 def signal_or_parameter(
     signal: str, record: Record, components: Mapping[str, Component], values: Values
 ) -> Array:
-    """(rows, size) of a recorded output, or a parameter repeated for every row."""
+    """Return a recorded output (rows, size), or a parameter repeated for every row.
+
+    Raises GraphError if there is neither.
+    """
     if signal in record:
         return np.atleast_2d(record[signal].T).T
     port(components, signal, "errors")
@@ -52,7 +56,10 @@ def signal_or_parameter(
 
 
 def check(scenario: Scenario, components: Mapping[str, Component]) -> None:
-    """What will be measured exists and fits, known before the run rather than after it. Raises CosimError."""
+    """Check before the run that all signals of the metrics exist and have the right size.
+
+    Raises CosimError.
+    """
     for name, measure in scenario.errors.items():
         actual, desired = (
             port(components, signal, f"errors.{name}")
@@ -74,7 +81,7 @@ def check(scenario: Scenario, components: Mapping[str, Component]) -> None:
 def errors(
     scenario: Scenario, record: Record, components: Mapping[str, Component], values: Values
 ) -> dict[str, Array]:
-    """Every error of the scenario over time, under its name in summary.json."""
+    """Return every error of the scenario over time (rows,) by its name in summary.json."""
     series = {}
     for name, measure in scenario.errors.items():
         actual, desired = (
@@ -86,7 +93,10 @@ def errors(
 
 
 def summary(scenario: Scenario, outcome: Outcome, series: Mapping[str, Array]) -> dict[str, Any]:
-    """The contract of summary.json. Values that are not finite are left out of the extremes, so that every number is one."""
+    """Return the content of summary.json.
+
+    Extremes ignore values that are not finite, because JSON cannot represent them.
+    """
     time = outcome.record.time
     last = time >= outcome.simulated - LAST
     energies = {}
@@ -112,18 +122,20 @@ def summary(scenario: Scenario, outcome: Outcome, series: Mapping[str, Array]) -
 
 
 def finite_maximum(values: Array) -> float | None:
-    """None where nothing is finite: no number stands for that."""
+    """Return the largest finite value, or None if no value is finite."""
     finite = values[np.isfinite(values)]
     return float(finite.max()) if finite.size else None
 
 
 def finite_minimum(values: Array) -> float | None:
+    """Return the smallest finite value, or None if no value is finite."""
     highest = finite_maximum(-values)
     return None if highest is None else -highest
 
 
 @functools.cache
 def versions() -> Mapping[str, str]:
+    """Return the versions of Python, the platform and the packages that affect the results."""
     found = {"python": platform.python_version(), "platform": platform.platform(terse=True)}
     for package in ("freeflyer-cosim", "fmpy", "casadi", "numpy", "scipy", "ziglang"):
         try:

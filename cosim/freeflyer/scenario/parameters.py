@@ -1,4 +1,4 @@
-"""What a scenario gives to its components: values checked against the ports, units converted, references followed."""
+"""Resolve the parameters of a scenario: check values, convert units, follow references."""
 
 from __future__ import annotations
 
@@ -19,10 +19,13 @@ Values = dict[str, dict[str, Array]]
 
 
 def resolve(scenario: Scenario, components: Mapping[str, Component]) -> Values:
-    """Start values of every component [SI]: its own parameters, and those of [robot] wherever a component has one.
+    """Return the values [SI] that the scenario sets, by component and variable.
 
-    Raises ScenarioError for an unknown name, unit or choice, a wrong size, or a value that is not finite.
+    A value of [robot] applies to all components that have a parameter of this name. A value set for
+    one component overrides it. Raises ScenarioError if a name, unit or choice is unknown, if the
+    size is wrong, or if a value is not finite.
     """
+    # All raw values come first, because a value can refer to any other component.
     raw: dict[str, dict[str, Any]] = {}
     used: set[str] = set()
     for spec in scenario.components:
@@ -34,6 +37,8 @@ def resolve(scenario: Scenario, components: Mapping[str, Component]) -> Values:
         }
         used |= set(common)
         raw[spec.name] = {**common, **spec.parameters}
+
+    # An unused key of [robot] is an error, since it is probably misspelled.
     for name in scenario.robot:
         if name not in used:
             every = {
@@ -45,6 +50,7 @@ def resolve(scenario: Scenario, components: Mapping[str, Component]) -> Values:
             raise ScenarioError(
                 f"[robot]: no component has a parameter {name!r}{did_you_mean(name, every)}"
             )
+
     return {
         spec.name: {
             name: _value(raw, components, spec.name, name, value, ())
@@ -57,7 +63,10 @@ def resolve(scenario: Scenario, components: Mapping[str, Component]) -> Values:
 def steps(
     scenario: Scenario, components: Mapping[str, Component], values: Values
 ) -> dict[str, int]:
-    """Communication steps in ns; "=PARAMETER" takes the component's own parameter."""
+    """Return the communication steps [ns]; for "=PARAMETER", the value of this parameter.
+
+    Raises ScenarioError if there is no such parameter.
+    """
     return {
         spec.name: _step(spec, components[spec.name], values[spec.name])
         for spec in scenario.components
@@ -80,7 +89,7 @@ def _step(spec: ComponentSpec, component: Component, values: Mapping[str, Array]
 def current(
     components: Mapping[str, Component], values: Values, component: str, parameter: str
 ) -> Array:
-    """The value a parameter will have: the given one, or the start value of its port."""
+    """Return the value [SI] of a parameter in `values`, or else the start value of its port."""
     if parameter in values.get(component, {}):
         return values[component][parameter]
     start = components[component].ports[parameter].start
@@ -95,6 +104,11 @@ def _value(
     value: Any,
     seen: tuple[str, ...],
 ) -> Array:
+    """Return a value as an array (port.size,) [SI].
+
+    `raw` holds all values for references. `seen` holds the references followed so far.
+    """
+    # The names may come from a reference, so they are checked here too.
     subject = f"{component}.{name}"
     if component not in components:
         raise ScenarioError(
@@ -105,13 +119,17 @@ def _value(
         raise ScenarioError(
             f"component {component!r} has no parameter {name!r}{did_you_mean(name, [n for n, p in ports.items() if p.settable])}"
         )
+
+    # Inputs can be set too; assembly rejects the value if a connection drives the input.
     port = ports[name]
     if not port.settable and port.causality != "input":
         raise ScenarioError(f"{subject} cannot be set: it is a computed {port.causality}")
+
+    # A reference is resolved to the value of the other parameter, or else to its start value.
     if isinstance(value, str) and value.startswith("="):
         if subject in seen:
             raise ScenarioError(
-                f"{subject}: its value refers back to itself, by way of {' -> '.join(seen)}"
+                f"{subject}: its value refers to itself through {' -> '.join(seen)}"
             )
         other, parameter = split(value[1:])
         given = raw.get(other, {}).get(parameter)
@@ -121,9 +139,9 @@ def _value(
         result = _sized(
             _value(raw, components, other, parameter, given, (*seen, subject)), port, subject
         )
-        for there, here in zip(components[other].ports[parameter].units, port.units, strict=False):
-            if not same(there, here):
-                raise ScenarioError(f"{subject} = {value!r}: units differ: {here} and {there}")
+        for theirs, ours in zip(components[other].ports[parameter].units, port.units, strict=False):
+            if not same(theirs, ours):
+                raise ScenarioError(f"{subject} = {value!r}: units differ: {ours} and {theirs}")
         return result
     return _sized(_numbers(value, port, subject), port, subject)
 

@@ -1,4 +1,4 @@
-"""A scenario's tables before they are checked: what `extends` merges, and what `--set` changes."""
+"""Unchecked tables of a scenario: merging by `extends` and overrides by `--set`."""
 
 from __future__ import annotations
 
@@ -14,15 +14,19 @@ Raw = dict[str, Any]
 
 
 def merged(base: Raw, change: Raw) -> Raw:
-    """A file's tables over those of the scenario that it extends. `without` names components that it leaves out, with their
-    connections.
+    """Merge the tables `change` of a file into the tables `base` of the scenario that it extends.
+
+    `change["without"]` lists components that are removed with their devices and connections.
+    Raises ScenarioError if one of them does not exist.
     """
     change = dict(change)
-    result = _left_out(base, change.pop("without", []))
+    result = _without_components(base, change.pop("without", []))
     for key in ("connections", "delayed"):
-        # A connection replaces the one that drove the same input; the others stay.
+        # A new connection replaces the connection to the same input. Other connections remain.
         if isinstance(result.get(key), list):
-            result[key] = [kept for text in result[key] for kept in _without(text, _driven(change))]
+            result[key] = [
+                kept for text in result[key] for kept in _without_targets(text, _driven(change))
+            ]
     for key, value in change.items():
         if (
             key in ("connections", "delayed")
@@ -32,7 +36,7 @@ def merged(base: Raw, change: Raw) -> Raw:
             result[key] = [*result[key], *value]
             continue
         if key == "devices" and isinstance(value, dict) and isinstance(result.get(key), dict):
-            # A device of another kind has nothing in common with the one it replaces, but its place in the order.
+            # A device of another kind takes no keys from the device that it replaces.
             kept = {
                 name: {} if _other_kind(table, value.get(name)) else table
                 for name, table in result[key].items()
@@ -54,11 +58,11 @@ def _other_kind(table: object, change: object) -> bool:
     )
 
 
-def _left_out(base: Raw, names: Any) -> Raw:
+def _without_components(base: Raw, names: Any) -> Raw:
     known = base.get("components", {})
     known = known if isinstance(known, dict) else {}
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise ScenarioError(f"without is {names!r}; a list of components' names is expected")
+        raise ScenarioError(f"without is {names!r}; a list of component names is expected")
     for name in names:
         if name not in known:
             raise ScenarioError(
@@ -70,28 +74,28 @@ def _left_out(base: Raw, names: Any) -> Raw:
             result[key] = {name: table for name, table in base[key].items() if name not in names}
     for key in ("connections", "delayed"):
         if isinstance(base.get(key), list):
-            result[key] = [left for text in base[key] for left in _apart_from(str(text), names)]
+            result[key] = [kept for text in base[key] for kept in _disconnected(str(text), names)]
     return result
 
 
-def _apart_from(text: str, names: Sequence[str]) -> list[str]:
-    """Return a connection's text without what comes from the components in `names` or goes to them."""
+def _disconnected(text: str, names: Sequence[str]) -> list[str]:
+    """Return a connection's text without the components in `names`; empty if nothing remains."""
     source, arrow, targets = split_connection(text)
     left = [target for target in targets if component_of(target) not in names]
     return _joined(source, arrow, left if component_of(source) not in names else [])
 
 
 def _driven(raw: Raw) -> set[str]:
-    """Return the inputs that a file's own connections drive."""
+    """Return the inputs that the connections of a file drive."""
     lists = (raw.get(key) for key in ("connections", "delayed"))
     texts = [str(text) for texts in lists if isinstance(texts, list) for text in texts]
     return {target for t in texts if "<->" not in t for target in split_connection(t)[2]}
 
 
-def _without(text: object, driven: set[str]) -> list[str]:
-    """Return a connection's text without the targets in `driven`; none if nothing is left."""
+def _without_targets(text: object, driven: set[str]) -> list[str]:
+    """Return a connection's text without the targets in `driven`; empty if nothing remains."""
     if "<->" in str(text):
-        return [str(text)]  # the inputs of a terminal are known once the FMUs are read
+        return [str(text)]  # the inputs of a terminal are unknown until the FMUs are loaded
     source, arrow, targets = split_connection(str(text))
     return _joined(source, arrow, [target for target in targets if target not in driven])
 
@@ -101,13 +105,19 @@ def _joined(source: str, arrow: str, targets: Sequence[str]) -> list[str]:
 
 
 def override(raw: Raw, text: str) -> None:
-    """COMPONENT.PARAMETER=VALUE; VALUE as in TOML, or a bare word, or a number with a unit ("300 ms")."""
+    """Apply an override COMPONENT.PARAMETER=VALUE to `raw`. Raises ScenarioError.
+
+    VALUE is TOML, an unquoted string, or a number with a unit ("300 ms").
+    """
     target, equals, value = text.partition("=")
     assign(raw, target.strip(), parse_value(value.strip()) if equals else None, f"--set {text}")
 
 
 def assign(raw: Raw, target: str, value: Any, where: str) -> None:
-    """Give a target of `--set` its value; None is none. `where` begins what is said of a mistake."""
+    """Set `target` of `--set` to `value`; None if the value is missing.
+
+    `where` is the prefix of error messages. Raises ScenarioError.
+    """
     component, parameter = split(target)
     components = _inner(raw, "components", where)
     if value is not None and component in ("devices", "facility", "record"):
@@ -137,12 +147,12 @@ def assign(raw: Raw, target: str, value: Any, where: str) -> None:
 def _inner(table: Raw, key: str, where: str) -> Raw:
     found = table.setdefault(key, {})
     if not isinstance(found, dict):
-        raise ScenarioError(f"{where}: {key!r} is no table, so that nothing can be set in it")
+        raise ScenarioError(f"{where}: {key!r} is not a table; its keys cannot be set")
     return found
 
 
 def _assign_in_table(raw: Raw, where: str, keys: Sequence[str], value: Any) -> None:
-    """devices.NAME.KEY, facility.KEY and so on; a key may have further parts."""
+    """Set a key of a table, for example devices.NAME.KEY or facility.KEY; KEY may be dotted."""
     devices = raw.get("devices", {})
     if keys[0] == "devices" and (
         len(keys) < 3 or not isinstance(devices, dict) or keys[1] not in devices
@@ -158,6 +168,7 @@ def _assign_in_table(raw: Raw, where: str, keys: Sequence[str], value: Any) -> N
 
 
 def parse_value(text: str) -> Any:
+    """Return the value of an override: TOML, a table for "NUMBER UNIT", or else the text."""
     try:
         return toml_file.parsed(f"value = {text}")["value"]
     except ValueError:

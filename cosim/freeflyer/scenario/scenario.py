@@ -1,8 +1,9 @@
-"""TOML -> a frozen `Scenario`. Every mistake is one sentence that names the file, the key and what was expected.
+"""Read a scenario (TOML) into a frozen `Scenario`.
 
-A scenario may `extends` another (shipped name or path); tables are merged, everything else is replaced. A value of a
-parameter is a number, a list, a name of an enumeration, a Boolean, `{ value = ..., unit = "deg" }`, or "=COMPONENT.PARAMETER",
-which takes over what another component has.
+A scenario may extend another one: `extends` is a shipped name or a path. Tables are merged, and
+all other values are replaced. The value of a parameter is a number, a list, a Boolean, a name of
+an enumeration, `{ value = ..., unit = "deg" }`, or "=COMPONENT.PARAMETER" (a reference).
+An error is one sentence with the file, the key, the value and what is expected.
 """
 
 from __future__ import annotations
@@ -32,12 +33,15 @@ SHIPPED = Path(__file__).parent.parent / "paper" / "scenarios"
 BARE_KEY = re.compile(r"[A-Za-z0-9_-]+", re.ASCII)
 Kind = Literal["position", "orientation"]
 Step = int | str
-"""Nanoseconds, or "=PARAMETER" (of the same component, in seconds)."""
+"""A communication step [ns], or "=PARAMETER" for a parameter [s] of the same component."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ComponentSpec:
-    """`kind` is an entry point of the group freeflyer.components; `options` are the keys that belong to it."""
+    """A component of a scenario. `kind` is an entry point of the group freeflyer.components.
+
+    `options` are the keys of this kind.
+    """
 
     name: str
     kind: str
@@ -45,14 +49,17 @@ class ComponentSpec:
     parameters: Mapping[str, Any] = field(default_factory=dict)
     options: Mapping[str, Any] = field(default_factory=dict)
     samples: bool | None = None
-    """Whether the outputs belong to the begin of a step (True) or its end (False); None: as its description says."""
+    """True: the outputs are those at the start of a step. False: at its end.
+
+    None: the model description decides.
+    """
 
 
 @dataclass(frozen=True, kw_only=True)
 class Measure:
-    """An error: the actual signal and the desired one (an output, or a parameter).
+    """An error between an actual and a desired signal (outputs or parameters).
 
-    Positions (3) are compared by their distance [m], orientations (4) by their angle [deg].
+    The error is the distance [m] of positions (3,), or the angle [deg] between orientations (4,).
     """
 
     actual: str
@@ -66,6 +73,8 @@ class Measure:
 
 @dataclass(frozen=True, kw_only=True)
 class Scenario:
+    """A checked scenario. `stop` and `record_every` are in ns."""
+
     name: str
     title: str
     paper: str
@@ -73,37 +82,44 @@ class Scenario:
     stop: int
     record_every: int
     record_signals: tuple[str, ...]
-    """Patterns of COMPONENT.VARIABLE; what `errors` and `observed_energy` need is recorded in any case."""
+    """Patterns of COMPONENT.VARIABLE; the signals of errors and observed energies are added."""
     expect: Literal["completes", "diverges"]
     exchange: Exchange
     robot: Mapping[str, Any]
     components: tuple[ComponentSpec, ...]
     devices: tuple[ComponentSpec, ...]
-    """What takes the place of the components of the same names when hardware, real or virtual, is in the loop."""
+    """Each replaces the component of the same name when real or virtual hardware is in the loop."""
     facility: Mapping[str, Any]
-    """How the virtual facility behaves; whoever plays it knows the keys."""
+    """Settings of the virtual facility, which checks the keys."""
     connections: tuple[Connection, ...]
     limits: tuple[Limit, ...]
     errors: Mapping[str, Measure]
     observed_energy: Mapping[str, str]
     roles: SignalRoles
     source: str
-    """The merged scenario, for the report."""
+    """The merged scenario as TOML, for the report."""
 
 
 def shipped() -> list[str]:
+    """Return the names of the shipped scenarios, sorted."""
     return sorted(path.stem for path in SHIPPED.glob("*.toml") if not path.stem.startswith("_"))
 
 
 def load(name: str, overrides: Sequence[str] = ()) -> Scenario:
-    """A shipped scenario by name, or a TOML file by path, with `COMPONENT.PARAMETER=VALUE` overrides applied."""
+    """Return a shipped scenario by name, or a scenario file by path. Raises ScenarioError.
+
+    Each override has the form `COMPONENT.PARAMETER=VALUE`.
+    """
     return from_tables(*tables(name, overrides))
 
 
 def tables(
     name: str, overrides: Sequence[str] = (), beside: Path | None = None
 ) -> tuple[Raw, Path]:
-    """The same, merged and overridden but not checked yet, and the file it is from; `beside` is a folder to look in first."""
+    """Return the tables of a scenario, merged and overridden but not checked, and their file.
+
+    The folder `beside` is searched first. Raises ScenarioError.
+    """
     path = find(name, beside)
     raw = _read(path, ())
     for text in overrides:
@@ -112,11 +128,15 @@ def tables(
 
 
 def from_tables(raw: Raw, path: Path) -> Scenario:
-    """Tables as a TOML file has them, which came from `path`."""
+    """Return the scenario in the tables of the file `path`. Raises ScenarioError."""
     return _Reader(path).scenario(raw)
 
 
 def find(name: str, beside: Path | None = None) -> Path:
+    """Return the file of a scenario. Raises ScenarioError if there is none.
+
+    `name` is a path (relative to the folder `beside`, if given) or the name of a shipped scenario.
+    """
     candidates = [Path(name)] if beside is None else [beside / name, Path(name)]
     if beside is not None or not name.startswith("_"):
         candidates.append(SHIPPED / f"{name}.toml")
@@ -125,15 +145,15 @@ def find(name: str, beside: Path | None = None) -> Path:
             if path.suffix == ".toml" and path.is_file():
                 return path
     except (OSError, ValueError):
-        pass  # a name that no file can have
+        pass  # not a valid file name
     if name.lower().endswith(".ssp"):
         raise ScenarioError(
             f"{name} is an SSP file; a scenario is expected here (`freeflyer run` takes both)"
         )
     if name.endswith(".toml"):
-        there = any(map(os.path.lexists, candidates))
+        exists = any(map(os.path.lexists, candidates))
         raise ScenarioError(
-            f"scenario file {name} " + ("is no regular file" if there else "does not exist")
+            f"scenario file {name} " + ("is not a regular file" if exists else "does not exist")
         )
     raise ScenarioError(
         f"there is no scenario {name!r}: neither a shipped one nor a .toml file{did_you_mean(name, shipped())}"
@@ -143,7 +163,7 @@ def find(name: str, beside: Path | None = None) -> Path:
 def _read(path: Path, seen: tuple[Path, ...]) -> Raw:
     if path in seen:
         raise ScenarioError(
-            f"scenario {path} extends itself, by way of {' -> '.join(p.name for p in seen)}"
+            f"scenario {path} extends itself through {' -> '.join(p.name for p in seen)}"
         )
     try:
         raw = toml_file.read(path)
@@ -162,7 +182,7 @@ def _read(path: Path, seen: tuple[Path, ...]) -> Raw:
 
 
 class _Reader:
-    """Raw tables -> dataclasses, for one file."""
+    """Converts the raw tables of one file to dataclasses."""
 
     KEYS = (
         "title",
@@ -190,15 +210,17 @@ class _Reader:
         return ScenarioError(f"scenario {self.path}: {message}")
 
     def scenario(self, raw: Raw) -> Scenario:
-        self.known(raw, self.KEYS, "the scenario")
+        self.check_keys(raw, self.KEYS, "the scenario")
         expect = raw.get("expect", "completes")
         if expect not in ("completes", "diverges"):
             raise self.fail(f"expect is {expect!r}; 'completes' or 'diverges' is expected")
         exchange = raw.get("exchange", "sequential")
         if exchange not in get_args(Exchange):
             raise self.fail(f"exchange is {exchange!r}; 'sequential' or 'parallel' is expected")
+
+        # Checked here because a misspelled key would silently change which signals are recorded.
         record = self.table(raw, "record")
-        self.known(record, ("every_s", "signals"), "[record]")
+        self.check_keys(record, ("every_s", "signals"), "[record]")
         signals = record.get("signals", ["*"])
         if not isinstance(signals, list) or not all(
             isinstance(pattern, str) for pattern in signals
@@ -206,15 +228,19 @@ class _Reader:
             raise self.fail(
                 f"[record] signals is {signals!r}; a list of 'COMPONENT.VARIABLE' with wildcards * and ? is expected"
             )
+
+        # Components come first: devices and roles refer to them.
         components = tuple(
             self.component(name, raw["components"][name]) for name in self.table(raw, "components")
         )
         if not components:
-            raise self.fail("it has no components; at least one [components.NAME] is expected")
+            raise self.fail("there are no components; at least one [components.NAME] is expected")
         devices = tuple(
             self.device(name, device, raw["components"])
             for name, device in self.table(raw, "devices").items()
         )
+
+        # The remaining tables do not depend on each other.
         energies = self.table(raw, "observed_energy")
         errors = {
             name: self.measure(name, pair) for name, pair in self.table(raw, "errors").items()
@@ -249,6 +275,8 @@ class _Reader:
             raise self.fail(
                 f"component {name!r}: a name of letters, digits and underscores is expected"
             )
+
+        # The keys that remain in `rest` are the options of the kind, whose factory checks them.
         rest = dict(raw)
         kind = rest.pop("kind", "fmu")
         parameters = rest.pop("parameters", {})
@@ -256,10 +284,14 @@ class _Reader:
         if samples is not None and not isinstance(samples, bool):
             raise self.fail(f"component {name}: samples is {samples!r}; true or false is expected")
         if "step_s" not in rest:
-            raise self.fail(f"component {name} has no step_s, its communication step in seconds")
+            raise self.fail(
+                f"component {name} has no step_s; its communication step in seconds is expected"
+            )
         step = rest.pop("step_s")
         if not isinstance(kind, str) or not isinstance(parameters, dict):
             raise self.fail(f"component {name}: 'kind' must be a name and 'parameters' a table")
+
+        # A step must be exact in nanoseconds, so a unit is converted before the step is checked.
         if (
             isinstance(step, dict)
             and isinstance(step.get("unit"), str)
@@ -288,10 +320,10 @@ class _Reader:
         )
 
     def device(self, name: str, raw: object, components: Raw) -> ComponentSpec:
-        """A device has a kind of its own and the step of the component that it takes the place of."""
+        """Return a device. Its default step is that of the component that it replaces."""
         if name not in components:
             raise self.fail(
-                f"devices.{name}: there is no component {name!r} whose place it could take{did_you_mean(name, components)}"
+                f"devices.{name}: there is no component {name!r} to replace{did_you_mean(name, components)}"
             )
         if not isinstance(raw, dict) or "kind" not in raw:
             raise self.fail(f"devices.{name} is {raw!r}; a table with a 'kind' is expected")
@@ -300,7 +332,7 @@ class _Reader:
     def connections(self, raw: Raw, key: str, delayed: bool) -> Iterable[Connection]:
         for text in self.array(raw, key):
             if not isinstance(text, str):
-                raise self.fail(f"{key}: {text!r}; a text with '->' is expected")
+                raise self.fail(f"{key}: {text!r}; a string with '->' is expected")
             source, arrow, targets = split_connection(text)
             ends, of_terminals = [source, *targets], arrow == "<->"
             if not arrow or not all("." in end for end in ends) or (of_terminals and len(ends) > 2):
@@ -316,9 +348,10 @@ class _Reader:
                 )
 
     def limit(self, raw: object) -> Limit:
+        """Return a limit. Exactly one of `maximum` and `minimum` is expected."""
         if not isinstance(raw, dict):
             raise self.fail(f"limits: {raw!r}; a table is expected")
-        self.known(
+        self.check_keys(
             raw,
             ("signal", "elements", "norm", "maximum", "minimum", "for_s", "cause"),
             "[[limits]]",
@@ -328,6 +361,8 @@ class _Reader:
             raise self.fail(
                 f"limits: {raw!r}; a 'signal' and either a 'maximum' or a 'minimum' are expected"
             )
+
+        # A maximum limits an absolute value or a norm, so it must be positive.
         bound = raw.get("maximum", raw.get("minimum"))
         if (
             isinstance(bound, bool)
@@ -342,6 +377,8 @@ class _Reader:
             raise self.fail(
                 f"limit on {signal}: norm is {norm!r}; 'maximum' or 'euclidean' is expected"
             )
+
+        # Without `elements` the limit applies to all elements of the signal.
         elements = raw.get("elements")
         whole = (
             isinstance(elements, list)
@@ -363,7 +400,10 @@ class _Reader:
         )
 
     def measure(self, name: str, given: object) -> Measure:
-        """[actual, desired], whose kind is the end of the name; or a table with `kind`."""
+        """Return the error for [actual, desired], or for a table with the key `kind`.
+
+        In the first form the suffix of `name` is the kind.
+        """
         table = given if isinstance(given, dict) else {}
         if isinstance(given, list) and len(given) == 2:
             kind = next((k for k in get_args(Kind) if name.endswith(k)), None)
@@ -382,7 +422,7 @@ class _Reader:
 
     def roles(self, raw: Raw) -> SignalRoles:
         given = self.table(raw, "roles")
-        self.known(given, ROLES, "[roles]")
+        self.check_keys(given, ROLES, "[roles]")
         declared = {}
         for role, value in given.items():
             signals = value if isinstance(value, list) and role in SEVERAL else [value]
@@ -397,9 +437,9 @@ class _Reader:
             declared[role] = tuple(signals)
         return SignalRoles(declared=declared)
 
-    # One key at a time
+    # Values of single keys
 
-    def known(self, raw: Raw, keys: Sequence[str], where: str) -> None:
+    def check_keys(self, raw: Raw, keys: Sequence[str], where: str) -> None:
         for key in raw:
             if key not in keys:
                 raise self.fail(f"unknown key {key!r} in {where}{did_you_mean(key, keys)}")
@@ -419,7 +459,7 @@ class _Reader:
     def text(self, raw: Raw, key: str, default: str) -> str:
         value = raw.get(key, default)
         if not isinstance(value, str):
-            raise self.fail(f"{key!r} is {value!r}; a text is expected")
+            raise self.fail(f"{key!r} is {value!r}; a string is expected")
         return value
 
     def time(self, raw: Raw, key: str, subject: str, default: float | None = None) -> int:
@@ -430,7 +470,7 @@ class _Reader:
 
 
 def to_toml(raw: Raw) -> str:
-    """The merged scenario as TOML again, for the report: a file with this text is the same scenario."""
+    """Return the merged scenario as TOML. Reading this text returns the same tables."""
     lines: list[str] = []
 
     def emit(table: Raw, prefix: str) -> None:
@@ -451,11 +491,12 @@ def _key(name: str) -> str:
 
 
 def _text(value: str) -> str:
-    # JSON's escapes are TOML's, apart from DEL, which JSON lets pass.
+    # TOML has the escapes of JSON, and also requires one for DEL.
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def literal(value: object) -> str:
+    """Return a value as TOML."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):

@@ -1,6 +1,6 @@
-"""Which signals play which part in a scenario's loop: the base, the end-effector, the switches.
+"""Roles of signals in the loop of a scenario: base, end-effector, passivity switches.
 
-The default is a signal of the role's own name, as the shipped blocks have it. A scenario with other
+By default the variable has the name of the role, as in the shipped blocks. A scenario with other
 names declares them in `[roles]`, for example `base_position = "chaser.r_b"`.
 """
 
@@ -22,29 +22,32 @@ SINGLE = (
     "joint_velocity",
     "joint_torque",
 )
-"""Variables of the plant; positions in m, orientations as quaternions [x, y, z, w], both in I."""
+"""Roles of one variable of the plant. Positions [m] and quaternions [x, y, z, w] are in I."""
 SEVERAL: Mapping[str, tuple[str, ...]] = {
     "orientations": (),
     "passivity_control": ("manipulator_passivity_control", "base_passivity_control"),
 }
-"""Roles of any number of signals, with the names that they have by default: further quaternions of the
-plant, and the Boolean parameters that switch the passivity controllers."""
+"""Roles of any number of signals, with their default names.
+
+`orientations` are further quaternions of the plant. `passivity_control` are the Boolean parameters
+that enable the passivity controllers.
+"""
 ROLES = (*SINGLE, *SEVERAL)
 
 
 @dataclass(frozen=True, kw_only=True)
 class SignalRoles:
-    """`declared`: role -> COMPONENT.VARIABLE, one or several."""
+    """Roles that a scenario declares. `declared` maps a role to its signals, COMPONENT.VARIABLE."""
 
     declared: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def variable(self, role: str, component: str) -> str:
-        """Return the component's variable that plays a role of `SINGLE`."""
-        return next(iter(self._own(role, component)), role)
+        """Return the component's variable for a role of `SINGLE`."""
+        return next(iter(self._declared(role, component)), role)
 
     def variables(self, role: str, component: str) -> tuple[str, ...]:
-        """Return the component's variables that play a role of `SEVERAL`."""
-        return (*SEVERAL[role], *self._own(role, component))
+        """Return the component's variables for a role of `SEVERAL`."""
+        return (*SEVERAL[role], *self._declared(role, component))
 
     def quaternions(self, component: str) -> frozenset[str]:
         """Return the component's variables that are orientations."""
@@ -53,6 +56,6 @@ class SignalRoles:
         )
         return frozenset((*singles, *self.variables("orientations", component)))
 
-    def _own(self, role: str, component: str) -> list[str]:
+    def _declared(self, role: str, component: str) -> list[str]:
         signals = self.declared.get(role, ())
         return [split(signal)[1] for signal in signals if component_of(signal) == component]

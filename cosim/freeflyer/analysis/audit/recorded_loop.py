@@ -1,4 +1,4 @@
-"""The control loop in a record: which signal plays which part, by the connections of the system that it came from."""
+"""Find the signals of the control loop in a record, from the connections in its provenance."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ MANIPULATOR = (
     "base_observed_energy",
 )
 BASE = ("base_wrench", "port_wrench", "passivity_wrench")
-"""Outputs that tell the two controllers from other components, whatever their names."""
+"""Outputs that identify the two controllers, independent of the names of these components."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Motion:
-    """Position (n, 3), orientation (n, 4), velocity (n, 6), in I."""
+    """Position (n, 3) [m], quaternion (n, 4) [x, y, z, w], velocity (n, 6) [m/s, rad/s], in I."""
 
     position: Array
     orientation: Array
@@ -38,9 +38,9 @@ class Motion:
 
 @dataclass(frozen=True, kw_only=True)
 class Law:
-    """A controller: its period [ns], diagonals of K_P and K_D (6 each), E(0) (6), and the motion that it measured.
+    """A controller: period [ns], diagonals of K_P and K_D (6,), E(0) (6,) [J], and measured motion.
 
-    `is_plain`: its gains are K_P and K_D, rather than sampled ones that follow from them.
+    `is_plain`: the controller uses K_P and K_D themselves, not discrete gains computed from them.
     """
 
     period: int
@@ -53,8 +53,10 @@ class Law:
 
 @dataclass(frozen=True, kw_only=True)
 class Plant:
-    """What really acted on the robot (n, 6) and (n, joints), each new after so many ns, and what came of it: (n, joints) and
-    (n) [J].
+    """Actual inputs and response of the robot in the simulation.
+
+    `base_wrench` (n, 6) and `joint_torque` (n, joints) [N m] with their sample periods [ns];
+    `joint_position` (n, joints) [rad] and `kinetic_energy` (n,) [J].
     """
 
     base_wrench: Array
@@ -67,8 +69,10 @@ class Plant:
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedLoop:
-    """Rows that are finite. Wrenches (n, 6) are those of fmu_src/NOTATION.md; `desired` is the hand's. Without a `plant`, as at
-    the facility, base and hand are as they were measured.
+    """The finite rows of a record. `time` is (n,) [s]; fmu_src/NOTATION.md defines the wrenches.
+
+    `desired` is the motion of the end-effector, `setpoint` that of the base. Without a `plant`, as
+    at the facility, `base` and `end_effector` are the measured motions.
     """
 
     provenance: Provenance
@@ -93,19 +97,19 @@ class RecordedLoop:
 
     @property
     def interval(self) -> int:
-        """Between two rows [ns]; the last one may be shorter."""
+        """Time between two rows [ns]; the last interval may be shorter."""
         return round(float(self.time[1] - self.time[0]) * 1e9)
 
 
 def find(record: Record) -> RecordedLoop:
-    """Raises RecordError, with everything that is missing in one sentence."""
+    """Return the control loop in a record. Raises RecordError with a list of all missing data."""
     provenance = record.provenance
     if provenance is None:
-        raise RecordError("the record does not say which system it came from")
+        raise RecordError("the record has no provenance; a record of `freeflyer run` is expected")
     if provenance.exchange != "sequential":
         raise RecordError(
-            f"the record of {provenance.scenario} was made with exchange = {provenance.exchange!r}, where an output belongs to an earlier "
-            "sample; an audit needs 'sequential'"
+            f"the record of {provenance.scenario} was simulated with exchange = {provenance.exchange!r}, in which outputs belong to an "
+            "earlier sample; the audit needs 'sequential'"
         )
     loop = _Finder(record, provenance).loop()
     if loop.time.size < 2:
@@ -114,13 +118,13 @@ def find(record: Record) -> RecordedLoop:
         )
     if not (np.diff(loop.time) >= 1e-9).all():
         raise RecordError(
-            f"the record of {provenance.scenario} has times that do not increase by a nanosecond from row to row"
+            f"the record of {provenance.scenario} has times that do not increase by at least 1 ns from row to row"
         )
     return loop
 
 
 class _Finder:
-    """Collects what is missing, so that it is said at once."""
+    """Reads the signals of the loop and collects missing data, to report all of it in one error."""
 
     def __init__(self, record: Record, provenance: Provenance) -> None:
         self.record, self.provenance = record, provenance
@@ -128,12 +132,15 @@ class _Finder:
         self.rows = record.rows
 
     def loop(self) -> RecordedLoop:
+        # Without both controllers no other signal can be found.
         manipulator, base = (
-            self.one_with(MANIPULATOR, "manipulator's"),
-            self.one_with(BASE, "base's"),
+            self.component_with(MANIPULATOR, "manipulator's"),
+            self.component_with(BASE, "base's"),
         )
-        self.refuse()
+        self.check_complete()
         plant = self.plant_component()
+
+        # The outputs of the controllers, as they were commanded.
         joint_torque = self.signal(f"{manipulator}.joint_torque")
         joints = joint_torque.shape[1]
         wrenches = [
@@ -141,12 +148,14 @@ class _Finder:
             for name in [f"{manipulator}.{output}" for output in MANIPULATOR[1:]]
             + [f"{base}.{output}" for output in BASE]
         ]
+
+        # The motions that the controllers measured, and the desired motion of the end-effector.
         measured_base = self.motion(
             self.source(base, "base_position"),
             self.source(manipulator, "base_orientation"),
             self.source(manipulator, "base_velocity"),
         )
-        measured_hand = self.motion(
+        measured_end_effector = self.motion(
             *(
                 self.source(manipulator, f"end_effector_{part}")
                 for part in ("position", "orientation", "velocity")
@@ -158,7 +167,9 @@ class _Finder:
                 for part in ("position", "orientation", "velocity")
             )
         )
-        true_base, true_hand = (
+
+        # A simulated plant also provides the true motions, inputs and energy.
+        true_base, true_end_effector = (
             self.motion(
                 *(f"{plant}.{which}_{part}" for part in ("position", "orientation", "velocity"))
             )
@@ -178,31 +189,35 @@ class _Finder:
             if plant
             else None
         )
-        place, turn = (
+
+        # The base has a constant set point, which is a parameter.
+        position, orientation = (
             self.parameter(base, "position_setpoint", 3),
             self.parameter(base, "orientation_setpoint", 4),
         )
-        rest = Motion(
-            position=np.tile(place, (self.record.rows, 1)),
-            orientation=np.tile(turn, (self.record.rows, 1)),
+        setpoint = Motion(
+            position=np.tile(position, (self.record.rows, 1)),
+            orientation=np.tile(orientation, (self.record.rows, 1)),
             velocity=np.zeros((self.record.rows, 6)),
         )
         self.end_before(~np.isfinite(self.record.time))
         laws = [
             self.law(name, measured, self.parameter(manipulator, energy, 6))
             for name, measured, energy in (
-                (manipulator, measured_hand, "manipulator_initial_energy"),
+                (manipulator, measured_end_effector, "manipulator_initial_energy"),
                 (base, measured_base, "base_initial_energy"),
             )
         ]
-        self.refuse()
+
+        # All signals have been read here, so the error lists everything that is missing.
+        self.check_complete()
         loop = RecordedLoop(
             provenance=self.provenance,
             time=self.record.time,
             base=true_base or measured_base,
-            end_effector=true_hand or measured_hand,
+            end_effector=true_end_effector or measured_end_effector,
             desired=desired,
-            setpoint=rest,
+            setpoint=setpoint,
             manipulator_law=laws[0],
             base_law=laws[1],
             joint_torque=joint_torque,
@@ -213,15 +228,18 @@ class _Finder:
             base_wrench=wrenches[4],
             port_wrench=wrenches[5],
             base_passivity_wrench=wrenches[6],
-            observer=str(self.provenance.parameters[manipulator].get("observer", "not said")),
+            observer=str(self.provenance.parameters[manipulator].get("observer", "unknown")),
             plant=actual,
             rows_left_out=self.record.rows - self.rows,
         )
         cut: RecordedLoop = _first_rows(loop, self.rows)
         return cut
 
-    def one_with(self, outputs: Iterable[str], whose: str) -> str:
-        """The one component whose outputs these are."""
+    def component_with(self, outputs: Iterable[str], owner: str) -> str:
+        """Return the component that has these outputs, or "" if there is none.
+
+        Raises RecordError if several components have them.
+        """
         components = {component_of(name) for name in self.record.signals}
         found = sorted(
             name
@@ -229,16 +247,16 @@ class _Finder:
             if all(f"{name}.{output}" in self.record for output in outputs)
         )
         if not found:
-            self.missing.append(f"component with the {whose} outputs {', '.join(outputs)}")
+            self.missing.append(f"component with the {owner} outputs {', '.join(outputs)}")
             return ""
         if len(found) > 1:
             raise RecordError(
-                f"the record of {self.provenance.scenario} has {len(found)} controllers of the {whose} kind: {', '.join(found)}"
+                f"the record of {self.provenance.scenario} has {len(found)} components with the {owner} outputs: {', '.join(found)}; one is expected"
             )
         return found[0]
 
     def plant_component(self) -> str | None:
-        """The robot as one body of equations, driven by base wrench and joint torque."""
+        """Return the simulated robot: inputs base_wrench, joint_torque; output kinetic_energy."""
         for name in self.provenance.steps:
             driven = all(
                 f"{name}.{entry}" in self.provenance.sources
@@ -249,19 +267,20 @@ class _Finder:
         return None
 
     def source(self, component: str, entry: str) -> str:
-        """The output that drives an input."""
+        """Return the output that is connected to an input."""
         target = f"{component}.{entry}"
         if target not in self.provenance.sources:
             self.missing.append(f"source of {target}")
         return self.provenance.sources.get(target, "")
 
     def period(self, signal: str) -> int:
-        """Of the component whose output this is [ns]."""
+        """Return the step [ns] of the component of an output."""
         return self.provenance.steps.get(component_of(signal), 1)
 
     def signal(self, name: str, size: int | None = None) -> Array:
-        """(rows, size), of any size if it is None, where a scalar is one; what is missing is noted, and the rows end before the
-        first that is not finite.
+        """Return a signal (rows, size), with any number of columns if `size` is None.
+
+        A missing signal is added to `missing`. The rows end before the first that is not finite.
         """
         if name not in self.record:
             if name:
@@ -273,15 +292,17 @@ class _Finder:
         self.end_before(np.asarray(~np.isfinite(values).all(axis=1)))
         return values
 
-    def end_before(self, useless: NDArray[np.bool_]) -> None:
-        """The rows that are used end before the first useless one."""
-        self.rows = min(self.rows, int(np.argmax(useless)) if useless.any() else self.record.rows)
+    def end_before(self, invalid: NDArray[np.bool_]) -> None:
+        """End the used rows before the first invalid row."""
+        self.rows = min(self.rows, int(np.argmax(invalid)) if invalid.any() else self.record.rows)
 
     def motion(self, position: str, orientation: str, velocity: str) -> Motion:
-        turn = self.signal(orientation, 4)
-        self.end_before(np.asarray(np.linalg.norm(turn, axis=1) < 0.5))  # not a rotation
+        quaternions = self.signal(orientation, 4)
+        self.end_before(np.asarray(np.linalg.norm(quaternions, axis=1) < 0.5))  # not a rotation
         return Motion(
-            position=self.signal(position, 3), orientation=turn, velocity=self.signal(velocity, 6)
+            position=self.signal(position, 3),
+            orientation=quaternions,
+            velocity=self.signal(velocity, 6),
         )
 
     def parameter(self, component: str, name: str, size: int) -> Array:
@@ -306,7 +327,8 @@ class _Finder:
             == "emulated",
         )
 
-    def refuse(self) -> None:
+    def check_complete(self) -> None:
+        """Raise RecordError if anything is missing."""
         if self.missing:
             names = ", ".join(dict.fromkeys(self.missing))
             raise RecordError(
@@ -315,7 +337,7 @@ class _Finder:
 
 
 def _first_rows(part: Any, rows: int) -> Any:
-    """The same dataclass, every array with rows cut to the first ones."""
+    """Return a copy of a dataclass, with the arrays of signals shortened to the first rows."""
     cut = {}
     for name, value in vars(part).items():
         if isinstance(value, Motion | Plant | Law):

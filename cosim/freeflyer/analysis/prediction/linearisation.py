@@ -1,7 +1,7 @@
-"""A scenario's loop as matrices: plant and controllers linearised around an operating point, from their FMUs' derivatives.
+"""Linearise the loop of a scenario around an operating point, with directional derivatives of FMUs.
 
-The passivity controllers are switched off: they are not linear, and do nothing where the loop by itself is passive. Their
-switches, and the quaternions, are those of the scenario's `[roles]`.
+The passivity controllers are disabled, because they are nonlinear. They have no effect where the
+loop is passive without them. Their switches and the quaternions are signal roles of the scenario.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from freeflyer.scenario.scenario import ComponentSpec, Scenario
 from freeflyer.scenario.signal_roles import SignalRoles
 
 Point = Mapping[str, Array]
-"""The values of all outputs, COMPONENT.VARIABLE, at an instant."""
+"""An operating point: the values of all outputs, COMPONENT.VARIABLE, at an instant."""
 
 
 class LoopModel:
-    """The loop of a loaded scenario; `at` linearises it. Made by `opened`."""
+    """The loop of a loaded scenario: `plant_at` and `loop` linearise it. Created by `opened`."""
 
     def __init__(
         self,
@@ -43,11 +43,13 @@ class LoopModel:
         fmus: Mapping[str, DifferentiableFmu],
         scanned: str | None,
     ) -> None:
-        """Raises CosimError if the loop is none that can be linearised."""
+        """Bind the derivatives of all FMUs. Raises CosimError if the loop cannot be linearised."""
         self.scenario, self.system, self.fmus = scenario, system, fmus
         self.roles = roles_of(scenario, system, fmus, scanned)
         self.quaternions = scenario.roles.quaternions(self.roles.plant)
         self._linked = self._linked_parameters()
+
+        # The signals of the loop are the connected outputs of plant and controllers, in this order.
         plant, used = (
             self.roles.plant,
             {connection.source for connection in system.wiring.connections},
@@ -60,10 +62,12 @@ class LoopModel:
                     self.signals[f"{name}.{port.name}"] = slice(width, width + port.size)
                     width += port.size
         self._width = width
+
+        # The derivatives are bound once: their evaluation must be fast along a trajectory.
         self._inputs = {name: self._inputs_of(name) for name in (plant, *self.roles.laws)}
         fmu, states = fmus[plant], fmus[plant].states
         self._outputs = [name for name in fmu.ports if f"{plant}.{name}" in used]
-        self._refuse_feedthrough(fmu)
+        self._check_feedthrough(fmu)
         rates = [f"der({name})" for name in states]
         self._rates_by_state, self._rates_by_input = (
             fmu.bind_derivative(rates, k) for k in (states, self.driven(plant))
@@ -77,14 +81,17 @@ class LoopModel:
         }
 
     def values(self, period: int) -> Values:
-        """Parameters and start values with the scanned component's period [ns], and what is linked to it."""
+        """Return all values [SI] for a period [ns] of the scanned component."""
         values = {name: dict(own) for name, own in self.system.values.items()}
         for name, parameter in self._linked:
             values[name][parameter] = np.array([seconds(period)])
         return values
 
     def started(self, stop: int, record_every: int) -> Master:
-        """An initialised master with every controller at T_m, so that its run follows the reference as closely as can be."""
+        """Return an initialised master with all controllers at T_m, for minimal tracking errors.
+
+        `stop` and `record_every` are in ns. Raises CosimError.
+        """
         tick, steps = self.roles.tick, dict(self.system.steps)
         steps[self.roles.scanned] = tick
         variable_step = {name: component.variable_step for name, component in self.fmus.items()}
@@ -96,7 +103,7 @@ class LoopModel:
         return master
 
     def recorded(self) -> list[str]:
-        """The signals that make up a point."""
+        """Return the signals of an operating point."""
         states = [f"{self.roles.plant}.{name}" for name in self.fmus[self.roles.plant].states]
         return list(
             dict.fromkeys(
@@ -105,7 +112,7 @@ class LoopModel:
         )
 
     def plant_at(self, point: Point) -> Plant:
-        """The plant around a point, in the tangent chart of its quaternions."""
+        """Return the plant linearised at a point, with rotation vectors instead of quaternions."""
         name = self.roles.plant
         fmu = self.fmus[name]
         fmu.restart(
@@ -122,7 +129,10 @@ class LoopModel:
         )
 
     def chart(self, point: Point) -> tuple[Array, Array]:
-        """See freeflyer.analysis.prediction.tangent: of the plant's states."""
+        """Return the tangent chart of the plant's states, see `tangent.chart`.
+
+        Raises ScenarioError if a state looks like a quaternion that is not declared.
+        """
         states = self.fmus[self.roles.plant].states
         values = [point[f"{self.roles.plant}.{state}"] for state in states]
         for state, value in zip(states, values, strict=True):
@@ -135,7 +145,10 @@ class LoopModel:
         return tangent.chart(states, values, self.quaternions)
 
     def outputs_of_plant(self, names: Sequence[str], point: Point) -> Array:
-        """d outputs / d states in the chart, where the plant was last linearised; of quaternions, as rotation vectors."""
+        """Return d outputs / d states in the tangent chart, where the plant was last linearised.
+
+        Quaternions among the outputs are replaced by rotation vectors too.
+        """
         fmu = self.fmus[self.roles.plant]
         into, _ = self.chart(point)
         values = [point[f"{self.roles.plant}.{name}"] for name in names]
@@ -143,13 +156,13 @@ class LoopModel:
         return back @ fmu.bind_derivative(names, fmu.states)() @ into
 
     def plant_value(self, name: str) -> Array:
-        """An output of the plant where it was last linearised."""
+        """Return the value of an output where the plant was last linearised."""
         value = np.zeros(self.fmus[self.roles.plant].ports[name].size)
         self.fmus[self.roles.plant].bind_outputs([name], value)()
         return value
 
     def states_of_plant(self, names: Sequence[str], point: Point) -> Indices:
-        """The places of these states in the chart's coordinates."""
+        """Return the indices of these states in the coordinates of the chart."""
         states, places, first = self.fmus[self.roles.plant].states, {}, 0
         for state in states:
             size = point[f"{self.roles.plant}.{state}"].size
@@ -159,7 +172,10 @@ class LoopModel:
         return np.array([place for name in names for place in places[name]])
 
     def inputs_of_plant(self, names: Sequence[str]) -> Indices:
-        """The places of these inputs among those that the loop drives; ScenarioError if it does not drive one."""
+        """Return the indices of these inputs among the plant's inputs from the loop.
+
+        Raises ScenarioError if an input is not connected to the loop.
+        """
         places, first = {}, 0
         for name in self.driven(self.roles.plant):
             size = self.fmus[self.roles.plant].ports[name].size
@@ -168,12 +184,12 @@ class LoopModel:
         for name in names:
             if name not in places:
                 raise ScenarioError(
-                    f"nothing in the loop drives {self.roles.plant}.{name}; a controller's output is expected there"
+                    f"{self.roles.plant}.{name} has no source in the loop; a connection from a controller is expected"
                 )
         return np.array([place for name in names for place in places[name]])
 
     def loop(self, plant: Plant, point: Point, period: int) -> Loop:
-        """The loop around a point with the scanned component's period [ns]."""
+        """Return the loop linearised at a point, for a period [ns] of the scanned component."""
         values, laws = self.values(period), []
         for name in self.roles.laws:
             self.fmus[name].restart({**values[name], **self._inputs_at(name, point)})
@@ -193,11 +209,11 @@ class LoopModel:
     # Inputs
 
     def connections_of(self, name: str) -> list[Connection]:
-        """Those that come from within the loop: what a reference hands over is given."""
+        """Return a component's connections from the loop, without references, which are given."""
         return [c for c in self.system.wiring.inputs_of(name) if c.source in self.signals]
 
     def driven(self, name: str) -> list[str]:
-        """A component's inputs that the loop drives, in the order of its matrices."""
+        """Return a component's inputs from the loop, in the order of its matrices."""
         return [split(connection.target)[1] for connection in self.connections_of(name)]
 
     def _inputs_of(self, name: str) -> Inputs:
@@ -217,7 +233,7 @@ class LoopModel:
     # Checks
 
     def _linked_parameters(self) -> list[tuple[str, str]]:
-        """The parameters that follow the scanned component's period."""
+        """Return (component, parameter) for all parameters that depend on the scanned period."""
         roles, found = self.roles, []
         one, other = (_resolved(self.scenario, self.fmus, roles, k * roles.tick) for k in (1, 2))
         for name, values in one.items():
@@ -228,24 +244,26 @@ class LoopModel:
             ]
         return found
 
-    def _refuse_feedthrough(self, fmu: DifferentiableFmu) -> None:
+    def _check_feedthrough(self, fmu: DifferentiableFmu) -> None:
+        """Raise ScenarioError if an output depends on inputs, or if a state is not an output."""
         for name in self._outputs:
             if fmu.ports[name].prompt:
                 raise ScenarioError(
                     f"component {fmu.name} has states, and its output {name} depends directly on its inputs; the prediction covers a "
-                    f"plant whose outputs follow from its states"
+                    f"plant whose outputs depend on its states only"
                 )
         for name in fmu.states:
             if fmu.ports[name].causality != "output":
                 raise ScenarioError(
-                    f"component {fmu.name}: its state {name} is no output; the prediction needs to see all states of the plant"
+                    f"component {fmu.name}: its state {name} is not an output; the prediction needs all states of the plant as outputs"
                 )
 
 
 @contextmanager
 def opened(scenario: Scenario, scanned: str | None = None) -> Iterator[LoopModel]:
-    """The scenario's loop, loaded; `scanned` names the component whose period is scanned (default: the slowest). Components are
-    closed at the end. Raises CosimError.
+    """Load the loop of a scenario; close its components at the end. Raises CosimError.
+
+    `scanned` names the controller with the scanned period (default: the slowest).
     """
     fmus: dict[str, DifferentiableFmu] = {}
     try:
@@ -271,7 +289,7 @@ def opened(scenario: Scenario, scanned: str | None = None) -> Iterator[LoopModel
 
 
 def _connected(scenario: Scenario) -> list[ComponentSpec]:
-    """A component without connections is no part of the loop."""
+    """Return the components that have connections; others are not part of the loop."""
     ends = {
         split(end)[0]
         for connection in scenario.connections
@@ -283,7 +301,7 @@ def _connected(scenario: Scenario) -> list[ComponentSpec]:
 def _differentiable(spec: ComponentSpec, scenario: Scenario) -> DifferentiableFmu:
     if spec.kind != "fmu":
         raise ScenarioError(
-            f"component {spec.name} is of kind {spec.kind!r}; the prediction needs FMUs, which tell their derivatives (kind 'fmu')"
+            f"component {spec.name} is of kind {spec.kind!r}; the prediction needs FMUs with directional derivatives (kind 'fmu')"
         )
     return DifferentiableFmu(spec.name, find_fmu(spec.name, spec.options, scenario.directory))
 

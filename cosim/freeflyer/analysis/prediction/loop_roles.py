@@ -1,4 +1,7 @@
-"""Who is who in a scenario's loop: one plant with continuous states, controllers that sample it, and whose period is scanned."""
+"""Roles of the components in the loop of a scenario: plant, controllers, scanned controller.
+
+The plant has continuous states. The controllers sample it. The period of one of them is scanned.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +18,10 @@ from freeflyer.scenario.scenario import Scenario
 
 @dataclass(frozen=True, kw_only=True)
 class Roles:
-    """Who is who in the loop. `laws` in the order of an instant; `scanned` is the slow one, `parameter` its period's name,
-    `period` the scenario's own, `tick` T_m [ns].
+    """Roles of the components. `laws` are the controllers in execution order.
+
+    `scanned` is the slow controller, `parameter` the name of its period, and `period` the value of
+    this parameter in the scenario [ns]. `tick` is T_m [ns], the step of all other controllers.
     """
 
     plant: str
@@ -30,12 +35,20 @@ class Roles:
 def roles_of(
     scenario: Scenario, system: System, fmus: Mapping[str, DifferentiableFmu], scanned: str | None
 ) -> Roles:
+    """Return the roles of the components.
+
+    `scanned` names the scanned controller (default: the slowest). Raises ScenarioError if the
+    prediction does not cover the loop.
+    """
+    # All continuous states must belong to one component, the plant.
     plants = [name for name, fmu in fmus.items() if fmu.states]
     if len(plants) != 1:
         raise ScenarioError(
             f"scenario {scenario.name}: {len(plants)} connected components have continuous states"
-            f"{' (' + ', '.join(plants) + ')' if plants else ''}; the prediction covers one plant, and controllers without memory"
+            f"{' (' + ', '.join(plants) + ')' if plants else ''}; the prediction covers one plant and controllers without memory"
         )
+
+    # Only a period that is a parameter can be scanned.
     driven = [name for name in fmus if name not in plants and system.wiring.inputs_of(name)]
     laws = tuple(name for name in (*system.wiring.first, *system.wiring.then) if name in driven)
     by_parameter = {
@@ -44,25 +57,30 @@ def roles_of(
     periods = [name for name in laws if name in by_parameter]
     if scanned is not None and scanned not in periods:
         raise ScenarioError(
-            f"--period {scanned}: that is no controller whose step_s follows a parameter{did_you_mean(scanned, periods)}; there are: "
-            f"{', '.join(periods) or 'none'}"
+            f"--period {scanned}: this is no controller whose step_s follows a parameter{did_you_mean(scanned, periods)}; "
+            f"possible: {', '.join(periods) or 'none'}"
         )
     if not periods:
         raise ScenarioError(
             f"scenario {scenario.name}: no controller's step_s follows a parameter ('=period'), so there is nothing to scan"
         )
-    # Of equals the last at an instant: it waits for the others.
+
+    # Of equally slow controllers the last in execution order is chosen.
     chosen = (
         scanned or max(enumerate(periods), key=lambda item: (system.steps[item[1]], item[0]))[1]
     )
+
+    # Two rates are covered: all other controllers have the same step T_m.
     rest = {name: system.steps[name] for name in laws if name != chosen}
     tick = min(rest.values(), default=system.steps[plants[0]])
     for name, step in rest.items():
         if step != tick:
             raise ScenarioError(
-                f"component {name}: its step is {shown(step)}; {shown(tick)} is expected, as of all controllers but {chosen}: the "
+                f"component {name}: its step is {shown(step)}; {shown(tick)} is expected, as for all controllers except {chosen}: the "
                 f"prediction covers two rates"
             )
+
+    # T_m must be a multiple of the plant's step, and the scanned period a multiple of T_m.
     plant_step = system.steps[plants[0]]
     if tick % plant_step or (scenario.exchange == "parallel" and plant_step != tick):
         raise ScenarioError(
@@ -73,7 +91,7 @@ def roles_of(
         below = period - period % tick
         fits = f"{shown(below)} or {shown(below + tick)}" if below else shown(tick)
         raise ScenarioError(
-            f"component {chosen}: its period of {shown(period)} is no multiple of {shown(tick)}, the step of the fast controllers; "
+            f"component {chosen}: its period of {shown(period)} is not a multiple of {shown(tick)}, the step of the fast controllers; "
             f"{fits} would fit"
         )
     return Roles(
