@@ -65,7 +65,7 @@ class Lab:
         long_ago = datetime.now(UTC) - timedelta(days=9)
         for name in NAMES:
             authority.issue(
-                Identity(self.expired, name), days=2, hosts=HOSTS, may_listen=True, begin=long_ago
+                Identity(self.expired, name), days=2, hosts=HOSTS, may_listen=True, start=long_ago
             )
         self.authority = authority
         self.forged = folder / "forged"

@@ -29,7 +29,10 @@ class Pair:
     """A controller, and a base robot that returns every set point as a measurement."""
 
     def __init__(self, stack: ExitStack, options: LinkOptions) -> None:
-        ends = access_control.robots_end(options), access_control.controllers_end(options)
+        ends = (
+            access_control.robot_protection(options),
+            access_control.controller_protection(options),
+        )
         self.robot = open_session([], options.connect, "robot", ends[0])
         stack.callback(self.robot.close)
         self.host = open_session(options.connect, options.listen, "controller", ends[1])

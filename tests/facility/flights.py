@@ -1,4 +1,4 @@
-"""What every stop must leave on disk, whatever it was: the last seconds before it, with the reason."""
+"""Check of the flight recording that every stop must write: the last seconds and the reason."""
 
 from __future__ import annotations
 
@@ -11,14 +11,15 @@ from freeflyer_adapters import read_recording
 from freeflyer_adapters.recording.recording_file import FLIGHT_SECONDS
 
 WITHIN = 5.0
-"""Seconds after the death of the controllers, on a busy machine; a loop that ends in order writes before it ends."""
+"""Time limit for the flight recording after SIGKILL of the controllers, on a busy machine [s]."""
 
 
 def flight_of(
     out: Path, reason: str, *, by: str = "the recorder", gap: float = 0.2
 ) -> pandas.DataFrame:
-    """The flight recording, after checking its span, reason (a regular expression) and writer. `gap`: how long the loop may have
-    stood still at the time where it begins [s].
+    """Check span, reason (a regular expression) and writer of the flight recording, and return it.
+
+    `gap` [s]: a suspension of the loop that is allowed at the start of the recording.
     """
     frame = read_recording(out / "flight_recording.mcap")
     assert re.search(reason, frame.attrs["stop"]["reason"]), frame.attrs["stop"]

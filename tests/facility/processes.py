@@ -1,4 +1,4 @@
-"""A virtual facility and controllers as processes of their own, each test's on a channel and a port of its own."""
+"""A virtual facility and controllers as processes, with a separate channel and port per test."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ from freeflyer_adapters.recording.ring import folder as rings
 
 COMMAND = (sys.executable, "-m", "freeflyer.cli.main")
 numbers = itertools.count()
-# What a shared machine does to two processes at 1 kHz is not what these tests are about: holes of up to a second are counted, but
-# stop nobody. The rules themselves are tested without a clock (tests/links).
+# A shared machine may suspend these processes. With these settings, gaps of up to a second are
+# counted and do not stop the loop. The rules themselves are tested without a clock (tests/links).
 PATIENT_FACILITY = ("facility.arm_watchdog_cycles=1000", "facility.base_watchdog_s=1.0")
 PATIENT_ARM = (
     "devices.arm_drive.parameters.lost_consecutive=1000",
@@ -53,7 +53,7 @@ def free_port() -> int:
 
 
 class Process:
-    """A command whose lines are read as they come."""
+    """A running command. `output` contains the lines that were read."""
 
     def __init__(self, arguments: Sequence[str]) -> None:
         self.popen = subprocess.Popen(
@@ -64,7 +64,7 @@ class Process:
             start_new_session=True,
         )
         self._lines: queue.Queue[str | None] = queue.Queue()
-        self.said: list[str] = []
+        self.output: list[str] = []
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
 
@@ -75,32 +75,32 @@ class Process:
         self._lines.put(None)
 
     def wait_for(self, text: str, timeout: float = 30.0) -> str:
-        """The first line, of those not read yet, that has the text."""
+        """Read lines until one contains `text`, and return it."""
         end = time.monotonic() + timeout
         while True:
             try:
                 line = self._lines.get(timeout=max(0.01, end - time.monotonic()))
             except queue.Empty:
                 raise AssertionError(
-                    f"{text!r} was not said within {timeout} s, but:\n" + "\n".join(self.said)
+                    f"{text!r} was not printed within {timeout} s, but:\n" + "\n".join(self.output)
                 ) from None
             if line is None:
-                raise AssertionError(f"{text!r} was not said, but:\n" + "\n".join(self.said))
-            self.said.append(line)
+                raise AssertionError(f"{text!r} was not printed, but:\n" + "\n".join(self.output))
+            self.output.append(line)
             if text in line:
                 return line
 
     def finish(self, timeout: float = 60.0) -> int:
-        """Its exit code; everything it said is in `said`."""
+        """Read all lines and return the exit code."""
         code = self.popen.wait(timeout)
         while (line := self._lines.get(timeout=10.0)) is not None:
-            self.said.append(line)
-        assert not any("Traceback" in line for line in self.said), "\n".join(self.said)
+            self.output.append(line)
+        assert not any("Traceback" in line for line in self.output), "\n".join(self.output)
         return code
 
     @property
     def text(self) -> str:
-        return "\n".join(self.said)
+        return "\n".join(self.output)
 
     def send(self, number: int) -> None:
         self.popen.send_signal(number)
@@ -123,12 +123,12 @@ lost_in_window = 0
 age_limit = 1.0
 watchdog = 1.0
 """
-"""A scenario whose arm is a model beside the controllers, so that only the base is on a link."""
+"""A scenario with a simulated arm in the controller process: only the base is on a link."""
 
 
 @dataclass(frozen=True)
 class State:
-    """A state frame; `at` [s of the wall clock] is the kernel's stamp."""
+    """A state frame. `at` is the stamp of the kernel [s of the wall clock]."""
 
     at: float
     life: LifeCycle | None
@@ -140,7 +140,10 @@ class State:
 
 
 class Listener:
-    """Another node of a rig's CAN channel, with a thread that receives everything: `states`, and `commands` as (when, mode)."""
+    """A node on the CAN channel with a thread that receives all frames.
+
+    `states` contains the state frames, and `commands` the pairs (time, mode) of the command frames.
+    """
 
     def __init__(self, channel: str) -> None:
         self.frames = ArmFrames(FrameMapping(), 6)
@@ -156,12 +159,12 @@ class Listener:
         while not self._ended.is_set():
             message = self._bus.recv(0.1)
             if message is not None and message.arbitration_id == state.identifier:
-                said = state.unpack(message.data)
+                numbers = state.unpack(message.data)
                 self.states.append(
                     State(
                         message.timestamp,
-                        self.frames.life_cycle(said["life_cycle"][0]),
-                        said["brakes"][0] > 0.5,
+                        self.frames.life_cycle(numbers["life_cycle"][0]),
+                        numbers["brakes"][0] > 0.5,
                     )
                 )
             elif message is not None:
@@ -170,7 +173,7 @@ class Listener:
                 )
 
     def after_the_first_brake(self) -> list[State]:
-        """All states from the first engaged brake on, of an arm that has had power."""
+        """Return all states from the first engaged brake on, after the arm has had power."""
         first = next(k for k, state in enumerate(self.states) if state.has_power)
         braked = next(k for k, state in enumerate(self.states) if k > first and state.brakes)
         return self.states[braked:]
@@ -181,8 +184,8 @@ class Listener:
         self._bus.shutdown()
 
 
-class Door:
-    """A TCP forwarder in front of a port of this machine; while `held`, what comes in waits, and then goes on at once."""
+class Forwarder:
+    """A TCP forwarder to a local port. While `held` is set, incoming data is delayed."""
 
     def __init__(self, port: int) -> None:
         self.held = threading.Event()
@@ -219,14 +222,14 @@ class Door:
 
 
 class Rig:
-    """One facility and whoever is started against it."""
+    """One facility and the processes that are started with it."""
 
     def __init__(self, folder: Path, scenario: str = "facility") -> None:
         self.folder, self.scenario = folder, scenario
         self.channel = f"test-{os.getpid()}-{next(numbers)}"
         self.endpoint = f"tcp/127.0.0.1:{free_port()}"
         self.started: list[Process] = []
-        self.ends: list[Listener | Door] = []
+        self.ends: list[Listener | Forwarder] = []
 
     @property
     def links(self) -> list[str]:
@@ -234,7 +237,7 @@ class Rig:
             f'devices.arm_drive.channel="{self.channel}"',
             f'devices.base_robot.connect=["{self.endpoint}"]',
         )
-        return [word for setting in settings for word in ("--set", setting)]
+        return [argument for setting in settings for argument in ("--set", setting)]
 
     def start(self, *arguments: str) -> Process:
         process = Process(arguments)
@@ -242,7 +245,7 @@ class Rig:
         return process
 
     def facility(self, *settings: str) -> Process:
-        sets = [word for setting in settings for word in ("--set", setting)]
+        sets = [argument for setting in settings for argument in ("--set", setting)]
         process = self.start(
             "facility", self.scenario, *self.links, *sets, "--out", str(self.folder / "facility")
         )
@@ -250,7 +253,7 @@ class Rig:
         return process
 
     def hil(self, *settings: str, options: Sequence[str] = (), out: str = "hil") -> Process:
-        sets = [word for setting in settings for word in ("--set", setting)]
+        sets = [argument for setting in settings for argument in ("--set", setting)]
         out = str(self.folder / out)
         return self.start(
             "hil", self.scenario, *self.links, *sets, "--no-view", "--out", out, *options
@@ -260,24 +263,22 @@ class Rig:
         self.ends.append(made := Listener(self.channel))
         return made
 
-    def door(self) -> Door:
-        """In front of the facility's base robot."""
-        self.ends.append(made := Door(int(self.endpoint.rpartition(":")[2])))
+    def forwarder(self) -> Forwarder:
+        """Start a forwarder to the base robot of the facility."""
+        self.ends.append(made := Forwarder(int(self.endpoint.rpartition(":")[2])))
         return made
 
     def wait_for_instants(self, out: str = "hil", timeout: float = 30.0) -> None:
-        """Until the loop has been through an instant: a stop before the first leaves no flight recording."""
+        """Wait until the loop has executed an instant. Before it, there is no flight recording."""
         directory, end = (self.folder / out).absolute(), time.monotonic() + timeout
         while time.monotonic() < end:
             for path in rings().glob("*.ring"):
-                with (
-                    suppress(OSError, RecordError),
-                    closing(RingReader(path)) as ring,
-                ):  # one that is being made, or removed
+                # A ring may be incomplete or removed meanwhile.
+                with suppress(OSError, RecordError), closing(RingReader(path)) as ring:
                     if Path(ring.head.directory) == directory and ring.written > 0:
                         return
             time.sleep(0.01)
-        raise AssertionError("the loop has not begun")
+        raise AssertionError("the loop has not started")
 
     def summary(self, out: str = "hil") -> dict[str, Any]:
         found: dict[str, Any] = json.loads((self.folder / out / "summary.json").read_text())
@@ -287,7 +288,7 @@ class Rig:
         return pandas.read_parquet(self.folder / out / "record.parquet")
 
     def facility_report(self, process: Process) -> dict[str, Any]:
-        """Ends the facility in order."""
+        """End the facility with SIGINT and return its report."""
         process.send(signal.SIGINT)
         assert process.finish() == 0, process.text
         found: dict[str, Any] = json.loads((self.folder / "facility" / "facility.json").read_text())

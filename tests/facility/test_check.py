@@ -1,4 +1,4 @@
-"""`freeflyer hil --check` and `--accelerated`, as a user calls them; both ends in one process."""
+"""The options `--check` and `--accelerated` of `freeflyer hil`, with both ends in one process."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ import pytest
 from freeflyer.cli.main import call
 
 
-def test_a_check_shows_what_devices_measure_and_moves_nothing(
+def test_a_check_shows_the_measurements_and_moves_nothing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert call(["hil", "facility", "--check", "--accelerated"]) == 0
-    said = capsys.readouterr().out
-    assert "arm_drive measures" in said
-    assert "0  0.1  -1.6  0  -1.4  0" in said  # the posture of the scenario
-    assert "could be activated. Nothing was." in said
-    assert "active" not in said.replace("activated", "")
+    output = capsys.readouterr().out
+    assert "arm_drive measures" in output
+    assert "0  0.1  -1.6  0  -1.4  0" in output  # the posture of the scenario
+    assert "could be activated. Nothing was activated." in output
+    assert "active" not in output.replace("activated", "")
 
 
-def test_a_check_says_why_a_device_could_not_be_activated(
+def test_a_check_reports_why_a_device_could_not_be_activated(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert (
@@ -40,14 +40,14 @@ def test_a_check_says_why_a_device_could_not_be_activated(
         == 2
     )
     both = capsys.readouterr()
-    # Measured after it was listened to for a tenth of a second, in which the base moves by less than a thousandth of its limits.
+    # The check takes 0.1 s, in which the base moves by less than a thousandth of its limits.
     assert re.search(
         r"0\.0600 m and 0\.00\d deg apart, 0\.005 m and 0\.573 deg are allowed", both.err
     ), both.err
     assert "Traceback" not in both.err
 
 
-def test_accelerated_is_the_same_experiment_with_the_faults_of_its_file(
+def test_accelerated_runs_the_experiment_with_the_faults_of_the_scenario(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "cut.toml"
@@ -69,7 +69,7 @@ def test_accelerated_is_the_same_experiment_with_the_faults_of_its_file(
     ("device", "sentence"),
     [("arm_drive", "no description frame within"), ("base_robot", "sends nothing on topic")],
 )
-def test_a_link_that_is_cut_from_the_begin_is_told_and_nothing_moves(
+def test_a_link_that_is_cut_from_the_start_is_reported_and_nothing_moves(
     device: str, sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "cut.toml"

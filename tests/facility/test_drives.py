@@ -1,4 +1,4 @@
-"""Controllers and virtual CiA 402 drives as two processes on a classic CAN bus between sockets."""
+"""Controllers and virtual CiA 402 drives as two processes on a classic CAN bus over sockets."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def bench(tmp_path: Path) -> Iterator[Rig]:
 
 
 @pytest.mark.slow
-def test_over_canopen_the_experiment_is_what_it_is_without_a_wall_clock(bench: Rig) -> None:
+def test_over_canopen_the_errors_match_the_simulation(bench: Rig) -> None:
     facility = bench.facility(*PATIENT_FACILITY, "devices.arm_drive.heartbeat_s=0.4")
     loop = bench.hil(*PATIENT, f"stop_s={SECONDS}")
     assert loop.finish() == 0, loop.text
@@ -51,14 +51,14 @@ def test_over_canopen_the_experiment_is_what_it_is_without_a_wall_clock(bench: R
     )
     assert arm["bus_load_percent"] == 57.0
     assert report["devices"]["arm_drive"]["syncs"] >= instants
-    said = events(report, "arm_drive")
-    assert "all joints: Switched on -> Operation enabled" in said
-    assert any(event.endswith("-> Switch on disabled") for event in said)
-    assert not any("Fault" in event for event in said)
+    found = events(report, "arm_drive")
+    assert "all joints: Switched on -> Operation enabled" in found
+    assert any(event.endswith("-> Switch on disabled") for event in found)
+    assert not any("Fault" in event for event in found)
 
 
 @pytest.mark.slow
-def test_a_second_controller_is_refused_and_the_first_one_goes_on(bench: Rig) -> None:
+def test_a_second_controller_is_rejected_and_the_first_one_continues(bench: Rig) -> None:
     facility = bench.facility(*PATIENT_FACILITY, "devices.arm_drive.heartbeat_s=0.4")
     first = bench.hil(*PATIENT, "stop_s=100.0", out="first")
     facility.wait_for("Operation enabled")
@@ -70,7 +70,7 @@ def test_a_second_controller_is_refused_and_the_first_one_goes_on(bench: Rig) ->
     assert "interrupted by the user; all devices were brought to rest" in first.text
 
 
-def test_drives_whose_controller_was_killed_stop_and_brake_by_themselves(bench: Rig) -> None:
+def test_drives_stop_and_brake_after_their_controller_was_killed(bench: Rig) -> None:
     facility = bench.facility("facility.arm_watchdog_cycles=50")
     loop = bench.hil(*PATIENT_LOOP)
     facility.wait_for("-> Operation enabled")
@@ -89,7 +89,7 @@ def run(
     return hil.run(chosen, real_time=False, simulated=simulated, say=lambda text: None)
 
 
-def test_without_drives_on_the_bus_the_loop_says_which_one_is_missing(bench: Rig) -> None:
+def test_a_missing_drive_is_reported(bench: Rig) -> None:
     sentence = (
         "arm_drive: drive of joint 1 (node 1) does not return device type (1000h): no answer within 0.3 s; is the drive (or `freeflyer facility`) "
         f"running on CAN local:{bench.channel}"
@@ -98,14 +98,14 @@ def test_without_drives_on_the_bus_the_loop_says_which_one_is_missing(bench: Rig
         run(bench.channel, "devices.arm_drive.parameters.configure_timeout=0.3")
 
 
-def test_at_1_ms_classic_can_is_refused_with_its_load(bench: Rig) -> None:
+def test_classic_can_at_1_ms_is_rejected_with_its_bus_load(bench: Rig) -> None:
     with pytest.raises(
         DeviceError, match=r"take up to 228 % of a CAN bus of 1000 kbit/s.*: a cycle of 3 ms fits"
     ):
         run(bench.channel, "devices.arm_drive.parameters.period=0.001")
 
 
-def test_with_simulated_devices_the_scenario_runs_at_wall_clock_rate(bench: Rig) -> None:
+def test_the_scenario_runs_with_simulated_devices_at_wall_clock_rate(bench: Rig) -> None:
     result, report = run(bench.channel, "stop_s=0.4", simulated=True)
     assert result.as_expected
     assert report.stop.startswith("the scenario is over; all devices were brought to rest")

@@ -1,4 +1,4 @@
-"""Everything a user can get wrong about hardware: one sentence, exit code 2, and nothing has moved."""
+"""User errors with hardware: one sentence, exit code 2, and no motion."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def own_dbc(
     left_out: str = "",
     activation: str = "implicit",
 ) -> str:
-    """A small arm of six joints; a scenario beside it that uses it."""
+    """Write the DBC of a small arm of six joints, and a scenario that uses it."""
     command = [
         f' SG_ C{i + 1} : {16 * i}|16@1- ({torque_scale},0) [0|0] "Nm" Drive' for i in range(6)
     ]
@@ -56,7 +56,7 @@ signals = { cycle = "N", joint_torque_command = "C{}", joint_position = "Q{}", j
     return str(folder / "own.toml")
 
 
-# What is wrong before anybody is asked
+# Errors that are found without a device
 
 
 @pytest.mark.parametrize(
@@ -73,8 +73,8 @@ signals = { cycle = "N", joint_torque_command = "C{}", joint_position = "Q{}", j
         ("devices.arm_drive.parameters.start_tolerence=1", "did you mean 'start_tolerance'"),
         ('devices.arm_drive.parameters.torque_rate_limit="fast"', "torque_rate_limit is 'fast'"),
         ("devices.hand.channel=1", "NAME one of: arm_drive, base_robot"),
-        ('devices.base_robot.setpoint_topic="base robot/**"', "no valid key expression"),
-        ('devices.base_robot.measured_topic=""', "no valid key expression"),
+        ('devices.base_robot.setpoint_topic="base robot/**"', "not a valid key expression"),
+        ('devices.base_robot.measured_topic=""', "not a valid key expression"),
         ("devices.base_robot.listen=[]", "would listen on every interface"),
         ('devices.base_robot.listen=["nonsense"]', "list of endpoints"),
         ('devices.base_robot.connect="tcp/127.0.0.1:7447"', "a list is expected"),
@@ -116,7 +116,7 @@ signals = { cycle = "N", joint_torque_command = "C{}", joint_position = "Q{}", j
         ("devices.arm_drive.parameters.configure_timeout=1e300", "finite|at most 3600"),
     ],
 )
-def test_a_setting_that_cannot_be_is_refused(
+def test_an_invalid_setting_is_rejected(
     setting: str, sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     code, error = run_command(
@@ -124,7 +124,7 @@ def test_a_setting_that_cannot_be_is_refused(
     )
     assert code == 2
     assert re.search(sentence.replace("+", "[+]"), error), error
-    if "parameters" not in setting:  # what the host alone has
+    if "parameters" not in setting:  # the facility does not read these parameters
         code, other = run_command(capsys, "facility", "facility", "--set", setting)
         if "bus" not in setting and "e2e" not in setting:
             assert code == 2
@@ -152,7 +152,7 @@ def test_a_setting_that_cannot_be_is_refused(
         ),
     ],
 )
-def test_a_scenario_that_cannot_be_is_refused(
+def test_an_invalid_scenario_is_rejected(
     arguments: tuple[str, ...], sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     code, error = run_command(capsys, *arguments, "--out", str(tmp_path))
@@ -173,7 +173,7 @@ def test_a_scenario_that_cannot_be_is_refused(
         ),
     ],
 )
-def test_a_dbc_that_does_not_fit_the_robot_is_refused(
+def test_a_dbc_that_does_not_fit_the_robot_is_rejected(
     changed: dict[str, object], sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = own_dbc(tmp_path, **changed)  # type: ignore[arg-type]
@@ -182,7 +182,7 @@ def test_a_dbc_that_does_not_fit_the_robot_is_refused(
     assert sentence in error
 
 
-def test_nobody_there_is_said_of_the_arm_and_of_the_base(tmp_path: Path) -> None:
+def test_a_missing_arm_is_reported(tmp_path: Path) -> None:
     with rig(tmp_path) as bench:
         loop = bench.hil("devices.arm_drive.parameters.configure_timeout=0.5")
         assert loop.finish() == 2
@@ -192,12 +192,12 @@ def test_nobody_there_is_said_of_the_arm_and_of_the_base(tmp_path: Path) -> None
         )
 
 
-# What the facility itself shows to be wrong
+# Errors that are found by comparison with the facility
 
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Rig, Process]]:
-    """One facility for all of them: none may move it."""
+    """One facility for all tests of this section. None of them may move it."""
     with rig(tmp_path_factory.mktemp("mistakes")) as made:
         facility = made.facility(*PATIENT_FACILITY, "facility.forget_after_s=0.2")
         yield made, facility
@@ -228,11 +228,11 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Rig, Proce
             ),
             (
                 "satellite.base_position=[0.0, 0.0, 0.0]",
-                r"stands at \[0.0400, 0.0000, 0.0800\] m.*starts at \[0.0000, 0.0000, 0.0000\] m.*: 0.089\d m",
+                r"is at \[0.0400, 0.0000, 0.0800\] m.*starts at \[0.0000, 0.0000, 0.0000\] m.*: 0.089\d m",
             ),
             (
                 "satellite.base_orientation=[0.0, 0.0, 0.0, 1.0]",
-                r"stands at .*roll (10.00|9.99)\d, .*starts at .*roll 0.000, .*1?\d.\d+ deg apart",
+                r"is at .*roll (10.00|9.99)\d, .*starts at .*roll 0.000, .*1?\d.\d+ deg apart",
             ),
             (
                 "reference_trajectory.start_joint_position=[0.1, -0.5, 1.4, 0.9, 0.0, 0.0]",
@@ -249,26 +249,26 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Rig, Proce
             ("devices.base_robot.parameters.age_limit=-1", "age_limit is -1 s"),
             (
                 "devices.base_robot.parameters.cycle=0.0045",
-                r"its cycle of 0.0045 s is no multiple of its step of 0.001 s",
+                r"the cycle of 0.0045 s is not a multiple of the step of 0.001 s",
             ),
         ],
         1,
     ),
 )
-def test_an_arm_or_base_that_is_not_the_scenarios_is_refused_with_both_numbers(
+def test_a_device_that_does_not_match_the_scenario_is_rejected_with_both_values(
     bench: tuple[Rig, Process], setting: str, sentence: str
 ) -> None:
     rigged, _ = bench
     loop = rigged.hil(setting)
     assert loop.finish() == 2, loop.text
-    assert re.search(sentence, " ".join(loop.said)), loop.text
+    assert re.search(sentence, " ".join(loop.output)), loop.text
 
 
 @pytest.mark.slow
-def test_an_arm_of_seven_joints_is_refused_where_the_robot_has_six(
+def test_an_arm_of_seven_joints_is_rejected_for_a_robot_of_six(
     bench: tuple[Rig, Process], tmp_path: Path
 ) -> None:
-    """Another arm on the channel describes itself: six frames a second are enough to be believed first."""
+    """Another arm on the channel sends the description frame first."""
     from freeflyer_adapters.arm.frames import ArmFrames, FrameMapping
     from freeflyer_adapters.can.link import Sender, open_bus
 
@@ -296,7 +296,7 @@ def _pause() -> None:
     time.sleep(0.01)
 
 
-def test_the_facilitys_port_in_use_is_said(bench: tuple[Rig, Process], tmp_path: Path) -> None:
+def test_a_port_in_use_is_reported(bench: tuple[Rig, Process], tmp_path: Path) -> None:
     rigged, _ = bench
     with rig(tmp_path) as other:
         other.endpoint = rigged.endpoint
@@ -306,7 +306,7 @@ def test_the_facilitys_port_in_use_is_said(bench: tuple[Rig, Process], tmp_path:
 
 
 @pytest.mark.slow
-def test_a_base_further_away_is_approached_when_asked(tmp_path: Path) -> None:
+def test_the_start_pose_is_approached_if_requested(tmp_path: Path) -> None:
     with rig(tmp_path) as bench:
         facility = bench.facility(*PATIENT_FACILITY, "base_robot.true_position=[0.05, 0.0, 0.08]")
         loop = bench.hil(

@@ -1,4 +1,4 @@
-"""Faults of whole processes, and of links between them, over real sockets. Rules that are not under test are patient."""
+"""Faults of whole processes and of links over real sockets. Limits that are not tested are wide."""
 
 from __future__ import annotations
 
@@ -36,15 +36,14 @@ def bench(tmp_path: Path) -> Iterator[Rig]:
         yield made
 
 
-def test_controllers_that_are_held_up_never_give_a_braked_arm_its_power_back(
+def test_suspended_controllers_never_enable_the_power_of_a_braked_arm_again(
     tmp_path: Path,
 ) -> None:
-    """Every rule of both ends at its default."""
-    for attempt in range(
-        5
-    ):  # a shared machine may hold the loop up by itself, before it is stopped
+    """All limits of both ends have their defaults."""
+    # Several attempts: a shared machine may suspend the loop before the test does.
+    for attempt in range(5):
         with rig(tmp_path / str(attempt)) as bench:
-            facility, heard = bench.facility(), bench.listener()
+            facility, listener = bench.facility(), bench.listener()
             loop = bench.hil()
             facility.wait_for("inactive -> active: commanded")
             with suppress(AssertionError):
@@ -57,12 +56,12 @@ def test_controllers_that_are_held_up_never_give_a_braked_arm_its_power_back(
             time.sleep(0.5)
             report = bench.facility_report(facility)
             if (
-                next(state.at for state in heard.states if state.life is LifeCycle.safe_stop)
+                next(state.at for state in listener.states if state.life is LifeCycle.safe_stop)
                 < stopped
             ):
                 continue
-            assert not any(state.has_power for state in heard.after_the_first_brake())
-            assert len(heard.after_the_first_brake()) > 2000
+            assert not any(state.has_power for state in listener.after_the_first_brake())
+            assert len(listener.after_the_first_brake()) > 2000
             for device in ("arm_drive", "base_robot"):
                 assert activations(report, device) == 1, events(report, device)
             assert any(WATCHDOG in event for event in events(report, "arm_drive"))
@@ -71,18 +70,18 @@ def test_controllers_that_are_held_up_never_give_a_braked_arm_its_power_back(
                 for event in events(report, "base_robot")
             )
             assert loop.text.count("Stop:") == 1
-            # Which of the two is written next when the loop goes on is where it was stopped.
+            # The device that is written next after the suspension reports it.
             reason = r"the loop was held up for 2\.\d+ s, longer than the watchdog of the (arm \(0\.004 s\)|base robot \(0\.02 s\))"
             assert re.search(f"^Stop: (arm_drive|base_robot): {reason}", loop.text, re.MULTILINE), (
                 loop.text
             )
             flight_of(bench.folder / "hil", reason, gap=3.0)
             return
-    raise AssertionError("the loop was held up by the machine each time")
+    raise AssertionError("the machine suspended the loop in every attempt")
 
 
 @pytest.mark.slow
-def test_an_overrun_of_the_controllers_is_stopped_by_the_arms_watchdog(bench: Rig) -> None:
+def test_the_watchdog_of_the_arm_stops_it_after_an_overrun_of_the_controllers(bench: Rig) -> None:
     facility = bench.facility("facility.base_watchdog_s=1.0")
     loop = bench.hil(*PATIENT_LOOP)
     facility.wait_for("inactive -> active: commanded")
@@ -97,8 +96,8 @@ def test_an_overrun_of_the_controllers_is_stopped_by_the_arms_watchdog(bench: Ri
 
 
 @pytest.mark.slow
-def test_an_overrun_of_the_controllers_is_reported_as_one_by_the_loop(bench: Rig) -> None:
-    """The loop's own watchdog at its default, which is the arm's: the cause is named, not what the arm did meanwhile."""
+def test_the_loop_reports_an_overrun_of_the_controllers_as_the_cause(bench: Rig) -> None:
+    """With the default watchdog, the loop reports its suspension, not the reaction of the arm."""
     facility = bench.facility("facility.base_watchdog_s=1.0")
     loop = bench.hil(*PATIENT_BASE, *PATIENT_ARM[:2])
     facility.wait_for("inactive -> active: commanded")
@@ -116,7 +115,7 @@ def test_an_overrun_of_the_controllers_is_reported_as_one_by_the_loop(bench: Rig
 
 
 @pytest.mark.slow
-def test_a_facility_that_is_stopped_stops_the_controllers_and_brakes_when_it_goes_on(
+def test_a_suspended_facility_stops_the_controllers_and_brakes_after_it_resumes(
     bench: Rig,
 ) -> None:
     facility = bench.facility("facility.base_watchdog_s=1.0")
@@ -128,7 +127,7 @@ def test_a_facility_that_is_stopped_stops_the_controllers_and_brakes_when_it_goe
     reason = r"arm_drive: .*(20 cycles in a row were lost|state frame is 0.0\d+ s old)"
     assert re.search(reason, loop.text)
     flight_of(bench.folder / "hil", reason)
-    assert "arm_drive had not confirmed to be at rest" in " ".join(loop.said)
+    assert "arm_drive had not confirmed to be at rest" in " ".join(loop.output)
     facility.send(signal.SIGCONT)
     facility.wait_for("arm_drive, cycle")
     time.sleep(1.0)
@@ -138,8 +137,8 @@ def test_a_facility_that_is_stopped_stops_the_controllers_and_brakes_when_it_goe
 
 
 @pytest.mark.slow
-def test_loss_and_corruption_over_real_sockets_are_never_used(tmp_path: Path) -> None:
-    """What the loop has recorded is what the arm has sent: a listener beside both hears the frames, broken ones and all."""
+def test_corrupted_frames_on_real_sockets_are_never_used(tmp_path: Path) -> None:
+    """All recorded values were sent by the arm. A third node receives all frames for comparison."""
     path = tmp_path / "faults.toml"
     path.write_text(
         'extends = "facility"\nstop_s = 20.0\n[facility]\nseed = 7\nbase_watchdog_s = 1.0\n'
@@ -180,7 +179,9 @@ def test_loss_and_corruption_over_real_sockets_are_never_used(tmp_path: Path) ->
 
 
 @pytest.mark.slow
-def test_a_base_whose_clock_is_set_back_goes_on_and_that_is_counted(tmp_path: Path) -> None:
+def test_a_base_continues_after_its_clock_is_set_back_and_the_step_is_counted(
+    tmp_path: Path,
+) -> None:
     path = tmp_path / "set_back.toml"
     fault = '[[facility.faults]]\ndevice = "base_robot"\nkind = "clock_jump"\ndirection = "to_controller"\njump_s = -1.0\n'
     path.write_text(f"{BASE_ALONE}[facility]\nbase_watchdog_s = 1.0\n{fault}begin_s = 1.0\n")

@@ -1,4 +1,4 @@
-"""`freeflyer facility` and `freeflyer hil` with certificates, as processes; who has no right to command is told why."""
+"""`freeflyer facility` and `freeflyer hil` with certificates, and messages of rejected peers."""
 
 from __future__ import annotations
 
@@ -48,9 +48,7 @@ def certificates(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.slow
-def test_both_ends_run_the_experiment_over_tls(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_experiment_runs_over_tls(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     certificates(tmp_path / "certs", capsys)
     path = scenario(
         tmp_path, 'extends = "facility"\n[devices.base_robot]\ncertificates = "certs"\n'
@@ -69,7 +67,7 @@ def test_both_ends_run_the_experiment_over_tls(
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Rig, Process]]:
-    """One protected facility whose base alone is on a link; nobody of these tests may move it."""
+    """One protected facility with only the base on a link. None of the tests may move it."""
     folder = tmp_path_factory.mktemp("protected")
     for name in ("certs", "rogue"):
         (folder / name).mkdir()
@@ -84,7 +82,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Rig, Proce
         days=2,
         hosts=HOSTS,
         may_listen=True,
-        begin=long_ago,
+        start=long_ago,
     )
     path = scenario(folder, BASE_ALONE + '[devices.base_robot]\ncertificates = "certs"\n')
     with rig(folder, path) as made:
@@ -100,7 +98,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Rig, Proce
         facility.wait_for("is there")
         yield made, facility
         report = made.facility_report(facility)
-        assert not events(report, "base_robot"), "somebody was obeyed"
+        assert not events(report, "base_robot"), "the base has accepted a command"
 
 
 Refused = Callable[..., str]
@@ -108,7 +106,7 @@ Refused = Callable[..., str]
 
 @pytest.fixture
 def refused(bench: tuple[Rig, Process], capsys: pytest.CaptureFixture[str]) -> Refused:
-    """What `freeflyer hil` says when it is refused, in one sentence."""
+    """A function that runs `freeflyer hil`, expects exit code 2, and returns the message."""
     made, _ = bench
 
     def sentence(*settings: str, endpoint: str | None = None) -> str:
@@ -117,10 +115,10 @@ def refused(bench: tuple[Rig, Process], capsys: pytest.CaptureFixture[str]) -> R
             "devices.base_robot.parameters.configure_timeout=1.0",
             *settings,
         ]
-        words = [word for setting in sets for word in ("--set", setting)]
+        overrides = [argument for setting in sets for argument in ("--set", setting)]
         out = str(made.folder / "hil")
         code, error = run_command(
-            capsys, "hil", made.scenario, *words, "--no-view", "--no-real-time", "--out", out
+            capsys, "hil", made.scenario, *overrides, "--no-view", "--no-real-time", "--out", out
         )
         assert code == 2, error
         return error
@@ -128,7 +126,7 @@ def refused(bench: tuple[Rig, Process], capsys: pytest.CaptureFixture[str]) -> R
     return sentence
 
 
-def test_no_certificate_is_said(refused: Refused, bench: tuple[Rig, Process]) -> None:
+def test_a_missing_certificate_is_reported(refused: Refused, bench: tuple[Rig, Process]) -> None:
     found = refused('devices.base_robot.certificates=""')
     assert (
         "is encrypted, but no certificates are named; make certificates with `freeflyer certificates DIR`"
@@ -137,17 +135,17 @@ def test_no_certificate_is_said(refused: Refused, bench: tuple[Rig, Process]) ->
     plain = bench[0].endpoint.replace("tls/", "tcp/")
     found = refused('devices.base_robot.certificates=""', endpoint=plain)
     assert re.search(
-        r"sends nothing .* within 1 s: TLS is spoken on tcp/127.0.0.1:\d+: `certificates` and tls/127.0.0.1:\d+ are expected",
+        r"sends nothing .* within 1 s: TLS is used on tcp/127.0.0.1:\d+: `certificates` and tls/127.0.0.1:\d+ are expected",
         found,
     )
 
 
-def test_a_rogue_authority_is_said(refused: Refused, bench: tuple[Rig, Process]) -> None:
+def test_another_authority_is_reported(refused: Refused, bench: tuple[Rig, Process]) -> None:
     found = refused('devices.base_robot.certificates="rogue"')
     assert "'base_robot', was signed by another authority than ours" in found
 
 
-def test_an_expired_certificate_is_said(refused: Refused, bench: tuple[Rig, Process]) -> None:
+def test_an_expired_certificate_is_reported(refused: Refused, bench: tuple[Rig, Process]) -> None:
     found = refused('devices.base_robot.certificates="expired"')
     assert re.search(
         r"controller.pem expired on .* UTC; `freeflyer certificates .* --renew controller` makes a new one",
@@ -155,14 +153,14 @@ def test_an_expired_certificate_is_said(refused: Refused, bench: tuple[Rig, Proc
     )
 
 
-def test_a_valid_certificate_without_the_right_to_command_is_said(
+def test_a_valid_certificate_without_the_right_to_command_is_reported(
     refused: Refused, bench: tuple[Rig, Process]
 ) -> None:
     found = refused('devices.base_robot.controller="observer"')
     assert "base_robot does not let certificate 'observer' command, only controller" in found
 
 
-def test_a_facility_whose_certificate_cannot_do_does_not_start(
+def test_a_facility_without_a_valid_certificate_does_not_start(
     bench: tuple[Rig, Process], capsys: pytest.CaptureFixture[str]
 ) -> None:
     made, _ = bench
@@ -171,21 +169,21 @@ def test_a_facility_whose_certificate_cannot_do_does_not_start(
     )
     assert code == 2
     assert (
-        "is for localhost, 127.0.0.1, ::1, not for 127.0.0.3, so nobody would accept it there"
+        "is for localhost, 127.0.0.1, ::1, not for 127.0.0.3, so peers would reject it there"
         in error
     )
 
 
 @pytest.mark.slow
-def test_an_open_link_is_warned_of(tmp_path: Path) -> None:
-    """An address of TEST-NET-1, which no machine has: the warning comes, and then the link cannot be opened."""
+def test_an_unencrypted_link_causes_a_warning(tmp_path: Path) -> None:
+    """The address is of TEST-NET-1: after the warning, the link cannot be opened."""
     path = scenario(tmp_path, BASE_ALONE + "[devices.base_robot]\ninsecure = true\n")
     with rig(tmp_path, path) as made:
         process = made.start(
             "facility", path, "--set", 'devices.base_robot.connect=["tcp/192.0.2.10:7447"]'
         )
         process.wait_for(
-            "WARNING: tcp/192.0.2.10:7447 is not encrypted, and whoever reaches it can command the robot"
+            "WARNING: tcp/192.0.2.10:7447 is not encrypted, so any peer that reaches it can command the robot"
         )
         process.send(signal.SIGINT)
         process.finish()

@@ -1,4 +1,4 @@
-"""Controllers and virtual facility as two processes over real sockets."""
+"""Controllers and the virtual facility as two processes over real sockets."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ def bench(tmp_path: Path) -> Iterator[Rig]:
         yield made
 
 
-def test_over_real_bytes_the_experiment_is_what_it_is_without_a_wall_clock(bench: Rig) -> None:
+def test_over_real_links_the_errors_match_the_simulation(bench: Rig) -> None:
     facility = bench.facility(*PATIENT_FACILITY)
     loop = bench.hil(*PATIENT_LOOP, f"stop_s={SECONDS}")
     assert loop.finish() == 0, loop.text
-    time.sleep(1.5)  # so that the facility notices that its controller has gone
+    time.sleep(1.5)  # the facility must detect the end of its controller
     report = bench.facility_report(facility)
     summary = bench.summary()
     without_clock = experiment.run(scenario.load("facility", [f"stop_s={SECONDS}"])).summary
@@ -54,7 +54,7 @@ def test_over_real_bytes_the_experiment_is_what_it_is_without_a_wall_clock(bench
             without_clock[name]["max"], rel=0.1, abs=0.1
         ), name
 
-    # No lost cycle that was not counted: what the arm sent came, or was counted as lost, and so with the commands.
+    # All frames of the arm, and all commands, were received or counted as lost.
     arm = summary["real_time"]["devices"]["arm_drive"]
     instants = summary["steps"]["arm_drive"]
     assert instants == round(SECONDS * 1000)
@@ -77,7 +77,7 @@ def test_over_real_bytes_the_experiment_is_what_it_is_without_a_wall_clock(bench
 
 
 @pytest.mark.slow
-def test_the_real_time_part_of_reproduce_reads_what_the_loop_wrote(tmp_path: Path) -> None:
+def test_the_real_time_part_of_reproduce_reads_the_results_of_the_loop(tmp_path: Path) -> None:
     result = real_time.run(
         scenario.load("facility"), tmp_path, [*PATIENT_FACILITY, *PATIENT_LOOP, "stop_s=1.0"]
     )
@@ -87,8 +87,8 @@ def test_the_real_time_part_of_reproduce_reads_what_the_loop_wrote(tmp_path: Pat
     assert result.summary["real_time"]["times"]["arm_drive: answer to it"]["p50_us"] > 0.0
 
 
-def test_controllers_in_the_simulation_and_on_the_facility_are_the_same_files() -> None:
-    """The devices replace the plant; what controls is found under the same path, byte for byte."""
+def test_the_controllers_in_the_simulation_and_on_the_facility_are_the_same_files() -> None:
+    """The devices replace the plant. The FMUs of the controllers are identical."""
     paths = {}
     for name, devices in (("multirate_passive", False), ("facility", False), ("facility", True)):
         chosen = scenario.load(name)
@@ -102,7 +102,7 @@ def test_controllers_in_the_simulation_and_on_the_facility_are_the_same_files() 
         assert len({digest for key, digest in paths.items() if key[2] == controller}) == 1
 
 
-def test_the_arm_is_safe_within_five_cycles_of_its_controllers_death_and_the_base_holds(
+def test_the_arm_is_in_safe_stop_within_five_cycles_after_sigkill_of_the_controllers_and_the_base_holds(
     bench: Rig,
 ) -> None:
     facility = bench.facility("facility.forget_after_s=3.0")
@@ -112,7 +112,7 @@ def test_the_arm_is_safe_within_five_cycles_of_its_controllers_death_and_the_bas
     flight = bench.folder / "hil" / "flight_recording.mcap"
     states: list[dict[str, list[float]]] = []
     try:
-        for _ in range(5):  # a shared machine may hold the loop up before it is killed
+        for _ in range(5):  # a shared machine may suspend the loop before it is killed
             loop = bench.hil(options=())
             facility.wait_for("inactive -> active: commanded")
             time.sleep(0.3)
@@ -136,7 +136,7 @@ def test_the_arm_is_safe_within_five_cycles_of_its_controllers_death_and_the_bas
             raise AssertionError(facility.text)
     finally:
         bus.shutdown()
-    # From the last command that the arm accepted to its first state frame in safe stop.
+    # From the last accepted command to the first state frame in safe stop.
     cycles = [int(s["cycle"][0]) for s in states]
     first = next(
         i
@@ -159,9 +159,9 @@ def test_the_arm_is_safe_within_five_cycles_of_its_controllers_death_and_the_bas
 
 
 @pytest.mark.slow
-def test_the_controller_stops_in_order_when_the_facility_dies(bench: Rig) -> None:
+def test_the_controller_stops_in_order_after_sigkill_of_the_facility(bench: Rig) -> None:
     facility = bench.facility(*PATIENT_FACILITY)
-    loop = bench.hil(*PATIENT_BASE)  # the arm's own rule: 20 cycles in a row, 20 ms
+    loop = bench.hil(*PATIENT_BASE)  # the default limit of the arm: 20 cycles in a row, 20 ms
     facility.wait_for("inactive -> active: commanded")
     bench.wait_for_instants()
     facility.send(signal.SIGKILL)
@@ -171,7 +171,7 @@ def test_the_controller_stops_in_order_when_the_facility_dies(bench: Rig) -> Non
         loop.text,
     )
     assert "arm_drive had not confirmed to be at rest, and is left to its own watchdog" in " ".join(
-        loop.said
+        loop.output
     )
     assert bench.summary()["failed"] is True
     assert bench.record().shape[0] >= 1
@@ -197,20 +197,18 @@ def test_ctrl_c_on_the_controller_is_an_orderly_stop(bench: Rig, number: signal.
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_while_the_arm_is_waited_for_ends_at_once(
-    bench: Rig, number: signal.Signals
-) -> None:
+def test_a_signal_ends_the_wait_for_the_arm_immediately(bench: Rig, number: signal.Signals) -> None:
     loop = bench.hil("devices.arm_drive.parameters.configure_timeout=60")
     deadline = time.monotonic() + 30.0
     while not any(directory(bench.channel).glob("*-*")) and time.monotonic() < deadline:
         time.sleep(0.05)
     time.sleep(0.3)
-    begin = time.monotonic()
+    start = time.monotonic()
     loop.send(number)
     assert loop.finish() == 3
-    took = time.monotonic() - begin
+    took = time.monotonic() - start
     print(f"ended {took:.2f} s after {number.name}, before activation")
-    assert took < 3.0  # 1 s is the promise; a shared machine may take longer
+    assert took < 3.0  # the requirement is 1 s; a shared machine may take longer
     assert "interrupted" in loop.text
 
 
@@ -227,7 +225,7 @@ def test_ctrl_c_on_the_facility_is_an_orderly_stop_for_both(bench: Rig) -> None:
 
 
 @pytest.mark.slow
-def test_a_second_controller_is_refused_before_anything_moves_with_both_numbers(bench: Rig) -> None:
+def test_a_second_controller_is_rejected_before_any_motion_with_both_numbers(bench: Rig) -> None:
     facility = bench.facility(*PATIENT_FACILITY)
     first = bench.hil(*PATIENT_LOOP)
     facility.wait_for("inactive -> active: commanded")
@@ -244,7 +242,9 @@ def test_a_second_controller_is_refused_before_anything_moves_with_both_numbers(
 
 
 @pytest.mark.slow
-def test_a_second_controller_of_a_base_alone_is_refused_with_both_names(tmp_path: Path) -> None:
+def test_a_second_controller_of_a_base_without_arm_is_rejected_with_both_publishers(
+    tmp_path: Path,
+) -> None:
     path = tmp_path / "base.toml"
     path.write_text(BASE_ALONE)
     with rig(tmp_path, str(path)) as bench:
@@ -262,7 +262,8 @@ def test_a_second_controller_of_a_base_alone_is_refused_with_both_names(tmp_path
         )
         assert second.finish() == 2
         assert re.search(
-            r"obeys publisher [0-9a-f]{32} already; this is session [0-9a-f]{32}", second.text
+            r"accepts commands from publisher [0-9a-f]{32} already; this is session [0-9a-f]{32}",
+            second.text,
         ), second.text
         assert first.popen.poll() is None
         first.send(signal.SIGINT)
@@ -270,37 +271,37 @@ def test_a_second_controller_of_a_base_alone_is_refused_with_both_names(tmp_path
 
 
 @pytest.mark.slow
-def test_ctrl_c_in_the_approach_ends_before_the_arm_is_active(bench: Rig) -> None:
+def test_ctrl_c_during_the_approach_ends_the_run_before_the_arm_is_active(bench: Rig) -> None:
     facility = bench.facility(*PATIENT_FACILITY, "base_robot.true_position=[0.3, 0.0, 0.08]")
     loop = bench.hil(*PATIENT_LOOP, "devices.base_robot.parameters.approach=true")
     facility.wait_for("set points came")
     time.sleep(0.5)
-    begin = time.monotonic()
+    start = time.monotonic()
     loop.send(signal.SIGINT)
     assert loop.finish() == 3
-    assert time.monotonic() - begin < 8.0
+    assert time.monotonic() - start < 8.0
     assert "interrupted by the user" in loop.text
     report = bench.facility_report(facility)
     assert not any("-> active" in event for event in events(report, "arm_drive"))
 
 
-def test_ctrl_c_while_the_facility_starts_ends_it(bench: Rig) -> None:
+def test_ctrl_c_during_the_start_of_the_facility_ends_it(bench: Rig) -> None:
     process = bench.start("facility", "facility", *bench.links)
     for _ in range(3):
         time.sleep(0.7)
         process.send(signal.SIGINT)
         if process.popen.poll() is not None:
             break
-    # -2: Python itself was still starting.
+    # -2: the Python interpreter was still starting.
     assert process.finish(20.0) in (0, 3, -signal.SIGINT)
 
 
 @pytest.mark.slow
-def test_a_stray_first_set_point_locks_nobody_out(bench: Rig) -> None:
-    """Somebody publishes nonsense before the controller comes: it is refused, and the controller is obeyed."""
+def test_rejected_set_points_of_another_publisher_do_not_block_the_controller(bench: Rig) -> None:
+    """Another publisher sends invalid set points before the controller starts."""
     facility = bench.facility(*PATIENT_FACILITY)
     options = LinkOptions(connect=(bench.endpoint,))
-    session = open_session(options.connect, options.listen, "stranger")
+    session = open_session(options.connect, options.listen, "other publisher")
     link = OdometryLink(session, options, options.setpoint_topic, options.measured_topic)
     try:
         for _ in range(20):
@@ -316,18 +317,18 @@ def test_a_stray_first_set_point_locks_nobody_out(bench: Rig) -> None:
 
 
 @pytest.mark.slow
-def test_a_busy_process_beside_the_loop_costs_counted_cycles_and_no_wrong_state(bench: Rig) -> None:
+def test_lost_cycles_under_cpu_load_are_counted_and_cause_no_wrong_state(bench: Rig) -> None:
     facility = bench.facility(*PATIENT_FACILITY)
     loop = bench.hil(*PATIENT_LOOP, "stop_s=3.0", options=("--no-real-time",))
     facility.wait_for("inactive -> active: commanded")
-    hogs = [
+    loads = [
         subprocess.Popen(
             [sys.executable, "-c", "import time\nt=time.time()+1\nwhile time.time()<t: pass"]
         )
         for _ in range(2)
     ]
-    for hog in hogs:
-        hog.wait()
+    for load in loads:
+        load.wait()
     assert loop.finish() == 0, loop.text
     report = bench.facility_report(facility)
     arm = bench.summary()["real_time"]["devices"]["arm_drive"]
@@ -341,7 +342,7 @@ def test_a_busy_process_beside_the_loop_costs_counted_cycles_and_no_wrong_state(
 
 
 def listening(process_id: int) -> list[tuple[str, str]]:
-    """Protocol and local address of every socket of a process that listens, or could receive datagrams."""
+    """Return protocol and local address of all listening TCP and all UDP sockets of a process."""
     found = []
     inodes = set()
     for descriptor in Path(f"/proc/{process_id}/fd").iterdir():
@@ -360,7 +361,7 @@ def listening(process_id: int) -> list[tuple[str, str]]:
     return found
 
 
-def test_nothing_listens_beyond_loopback_and_nobody_joins_a_multicast_group(bench: Rig) -> None:
+def test_no_process_listens_beyond_loopback_or_joins_a_multicast_group(bench: Rig) -> None:
     groups = (
         Path("/proc/net/igmp").read_text(),
         Path("/proc/net/igmp6").read_text() if Path("/proc/net/igmp6").exists() else "",
@@ -370,8 +371,8 @@ def test_nothing_listens_beyond_loopback_and_nobody_joins_a_multicast_group(benc
     facility.wait_for("inactive -> active: commanded")
     for process in (facility, loop):
         sockets = listening(process.popen.pid)
-        assert sockets, "a Zenoh peer listens, or this test looks in the wrong place"
-        # 127.0.0.1, in the kernel's byte order.
+        assert sockets, "no listening socket of Zenoh was found"
+        # 127.0.0.1 in the byte order of the kernel.
         assert {address for _, address in sockets} == {"0100007F"}, sockets
         assert not [protocol for protocol, _ in sockets if protocol.startswith("udp")]
     after = (
@@ -384,8 +385,8 @@ def test_nothing_listens_beyond_loopback_and_nobody_joins_a_multicast_group(benc
 
 
 @pytest.mark.slow
-def test_a_simulated_arm_on_a_base_over_zenoh_is_paced_by_the_clock(tmp_path: Path) -> None:
-    """No arm on a bus, so absolute deadlines are the clock; the arm's model is told how the measured base moves."""
+def test_a_simulated_arm_with_a_base_over_zenoh_is_paced_by_the_wall_clock(tmp_path: Path) -> None:
+    """Without an arm on a bus, the loop has absolute deadlines. The arm model reads the base."""
     path = tmp_path / "mixed.toml"
     path.write_text(BASE_ALONE)
     with rig(tmp_path, str(path)) as bench:

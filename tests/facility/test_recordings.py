@@ -1,4 +1,4 @@
-"""What a loop on the virtual facility leaves behind: the numbers of the recording are those in the frames of the CAN log."""
+"""Recordings of a loop on the virtual facility: the recorded values match the CAN log."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ STATE, COMMAND = 0x181, 0x101
 
 
 @pytest.mark.slow
-def test_the_can_log_has_the_frames_that_the_recordings_numbers_came_from(tmp_path: Path) -> None:
+def test_the_can_log_contains_the_frames_of_the_recorded_values(tmp_path: Path) -> None:
     with rig(tmp_path) as bench:
         bench.facility(*PATIENT_FACILITY)
         loop = bench.hil(*PATIENT_LOOP, "stop_s=2.0")
@@ -39,7 +39,7 @@ def test_the_can_log_has_the_frames_that_the_recordings_numbers_came_from(tmp_pa
             logged.add(tuple(round(float(numbers[f"Position{i + 1}"]), 6) for i in range(6)))
     columns = [f"arm_drive.joint_position[{i + 1}]" for i in range(6)]
     measured = [tuple(round(float(value), 6) for value in row) for row in frame[columns].to_numpy()]
-    # A machine that holds the recorder up for longer than the socket's buffer lasts costs frames in the log.
+    # The log loses frames if the recorder is suspended and the buffer of its socket overflows.
     assert sum(row in logged for row in measured) > 0.8 * len(measured)
     commands = sum(message.arbitration_id == COMMAND for message in frames)
     assert 0.8 * 2000 < commands <= summary["devices"]["arm_drive"]["commands_sent"]

@@ -1,6 +1,7 @@
-"""Minutes at 1 kHz over real sockets: memory stays what it was, and what one side counts the other side counts.
+"""Soak tests at 1 kHz over real sockets: constant memory, and equal counts on both sides.
 
-Two minutes here (slow; in the default set test_real_time has ten seconds); twenty as a benchmark: `pytest -m benchmark -n 0 -s tests/facility/test_soak.py`.
+The slow test takes two minutes. The benchmark takes twenty minutes:
+`pytest -m benchmark -n 0 -s tests/facility/test_soak.py`.
 """
 
 from __future__ import annotations
@@ -14,9 +15,9 @@ from processes import PATIENT_FACILITY, PATIENT_LOOP, Process, rig
 
 PAGE = 4096
 SETTLED = 10.0
-"""[s] after activation: everything that is made once has been made."""
+"""Time after activation until all single allocations are done [s]."""
 ALLOWED = 1.5
-"""[MB] of growth in all, whatever the time: allocators keep a page here and there."""
+"""Allowed total growth [MB], independent of the duration: allocators keep some pages."""
 SCENARIO = """extends = "facility"
 stop_s = {seconds}
 [record]
@@ -27,7 +28,7 @@ duration = {seconds}
 
 
 def resident(process: Process) -> float:
-    """[MB]"""
+    """Return the resident memory of a process [MB]."""
     return int(Path(f"/proc/{process.popen.pid}/statm").read_text().split()[1]) * PAGE / 1e6
 
 
@@ -47,10 +48,10 @@ def soak(folder: Path, seconds: float) -> None:
                 break
             time.sleep(1.0)
         assert loop.finish(timeout=seconds) == 0, loop.text
-        time.sleep(1.5)  # so that the facility notices that its controller has gone
+        time.sleep(1.5)  # the facility must detect the end of its controller
         report, summary = bench.facility_report(facility), bench.summary()
 
-    # The last figures may be of a loop that is writing its results.
+    # The last values may be of a loop that is writing its results.
     settled = np.array(memory[: -int(min(5, len(memory) // 4))])
     growth = settled.max(axis=0) - settled[0]
     arm, base = (summary["real_time"]["devices"][name] for name in ("arm_drive", "base_robot"))
@@ -64,7 +65,7 @@ def soak(folder: Path, seconds: float) -> None:
     assert (growth < ALLOWED).all(), growth
 
     assert summary["steps"]["arm_drive"] == round(seconds * 1000)
-    # Every command came; every one that answered in time was taken as such on both sides.
+    # Every command arrived. Both sides agree on the commands in time.
     assert theirs["commands_accepted"] + theirs["commands_rejected"] == arm["commands_sent"]
     assert theirs["commands_rejected"] == arm["state_frames_rejected"] == 0
     assert (
@@ -72,24 +73,24 @@ def soak(folder: Path, seconds: float) -> None:
         <= arm["cycles_lost"] + 5
     )
     assert theirs["state_frames_sent"] >= arm["state_frames_accepted"]
-    # The freshest sample only: what was not read was overwritten, and both are counted.
+    # Only the latest sample is read. Samples read and samples overwritten are both counted.
     assert base["samples_refused"] == robot["setpoints_refused"] == 0
     cycles = seconds * 250
     assert base["samples_accepted"] + base["samples_skipped"] == pytest.approx(
         cycles, abs=0.01 * cycles + 300
     )
-    came = sum(
+    received = sum(
         robot[f"setpoints_{how}"] for how in ("accepted", "skipped", "before_the_first_followed")
     )
-    assert came == pytest.approx(base["setpoints_published"], abs=3)
+    assert received == pytest.approx(base["setpoints_published"], abs=3)
     assert robot["setpoints_before_the_first_followed"] <= 20
 
 
 @pytest.mark.slow
-def test_two_minutes(tmp_path: Path) -> None:
+def test_memory_and_counts_over_two_minutes(tmp_path: Path) -> None:
     soak(tmp_path, 120.0)
 
 
 @pytest.mark.benchmark
-def test_twenty_minutes(tmp_path: Path) -> None:
+def test_memory_and_counts_over_twenty_minutes(tmp_path: Path) -> None:
     soak(tmp_path, 1200.0)

@@ -1,4 +1,4 @@
-"""What ends a loop, through the whole of `freeflyer hil`, with simulated devices: no wire, but wall-clock rate and the same stops."""
+"""Causes of a stop in `freeflyer hil` with simulated devices, at wall-clock rate."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ def run(chosen: Scenario) -> tuple[Any, str]:
     return result, report.stop
 
 
-def test_simulated_devices_give_the_run_without_a_clock(tmp_path: Path) -> None:
-    # But for the rate limit, which takes the bump out of the first cycles.
+def test_simulated_devices_match_the_simulation(tmp_path: Path) -> None:
+    # The rate limit would change the first cycles.
     chosen = loaded(tmp_path, "[components.arm_drive.parameters]\ntorque_rate_limit = 1e6")
     there, stop = run(chosen)
     here = experiment.run(scenario.load("facility", ["stop_s=0.5"]))
@@ -47,7 +47,7 @@ def test_simulated_devices_give_the_run_without_a_clock(tmp_path: Path) -> None:
         "base_robot.base_position",
         "satellite.base_position",
     ):
-        # Not to the last bit: before its first command a device has no torque, where the run without devices has its first one.
+        # Not exactly equal: a device has no torque before its first command.
         assert np.abs(there.outcome.record[name] - here.outcome.record[name]).max() < 1e-5, name
     assert stop.startswith("the scenario is over; all devices were brought to rest")
 
@@ -75,7 +75,7 @@ def test_simulated_devices_give_the_run_without_a_clock(tmp_path: Path) -> None:
     ],
     ids=["base wrench", "observed energy", "joint velocity", "joint position"],
 )
-def test_a_limit_stops_the_loop_in_order_and_says_its_number_and_unit(
+def test_a_limit_stops_the_loop_in_order_and_is_reported_with_value_and_unit(
     tmp_path: Path, text: str, sentence: str
 ) -> None:
     result, stop = run(loaded(tmp_path, text))
@@ -85,7 +85,7 @@ def test_a_limit_stops_the_loop_in_order_and_says_its_number_and_unit(
     assert not result.as_expected
 
 
-def test_energy_below_its_bound_for_less_than_its_time_does_not_stop(tmp_path: Path) -> None:
+def test_energy_below_its_bound_stops_the_loop_only_after_the_given_time(tmp_path: Path) -> None:
     text = '[[limits]]\nsignal = "manipulator_controller.manipulator_observed_energy"\nminimum = 1.0\nfor_s = {}\ncause = "active [J]"'
     result, stop = run(loaded(tmp_path, text.format(10.0)))
     assert result.as_expected
@@ -94,7 +94,7 @@ def test_energy_below_its_bound_for_less_than_its_time_does_not_stop(tmp_path: P
     assert "for 0.1 s" in stop
 
 
-def test_a_torque_beyond_the_arms_limit_is_clipped_counted_and_survived(tmp_path: Path) -> None:
+def test_a_torque_beyond_the_limit_is_clipped_and_counted(tmp_path: Path) -> None:
     text = "[components.arm_drive.parameters]\ntorque_rate_limit = 0.5"
     result, report = hil.run(
         loaded(tmp_path, text), real_time=False, simulated=True, say=lambda text: None
@@ -104,15 +104,15 @@ def test_a_torque_beyond_the_arms_limit_is_clipped_counted_and_survived(tmp_path
     assert result.summary["real_time"]["devices"]["arm_drive"]["torque_rate_limit_acted"] > 0
 
 
-def test_a_controller_that_fails_stops_the_arm_in_order(tmp_path: Path) -> None:
-    """A reference that leaves the arm's reach: the controllers' own requirement ends the run, and the arm is still braked."""
+def test_a_failed_controller_stops_the_arm_in_order(tmp_path: Path) -> None:
+    """The reference leaves the workspace of the arm, so a check of the controllers ends the run."""
     text = "[components.reference_trajectory.parameters]\ndisplacement = [0.0, 0.0, -2.0]\nduration = 0.5"
     result, stop = run(loaded(tmp_path, text, ("stop_s=2.0",)))
     assert not result.as_expected
     assert "all devices were brought to rest" in stop
 
 
-def test_the_live_view_survives_a_limit_that_begins_to_act(tmp_path: Path) -> None:
+def test_the_live_view_continues_when_a_limit_starts_to_clip(tmp_path: Path) -> None:
     text = "[components.arm_drive.parameters]\ntorque_rate_limit = 0.5"
     result, report = hil.run(
         loaded(tmp_path, text), real_time=False, simulated=True, view=True, say=lambda text: None
@@ -122,7 +122,7 @@ def test_the_live_view_survives_a_limit_that_begins_to_act(tmp_path: Path) -> No
 
 
 @pytest.mark.slow
-def test_the_viewer_is_an_ordinary_process_beside_a_loop_in_real_time(
+def test_the_viewer_of_a_real_time_loop_has_ordinary_priority(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     policies = []
@@ -142,7 +142,7 @@ def test_the_viewer_is_an_ordinary_process_beside_a_loop_in_real_time(
     assert os.sched_getscheduler(0) == os.SCHED_OTHER
 
 
-def test_settings_of_a_device_hold_for_its_simulation_too(tmp_path: Path) -> None:
+def test_settings_of_a_device_apply_to_its_simulation(tmp_path: Path) -> None:
     text = "[devices.base_robot.parameters]\nworkspace_upper = [0.001, 0.001, 0.001]"
     _, stop = run(loaded(tmp_path, text))
     assert "outside the workspace" in stop
@@ -151,7 +151,7 @@ def test_settings_of_a_device_hold_for_its_simulation_too(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("call", ["activate", "write", "ramp_down", "deactivate"])
-def test_a_driver_that_fails_in_its_own_way_loses_no_record_and_stops_the_others(
+def test_any_exception_of_a_driver_keeps_the_record_and_stops_the_other_devices(
     call: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def broken(self: SimulatedDevice, *arguments: Any) -> bool:
@@ -169,7 +169,7 @@ def test_a_driver_that_fails_in_its_own_way_loses_no_record_and_stops_the_others
         assert "base_robot had not confirmed to be at rest" in stop
 
 
-def test_the_reason_comes_before_any_file_and_goes_to_the_system_log(
+def test_the_reason_precedes_all_files_and_is_sent_to_the_system_log(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     done: list[str] = []
@@ -207,7 +207,7 @@ def test_the_reason_comes_before_any_file_and_goes_to_the_system_log(
     assert written["reason"] == "the scenario is over"
 
 
-def test_a_log_that_cannot_be_is_refused_before_anything_is_opened(
+def test_an_invalid_log_is_rejected_before_a_device_is_opened(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     code, sentence = run_command(
@@ -218,18 +218,18 @@ def test_a_log_that_cannot_be_is_refused_before_anything_is_opened(
     assert not (tmp_path / "stop.json").exists()
 
 
-def test_a_second_signal_does_not_stop_the_stop() -> None:
+def test_a_second_signal_does_not_interrupt_the_stop() -> None:
     with interrupts() as asked:
         with no_interrupts():
             for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
                 os.kill(os.getpid(), number)
         assert not asked
-        os.kill(os.getpid(), signal.SIGHUP)  # the terminal has gone
+        os.kill(os.getpid(), signal.SIGHUP)  # the terminal was closed
         assert len(asked) == 1
 
 
 class HalfActivated:
-    """A device whose activation was given up after something had gone out."""
+    """A device whose activation was given up after the first commands."""
 
     name, is_clock, may_have_power = "half", False, True
 
@@ -255,7 +255,7 @@ class HalfActivated:
 
 
 @pytest.mark.parametrize("comes_to_rest", [True, False])
-def test_a_device_whose_activation_was_given_up_half_way_is_seen_to_come_to_rest(
+def test_a_device_with_an_incomplete_activation_is_brought_to_rest(
     comes_to_rest: bool,
 ) -> None:
     device: Any = HalfActivated(comes_to_rest)

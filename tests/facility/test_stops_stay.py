@@ -1,4 +1,4 @@
-"""A stop gives no power back, comes at once, and says why: against real processes over real sockets."""
+"""Stops of real processes over sockets: permanent, fast and with a reason."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def bench(tmp_path: Path) -> Iterator[Rig]:
 
 
 class Commander:
-    """A controller of the arm that does what a test says."""
+    """A scripted controller of the arm."""
 
     def __init__(self, channel: str, number: int = 4711) -> None:
         self.frames, self.number = ArmFrames(FrameMapping(), 6), number
@@ -42,10 +42,10 @@ class Commander:
         )
 
     def state(self) -> State:
-        """The next state frame."""
+        """Return the next state frame."""
         while True:
             message = self.bus.recv(2.0)
-            assert message is not None, "the arm is silent"
+            assert message is not None, "the arm sends nothing"
             if (numbers := self._receiver.take(message)) is not None:
                 return numbers
 
@@ -58,27 +58,27 @@ class Commander:
         })  # fmt: skip
 
     def answer(self, mode: Mode, until: Callable[[State], bool]) -> None:
-        """Answer every state frame, until one is as wanted."""
+        """Answer every state frame with `mode` until `until` returns True."""
         for _ in range(2000):
             state = self.state()
             if until(state):
                 return
             self.send(mode, state["cycle"][0])
-        raise AssertionError(f"{mode.name} did not lead there")
+        raise AssertionError(f"{mode.name} did not lead to the expected state")
 
     def life(self, state: State) -> LifeCycle | None:
         return self.frames.life_cycle(state["life_cycle"][0])
 
 
-def test_frames_that_come_after_the_brake_command_move_nothing(bench: Rig) -> None:
-    """Of mode 1 (torque), and of every other mode of the session that has ended."""
+def test_frames_after_the_brake_command_cause_no_motion(bench: Rig) -> None:
+    """Frames of all modes of the session that has ended are tested."""
     facility = bench.facility(*PATIENT_FACILITY)
     controller = Commander(bench.channel)
     try:
         controller.answer(Mode.reset, lambda s: s["obeyed_controller"] == [4711.0])
         controller.answer(Mode.activate, lambda s: controller.life(s) is LifeCycle.active)
-        held = iter(range(50))
-        controller.answer(Mode.torque, lambda s: next(held, None) is None)
+        cycles = iter(range(50))
+        controller.answer(Mode.torque, lambda s: next(cycles, None) is None)
         controller.answer(Mode.brake, lambda s: s["brakes"] == [1.0])
         place = controller.state()["joint_position"]
         for mode in (Mode.torque, Mode.activate, Mode.reset, Mode.activate, Mode.torque):
@@ -98,29 +98,29 @@ def test_frames_that_come_after_the_brake_command_move_nothing(bench: Rig) -> No
 
 
 @pytest.mark.slow
-def test_set_points_that_were_held_up_on_the_way_do_not_wake_a_base_that_has_stopped(
+def test_delayed_set_points_do_not_activate_a_stopped_base(
     tmp_path: Path,
 ) -> None:
     path = tmp_path / "base.toml"
     path.write_text(BASE_ALONE)
     with rig(tmp_path, str(path)) as bench:
-        door = bench.door()
+        forwarder = bench.forwarder()
         base = f'devices.base_robot.connect=["{bench.endpoint}"]'
         watchdog = ("--set", "facility.base_watchdog_s=0.1")
         facility = bench.start(
             "facility", str(path), "--set", base, *watchdog, "--out", str(tmp_path / "facility")
         )
         facility.wait_for("is there")
-        far = f'devices.base_robot.connect=["{door.endpoint}"]'
+        far = f'devices.base_robot.connect=["{forwarder.endpoint}"]'
         loop = bench.start(
             "hil", str(path), "--set", far, *watchdog, "--no-view", "--out", str(tmp_path / "hil")
         )
         facility.wait_for("inactive -> active: set points came")
         time.sleep(1.0)
-        door.held.set()
+        forwarder.held.set()
         facility.wait_for("active -> safe_stop: no set point for 0.1 s")
         time.sleep(0.8)
-        door.held.clear()
+        forwarder.held.clear()
         assert loop.finish() == 3
         assert "the base robot does not take set points any more" in loop.text
         time.sleep(1.0)
@@ -129,27 +129,27 @@ def test_set_points_that_were_held_up_on_the_way_do_not_wake_a_base_that_has_sto
 
 
 @pytest.mark.slow
-def test_set_points_that_come_after_their_loop_has_given_up_activate_nothing(
+def test_set_points_that_arrive_after_the_end_of_their_loop_do_not_activate(
     tmp_path: Path,
 ) -> None:
-    """They are held up from the first one on, so that the loop ends for want of an answer."""
+    """All set points are delayed from the first one on, so the loop ends without a report."""
     path = tmp_path / "base.toml"
     path.write_text(BASE_ALONE)
     with rig(tmp_path, str(path)) as bench:
-        door = bench.door()
+        forwarder = bench.forwarder()
         base = f'devices.base_robot.connect=["{bench.endpoint}"]'
         facility = bench.start(
             "facility", str(path), "--set", base, "--out", str(tmp_path / "facility")
         )
         facility.wait_for("is there")
-        far = f'devices.base_robot.connect=["{door.endpoint}"]'
+        far = f'devices.base_robot.connect=["{forwarder.endpoint}"]'
         loop = bench.start(
             "hil", str(path), "--set", far, "--no-view", "--out", str(tmp_path / "hil")
         )
         loop.wait_for("Real time:")
-        door.held.set()
+        forwarder.held.set()
         code = loop.finish()
-        door.held.clear()
+        forwarder.held.clear()
         time.sleep(1.0)
         report = bench.facility_report(facility)
     assert code == 2, loop.text
@@ -157,12 +157,12 @@ def test_set_points_that_come_after_their_loop_has_given_up_activate_nothing(
     assert activations(report, "base_robot") == 0, events(report, "base_robot")
 
 
-# How soon
+# Time to stop
 
 WATCHDOGS = "[facility]\narm_watchdog_cycles = 500\nbase_watchdog_s = 1.0\n"
-"""A loop that hangs is found by them; one that a busy machine holds up for the 50 ms of real-time throttling is not."""
+"""Longer than real-time throttling of a busy machine (50 ms), but they still detect a hang."""
 QUICK_RAMP = "devices.arm_drive.parameters.ramp_down_time=0.001"
-"""So that the first frame of the ramp-down is as good as the first brake command."""
+"""Short ramp-down, so that the first brake command shows the start of the ramp-down."""
 HOLES = (
     "devices.arm_drive.parameters.lost_consecutive=200",
     "devices.arm_drive.parameters.state_age_limit=0.8",
@@ -173,7 +173,7 @@ HOLES = (
 
 
 class Flood:
-    """Frames of another node (300h), as fast as a process's sockets take them, for `longest` [s] at most."""
+    """Sends frames of another node (300h) at the maximum rate, for at most `longest` [s]."""
 
     def __init__(self, channel: str, process_id: int, longest: float = 8.0) -> None:
         self.frames = 0
@@ -198,7 +198,7 @@ class Flood:
                     for _ in range(100):
                         node.send(packet)
                         self.frames += 1
-                except OSError:  # its buffer is full, or the process has gone
+                except OSError:  # the buffer is full, or the process has ended
                     pass
 
     def end(self) -> None:
@@ -209,20 +209,20 @@ class Flood:
 
 
 def seconds_to_stop(folder: Path, *, flooded: bool) -> tuple[float, float]:
-    """From SIGTERM to the first brake command on the bus, and to the sentence."""
+    """Return the times from SIGTERM to the first brake command and to the stop message [s]."""
     folder.mkdir()
     (folder / "lab.toml").write_text(f'extends = "facility"\n{WATCHDOGS}')
     with rig(folder, str(folder / "lab.toml")) as bench:
-        facility, heard = bench.facility(), bench.listener()
+        facility, listener = bench.facility(), bench.listener()
         loop = bench.hil(*HOLES, QUICK_RAMP, options=("--no-record",))
         facility.wait_for("inactive -> active: commanded")
         bench.wait_for_instants()
         flood = Flood(bench.channel, loop.popen.pid) if flooded else None
         time.sleep(2.0)
-        begin = time.time()
+        start = time.time()
         loop.send(signal.SIGTERM)
         loop.wait_for("Stop:", timeout=20.0)
-        sentence = time.time() - begin
+        sentence = time.time() - start
         if flood is not None:
             flood.end()
         assert loop.finish() == 3, loop.text
@@ -234,7 +234,7 @@ def seconds_to_stop(folder: Path, *, flooded: bool) -> tuple[float, float]:
             flooded and "a flood of frames" in loop.text
         ), loop.text
         assert activations(report, "arm_drive") == activations(report, "base_robot") == 1
-        ramp = next(at for at, mode in heard.commands if mode is Mode.brake) - begin
+        ramp = next(at for at, mode in listener.commands if mode is Mode.brake) - start
         print(
             f"{'flood of ' + str(flood.frames) + ' frames' if flood else 'quiet'}: brakes {ramp:.3f} s, sentence {sentence:.2f} s after SIGTERM"
         )
@@ -242,7 +242,7 @@ def seconds_to_stop(folder: Path, *, flooded: bool) -> tuple[float, float]:
 
 
 @pytest.mark.slow
-def test_a_flood_of_frames_neither_stops_the_arm_nor_holds_the_loop(tmp_path: Path) -> None:
+def test_a_flood_of_frames_does_not_delay_the_stop(tmp_path: Path) -> None:
     ramp, quiet = seconds_to_stop(tmp_path / "quiet", flooded=False)
     assert ramp < 0.1
     ramp, flooded = seconds_to_stop(tmp_path / "flooded", flooded=True)
@@ -250,7 +250,7 @@ def test_a_flood_of_frames_neither_stops_the_arm_nor_holds_the_loop(tmp_path: Pa
     assert flooded < quiet + 2.0
 
 
-# What is said
+# The stop message
 
 
 @pytest.fixture
@@ -273,7 +273,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
 
 
 @pytest.mark.slow
-def test_with_a_full_disk_the_reason_is_said_once_and_stop_json_is_whole(
+def test_with_a_full_disk_the_reason_is_printed_once_and_stop_json_is_complete(
     bench: Rig, small_disk: Path
 ) -> None:
     facility = bench.facility(*PATIENT_FACILITY)
@@ -286,12 +286,12 @@ def test_with_a_full_disk_the_reason_is_said_once_and_stop_json_is_whole(
         (small_disk / "more").write_bytes(bytes(4 << 20))
     loop.send(signal.SIGINT)
     assert loop.finish() != 0
-    lines = [line for line in loop.said if line.startswith("Stop:")]
+    lines = [line for line in loop.output if line.startswith("Stop:")]
     assert len(lines) == 1, loop.text
     assert re.match(
         r"Stop: interrupted by the user; all devices were brought to rest in \d", lines[0]
     )
-    # The recorder may report its own file before; the loop reports no file before the sentence.
+    # The recorder may report its file earlier. The loop reports files only after the message.
     before, after = loop.text.split(lines[0])
     assert "record.parquet" not in before
     assert "record.parquet" in after

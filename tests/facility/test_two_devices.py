@@ -1,4 +1,4 @@
-"""One arm, one base: two of a kind are found and named before anything is activated, and stop a loop that runs."""
+"""A second arm or base is reported before activation, and stops a running loop."""
 
 from __future__ import annotations
 
@@ -37,24 +37,24 @@ def bench(tmp_path: Path) -> Iterator[Rig]:
 
 
 def second_facility(bench: Rig, channel: str) -> Process:
-    """Not waited for: with a channel of its own, or with the first one's, and a port of its own."""
+    """Start a second facility on `channel` with a separate port, without waiting for it."""
     base = f'devices.base_robot.connect=["tcp/127.0.0.1:{free_port()}"]'
     sets = [
-        word
+        argument
         for s in (*PATIENT_FACILITY, base, f'devices.arm_drive.channel="{channel}"')
-        for word in ("--set", s)
+        for argument in ("--set", s)
     ]
     return bench.start("facility", bench.scenario, *sets)
 
 
-def test_of_two_arms_on_one_channel_neither_is_activated_and_it_is_said(bench: Rig) -> None:
-    """Every rule at its default."""
+def test_two_arms_on_one_channel_are_reported_and_not_activated(bench: Rig) -> None:
+    """All limits have their defaults."""
     other = second_facility(bench, bench.channel)
     facility = bench.facility()
     other.wait_for("is there")
     loop = bench.hil()
     assert loop.finish() == 2, loop.text
-    assert re.search(TWO_ARMS, " ".join(loop.said)), loop.text
+    assert re.search(TWO_ARMS, " ".join(loop.output)), loop.text
     time.sleep(0.3)
     for process in (facility, other):
         process.send(signal.SIGINT)
@@ -63,14 +63,14 @@ def test_of_two_arms_on_one_channel_neither_is_activated_and_it_is_said(bench: R
 
 
 @pytest.mark.slow
-def test_a_second_arm_that_appears_stops_the_loop_and_is_named(bench: Rig) -> None:
+def test_a_second_arm_stops_the_running_loop_and_is_reported(bench: Rig) -> None:
     facility = bench.facility(*PATIENT_FACILITY)
     loop = bench.hil(*PATIENT_LOOP)
     facility.wait_for("inactive -> active: commanded")
     bench.wait_for_instants()
     other = second_facility(bench, bench.channel)
     assert loop.finish() == 3, loop.text
-    assert re.search(f"Stop: arm_drive: {TWO_ARMS}", " ".join(loop.said)), loop.text
+    assert re.search(f"Stop: arm_drive: {TWO_ARMS}", " ".join(loop.output)), loop.text
     other.send(signal.SIGINT)
     assert other.finish() == 0
     assert "-> active" not in other.text
@@ -78,7 +78,7 @@ def test_a_second_arm_that_appears_stops_the_loop_and_is_named(bench: Rig) -> No
 
 
 @pytest.mark.slow
-def test_of_two_base_robots_on_one_topic_neither_is_commanded_and_both_are_named(
+def test_two_base_robots_on_one_topic_are_reported_and_not_commanded(
     tmp_path: Path,
 ) -> None:
     path = tmp_path / "base.toml"
@@ -98,7 +98,7 @@ def test_of_two_base_robots_on_one_topic_neither_is_commanded_and_both_are_named
         assert loop.finish() == 2, loop.text
         named = re.search(
             r"(two publishers send topic base_robot/measured: |sessions )(\w+) and (\w+).*two base robots; stop one of them",
-            " ".join(loop.said),
+            " ".join(loop.output),
         )
         assert named, loop.text
         assert named[2] != named[3]
@@ -110,11 +110,11 @@ def test_of_two_base_robots_on_one_topic_neither_is_commanded_and_both_are_named
 
 
 @pytest.mark.slow
-def test_a_second_base_robot_that_appears_stops_the_loop_and_is_named(tmp_path: Path) -> None:
+def test_a_second_base_robot_stops_the_running_loop_and_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "base.toml"
     path.write_text(BASE_ALONE)
     with rig(tmp_path, str(path)) as bench:
-        base, door = (
+        base, endpoint = (
             f'devices.base_robot.connect=["{bench.endpoint}"]',
             f"tcp/127.0.0.1:{free_port()}",
         )
@@ -122,7 +122,7 @@ def test_a_second_base_robot_that_appears_stops_the_loop_and_is_named(tmp_path: 
             "facility", str(path), "--set", base, "--set", "facility.base_watchdog_s=1.0"
         )
         facility.wait_for("is there")
-        listen = f'devices.base_robot.listen=["{door}"]'
+        listen = f'devices.base_robot.listen=["{endpoint}"]'
         loop = bench.start(
             "hil",
             str(path),
@@ -136,7 +136,8 @@ def test_a_second_base_robot_that_appears_stops_the_loop_and_is_named(tmp_path: 
         )
         facility.wait_for("set points came")
         bench.wait_for_instants()
-        options = LinkOptions(connect=(door,))
+        # The second base robot publishes to the controller's own endpoint.
+        options = LinkOptions(connect=(endpoint,))
         session = open_session(options.connect, options.listen, "second")
         link = OdometryLink(session, options, options.measured_topic, options.setpoint_topic)
         try:
@@ -149,16 +150,16 @@ def test_a_second_base_robot_that_appears_stops_the_loop_and_is_named(tmp_path: 
             link.close()
             session.close()
         assert loop.finish() == 3, loop.text
-        text = " ".join(loop.said)
+        text = " ".join(loop.output)
         assert re.search(
-            "Stop: base_robot: (session .* begins to publish|two publishers send) topic base_robot/measured",
+            "Stop: base_robot: (session .* starts to publish|two publishers send) topic base_robot/measured",
             text,
         )
         assert any(name in text for name in names), text
 
 
 @pytest.mark.slow
-def test_a_base_that_reports_other_frames_is_refused_by_a_check_with_both_names(
+def test_a_base_with_other_frames_is_rejected_by_a_check_with_both_names(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "base.toml"
@@ -167,7 +168,7 @@ def test_a_base_that_reports_other_frames_is_refused_by_a_check_with_both_names(
         base = f'devices.base_robot.connect=["{bench.endpoint}"]'
         theirs = ('devices.base_robot.frame="odom"', 'devices.base_robot.child_frame="tool0"')
         facility = bench.start(
-            "facility", str(path), *(word for s in (base, *theirs) for word in ("--set", s))
+            "facility", str(path), *(a for s in (base, *theirs) for a in ("--set", s))
         )
         facility.wait_for("is there")
         patience = "devices.base_robot.parameters.configure_timeout=1.0"

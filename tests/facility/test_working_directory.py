@@ -1,4 +1,4 @@
-"""No command executes a folder of the working directory in the place of a module that it starts as a process of its own."""
+"""No command executes code of the working directory in place of an installed module."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ SWEEP = 'scenario = "multirate_passive"\n[grid]\n"base_controller.period" = [0.1
 
 @pytest.fixture
 def hostile(tmp_path: Path) -> Iterator[Path]:
-    """A working directory with folders that have the names of what the commands start; if one is executed, it leaves a trace."""
+    """A working directory with folders named like modules. Each writes a file if executed."""
     for name in NAMES:
         (tmp_path / name).mkdir()
         code = f"open({str(tmp_path / 'executed')!r}, 'a').write(__name__)\nraise SystemExit(99)\n"
@@ -57,25 +57,25 @@ def freeflyer(folder: Path, *arguments: str, codes: tuple[int, ...] = (0,)) -> N
     assert done.returncode in codes, done.stdout + done.stderr
 
 
-def test_no_folder_of_the_working_directory_is_executed_by_fmus(hostile: Path) -> None:
+def test_fmus_executes_no_folder_of_the_working_directory(hostile: Path) -> None:
     (hostile / "lag.py").write_text(BLOCK)
     freeflyer(hostile, "fmus", "--block", "lag.py")
     assert (hostile / "fmus/fmi3/lag.fmu").is_file()
 
 
-def test_no_folder_of_the_working_directory_is_executed_by_hil(hostile: Path) -> None:
+def test_hil_executes_no_folder_of_the_working_directory(hostile: Path) -> None:
     freeflyer(hostile, "hil", "facility", "--simulated", "--view", "--set", "stop_s=0.3")
     assert (hostile / "freeflyer_out/hil_facility/recording.mcap").is_file()
 
 
 @pytest.mark.slow
-def test_no_folder_of_the_working_directory_is_executed_by_sweep(hostile: Path) -> None:
+def test_sweep_executes_no_folder_of_the_working_directory(hostile: Path) -> None:
     (hostile / "two.toml").write_text(SWEEP)
     freeflyer(hostile, "sweep", "./two.toml", "--set", "stop_s=0.1", "--workers", "1")
     assert (hostile / "freeflyer_out/two/results.parquet").is_file()
 
 
-def test_a_sweep_that_a_script_calls_executes_none_either_and_leaves_the_environment_as_it_was(
+def test_a_sweep_called_by_a_script_executes_no_folder_and_restores_the_environment(
     hostile: Path,
 ) -> None:
     (hostile / "two.toml").write_text(SWEEP)
@@ -97,7 +97,7 @@ def test_a_sweep_that_a_script_calls_executes_none_either_and_leaves_the_environ
     assert done.returncode == 0, done.stderr
 
 
-def test_no_folder_of_the_working_directory_is_executed_by_the_real_time_part_of_reproduce(
+def test_the_real_time_part_of_reproduce_executes_no_folder_of_the_working_directory(
     hostile: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(hostile)
@@ -108,17 +108,17 @@ def test_no_folder_of_the_working_directory_is_executed_by_the_real_time_part_of
 
 
 @pytest.mark.slow
-def test_no_folder_of_the_working_directory_is_executed_by_reproduce_with_its_real_time_part(
+def test_reproduce_with_its_real_time_part_executes_no_folder_of_the_working_directory(
     hostile: Path,
 ) -> None:
-    # 3: a shared machine may hold a loop up until a watchdog stops it, three times; that is not what this test is about.
+    # 3: a shared machine may suspend a loop until a watchdog stops it. This test does not check it.
     freeflyer(hostile, "reproduce", "--real-time", "--out", "out", codes=(0, 3))
     for case in real_time.CASES:
         assert (hostile / "out" / f"{case}_real_time" / "record.parquet").is_file()
     assert (hostile / "out" / "report.html").is_file()
 
 
-def test_every_python_child_is_started_without_the_working_directory() -> None:
+def test_every_python_child_process_starts_without_the_working_directory() -> None:
     found = 0
     for path in (
         path for root in ("cosim", "fmu_src", "adapters") for path in (ROOT / root).rglob("*.py")

@@ -1,4 +1,4 @@
-"""What each holder of a certificate can do on the base robot's link: real sessions, real TLS, on loopback."""
+"""Permissions of each certificate on the base robot's link, with real TLS sessions on loopback."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class Robot:
     def __init__(
         self, stack: ExitStack, options: LinkOptions, protection: Protection | None = None
     ) -> None:
-        protection = protection or access_control.robots_end(options)
+        protection = protection or access_control.robot_protection(options)
         self.session = opened(stack, open_session([], options.connect, "robot", protection))
         self.link = linked(stack, self.session, options, as_robot=True)
         self.tokens = commanders.announce(self.session, options)
@@ -74,14 +74,14 @@ def controller(stack: ExitStack, options: LinkOptions) -> OdometryLink:
     session = opened(
         stack,
         open_session(
-            options.connect, options.listen, "arm", access_control.controllers_end(options)
+            options.connect, options.listen, "arm", access_control.controller_protection(options)
         ),
     )
     return linked(stack, session, options, as_robot=False)
 
 
-def stranger(stack: ExitStack, lab: Lab, options: LinkOptions, name: str) -> OdometryLink:
-    """Somebody with a valid certificate, and Zenoh as it comes: nothing of ours holds them back."""
+def unchecked_peer(stack: ExitStack, lab: Lab, options: LinkOptions, name: str) -> OdometryLink:
+    """Connect a peer with a valid certificate and plain Zenoh, without this project's checks."""
     own = Identity(lab.good, name)
     session = opened(
         stack, session_without_checks(connect=options.connect[0], authority=own.authority, own=own)
@@ -101,7 +101,7 @@ def usable(received: Received) -> bool:
 
 
 def arrives(sender: OdometryLink, receiver: OdometryLink, timeout: float = 5.0) -> bool:
-    """Whether one of the samples that are sent again and again comes."""
+    """Send samples repeatedly. Return True if one is received within `timeout` [s]."""
 
     def one() -> bool:
         send(sender)
@@ -117,11 +117,11 @@ def key(options: LinkOptions, topic: str) -> str:
     )
 
 
-# Who may do what
+# Permissions
 
 
 @pytest.mark.parametrize("protocol", ["tls", "quic"])
-def test_controller_and_base_robot_talk_to_each_other(
+def test_controller_and_base_robot_exchange_samples(
     lab: Lab, stack: ExitStack, protocol: str
 ) -> None:
     options = lab.options(lab.good, free_port(), protocol)
@@ -129,37 +129,36 @@ def test_controller_and_base_robot_talk_to_each_other(
     assert arrives(robot.link, host)
     assert arrives(host, robot.link)
     assert waited(lambda: commanders.announced(host.session, options) == ["controller"])
-    robot.link.tell_obeyed(True)
-    assert waited(lambda: host.obeyed() == host.gid)
+    robot.link.report_obeyed(True)
+    assert waited(lambda: host.obeyed_publisher() == host.gid)
     assert host.publishers(options.setpoint_topic) == []
 
 
 @pytest.mark.parametrize("protocol", ["tls", "quic"])
-def test_an_observer_reads_and_its_set_points_come_to_nobody(
+def test_an_observer_receives_measurements_and_its_set_points_are_dropped(
     lab: Lab, stack: ExitStack, protocol: str
 ) -> None:
     options = lab.options(lab.good, free_port(), protocol)
     robot, host = Robot(stack, options), controller(stack, options)
-    observer = stranger(stack, lab, options, "observer")
+    observer = unchecked_peer(stack, lab, options, "observer")
     assert arrives(robot.link, observer)
     assert arrives(host, robot.link)
-    robot.link.forget_source()
+    robot.link.reset_source()
     assert not arrives(observer, robot.link, 0.5)
-    assert (
-        robot.link.counts.other_sources == robot.link.counts.malformed == 0
-    )  # they were stopped before this project's own checks
-    assert arrives(host, robot.link), "the link itself was there all the time"
+    # Zenoh drops them before the checks of this project.
+    assert robot.link.counts.other_sources == robot.link.counts.malformed == 0
+    assert arrives(host, robot.link), "the link was open all the time"
 
 
-def test_without_access_control_the_same_observer_would_command_announce_and_delete(
+def test_without_access_control_the_same_observer_can_command_announce_and_delete(
     lab: Lab, stack: ExitStack
 ) -> None:
-    """What the other tests find denied does arrive where only TLS stands before it: so they can fail."""
+    """Counter-check of the other tests: with TLS only, the denied messages are received."""
     options = lab.options(lab.good, free_port())
-    protection = access_control.robots_end(options)
+    protection = access_control.robot_protection(options)
     assert protection is not None
     robot = Robot(stack, options, replace(protection, access={"enabled": False}))
-    observer = stranger(stack, lab, options, "observer")
+    observer = unchecked_peer(stack, lab, options, "observer")
     assert arrives(observer, robot.link)
     forged = rmw_zenoh.commander_token(options.domain, options.setpoint_topic, "observer")
     token = observer.session.liveliness().declare_token(forged)
@@ -169,33 +168,33 @@ def test_without_access_control_the_same_observer_would_command_announce_and_del
     assert token
 
 
-def test_every_valid_certificate_that_is_no_commanders_is_an_observers(
+def test_a_valid_certificate_that_is_not_a_commanders_only_permits_reading(
     lab: Lab, stack: ExitStack
 ) -> None:
     options = lab.options(lab.good, free_port())
     robot = Robot(stack, options)
-    other = stranger(stack, lab, options, "other_robot")
+    other = unchecked_peer(stack, lab, options, "other_robot")
     assert arrives(robot.link, other)
     assert not arrives(other, robot.link, 0.5)
 
 
-def test_a_second_commander_commands_where_it_is_named(lab: Lab, stack: ExitStack) -> None:
+def test_a_second_commander_in_the_options_can_command(lab: Lab, stack: ExitStack) -> None:
     options = lab.options(lab.good, free_port(), commanders=("controller", "observer"))
     robot = Robot(stack, options)
-    assert arrives(stranger(stack, lab, options, "observer"), robot.link)
+    assert arrives(unchecked_peer(stack, lab, options, "observer"), robot.link)
 
 
-def test_an_observer_cannot_announce_what_it_has_no_right_to(lab: Lab, stack: ExitStack) -> None:
-    """Its tokens (another commander, another who is obeyed) come to no controller; what the robot tells, it may hear."""
+def test_an_observer_cannot_forge_tokens(lab: Lab, stack: ExitStack) -> None:
+    """No controller receives its forged tokens. It may read the tokens of the robot."""
     options = lab.options(lab.good, free_port())
     robot, host = Robot(stack, options), controller(stack, options)
-    observer = stranger(stack, lab, options, "observer").session
+    observer = unchecked_peer(stack, lab, options, "observer").session
     forged = rmw_zenoh.obedience_token(options.domain, options.setpoint_topic, "ff" * 16)
     also = rmw_zenoh.commander_token(options.domain, options.setpoint_topic, "observer")
     tokens = [observer.liveliness().declare_token(text) for text in (forged, also)]
     assert arrives(robot.link, host)
-    robot.link.tell_obeyed(True)
-    assert waited(lambda: host.obeyed() == rmw_zenoh.NOBODY)
+    robot.link.report_obeyed(True)
+    assert waited(lambda: host.obeyed_publisher() == rmw_zenoh.NO_PUBLISHER)
     assert commanders.announced(host.session, options) == ["controller"]
     assert commanders.announced(robot.session, options) == ["controller"]
     assert commanders.announced(observer, options)
@@ -203,35 +202,37 @@ def test_an_observer_cannot_announce_what_it_has_no_right_to(lab: Lab, stack: Ex
     assert tokens
 
 
-def test_an_observer_neither_hears_set_points_nor_queries_nor_deletes(
+def test_an_observer_cannot_receive_set_points_or_query_or_delete(
     lab: Lab, stack: ExitStack
 ) -> None:
     options = lab.options(lab.good, free_port())
     robot, host = Robot(stack, options), controller(stack, options)
-    link = stranger(stack, lab, options, "observer")
-    heard: list[str] = []
-    spy = link.session.declare_subscriber("**", lambda sample: heard.append(str(sample.key_expr)))
-    asked: list[str] = []
+    link = unchecked_peer(stack, lab, options, "observer")
+    received: list[str] = []
+    spy = link.session.declare_subscriber(
+        "**", lambda sample: received.append(str(sample.key_expr))
+    )
+    queries: list[str] = []
     answering = robot.session.declare_queryable(
-        key(options, options.measured_topic), lambda query: asked.append("query")
+        key(options, options.measured_topic), lambda query: queries.append("query")
     )
     assert arrives(robot.link, link)
     assert arrives(host, robot.link)
     assert list(link.session.get(key(options, options.measured_topic), timeout=0.5)) == []
-    assert heard == [] or set(heard) == {key(options, options.measured_topic)}
+    assert received == [] or set(received) == {key(options, options.measured_topic)}
     link.session.delete(key(options, options.setpoint_topic))
     time.sleep(0.2)
     robot.link.receive(usable)
     assert robot.link.counts.malformed == 0
-    assert asked == []
+    assert queries == []
     spy.undeclare()
     answering.undeclare()
 
 
-def test_an_observer_under_the_controllers_own_session_id_gets_no_link(
+def test_an_observer_with_the_session_id_of_the_controller_is_rejected(
     lab: Lab, stack: ExitStack
 ) -> None:
-    """A session's id is no secret and no proof."""
+    """A session id is public and does not authenticate a peer."""
     options = lab.options(lab.good, free_port())
     robot, host = Robot(stack, options), controller(stack, options)
     assert arrives(host, robot.link)
@@ -240,13 +241,13 @@ def test_an_observer_under_the_controllers_own_session_id_gets_no_link(
         connect=options.connect[0], authority=own.authority, own=own, zid=str(host.session.zid())
     )
     link = linked(stack, opened(stack, thief), options, as_robot=False)
-    robot.link.forget_source()
+    robot.link.reset_source()
     assert not arrives(link, robot.link, 0.5)
     assert arrives(host, robot.link)
 
 
 @pytest.mark.parametrize("protected", [False, True])
-def test_what_goes_over_the_wire_can_be_read_without_certificates_only(
+def test_traffic_is_only_readable_without_certificates(
     lab: Lab, stack: ExitStack, protected: bool
 ) -> None:
     options = lab.options(lab.good if protected else None, free_port())
@@ -257,15 +258,13 @@ def test_what_goes_over_the_wire_can_be_read_without_certificates_only(
     assert arrives(robot.link, host)
     assert arrives(host, robot.link)
     assert len(tap.bytes) > 1000
-    assert (b"inertial" in tap.bytes) is not protected, (
-        "the frame's name, which is in every message"
-    )
+    assert (b"inertial" in tap.bytes) is not protected, "every message contains the frame name"
 
 
-def test_a_robot_of_another_name_is_not_believed_by_the_controller(
+def test_the_controller_rejects_a_robot_with_a_certificate_of_another_name(
     lab: Lab, stack: ExitStack
 ) -> None:
-    """Its certificate is valid and its address is right: only the name tells."""
+    """Certificate and address are valid; only the name differs."""
     options = lab.options(lab.good, free_port())
     own = Identity(lab.good, "other_robot")
     session = opened(
@@ -275,14 +274,16 @@ def test_a_robot_of_another_name_is_not_believed_by_the_controller(
     assert waited(lambda: bool(host.session.info.peers_zid()))
     assert not arrives(robot, host, 0.5)
     assert not arrives(host, robot, 0.5), "set points go to the base robot only"
-    found = tls_handshake.trouble(
+    found = tls_handshake.problem(
         Endpoint(options.connect[0]), Identity(lab.good, "controller"), "base_robot"
     )
     assert found is not None
-    assert "is that of 'other_robot', but 'base_robot' is expected there" in found
+    assert "belongs to 'other_robot', but 'base_robot' is expected there" in found
 
 
-def test_the_controllers_own_port_lets_nobody_put_a_measurement(lab: Lab, stack: ExitStack) -> None:
+def test_the_port_of_the_controller_accepts_no_measurements_from_other_peers(
+    lab: Lab, stack: ExitStack
+) -> None:
     port = free_port()
     options = LinkOptions(
         connect=(f"tls/127.0.0.1:{free_port()}",),
@@ -301,25 +302,25 @@ def test_the_controllers_own_port_lets_nobody_put_a_measurement(lab: Lab, stack:
     assert arrives(robot.link, host)
 
 
-# Who gets no link at all, and what is said of it
+# Rejected links and their diagnosis
 
 
-def refused(stack: ExitStack, options: LinkOptions, **of: Any) -> None:
-    """No transport comes about, seen from both ends."""
+def refused(stack: ExitStack, options: LinkOptions, **settings: Any) -> None:
+    """Check that no transport is opened on either end."""
     robot = Robot(stack, options)
-    session = opened(stack, session_without_checks(connect=options.connect[0], **of))
+    session = opened(stack, session_without_checks(connect=options.connect[0], **settings))
     time.sleep(0.5)
     assert not session.info.peers_zid()
     assert not robot.session.info.peers_zid()
 
 
-def why(options: LinkOptions, who: Identity | None) -> str:
-    found = tls_handshake.trouble(Endpoint(options.connect[0]), who, "base_robot")
+def why(options: LinkOptions, identity: Identity | None) -> str:
+    found = tls_handshake.problem(Endpoint(options.connect[0]), identity, "base_robot")
     assert found is not None
     return found
 
 
-def test_nobody_whose_certificate_cannot_be_checked_comes_in_over_quic_either(
+def test_peers_without_a_valid_certificate_are_rejected_over_quic(
     lab: Lab, stack: ExitStack
 ) -> None:
     options = lab.options(lab.good, free_port(), "quic")
@@ -341,17 +342,15 @@ def test_nobody_whose_certificate_cannot_be_checked_comes_in_over_quic_either(
     assert not robot.session.info.peers_zid()
 
 
-def test_without_a_certificate_the_base_is_not_reached_and_says_so(
-    lab: Lab, stack: ExitStack
-) -> None:
+def test_a_peer_without_certificate_is_rejected_with_the_reason(lab: Lab, stack: ExitStack) -> None:
     options = lab.options(lab.good, free_port())
     refused(stack, options, authority=lab.good / "ca.pem")
-    assert "refuses our certificate: it demands a certificate, and was given none" in why(
+    assert "rejects our certificate: it requires a certificate, and none was presented" in why(
         options, None
     )
 
 
-def test_plain_tcp_does_not_reach_the_base(lab: Lab, stack: ExitStack) -> None:
+def test_a_plain_tcp_connection_is_rejected_by_the_base(lab: Lab, stack: ExitStack) -> None:
     options = lab.options(lab.good, free_port())
     robot = Robot(stack, options)
     session = opened(
@@ -362,22 +361,22 @@ def test_plain_tcp_does_not_reach_the_base(lab: Lab, stack: ExitStack) -> None:
     assert not robot.session.info.peers_zid()
 
 
-def test_another_authoritys_controller_is_refused_by_the_base_and_told_why(
+def test_a_controller_of_another_authority_is_rejected_with_the_reason(
     lab: Lab, stack: ExitStack
 ) -> None:
     options = lab.options(lab.good, free_port())
     own = Identity(lab.forged, "controller")
     refused(stack, options, authority=own.authority, own=own)
     found = why(options, own)
-    assert "refuses our certificate: " in found
+    assert "rejects our certificate: " in found
     assert "authority" in found
     assert "TLS alert" in found
 
 
-def test_a_certificate_that_an_observer_has_signed_is_refused_by_the_base(
+def test_a_certificate_signed_by_an_observer_is_rejected_by_the_base(
     lab: Lab, stack: ExitStack, tmp_path: Path
 ) -> None:
-    """Its chain leads to the right authority, but by way of a certificate that may not sign."""
+    """Its chain leads to the authority, but through a certificate without the right to sign."""
     key = load_pem_private_key((lab.good / "observer.key").read_bytes(), None)
     assert isinstance(key, EllipticCurvePrivateKey)
     observer = CertificateAuthority(
@@ -395,13 +394,13 @@ def test_a_certificate_that_an_observer_has_signed_is_refused_by_the_base(
         certificates.check(own, "base")
 
 
-def test_an_expired_controller_is_refused_by_the_base_and_told_why(
+def test_an_expired_controller_is_rejected_by_the_base_with_the_reason(
     lab: Lab, stack: ExitStack
 ) -> None:
     options = lab.options(lab.good, free_port())
     own = Identity(lab.expired, "controller")
     refused(stack, options, authority=own.authority, own=own)
-    assert "refuses our certificate: ours has expired, by its clock (TLS alert: " in why(
+    assert "rejects our certificate: ours has expired, by its clock (TLS alert: " in why(
         options, own
     )
 
@@ -412,7 +411,7 @@ def robot_without_checks(stack: ExitStack, options: LinkOptions, own: Identity) 
     )
 
 
-def test_a_base_of_another_authority_is_refused_by_the_controller(
+def test_a_base_of_another_authority_is_rejected_by_the_controller(
     lab: Lab, stack: ExitStack
 ) -> None:
     options = lab.options(lab.good, free_port())
@@ -423,7 +422,7 @@ def test_a_base_of_another_authority_is_refused_by_the_controller(
     assert "'base_robot', was signed by another authority than ours" in found
 
 
-def test_an_expired_base_is_refused_by_the_controller(lab: Lab, stack: ExitStack) -> None:
+def test_an_expired_base_is_rejected_by_the_controller(lab: Lab, stack: ExitStack) -> None:
     options = lab.options(lab.good, free_port())
     robot_without_checks(stack, options, Identity(lab.expired, "base_robot"))
     host = controller(stack, options)
@@ -431,7 +430,7 @@ def test_an_expired_base_is_refused_by_the_controller(lab: Lab, stack: ExitStack
     assert "'base_robot', has expired on 20" in why(options, Identity(lab.good, "controller"))
 
 
-def test_a_base_under_another_address_than_its_certificates_is_refused(
+def test_a_base_at_another_address_than_in_its_certificate_is_rejected(
     lab: Lab, stack: ExitStack, tmp_path: Path
 ) -> None:
     elsewhere = Identity(tmp_path, "base_robot")
@@ -446,15 +445,13 @@ def test_a_base_under_another_address_than_its_certificates_is_refused(
     )
 
 
-def test_a_base_without_tls_is_said_to_be_one(lab: Lab, stack: ExitStack) -> None:
+def test_a_base_without_tls_is_reported(lab: Lab, stack: ExitStack) -> None:
     port = free_port()
     opened(stack, session_without_checks(listen=f"tcp/127.0.0.1:{port}"))
-    assert "does not speak TLS" in why(
-        lab.options(lab.good, port), Identity(lab.good, "controller")
-    )
+    assert "does not use TLS" in why(lab.options(lab.good, port), Identity(lab.good, "controller"))
 
 
-def test_nobody_there_is_said(lab: Lab) -> None:
+def test_an_endpoint_without_listener_is_reported(lab: Lab) -> None:
     assert "nothing listens on tls/127.0.0.1:" in why(
         lab.options(lab.good, free_port()), Identity(lab.good, "controller")
     )

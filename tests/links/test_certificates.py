@@ -1,4 +1,4 @@
-"""The folder of certificates: what the command makes, what other people's TLS says of it, and what is refused before anything opens."""
+"""The folder of certificates: files of the command, tested with OpenSSL, and invalid folders."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from lab import Lab
 from freeflyer.scenario import scenario
 from freeflyer_adapters.base import certificates
 from freeflyer_adapters.base import options as link_options
-from freeflyer_adapters.base.access_control import robots_end
+from freeflyer_adapters.base.access_control import robot_protection
 from freeflyer_adapters.base.certificate_authority import HOSTS, CertificateAuthority
 from freeflyer_adapters.base.certificates import Identity
 from freeflyer_adapters.base.notices import notices
@@ -35,11 +35,11 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Lab:
 
 @pytest.fixture
 def folder(lab: Lab, tmp_path: Path) -> Path:
-    """A copy, to be spoiled."""
+    """A copy that a test may change."""
     return Path(shutil.copytree(lab.good, tmp_path / "certificates"))
 
 
-# What the command makes
+# Files made by the command
 
 
 def made(capsys: pytest.CaptureFixture[str], directory: Path, *arguments: str) -> str:
@@ -49,13 +49,13 @@ def made(capsys: pytest.CaptureFixture[str], directory: Path, *arguments: str) -
 
 
 def handshake(server: Identity, client: Identity, host: str) -> None:
-    """Python's own TLS, by OpenSSL, with every strictness it has, from memory to memory; ssl.SSLError if one refuses the other."""
+    """Execute a strict TLS handshake of OpenSSL in memory. Raises ssl.SSLError if it fails."""
     contexts = []
-    for purpose, who in ((ssl.PROTOCOL_TLS_SERVER, server), (ssl.PROTOCOL_TLS_CLIENT, client)):
+    for purpose, identity in ((ssl.PROTOCOL_TLS_SERVER, server), (ssl.PROTOCOL_TLS_CLIENT, client)):
         context = ssl.SSLContext(purpose)
         context.verify_flags |= ssl.VERIFY_X509_STRICT
-        context.load_cert_chain(who.certificate, who.key)
-        context.load_verify_locations(who.authority)
+        context.load_cert_chain(identity.certificate, identity.key)
+        context.load_verify_locations(identity.authority)
         context.verify_mode = ssl.CERT_REQUIRED
         contexts.append(context)
     up, down = ssl.MemoryBIO(), ssl.MemoryBIO()
@@ -74,7 +74,7 @@ def handshake(server: Identity, client: Identity, host: str) -> None:
     assert not waiting
 
 
-def test_openssl_takes_what_is_made_on_both_sides_and_an_observer_only_as_a_client(
+def test_openssl_accepts_the_certificates_and_an_observer_only_as_a_client(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     made(
@@ -103,7 +103,7 @@ def test_openssl_takes_what_is_made_on_both_sides_and_an_observer_only_as_a_clie
         handshake(ends["watcher"], ends["controller"], "127.0.0.1")
 
 
-def test_keys_are_the_users_own_and_the_folder_is_too(
+def test_keys_and_their_folder_are_private_to_the_user(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = os.umask(0)
@@ -118,7 +118,7 @@ def test_keys_are_the_users_own_and_the_folder_is_too(
     assert sorted(path.suffix for path in (tmp_path / "c").iterdir()) == [".key"] * 3 + [".pem"] * 3
 
 
-def test_it_adds_to_an_authority_and_overwrites_nothing(
+def test_the_command_adds_to_an_authority_and_overwrites_nothing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     directory = tmp_path / "c"
@@ -132,7 +132,7 @@ def test_it_adds_to_an_authority_and_overwrites_nothing(
     )
     assert code == 2
     assert (
-        "controller.pem is there already, and is not overwritten; --renew controller makes a new one"
+        "controller.pem exists already and is not overwritten; --renew controller makes a new one"
         in error
     )
     assert not (directory / "new.pem").exists()
@@ -181,9 +181,9 @@ def test_renewing_keeps_hosts_and_uses_and_makes_a_new_key(
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["--name", "a/b"], "'a/b' is no name for a certificate"),
+        (["--name", "a/b"], "'a/b' is not a valid certificate name"),
         (["--name", "ca"], "and not 'ca'"),
-        (["--name", ""], "'' is no name"),
+        (["--name", ""], "'' is not a valid certificate name"),
         (["--name", "x" * 65], "up to 64 letters"),
         (["--name", "a", "--observer", "a"], "'a' is named more than once"),
         (["--host", "a b"], "neither a host name nor an address"),
@@ -196,19 +196,19 @@ def test_renewing_keeps_hosts_and_uses_and_makes_a_new_key(
         (["--renew", "controler"], "there is no"),
     ],
 )
-def test_a_mistake_is_one_sentence_and_makes_no_file(
+def test_a_wrong_argument_is_reported_in_one_sentence_and_makes_no_file(
     arguments: list[str], sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     try:
         code, error = run_command(capsys, "certificates", str(tmp_path / "c"), *arguments)
-    except SystemExit as end:  # the parser's own
+    except SystemExit as end:  # raised by the parser
         code, error = int(str(end.code)), capsys.readouterr().err
     assert code == 2
     assert sentence in error
     assert not (tmp_path / "c").exists()
 
 
-def test_a_spoiled_authority_signs_nothing(
+def test_an_invalid_authority_signs_nothing(
     folder: Path, lab: Lab, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def refused(directory: Path, sentence: str) -> None:
@@ -223,15 +223,15 @@ def test_a_spoiled_authority_signs_nothing(
     shutil.copy(lab.rogue / "ca.key", folder / "ca.key")
     refused(folder, "is not the key of")
     (folder / "ca.key").write_text("nonsense")
-    refused(folder, "are no certificate and key in PEM")
+    refused(folder, "are not a PEM certificate and key")
     (folder / "ca.key").unlink()
-    refused(folder, "ca.key is not there, so that nothing can be signed")
+    refused(folder, "ca.key is missing, and nothing can be signed without it")
     (folder / "ca.pem").unlink()
     shutil.copy(lab.rogue / "ca.key", folder / "ca.key")
-    refused(folder, "is there without its certificate, and is not overwritten")
+    refused(folder, "exists without its certificate and is not overwritten")
 
 
-# What is refused before a session is opened
+# Files that are rejected before a session is opened
 
 
 def spoil_key_of_another(folder: Path, lab: Lab) -> None:
@@ -254,7 +254,7 @@ def spoil_age(folder: Path, lab: Lab) -> None:
 def spoil_youth(folder: Path, lab: Lab) -> None:
     later = datetime.now(UTC) + timedelta(days=2)
     lab.authority.issue(
-        Identity(folder, "base_robot"), days=1, hosts=HOSTS, may_listen=True, begin=later
+        Identity(folder, "base_robot"), days=1, hosts=HOSTS, may_listen=True, start=later
     )
 
 
@@ -274,7 +274,7 @@ def spoil_name(folder: Path, lab: Lab) -> None:
 
 
 def spoil_forged_issuer(folder: Path, lab: Lab) -> None:
-    """By another authority that bears the same name: only the signature tells."""
+    """Issue by another authority of the same name: only the signature differs."""
     forger = CertificateAuthority.read(lab.rogue)
     forger.certificate = CertificateAuthority.read(folder).certificate
     forger.issue(Identity(folder, "base_robot"), days=1, hosts=HOSTS, may_listen=True)
@@ -292,19 +292,19 @@ def with_text(name: str, text: str) -> Callable[[Path, Lab], None]:
     ("spoil", "sentence"),
     [
         (shutil.rmtree, "there is no folder of certificates"),
-        (without("ca.pem"), "ca.pem; the authority's certificate is expected beside the others"),
+        (without("ca.pem"), "ca.pem; the authority's certificate is expected in the same folder"),
         (without("base_robot.pem"), "there is no file .*base_robot.pem"),
         (
             without("base_robot.key"),
             "there is no file .*base_robot.key; `freeflyer certificates .* --name base_robot` makes one",
         ),
-        (with_text("base_robot.pem", "x"), "base_robot.pem is no certificate in PEM"),
-        (with_text("ca.pem", ""), "ca.pem is no certificate in PEM"),
-        (with_text("base_robot.key", "x"), "base_robot.key is no private key in PEM"),
+        (with_text("base_robot.pem", "x"), "base_robot.pem is not a PEM certificate"),
+        (with_text("ca.pem", ""), "ca.pem is not a PEM certificate"),
+        (with_text("base_robot.key", "x"), "base_robot.key is not a PEM private key"),
         (spoil_key_of_another, "base_robot.key does not belong to certificate .*base_robot.pem"),
         (
             spoil_mode,
-            r"base_robot.key can be used by others \(mode 0640\); `chmod 600 .*base_robot.key` keeps it to you",
+            r"base_robot.key is accessible to other users \(mode 0640\); `chmod 600 .*base_robot.key` restricts it to you",
         ),
         (spoil_authority, "was not signed by the authority of .*ca.pem"),
         (spoil_forged_issuer, "was not signed by the authority of .*ca.pem"),
@@ -312,29 +312,29 @@ def with_text(name: str, text: str) -> Callable[[Path, Lab], None]:
             spoil_age,
             "base_robot.pem expired on .* UTC; `freeflyer certificates .* --renew base_robot` makes a new one",
         ),
-        (spoil_youth, "is not valid before .* UTC, and this machine's clock says"),
+        (spoil_youth, "is not valid before .* UTC, and the clock of this machine is at"),
         (spoil_use, r"is not for listening \(its extended key usage lacks serverAuth\)"),
         (
             spoil_host,
-            "is for 192.0.2.10, not for 127.0.0.1, so nobody would accept it there; .* --host 127.0.0.1`",
+            "is for 192.0.2.10, not for 127.0.0.1, so peers would reject it there; .* --host 127.0.0.1`",
         ),
         (
             spoil_name,
-            "is that of 'controller', but access goes by names, and 'base_robot' is expected",
+            "belongs to 'controller', but access is granted by name, and 'base_robot' is expected",
         ),
     ],
 )
-def test_files_that_cannot_do_are_refused_in_one_sentence_and_nothing_opens(
+def test_invalid_files_are_rejected_in_one_sentence_before_a_session_is_opened(
     spoil: Callable[..., object], sentence: str, folder: Path, lab: Lab
 ) -> None:
     spoil(folder) if spoil is shutil.rmtree else spoil(folder, lab)
     options = lab.options(folder, 0)
     with pytest.raises(DeviceError, match=sentence) as caught:
-        open_session([], options.connect, "base", robots_end(options))
+        open_session([], options.connect, "base", robot_protection(options))
     assert "\n" not in str(caught.value)
 
 
-def test_a_key_under_a_passphrase_is_refused(folder: Path) -> None:
+def test_a_key_with_a_passphrase_is_rejected(folder: Path) -> None:
     from cryptography.hazmat.primitives.serialization import (
         BestAvailableEncryption,
         Encoding,
@@ -347,11 +347,11 @@ def test_a_key_under_a_passphrase_is_refused(folder: Path) -> None:
     path.write_bytes(
         key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, BestAvailableEncryption(b"word"))
     )
-    with pytest.raises(DeviceError, match="is under a passphrase"):
+    with pytest.raises(DeviceError, match="is protected by a passphrase"):
         certificates.check(Identity(folder, "controller"), "base")
 
 
-# What a scenario may say of a link
+# Options of a link in a scenario
 
 FAR = "tcp/192.0.2.10:7447"
 
@@ -359,8 +359,8 @@ FAR = "tcp/192.0.2.10:7447"
 @pytest.mark.parametrize(
     ("table", "sentence"),
     [
-        ({"connect": [FAR]}, "leaves this machine without encryption, and whoever reaches it could command the robot; make certificates with "
-         "`freeflyer certificates DIR`, name them by certificates = 'DIR' and write tls/192.0.2.10:7447 (or say insecure = true)"),
+        ({"connect": [FAR]}, "leaves this machine without encryption, so any peer that reaches it could command the robot; make certificates with "
+         "`freeflyer certificates DIR`, name them by certificates = 'DIR' and write tls/192.0.2.10:7447 (or set insecure = true)"),
         ({"listen": ["tcp/192.0.2.1:0"]}, "leaves this machine without encryption"),
         ({"connect": ["tcp/lab.example:7447"]}, "leaves this machine without encryption"),
         ({"connect": ["udp/192.0.2.10:7447"]}, "leaves this machine without encryption"),
@@ -368,28 +368,26 @@ FAR = "tcp/192.0.2.10:7447"
         ({"connect": ["tcp/[2001:db8::1]:7447"]}, "leaves this machine without encryption"),
         ({"listen": ["tcp/0.0.0.0:0"]}, "every interface"),
         ({"listen": ["tcp/[::]:0"]}, "every interface"),
-        ({"listen": ["tcp/0.0.0.0:0"], "insecure": True}, "every interface of this machine, which nobody may listen on without certificates"),
+        ({"listen": ["tcp/0.0.0.0:0"], "insecure": True}, "every interface of this machine, which requires certificates"),
         ({"connect": ["tls/127.0.0.1:7447"]}, "is encrypted, but no certificates are named"),
         ({"connect": ["quic/192.0.2.10:7447"], "insecure": True}, "is encrypted, but no certificates are named"),
         ({"connect": ["tcp/127.0.0.1:7447"], "certificates": "c"}, "is not encrypted, but the device has certificates; tls/127.0.0.1:7447"),
         ({"connect": ["tls/x:1"], "listen": ["tcp/127.0.0.1:0"], "certificates": "c"}, "is not encrypted, but the device has"),
-        ({"connect": ["tls/x:1#verify_name_on_connect=false"], "certificates": "c"}, "brings TLS settings of its own"),
+        ({"connect": ["tls/x:1#verify_name_on_connect=false"], "certificates": "c"}, "has TLS settings that override those of the device"),
         ({"connect": ["tls/x:1"], "certificates": "c", "insecure": True}, "exclude each other"),
         ({"connect": ["tls/x:1"], "certificates": "c", "controller": "a*"}, "controller is 'a*'; the name of a certificate is expected"),
         ({"connect": ["tls/x:1"], "certificates": "c", "commanders": ["x", 3]}, "commanders is 3; the name of a certificate"),
         ({"connect": ["tls/x:1"], "certificates": "c", "commanders": []}, "commanders is empty"),
         ({"connect": ["tls/x:1"], "certificates": "c", "robot": "controller"}, "is both robot and commander"),
-        ({"connect": ["tls/192.0.2.10"], "certificates": "c"}, "is not whole; PROTOCOL/HOST:PORT is expected"),
-        ({"connect": ["tcp/[::1]"]}, "is not whole"),
-        ({"connect": ["tcp/:7447"]}, "is not whole"),
+        ({"connect": ["tls/192.0.2.10"], "certificates": "c"}, "is incomplete; PROTOCOL/HOST:PORT is expected"),
+        ({"connect": ["tcp/[::1]"]}, "is incomplete"),
+        ({"connect": ["tcp/:7447"]}, "is incomplete"),
         ({"insecure": "yes"}, "insecure is 'yes'; true or false is expected"),
         ({"certificates": 3}, "certificates is 3; a text is expected"),
         ({"certificate": "c"}, "did you mean 'certificates'"),
     ],
 )  # fmt: skip
-def test_a_link_that_would_not_be_protected_is_refused(
-    table: dict[str, object], sentence: str
-) -> None:
+def test_an_unprotected_link_is_rejected(table: dict[str, object], sentence: str) -> None:
     with pytest.raises(DeviceError) as caught:
         link_options.options_from("base", table, Path("/scenario"))
     assert sentence in str(caught.value)
@@ -412,7 +410,7 @@ def test_a_link_that_would_not_be_protected_is_refused(
         {"connect": ["tls/0.0.0.0:7447"], "certificates": "c"},
     ],
 )
-def test_a_link_within_the_machine_or_protected_or_knowingly_open_is_taken(
+def test_a_local_or_protected_or_explicitly_insecure_link_is_accepted(
     table: dict[str, object],
 ) -> None:
     options = link_options.options_from("base", table, Path("/scenario"))
@@ -426,7 +424,7 @@ def test_a_link_within_the_machine_or_protected_or_knowingly_open_is_taken(
     protocol=st.sampled_from(["tcp", "udp", "ws", "anything"]),
     port=st.integers(0, 65535),
 )
-def test_no_address_beyond_loopback_is_taken_without_certificates(
+def test_no_address_beyond_loopback_is_accepted_without_certificates(
     address: ipaddress.IPv4Address | ipaddress.IPv6Address, protocol: str, port: int
 ) -> None:
     inner = getattr(address, "ipv4_mapped", None) or address
@@ -437,26 +435,26 @@ def test_no_address_beyond_loopback_is_taken_without_certificates(
             link_options.options_from("base", {key: [f"{protocol}/{host}:{port}"]}, Path())
 
 
-def test_a_scenario_tells_how_its_link_is_protected_and_warns_before_a_certificate_ends(
+def test_notices_report_the_protection_and_warn_before_a_certificate_expires(
     lab: Lab, tmp_path: Path
 ) -> None:
     lab.authority.issue(Identity(tmp_path, "controller"), days=5.5, hosts=HOSTS, may_listen=True)
 
-    def told(text: str, *, as_robot: bool) -> list[str]:
+    def printed(text: str, *, as_robot: bool) -> list[str]:
         path = tmp_path / "own.toml"
         path.write_text('extends = "facility"\n[devices.base_robot]\n' + text)
         return list(notices(scenario.load(str(path), []), as_robot=as_robot))
 
-    assert told("", as_robot=False) == []
-    first, second = told('connect = ["tls/192.0.2.10:1"]\ncertificates = "."', as_robot=False)
+    assert printed("", as_robot=False) == []
+    first, second = printed('connect = ["tls/192.0.2.10:1"]\ncertificates = "."', as_robot=False)
     assert first.startswith("base_robot: TLS with certificate 'controller', valid until 20")
     assert (
-        "WARNING: certificate 'controller' expires in 5 days, and ends its links then; `freeflyer certificates"
+        "WARNING: certificate 'controller' expires in 5 days, and its links end then; `freeflyer certificates"
         in second
     )
-    everywhere = told(f'connect = ["tls/0.0.0.0:1"]\ncertificates = "{lab.good}"', as_robot=True)
+    everywhere = printed(f'connect = ["tls/0.0.0.0:1"]\ncertificates = "{lab.good}"', as_robot=True)
     assert everywhere[0] == "base_robot: tls/0.0.0.0:1 listens on every interface of this machine"
-    far = told('connect = ["tcp/192.0.2.10:1"]\ninsecure = true', as_robot=False)
+    far = printed('connect = ["tcp/192.0.2.10:1"]\ninsecure = true', as_robot=False)
     assert far == [
-        "base_robot: WARNING: tcp/192.0.2.10:1 is not encrypted, and whoever reaches it can command the robot (insecure = true)"
+        "base_robot: WARNING: tcp/192.0.2.10:1 is not encrypted, so any peer that reaches it can command the robot (insecure = true)"
     ]

@@ -1,4 +1,4 @@
-"""A peer's stamps: what is late is late, and what is a clock that was set is counted and harms nothing."""
+"""Delays from a peer's time stamps: real delays are found, and clock steps are only counted."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ MS = 1_000_000
 CYCLE = 4 * MS
 SECOND = 1000 * MS
 offsets = st.integers(-(10**18), 10**18)
-"""[ns] Between two clocks that were never set alike."""
+"""Offset between two clocks that are not synchronised [ns]."""
 
 
 class Peer:
-    """Sends each cycle; `offset` is its clock less ours."""
+    """A peer that sends every cycle. `offset` [ns] is its clock minus the local clock."""
 
     def __init__(self, offset: int = 0) -> None:
         self.clock, self.offset, self.now = PeerClock(), offset, 1000 * SECOND
 
     def send(self, late: int = 0) -> int:
-        """The delay that is told of the next sample, which comes `late`."""
+        """Return the computed delay of the next sample, which arrives `late` [ns]."""
         self.now += CYCLE
         return self.clock.delay(self.now + self.offset, self.now + late)
 
@@ -32,28 +32,28 @@ class Peer:
 
 
 @given(offsets, st.lists(st.integers(0, 20 * MS), min_size=1, max_size=50))
-def test_a_delay_is_that_beside_the_quickest_whatever_the_clocks_say(
+def test_a_delay_is_relative_to_the_fastest_sample_for_any_clock_offset(
     offset: int, late: list[int]
 ) -> None:
     peer = Peer(offset)
-    quickest = late[0]
+    fastest = late[0]
     for k, way in enumerate(late):
-        quickest = min(quickest, way)
-        # What is quick is forgotten at DRIFT, cycle by cycle.
-        forgotten = DRIFT * (k * CYCLE + 20 * MS)
-        assert way - quickest - forgotten <= peer.send(way) <= way - quickest
+        fastest = min(fastest, way)
+        # The minimum grows by DRIFT.
+        growth = DRIFT * (k * CYCLE + 20 * MS)
+        assert way - fastest - growth <= peer.send(way) <= way - fastest
     assert peer.clock.steps == 0
 
 
 @given(offsets, st.integers(CYCLE + 1, 3600 * SECOND), st.integers(0, 20 * MS))
-def test_a_clock_that_is_set_back_is_counted_and_makes_nothing_late(
+def test_a_clock_that_is_set_back_is_counted_and_adds_no_delay(
     offset: int, by: int, late: int
 ) -> None:
     peer = Peer(offset)
     peer.run()
     peer.send(late)
     peer.offset -= by
-    # As late as the one before, but for what is forgotten at DRIFT.
+    # The delay is equal to the previous one, except for the growth by DRIFT.
     assert late - 2.0 * DRIFT * (CYCLE + late) <= peer.send(late) <= late
     assert peer.clock.steps == 1
     assert peer.clock.step == -by
@@ -62,7 +62,7 @@ def test_a_clock_that_is_set_back_is_counted_and_makes_nothing_late(
 
 
 @given(offsets, st.integers(1, CYCLE))
-def test_a_clock_that_is_set_back_by_less_than_a_cycle_shows_as_a_delay_of_as_much(
+def test_a_clock_that_is_set_back_by_less_than_a_cycle_appears_as_a_delay(
     offset: int, by: int
 ) -> None:
     peer = Peer(offset)
@@ -73,7 +73,7 @@ def test_a_clock_that_is_set_back_by_less_than_a_cycle_shows_as_a_delay_of_as_mu
 
 
 @given(offsets, st.integers(SMALLEST_STEP + 1, 3600 * SECOND))
-def test_a_clock_that_is_set_forward_is_counted_and_what_follows_is_measured_anew(
+def test_a_clock_that_is_set_forward_is_counted_and_later_delays_are_correct(
     offset: int, by: int
 ) -> None:
     peer = Peer(offset)
@@ -87,7 +87,7 @@ def test_a_clock_that_is_set_forward_is_counted_and_what_follows_is_measured_ane
 
 
 @given(offsets, st.integers(1, SMALLEST_STEP))
-def test_a_small_step_forward_is_taken_for_a_quicker_way(offset: int, by: int) -> None:
+def test_a_small_step_forward_is_taken_as_a_shorter_delay(offset: int, by: int) -> None:
     peer = Peer(offset)
     peer.run()
     peer.offset += by
@@ -95,7 +95,7 @@ def test_a_small_step_forward_is_taken_for_a_quicker_way(offset: int, by: int) -
     assert peer.clock.steps == 0
 
 
-def test_a_clock_that_is_set_while_samples_are_late_hides_no_lateness() -> None:
+def test_a_clock_step_does_not_hide_a_delay() -> None:
     peer = Peer()
     peer.run()
     peer.send(100 * MS)
@@ -105,8 +105,8 @@ def test_a_clock_that_is_set_while_samples_are_late_hides_no_lateness() -> None:
 
 
 @given(offsets, st.integers(1, 5))
-def test_a_stamp_that_stands_still_ages(offset: int, seconds: int) -> None:
-    """The publisher hangs, and something sends its last stamp again and again."""
+def test_the_delay_of_a_frozen_stamp_grows(offset: int, seconds: int) -> None:
+    """The publisher hangs, and its last stamp is sent repeatedly."""
     peer = Peer(offset)
     peer.run()
     stamp = peer.now + offset
@@ -117,7 +117,7 @@ def test_a_stamp_that_stands_still_ages(offset: int, seconds: int) -> None:
 
 
 @given(offsets, st.integers(2, 300))
-def test_a_batch_that_was_held_up_is_late_and_no_step(offset: int, samples: int) -> None:
+def test_a_delayed_batch_is_late_and_not_a_clock_step(offset: int, samples: int) -> None:
     peer = Peer(offset)
     peer.run()
     last = peer.now
@@ -132,7 +132,7 @@ def test_a_batch_that_was_held_up_is_late_and_no_step(offset: int, samples: int)
     assert peer.clock.steps == 0
 
 
-def test_of_a_batch_that_was_held_up_for_800_ms_the_first_is_800_ms_late() -> None:
+def test_the_first_sample_of_a_batch_delayed_by_800_ms_is_800_ms_late() -> None:
     peer = Peer(5 * SECOND)
     peer.run()
     first = peer.now + CYCLE
@@ -142,18 +142,18 @@ def test_of_a_batch_that_was_held_up_for_800_ms_the_first_is_800_ms_late() -> No
     assert peer.clock.steps == 0
 
 
-def test_clocks_that_drift_apart_make_nothing_late() -> None:
-    """100 ppm for a minute: 6 ms, which would be late for a base robot."""
+def test_clock_drift_adds_no_delay() -> None:
+    """A drift of 100 ppm is 6 ms in a minute, which would be a significant delay."""
     clock, now, stamp = PeerClock(), 1000 * SECOND, 10**18
     for _ in range(15_000):
         now, stamp = now + CYCLE, stamp + CYCLE - CYCLE // 10_000
         assert clock.delay(stamp, now) < MS
 
 
-def test_another_publisher_begins_anew() -> None:
+def test_another_publisher_resets_the_clock() -> None:
     peer = Peer()
     peer.run()
-    peer.clock.forget()
+    peer.clock.reset()
     peer.offset = -3600 * SECOND
     assert peer.send() == 0
     assert peer.clock.steps == 0

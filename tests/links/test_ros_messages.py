@@ -1,4 +1,7 @@
-"""ROS messages against `rosbags`, an independent implementation, and rmw_zenoh's bytes against zenoh-ext's own serialiser."""
+"""ROS messages compared with `rosbags`, and attachments compared with zenoh-ext.
+
+Both are independent implementations.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +30,7 @@ frames = st.text(st.characters(min_codepoint=32, max_codepoint=0x2FF), max_size=
 
 
 @given(frames, frames, st.integers(0, 2**62), vectors[3], vectors[4], vectors[6])
-def test_encoded_here_decoded_there(
+def test_rosbags_decodes_our_messages(
     frame: str,
     child: str,
     stamp: int,
@@ -55,7 +58,7 @@ def test_encoded_here_decoded_there(
     vectors[6],
     arrays.arrays(float, 36, elements=numbers),
 )
-def test_encoded_there_decoded_here(
+def test_messages_of_rosbags_are_decoded(
     frame: str,
     child: str,
     little: bool,
@@ -92,7 +95,7 @@ def test_encoded_there_decoded_here(
     assert np.array_equal(found.velocity, velocity)
 
 
-def test_type_name_and_hash_are_those_of_the_definition() -> None:
+def test_type_name_and_hash_match_the_definition() -> None:
     assert STORE.hash_rihs01(NAME) == ros_messages.TYPE_HASH
     package, kind, name = NAME.split("/")
     assert f"{package}::{kind}::dds_::{name}_" == ros_messages.TYPE_NAME
@@ -104,13 +107,13 @@ GOOD = OdometryWriter("inertial", "base").write(
 
 
 @given(st.binary(max_size=900) | st.builds(lambda cut: GOOD[:cut], st.integers(0, len(GOOD) - 1)))
-def test_bytes_that_are_no_message_are_refused(data: bytes) -> None:
+def test_bytes_that_are_not_a_message_are_rejected(data: bytes) -> None:
     with pytest.raises(MessageError):
         read(data)
 
 
 @given(st.integers(0, len(GOOD) - 1), st.integers(0, 255))
-def test_one_changed_byte_is_either_read_or_refused(place: int, value: int) -> None:
+def test_a_message_with_one_changed_byte_is_either_read_or_rejected(place: int, value: int) -> None:
     data = bytearray(GOOD)
     data[place] = value
     with contextlib.suppress(MessageError):
@@ -121,7 +124,9 @@ def test_one_changed_byte_is_either_read_or_refused(place: int, value: int) -> N
 @given(
     st.integers(-(2**63), 2**63 - 1), st.integers(0, 2**63 - 1), st.binary(min_size=16, max_size=16)
 )
-def test_the_attachment_is_zenohs_byte_for_byte(sequence: int, stamp: int, gid: bytes) -> None:
+def test_the_attachment_has_the_same_bytes_as_zenohs_serialiser(
+    sequence: int, stamp: int, gid: bytes
+) -> None:
     ours = Attachment(sequence, stamp, gid).pack()
     theirs = zenoh.ext.z_serialize((zenoh.ext.Int64(sequence), zenoh.ext.Int64(stamp), gid))
     assert ours == theirs.to_bytes()
@@ -129,15 +134,15 @@ def test_the_attachment_is_zenohs_byte_for_byte(sequence: int, stamp: int, gid: 
 
 
 @given(st.binary(max_size=60))
-def test_bytes_that_are_no_attachment_are_refused(data: bytes) -> None:
+def test_bytes_that_are_not_an_attachment_are_rejected(data: bytes) -> None:
     if len(data) == 33 and data[16] == 16:
         data = data[:-1]
     with pytest.raises(AttachmentError):
         read_attachment(data)
 
 
-def test_keys_are_those_of_rmw_zenoh() -> None:
-    """The examples of ros2/rmw_zenoh's design document, with our topic and type."""
+def test_keys_match_rmw_zenoh() -> None:
+    """The examples of the design document of ros2/rmw_zenoh, with the topic and type used here."""
     key = rmw_zenoh.topic_key(
         0, "/base_robot/measured", ros_messages.TYPE_NAME, ros_messages.TYPE_HASH
     )
@@ -159,26 +164,28 @@ def test_keys_are_those_of_rmw_zenoh() -> None:
     assert rmw_zenoh.session_of(token) == "aac3178e146ba6f1fc6e6a4085e77f21"
 
 
-def test_a_stamp_beyond_ros_time_is_an_error_and_no_wrong_time() -> None:
+def test_a_stamp_beyond_ros_time_raises() -> None:
     with pytest.raises(struct.error):
         OdometryWriter("a", "b").write(2**31 * 1_000_000_000, np.zeros(3), np.zeros(4), np.zeros(6))
 
 
 @given(vectors[4].filter(lambda q: float(q @ q) > 1.0), vectors[6])
-def test_a_twist_turned_and_turned_back(q: np.ndarray, twist: np.ndarray) -> None:
+def test_rotated_twists_match_scipy_and_the_inverse_rotation(
+    q: np.ndarray, twist: np.ndarray
+) -> None:
     q = q / np.linalg.norm(q)
-    turned = pose.twist_rotated(q, twist)
+    rotated = pose.twist_rotated(q, twist)
     size = 1.0 + np.abs(twist).max()
-    assert turned == pytest.approx(
+    assert rotated == pytest.approx(
         Rotation.from_quat(q).apply(twist.reshape(2, 3)).ravel(), abs=1e-12 * size
     )
-    assert pose.twist_rotated(q, turned, back=True) == pytest.approx(twist, abs=1e-12 * size)
+    assert pose.twist_rotated(q, rotated, back=True) == pytest.approx(twist, abs=1e-12 * size)
 
 
 @given(
     vectors[4].filter(lambda q: float(q @ q) > 1.0), vectors[4].filter(lambda q: float(q @ q) > 1.0)
 )
-def test_the_distance_of_two_orientations_is_that_of_scipy(q: np.ndarray, r: np.ndarray) -> None:
+def test_the_angle_between_two_orientations_matches_scipy(q: np.ndarray, r: np.ndarray) -> None:
     _, angle = pose.distance(np.zeros(3), q, np.zeros(3), r)
     assert angle == pytest.approx(
         (Rotation.from_quat(q) * Rotation.from_quat(r).inv()).magnitude(), abs=1e-7

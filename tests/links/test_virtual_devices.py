@@ -1,4 +1,4 @@
-"""What the virtual arm and base decide by themselves: watchdogs, whom they obey, how they stop. No clock, no wire."""
+"""The logic of the virtual arm and base: watchdogs, sessions and stops, without clock and link."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def claimed(arm: ArmLogic, controller: int = OURS) -> ArmLogic:
 
 
 def activated(arm: ArmLogic, controller: int = OURS) -> ArmLogic:
-    """Claimed, activated, and given its first torque."""
+    """Claim and activate an arm, and command its first torque."""
     claimed(arm, controller)
     arm.begin([command(arm, Mode.activate, controller)], STILL)
     arm.begin([command(arm, Mode.torque, controller)], STILL)
@@ -75,20 +75,20 @@ def active(watchdog: int = 4) -> ArmLogic:
 
 
 def braked(arm: ArmLogic) -> ArmLogic:
-    """Left alone until its brakes are engaged."""
+    """Send no commands until the brakes are engaged."""
     while not arm.braked:
         arm.begin([], STILL)
     return arm
 
 
-def forgotten(arm: ArmLogic) -> ArmLogic:
-    """Left alone until it obeys no controller."""
+def released(arm: ArmLogic) -> ArmLogic:
+    """Send no commands until the arm accepts commands from no controller."""
     while arm.controller:
         arm.begin([], STILL)
     return arm
 
 
-def test_it_is_braked_without_torque_until_a_controller_activates_it() -> None:
+def test_an_arm_is_braked_without_torque_until_it_is_activated() -> None:
     arm = logic()
     claimed(arm)
     for mode in (Mode.idle, Mode.reset, Mode.torque):
@@ -105,31 +105,31 @@ def test_it_is_braked_without_torque_until_a_controller_activates_it() -> None:
     assert (arm.torque == 1.0).all()
     assert arm.echoed == arm.cycle - 1
     arm.begin([command(arm, controller=OTHER)], STILL)
-    assert arm.echoed == arm.cycle - 2, "one that is not used is not echoed"
+    assert arm.echoed == arm.cycle - 2, "a command that is not used is not echoed"
 
 
 @pytest.mark.parametrize("watchdog", [1, 2, 4])
-def test_without_commands_it_is_in_safe_stop_within_its_watchdogs_cycles_plus_one(
+def test_without_commands_the_arm_is_in_safe_stop_one_cycle_after_its_watchdog(
     watchdog: int,
 ) -> None:
     arm = active(watchdog)
-    begin = arm.cycle
+    start = arm.cycle
     while arm.life.now is LifeCycle.active:
         arm.begin([], STILL)
-    # Counted from the last state frame that was answered.
-    assert arm.cycle - (begin - 1) == watchdog + 1
+    # Counted from the last answered state frame.
+    assert arm.cycle - (start - 1) == watchdog + 1
     assert arm.lost == watchdog
 
 
-def test_the_default_watchdog_is_safe_within_five_cycles() -> None:
+def test_the_default_watchdog_leads_to_safe_stop_within_five_cycles() -> None:
     assert FacilitySettings().arm_watchdog_cycles + 1 <= 5
 
 
-def test_safe_stop_ramps_the_torque_down_against_the_motion_and_then_brakes() -> None:
+def test_safe_stop_ramps_the_torque_down_with_damping_and_then_brakes() -> None:
     arm = active()
     while arm.life.now is LifeCycle.active:
         arm.begin([], np.full(N, 0.5))
-    # Not only less torque, but one against the motion: 1 N m - 5 N m s/rad * 0.5 rad/s.
+    # The torque is against the motion: 1 N m - 5 N m s/rad * 0.5 rad/s.
     assert arm.torque == pytest.approx(np.full(N, -1.5), abs=0.01)
     for _ in range(600):
         arm.begin([], np.full(N, 0.5))
@@ -138,7 +138,7 @@ def test_safe_stop_ramps_the_torque_down_against_the_motion_and_then_brakes() ->
     assert arm.life.now is LifeCycle.safe_stop
 
 
-def test_a_command_that_is_too_old_does_not_keep_it_alive() -> None:
+def test_an_old_command_does_not_reset_the_watchdog() -> None:
     arm = active()
     for _ in range(10):
         arm.begin([command(arm, behind=4, torque=9.0)], STILL)
@@ -156,7 +156,7 @@ def test_one_late_command_is_used_and_counted() -> None:
     assert arm.lost == 1
 
 
-def test_another_controller_is_not_obeyed_until_the_first_is_silent() -> None:
+def test_another_controller_is_rejected_until_the_first_one_sends_nothing() -> None:
     arm = active()
     for _ in range(3):
         arm.begin([command(arm, torque=1.0), command(arm, controller=OTHER, torque=9.0)], STILL)
@@ -171,26 +171,26 @@ def test_another_controller_is_not_obeyed_until_the_first_is_silent() -> None:
     claimed(braked(arm), OTHER)
 
 
-def test_safe_stop_is_left_by_the_claim_of_a_new_number_only() -> None:
+def test_only_the_claim_of_a_new_session_number_leaves_safe_stop() -> None:
     arm = braked(active())
     for mode in Mode:
         arm.begin([command(arm, mode)], STILL)
         assert arm.life.now is LifeCycle.safe_stop
-    forgotten(arm)
+    released(arm)
     assert arm.life.now is LifeCycle.safe_stop
     claimed(arm, OTHER)
     assert arm.life.now is LifeCycle.inactive
     assert arm.braked
 
 
-def test_a_brake_command_ends_it_in_order() -> None:
+def test_a_brake_command_makes_an_active_arm_inactive() -> None:
     arm = active()
     arm.begin([command(arm, Mode.brake)], STILL)
     assert arm.life.now is LifeCycle.inactive
     assert arm.braked
 
 
-def test_a_failed_arm_brakes_and_says_fault() -> None:
+def test_a_failed_arm_brakes_and_reports_a_fault() -> None:
     arm = active()
     arm.fail("a drive is too hot")
     assert arm.braked
@@ -206,14 +206,14 @@ commands = st.tuples(
 
 
 @given(st.lists(st.lists(commands, max_size=3), max_size=80), st.booleans())
-def test_whatever_is_commanded_only_an_activation_of_a_new_session_that_was_echoed_activates(
+def test_only_the_activation_of_a_new_echoed_session_activates_for_any_commands(
     cycles: list[list[tuple[Mode | None, int, int, float]]], is_claimed: bool
 ) -> None:
     watchdog = 4
     arm = logic(watchdog, silence=10)
     if is_claimed:
         claimed(arm)
-    echoed = [arm.controller]  # by each state frame, the last one first
+    echoed = [arm.controller]  # in each state frame, the latest one first
     used: set[int] = set()
     for sent in cycles:
         was, controller = arm.life.now, arm.controller
@@ -238,7 +238,7 @@ def test_whatever_is_commanded_only_an_activation_of_a_new_session_that_was_echo
             answered = [
                 b for c, b in activations if 0 <= b < watchdog and echoed[: b + 1] == [c] * (b + 1)
             ]
-            assert answered, "it was activated by something else"
+            assert answered, "another command activated the arm"
             assert controller not in used
         if was is LifeCycle.active and arm.life.now is not LifeCycle.active:
             used.add(controller)
@@ -246,7 +246,7 @@ def test_whatever_is_commanded_only_an_activation_of_a_new_session_that_was_echo
 
 
 @given(st.lists(st.lists(commands, max_size=3), max_size=80), st.booleans())
-def test_whatever_is_commanded_a_braked_arm_has_no_torque_and_an_inactive_one_is_braked(
+def test_a_braked_arm_has_no_torque_and_an_inactive_one_is_braked_for_any_commands(
     cycles: list[list[tuple[Mode | None, int, int, float]]], is_active: bool
 ) -> None:
     arm = logic(silence=10)
@@ -273,7 +273,7 @@ def test_whatever_is_commanded_a_braked_arm_has_no_torque_and_an_inactive_one_is
             assert not arm.braked
 
 
-def test_the_cycle_number_runs_over() -> None:
+def test_the_cycle_number_wraps_around() -> None:
     arm = logic()
     arm.cycle = 2**24 - 4
     activated(arm)
@@ -284,7 +284,7 @@ def test_the_cycle_number_runs_over() -> None:
         assert arm.lost == 0
 
 
-# Whom the arm obeys, and what activates it
+# Sessions and activation of the arm
 
 
 @pytest.mark.parametrize("mode", [Mode.idle, Mode.torque, Mode.brake, Mode.activate, None])
@@ -297,23 +297,23 @@ def test_only_a_reset_claims(mode: Mode | None) -> None:
     assert arm.life.now is LifeCycle.inactive
 
 
-def test_the_number_of_nobody_claims_nothing() -> None:
+def test_session_number_zero_claims_nothing() -> None:
     arm = logic()
     arm.begin([command(arm, Mode.reset, controller=0)], STILL)
     assert arm.controller == 0
     assert arm.strangers == 1
 
 
-def test_an_arm_that_is_obeying_is_not_claimed_by_another() -> None:
+def test_an_arm_with_a_session_rejects_another_claim() -> None:
     arm = claimed(logic())
     arm.begin([command(arm, Mode.reset, controller=OTHER)], STILL)
     assert arm.controller == OURS
     assert arm.strangers == 1
 
 
-def test_an_arm_that_is_not_braked_is_claimed_and_stays_in_safe_stop() -> None:
-    """Its own ramp-down is not cut short."""
-    arm = forgotten(active())
+def test_an_arm_that_is_not_braked_yet_can_be_claimed_and_stays_in_safe_stop() -> None:
+    """Its ramp-down is completed."""
+    arm = released(active())
     assert not arm.braked
     while not arm.braked:
         arm.begin([command(arm, Mode.reset, controller=OTHER)], STILL)
@@ -336,7 +336,7 @@ def by_fault(arm: ArmLogic) -> None:
 
 
 @pytest.mark.parametrize("leave", [by_silence, by_brakes, by_fault])
-def test_a_number_is_used_up_by_leaving_active_in_any_way(
+def test_leaving_active_in_any_way_uses_up_the_session_number(
     leave: Callable[[ArmLogic], None],
 ) -> None:
     arm = active()
@@ -346,14 +346,14 @@ def test_a_number_is_used_up_by_leaving_active_in_any_way(
     for mode in (Mode.reset, Mode.activate, Mode.torque):
         arm.begin([command(arm, mode)], STILL)
         assert arm.life.now is left
-    forgotten(arm)
+    released(arm)
     arm.begin([command(arm, Mode.reset)], STILL)
     assert arm.controller == 0
     assert arm.life.now is left
     activated(arm, OTHER)
 
 
-def test_a_number_is_used_up_by_a_brake_command_also_before_it_was_active() -> None:
+def test_a_brake_command_before_the_activation_uses_up_the_session_number() -> None:
     arm = claimed(logic())
     arm.begin([command(arm, Mode.brake)], STILL)
     arm.begin([command(arm, Mode.activate)], STILL)
@@ -361,12 +361,12 @@ def test_a_number_is_used_up_by_a_brake_command_also_before_it_was_active() -> N
     assert arm.ignored == 1
 
 
-def test_a_number_that_was_only_claimed_can_be_claimed_again() -> None:
-    arm = forgotten(claimed(logic()))
+def test_a_session_number_that_was_only_claimed_can_be_claimed_again() -> None:
+    arm = released(claimed(logic()))
     activated(arm)
 
 
-def test_used_numbers_and_the_cycle_number_outlive_a_session_of_the_facility() -> None:
+def test_used_session_numbers_and_the_cycle_number_are_kept_between_sessions() -> None:
     arm = active()
     by_brakes(arm)
     following = arm.again()
@@ -377,22 +377,22 @@ def test_used_numbers_and_the_cycle_number_outlive_a_session_of_the_facility() -
     activated(following, OTHER)
 
 
-def test_the_oldest_used_number_is_forgotten_and_not_the_newest() -> None:
+def test_the_oldest_used_session_number_is_dropped_first() -> None:
     ramp = RampDown(time=0.25, damping=5.0)
     arm = ArmLogic(N, cycle=1e-3, watchdog=4, silence=10, ramp=ramp, used=deque([1, 2], maxlen=2))
     by_brakes(activated(arm))
     assert list(arm.used) == [2, OURS]
 
 
-def test_an_activation_that_comes_with_its_claim_does_not_count() -> None:
-    """No state frame has carried the number yet: the arm's own word is what is answered."""
+def test_an_activation_in_the_same_cycle_as_its_claim_is_ignored() -> None:
+    """No state frame has echoed the number yet, and an activation must answer the echo."""
     arm = logic()
     arm.begin([command(arm, Mode.reset), command(arm, Mode.activate)], STILL)
     assert arm.life.now is LifeCycle.inactive
     assert arm.ignored == 1
 
 
-def test_an_activation_that_answers_a_state_frame_from_before_the_echo_does_not_count() -> None:
+def test_an_activation_that_answers_a_state_frame_before_the_echo_is_ignored() -> None:
     arm = logic()
     arm.begin([], STILL)
     claimed(arm)
@@ -403,7 +403,7 @@ def test_an_activation_that_answers_a_state_frame_from_before_the_echo_does_not_
 
 
 @pytest.mark.parametrize("behind", range(7))
-def test_an_activation_is_younger_than_the_watchdog(behind: int) -> None:
+def test_an_activation_must_be_younger_than_the_watchdog(behind: int) -> None:
     arm = claimed(logic(watchdog=4))
     for _ in range(20):
         arm.begin([command(arm, Mode.idle)], STILL)
@@ -412,14 +412,16 @@ def test_an_activation_is_younger_than_the_watchdog(behind: int) -> None:
     assert arm.ignored == (behind >= 4)
 
 
-def test_an_activation_of_another_number_does_not_count() -> None:
+def test_an_activation_of_another_session_number_is_ignored() -> None:
     arm = claimed(logic())
     arm.begin([command(arm, Mode.activate, controller=OTHER)], STILL)
     assert arm.life.now is LifeCycle.inactive
     assert arm.strangers == 1
 
 
-def test_an_activation_gives_no_torque_and_feeds_no_watchdog() -> None:
+def test_an_activation_of_an_active_arm_neither_changes_the_torque_nor_resets_the_watchdog() -> (
+    None
+):
     arm = active()
     for _ in range(3):
         arm.begin([command(arm, Mode.activate, torque=9.0)], STILL)
@@ -436,7 +438,7 @@ def test_torque_outside_active_is_ignored_and_counted() -> None:
         arm.begin([command(arm)], STILL)
         assert arm.ignored == k
     assert arm.braked
-    by_brakes(activated(forgotten(arm)))
+    by_brakes(activated(released(arm)))
     before = arm.ignored
     arm.begin([command(arm)], STILL)
     assert arm.ignored == before + 1
@@ -451,7 +453,7 @@ def test_a_reset_of_an_active_arm_changes_nothing() -> None:
 
 
 @pytest.mark.parametrize("torque", [5.1, -5.1, np.nan])
-def test_a_command_beyond_the_joints_effort_is_counted_and_not_used(torque: float) -> None:
+def test_a_command_beyond_the_effort_limit_is_counted_and_not_used(torque: float) -> None:
     arm = active()
     arm.effort = np.full(N, 5.0)
     arm.begin([command(arm, torque=torque)], STILL)
@@ -467,7 +469,7 @@ def test_a_command_beyond_the_joints_effort_is_counted_and_not_used(torque: floa
 
 
 @pytest.mark.parametrize("mode", list(Mode))
-def test_an_implicit_arm_obeys_whoever_comes_first(mode: Mode) -> None:
+def test_an_implicit_arm_accepts_the_first_controller(mode: Mode) -> None:
     arm = logic(implicit=True)
     arm.begin([command(arm, mode)], STILL)
     assert arm.controller == OURS
@@ -476,7 +478,7 @@ def test_an_implicit_arm_obeys_whoever_comes_first(mode: Mode) -> None:
     assert arm.strangers == 1
 
 
-def test_an_implicit_arm_is_activated_by_torque_and_has_it_at_once() -> None:
+def test_an_implicit_arm_is_activated_by_torque_and_applies_it_immediately() -> None:
     arm = logic(implicit=True)
     arm.begin([command(arm, Mode.idle)], STILL)
     assert arm.braked
@@ -486,7 +488,7 @@ def test_an_implicit_arm_is_activated_by_torque_and_has_it_at_once() -> None:
 
 
 def test_an_implicit_arm_is_activated_again_after_brakes_and_after_a_reset() -> None:
-    """What it cannot refuse, and the explicit one does."""
+    """An implicit arm cannot reject these commands; an explicit arm can."""
     arm = logic(implicit=True)
     arm.begin([command(arm)], STILL)
     by_brakes(arm)
@@ -522,7 +524,7 @@ def base() -> BaseLogic:
 POSE = (np.zeros(3), IDENTITY)
 
 
-def test_the_base_holds_its_place_when_set_points_stop() -> None:
+def test_the_base_holds_its_pose_when_set_points_stop() -> None:
     robot = base()
     for k in range(5):
         assert robot.take(np.full(3, 0.001 * k), IDENTITY, np.full(6, 0.1), POSE)
@@ -534,7 +536,7 @@ def test_the_base_holds_its_place_when_set_points_stop() -> None:
     assert robot.position == pytest.approx(np.full(3, 0.004))
 
 
-def test_a_first_set_point_far_away_is_refused() -> None:
+def test_a_first_set_point_far_away_is_rejected() -> None:
     robot = base()
     assert not robot.take(np.array([0.02, 0.0, 0.0]), IDENTITY, np.zeros(6), POSE)
     assert not robot.take(np.zeros(3), np.array([0.1, 0.0, 0.0, 0.995]), np.zeros(6), POSE)
@@ -544,7 +546,7 @@ def test_a_first_set_point_far_away_is_refused() -> None:
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_a_set_point_that_is_no_number_is_refused_and_the_last_one_held(bad: float) -> None:
+def test_a_set_point_that_is_not_finite_is_rejected_and_the_last_one_held(bad: float) -> None:
     robot = base()
     robot.take(np.full(3, 0.001), IDENTITY, np.zeros(6), POSE)
     assert not robot.take(np.array([bad, 0.0, 0.0]), IDENTITY, np.zeros(6), POSE)
@@ -565,7 +567,7 @@ def quiet(robot: BaseLogic, calls: int = 30) -> None:
         robot.tick()
 
 
-def test_one_publisher_is_one_activation() -> None:
+def test_a_publisher_can_activate_the_base_only_once() -> None:
     robot = base()
     assert taken(robot, A)
     quiet(robot)
@@ -582,18 +584,18 @@ def test_one_publisher_is_one_activation() -> None:
     assert not taken(robot, B)
 
 
-def test_an_active_base_takes_the_set_points_of_its_publisher_only() -> None:
+def test_an_active_base_only_accepts_set_points_of_its_publisher() -> None:
     robot = base()
     taken(robot, A)
     for _ in range(21):
         assert not taken(robot, B)
         robot.tick()
-    assert robot.life.now is LifeCycle.safe_stop, "another's set points have kept it active"
+    assert robot.life.now is LifeCycle.safe_stop, "set points of another publisher kept it active"
     assert robot.refused == 21
-    assert taken(robot, B), "one that was refused only is not used up"
+    assert taken(robot, B), "a publisher that was only rejected is not used up"
 
 
-def test_used_publishers_outlive_a_session_of_the_facility() -> None:
+def test_used_publishers_are_kept_between_sessions() -> None:
     used: deque[bytes] = deque(maxlen=2)
     robot = BaseLogic(period=1e-3, watchdog=20, silence=100, jump=(0.01, 0.02), used=used)
     robot.hold(*POSE)
@@ -606,7 +608,7 @@ def test_used_publishers_outlive_a_session_of_the_facility() -> None:
     assert taken(following, B)
 
 
-def test_a_set_point_that_is_later_than_the_watchdog_is_refused() -> None:
+def test_a_set_point_with_a_delay_longer_than_the_watchdog_is_rejected() -> None:
     robot = base()
     assert not taken(robot, delay=0.0201)
     assert robot.life.now is LifeCycle.inactive
@@ -616,7 +618,7 @@ def test_a_set_point_that_is_later_than_the_watchdog_is_refused() -> None:
     assert robot.refused == 2
 
 
-def test_set_points_in_time_feed_the_watchdog() -> None:
+def test_set_points_in_time_reset_the_watchdog() -> None:
     robot = base()
     for _ in range(5):
         assert taken(robot)
@@ -626,7 +628,7 @@ def test_set_points_in_time_feed_the_watchdog() -> None:
     assert robot.life.now is LifeCycle.safe_stop
 
 
-def test_late_set_points_do_not_feed_the_watchdog() -> None:
+def test_late_set_points_do_not_reset_the_watchdog() -> None:
     robot = base()
     taken(robot)
     for _ in range(21):
@@ -635,7 +637,7 @@ def test_late_set_points_do_not_feed_the_watchdog() -> None:
     assert robot.life.now is LifeCycle.safe_stop
 
 
-def test_a_set_point_far_from_the_one_before_is_refused() -> None:
+def test_a_set_point_far_from_the_previous_one_is_rejected() -> None:
     robot = base()
     taken(robot, x=0.009)
     assert not taken(robot, x=0.02)
@@ -643,7 +645,7 @@ def test_a_set_point_far_from_the_one_before_is_refused() -> None:
     assert not taken(robot, x=0.0)
 
 
-def test_a_new_publisher_far_from_the_robot_does_not_lead_out_of_safe_stop() -> None:
+def test_a_new_publisher_far_from_the_base_does_not_leave_safe_stop() -> None:
     robot = base()
     taken(robot, A)
     quiet(robot)
@@ -654,7 +656,7 @@ def test_a_new_publisher_far_from_the_robot_does_not_lead_out_of_safe_stop() -> 
     assert taken(robot, B)
 
 
-def test_a_command_that_answers_an_older_cycle_than_the_last_one_is_not_used() -> None:
+def test_a_command_that_answers_an_older_cycle_than_the_last_command_is_not_used() -> None:
     arm = active()
     newer, older = command(arm, torque=1.0), command(arm, behind=1, torque=9.0)
     arm.begin([newer, older], STILL)
@@ -662,7 +664,7 @@ def test_a_command_that_answers_an_older_cycle_than_the_last_one_is_not_used() -
 
 
 @pytest.mark.parametrize("cycles", [64, 256])
-def test_a_narrow_cycle_number_runs_over_again_and_again(cycles: int) -> None:
+def test_a_short_cycle_number_wraps_around_repeatedly(cycles: int) -> None:
     arm = activated(logic(silence=500, cycles=cycles))
     for _ in range(1000):
         arm.begin([command(arm)], STILL)
@@ -680,7 +682,7 @@ def test_a_narrow_cycle_number_runs_over_again_and_again(cycles: int) -> None:
     assert arm.controller == 0
 
 
-# What proves that set points come in time
+# Proof that set points arrive in time
 
 
 def proving() -> BaseLogic:
@@ -689,13 +691,13 @@ def proving() -> BaseLogic:
     return made
 
 
-def come(
+def arrive(
     robot: BaseLogic, calls: int, every: int = 4, late: float = 0.0, stamps_per_call: float = 1e-3
 ) -> None:
-    """Set points every so many calls, `late` [s]; their stamps advance by so much a call."""
-    begin = robot._calls
-    while robot._calls - begin < calls:
-        if (robot._calls - begin) % every == 0:
+    """Send set points `every` n calls, with stamps that are `late` [s] and advance per call [s]."""
+    start = robot._calls
+    while robot._calls - start < calls:
+        if (robot._calls - start) % every == 0:
             robot.take(
                 np.zeros(3),
                 IDENTITY,
@@ -703,36 +705,38 @@ def come(
                 POSE,
                 b"one",
                 0.0,
-                (robot._calls - begin) * stamps_per_call - late,
+                (robot._calls - start) * stamps_per_call - late,
             )
         robot.tick()
 
 
-def test_set_points_activate_once_they_have_come_for_the_proof_as_their_stamps_advance() -> None:
+def test_set_points_activate_after_arriving_at_the_rate_of_their_stamps_for_the_proof_time() -> (
+    None
+):
     robot = proving()
-    come(robot, 40)
+    arrive(robot, 40)
     assert robot.life.now is LifeCycle.inactive
     assert robot.refused == 0
-    come(robot, 44)
+    arrive(robot, 44)
     assert robot.life.now is LifeCycle.active
 
 
 @pytest.mark.parametrize(
     ("every", "stamps_per_call"),
     [(21, 1e-3), (4, 0.4e-3), (4, 1.6e-3), (4, 0.0)],
-    ids=["with gaps", "ever later", "released in a burst", "with a frozen stamp"],
+    ids=["with gaps", "with growing delay", "in a burst", "with a frozen stamp"],
 )
-def test_set_points_that_do_not_come_as_they_were_sent_activate_nothing(
+def test_set_points_that_do_not_arrive_at_the_rate_of_their_stamps_do_not_activate(
     every: int, stamps_per_call: float
 ) -> None:
     robot = proving()
-    come(robot, 400, every=every, stamps_per_call=stamps_per_call)
+    arrive(robot, 400, every=every, stamps_per_call=stamps_per_call)
     assert robot.life.now is LifeCycle.inactive
 
 
-def test_two_set_points_far_apart_prove_nothing() -> None:
+def test_two_set_points_with_a_long_gap_do_not_activate() -> None:
     robot = proving()
-    come(robot, 1)
+    arrive(robot, 1)
     for _ in range(10_000):
         robot.tick()
     robot.take(np.zeros(3), IDENTITY, np.zeros(6), POSE, b"one", 0.0, 10.001)

@@ -1,4 +1,4 @@
-"""The host's side of the base's link, sample by sample against a scripted base robot over real Zenoh sessions on loopback."""
+"""The controller's end of the base link against a scripted base robot, over Zenoh on loopback."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from freeflyer_adapters.base.zenoh_base import ZenohBase
 from freeflyer_adapters.device.device import DeviceError, LifeCycle, SafeStop
 
 UNWATCHED = 60.0
-"""[s] of the base's watchdog, where a test takes its time between two calls."""
+"""Watchdog of the base for tests with long pauses between two calls [s]."""
 IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
 STILL = np.zeros(6)
 
@@ -33,7 +33,7 @@ def usable(received: Received) -> bool:
 
 
 class ScriptedBase:
-    """Publishes what it is told to, and keeps every set point; it does not tell whom it obeys unless it is asked to."""
+    """A base robot that publishes on request, stores all set points, and reports no publisher."""
 
     def __init__(self, options: LinkOptions) -> None:
         self.session = open_session([], options.connect, "scripted")
@@ -54,7 +54,7 @@ class ScriptedBase:
         frame: str = "inertial",
         child: str = "base",
     ) -> None:
-        """One sample at the origin, whatever was sent before."""
+        """Send one sample at the origin, with any sequence number and stamp."""
         attachment = Attachment(sequence, stamp, self.link._gid if gid is None else gid).pack()
         payload = OdometryWriter(frame, child).write(stamp, np.zeros(3), IDENTITY, STILL)
         self.link.put(sealed(payload, attachment), attachment)
@@ -90,7 +90,7 @@ def here(there: ScriptedBase) -> Iterator[ZenohBase]:
 
 @contextmanager
 def flowing(there: ScriptedBase, position: np.ndarray | None = None) -> Iterator[None]:
-    """The robot sends its measurements, each cycle one."""
+    """Let the robot send one measurement per cycle."""
     done = Event()
 
     def flow() -> None:
@@ -107,19 +107,19 @@ def flowing(there: ScriptedBase, position: np.ndarray | None = None) -> Iterator
 
 
 def configured(base: ZenohBase, there: ScriptedBase, position: np.ndarray | None = None) -> None:
-    """Samples flow until the base has one, as they do from a robot."""
+    """Configure and activate `base` while the robot sends samples."""
     with flowing(there, position):
         base.configure()
         base.check_start()
         base.prepare()
         base.activate(lambda: False)
-    base._sequence = 0  # what flowed while nobody read is no loss
+    base._sequence = 0  # samples that were sent without a reader are not lost cycles
     fresh(base, there, position)
     base._steps = 0
 
 
 def fresh(base: ZenohBase, there: ScriptedBase, position: np.ndarray | None = None) -> None:
-    """One sample, and the step that reads it."""
+    """Send one sample and execute the step that reads it."""
     there.send(position)
     end = time.monotonic() + 5.0
     while base._sequence != there.link._sequence and time.monotonic() < end:
@@ -136,7 +136,7 @@ def test_the_first_set_point_is_the_measured_pose(here: ZenohBase, there: Script
     assert not there.setpoints[0].velocity.any()
 
 
-def test_what_lies_between_is_taken_off_slowly(here: ZenohBase, there: ScriptedBase) -> None:
+def test_the_offset_from_the_start_is_reduced_slowly(here: ZenohBase, there: ScriptedBase) -> None:
     configured(here, there, np.array([0.003, 0.0, 0.0]))
     distances = []
     for _ in range(60):
@@ -165,7 +165,7 @@ def test_what_lies_between_is_taken_off_slowly(here: ZenohBase, there: ScriptedB
         ({"orientation_setpoint": [0.0, 0.0, 0.0, 0.0]}, "squared norm"),
     ],
 )
-def test_a_set_point_beyond_a_limit_is_not_sent_and_stops(
+def test_a_set_point_beyond_a_limit_is_not_sent_and_stops_the_loop(
     here: ZenohBase, there: ScriptedBase, setpoint: dict[str, list[float]], sentence: str
 ) -> None:
     configured(here, there)
@@ -177,7 +177,7 @@ def test_a_set_point_beyond_a_limit_is_not_sent_and_stops(
     assert here.published == published
 
 
-def test_one_missing_sequence_number_is_one_lost_cycle_and_the_third_within_the_window_stops(
+def test_a_missing_sequence_number_is_a_lost_cycle_and_the_third_in_the_window_stops_the_loop(
     here: ZenohBase, there: ScriptedBase
 ) -> None:
     configured(here, there)
@@ -192,7 +192,7 @@ def test_one_missing_sequence_number_is_one_lost_cycle_and_the_third_within_the_
         fresh(here, there)
 
 
-def test_two_missing_in_a_row_stop(here: ZenohBase, there: ScriptedBase) -> None:
+def test_two_missing_samples_in_a_row_stop_the_loop(here: ZenohBase, there: ScriptedBase) -> None:
     configured(here, there)
     fresh(here, there)
     there.link._sequence += 2
@@ -200,7 +200,7 @@ def test_two_missing_in_a_row_stop(here: ZenohBase, there: ScriptedBase) -> None
         fresh(here, there)
 
 
-def test_silence_stops_by_the_age_of_the_last_sample(here: ZenohBase, there: ScriptedBase) -> None:
+def test_an_old_last_sample_stops_the_loop(here: ZenohBase, there: ScriptedBase) -> None:
     here.values["lost_consecutive"][:] = 1000.0
     here.values["lost_in_window"][:] = 0.0
     configured(here, there)
@@ -213,7 +213,7 @@ def test_silence_stops_by_the_age_of_the_last_sample(here: ZenohBase, there: Scr
         here.read()
 
 
-def test_a_base_that_does_not_follow_stops(here: ZenohBase, there: ScriptedBase) -> None:
+def test_a_base_that_does_not_follow_stops_the_loop(here: ZenohBase, there: ScriptedBase) -> None:
     configured(here, there)
     there.send(np.array([0.02, 0.0, 0.0]))
     time.sleep(0.01)
@@ -225,7 +225,7 @@ def test_a_base_that_does_not_follow_stops(here: ZenohBase, there: ScriptedBase)
         here.read()
 
 
-def test_samples_that_cannot_be_used_are_counted_and_change_nothing(
+def test_invalid_samples_are_counted_and_have_no_effect(
     here: ZenohBase, there: ScriptedBase
 ) -> None:
     configured(here, there)
@@ -248,7 +248,7 @@ def test_samples_that_cannot_be_used_are_counted_and_change_nothing(
         (good[:100], later, "byte"),
         (good, later[:-1], "32 bytes"),
         (good, b"", "0 bytes"),
-        (nan, later, "cannot be used"),
+        (nan, later, "an invalid pose or twist"),
         (elsewhere, later, "a pose of 'gripper' in 'inertial'"),
         (
             good,
@@ -262,7 +262,7 @@ def test_samples_that_cannot_be_used_are_counted_and_change_nothing(
         ),
         (good, Attachment(sequence + 1, last.stamp, gid).pack(), "its stamp 0 s later"),
         (good, Attachment(sequence + 1, stamp, bytes(16)).pack(), "a sample from 00000000"),
-        (None, later, "does not fit its checksum"),
+        (None, later, "wrong checksum"),
     ):
         seen = refused()
         there.link.put(good if payload is None else sealed(payload, attachment), attachment)
@@ -270,15 +270,15 @@ def test_samples_that_cannot_be_used_are_counted_and_change_nothing(
         assert why in counts.last_fault
         assert np.array_equal(here.values["base_position"], before)
     there.link.put(sealed(good, later), later)
-    assert waited(here._take), "the same sample as it should be is used"
+    assert waited(here._take), "the correct sample is used"
     assert here.values["base_position"] == pytest.approx(np.full(3, 0.1))
 
 
-def test_the_freshest_of_many_samples_is_read(here: ZenohBase, there: ScriptedBase) -> None:
+def test_the_latest_of_many_samples_is_read(here: ZenohBase, there: ScriptedBase) -> None:
     configured(here, there)
     for k in range(100):
         there.send(np.array([0.00001 * k, 0.0, 0.0]))
-        time.sleep(0.001)  # congestion control DROP would be right to drop a burst
+        time.sleep(0.001)  # congestion control DROP may drop samples of a burst
     time.sleep(0.2)
     here._take()
     assert here.values["base_position"][0] == pytest.approx(0.00099)
@@ -295,7 +295,7 @@ def test_an_approach_keeps_the_limits_of_set_points(here: ZenohBase, there: Scri
     assert here.state.now is LifeCycle.inactive
 
 
-def test_a_silent_base_is_said_to_be_silent(there: ScriptedBase) -> None:
+def test_a_base_that_sends_nothing_is_reported(there: ScriptedBase) -> None:
     base = ZenohBase("base", there.link.options)
     base.values["configure_timeout"][:] = 0.3
     try:
@@ -305,7 +305,7 @@ def test_a_silent_base_is_said_to_be_silent(there: ScriptedBase) -> None:
         base.deactivate()
 
 
-# What is published, and when
+# Publication
 
 
 def test_configuration_and_the_check_of_the_start_publish_and_announce_nothing(
@@ -323,7 +323,7 @@ def test_configuration_and_the_check_of_the_start_publish_and_announce_nothing(
     assert here.published == 0
 
 
-def test_each_activation_is_a_publisher_of_its_own(here: ZenohBase, there: ScriptedBase) -> None:
+def test_each_activation_declares_a_new_publisher(here: ZenohBase, there: ScriptedBase) -> None:
     configured(here, there)
     link = here._link
     assert link is not None
@@ -338,7 +338,7 @@ def test_each_activation_is_a_publisher_of_its_own(here: ZenohBase, there: Scrip
     assert waited(lambda: there.link.publishers(topic) == [link.identity])
 
 
-def test_without_a_publisher_nothing_goes_out(here: ZenohBase, there: ScriptedBase) -> None:
+def test_without_a_publisher_nothing_is_sent(here: ZenohBase, there: ScriptedBase) -> None:
     configured(here, there)
     assert waited(lambda: (there.take(), bool(there.setpoints))[1])
     assert here._link is not None
@@ -351,9 +351,7 @@ def test_without_a_publisher_nothing_goes_out(here: ZenohBase, there: ScriptedBa
     assert there.setpoints == []
 
 
-def test_another_commander_keeps_the_base_from_being_configured(
-    here: ZenohBase, there: ScriptedBase
-) -> None:
+def test_another_commander_prevents_the_configuration(here: ZenohBase, there: ScriptedBase) -> None:
     options = there.link.options
     other = OdometryLink(there.session, options, options.setpoint_topic, options.measured_topic)
     try:
@@ -369,18 +367,18 @@ def test_another_commander_keeps_the_base_from_being_configured(
         other.close()
 
 
-def test_a_base_that_reports_whom_it_obeys_is_waited_for_and_its_ceasing_stops(
+def test_activation_waits_for_the_obedience_token_and_its_withdrawal_stops_the_loop(
     here: ZenohBase, there: ScriptedBase
 ) -> None:
-    there.link.tell_obeyed(False)
+    there.link.report_obeyed(False)
     done = Event()
 
-    def obey() -> None:
+    def report() -> None:
         while not done.wait(0.001):
             there.take()
-            there.link.tell_obeyed(bool(there.setpoints))
+            there.link.report_obeyed(bool(there.setpoints))
 
-    thread = Thread(target=obey)
+    thread = Thread(target=report)
     thread.start()
     try:
         configured(here, there)
@@ -391,7 +389,7 @@ def test_a_base_that_reports_whom_it_obeys_is_waited_for_and_its_ceasing_stops(
     assert here._link is not None
     assert here._link.obedience() is None
     fresh(here, there)
-    there.link.tell_obeyed(False)
+    there.link.report_obeyed(False)
     end = time.monotonic() + 5.0
     reason = "the base robot does not take set points any more; it holds its place"
     with pytest.raises(SafeStop, match=reason):  # noqa: PT012
@@ -402,50 +400,48 @@ def test_a_base_that_reports_whom_it_obeys_is_waited_for_and_its_ceasing_stops(
     assert here.permit.lost
 
 
-def test_a_base_that_reports_somebody_elses_publisher_is_refused(
+def test_a_base_that_reports_another_publisher_is_rejected(
     here: ZenohBase, there: ScriptedBase
 ) -> None:
     there.link._source = bytes(range(16))
-    there.link.tell_obeyed(True)
+    there.link.report_obeyed(True)
     with (
         flowing(there),
         pytest.raises(
             DeviceError,
-            match=f"base obeys publisher {bytes(range(16)).hex()} already; this is session",
+            match=f"base accepts commands from publisher {bytes(range(16)).hex()} already; this is session",
         ),
     ):
         here.configure()
 
 
-def test_a_base_that_does_not_report_whom_it_obeys_is_said_to_be_one(
-    here: ZenohBase, there: ScriptedBase
-) -> None:
+def test_a_base_without_obedience_token_is_reported(here: ZenohBase, there: ScriptedBase) -> None:
     configured(here, there)
     assert len(here.cannot_refuse) == 1
-    assert "does not report which publisher it obeys" in here.cannot_refuse[0]
+    assert "does not report which publisher it accepts commands from" in here.cannot_refuse[0]
 
 
-# Hold-ups, and late samples
+# Suspensions and late samples
 
 
-def held_up(base: ZenohBase) -> None:
-    """The loop stands still for longer than the base's watchdog."""
+def suspended(base: ZenohBase) -> None:
+    """Suspend the loop for longer than the watchdog of the base."""
     base.permit.watchdog = 20_000_000
     time.sleep(0.05)
 
 
-def test_after_a_hold_up_no_set_point_goes_out_and_none_of_the_graded_stop(
+def test_after_a_suspension_no_set_point_is_sent_not_even_by_the_graded_stop(
     here: ZenohBase, there: ScriptedBase
 ) -> None:
     configured(here, there)
-    held_up(here)
+    suspended(here)
     published = here.published
     with pytest.raises(
         SafeStop,
         match=r"the loop was held up for 0\.\d+ s, longer than the watchdog of the base robot \(0\.02 s\)",
     ):
         here.write()
-    here.revoke("the loop was held up")
+    here.revoke("the loop was suspended")
     for k in range(20):
         assert here.ramp_down(k * 1e-3)
     assert here.published == published
@@ -453,14 +449,14 @@ def test_after_a_hold_up_no_set_point_goes_out_and_none_of_the_graded_stop(
     assert waited(lambda: there.link.publishers(there.link.options.setpoint_topic) == [])
 
 
-def test_a_hold_up_is_noticed_when_the_next_sample_is_read(
+def test_a_suspension_is_detected_when_the_next_sample_is_read(
     here: ZenohBase, there: ScriptedBase
 ) -> None:
     here.values["age_limit"][:] = 10.0
     here.values["lost_consecutive"][:] = 1000.0
     here.values["lost_in_window"][:] = 0.0
     configured(here, there)
-    held_up(here)
+    suspended(here)
     there.send()
     with pytest.raises(SafeStop, match="the loop was held up for"):
         here.read()
@@ -488,7 +484,7 @@ def test_the_graded_stop_holds_the_last_set_point_without_velocity(
     assert not there.setpoints[-1].velocity.any()
 
 
-def test_a_sample_that_was_held_up_on_its_way_is_old_although_it_has_just_come(
+def test_a_sample_that_was_delayed_in_transit_counts_as_old(
     here: ZenohBase, there: ScriptedBase
 ) -> None:
     here.values["lost_consecutive"][:] = 1000.0
@@ -508,7 +504,7 @@ def test_a_sample_that_was_held_up_on_its_way_is_old_although_it_has_just_come(
 
 
 @pytest.mark.parametrize("step", [-3600.0, -1.0, 1.0, 3600.0])
-def test_a_base_whose_clock_is_set_is_followed_and_the_step_is_counted(
+def test_a_clock_step_of_the_base_is_counted_and_no_sample_is_rejected(
     here: ZenohBase, there: ScriptedBase, step: float
 ) -> None:
     configured(here, there)
@@ -540,11 +536,11 @@ def receiving(there: ScriptedBase) -> Iterator[OdometryLink]:
 
 
 def received(link: OdometryLink, judge: Callable[[Received], bool] = usable) -> Received | None:
-    """The next sample, or None if it was refused."""
+    """Return the next sample, or None if it was rejected."""
     before = link.counts.malformed + link.counts.stale + link.counts.other_sources
     found: list[Received] = []
 
-    def came() -> bool:
+    def arrived() -> bool:
         one = link.receive(judge)
         found.extend([] if one is None else [one])
         return (
@@ -552,7 +548,7 @@ def received(link: OdometryLink, judge: Callable[[Received], bool] = usable) -> 
             or link.counts.malformed + link.counts.stale + link.counts.other_sources > before
         )
 
-    assert waited(came)
+    assert waited(arrived)
     return found[0] if found else None
 
 
@@ -572,7 +568,7 @@ NOW = 1_700_000_000_000_000_000
         ("", "", "a pose of '' in ''"),
     ],
 )
-def test_a_pose_of_other_frames_is_refused(
+def test_a_pose_of_other_frames_is_rejected(
     there: ScriptedBase, receiving: OdometryLink, frame: str, child: str, sentence: str
 ) -> None:
     there.send_as(1, NOW, frame=frame, child=child)
@@ -580,7 +576,7 @@ def test_a_pose_of_other_frames_is_refused(
     assert re.search(sentence, receiving.counts.last_fault)
     assert receiving.counts.malformed == 1
     there.send_as(2, NOW)
-    assert received(receiving) is not None, "a refused sample makes its publisher no source"
+    assert received(receiving) is not None, "the publisher of a rejected sample is not the source"
 
 
 def test_stamps_set_back_are_a_clock_step_and_equal_ones_are_stale(
@@ -602,17 +598,17 @@ def test_stamps_set_back_are_a_clock_step_and_equal_ones_are_stale(
     assert (receiving.counts.accepted, receiving.counts.clock_steps) == (2, 1)
 
 
-def test_what_the_judge_refuses_is_counted_and_makes_its_publisher_no_source(
+def test_a_sample_that_the_caller_rejects_is_counted_and_its_publisher_is_not_the_source(
     there: ScriptedBase, receiving: OdometryLink
 ) -> None:
     seen: list[Received] = []
 
-    def refuses(one: Received) -> bool:
+    def reject(one: Received) -> bool:
         seen.append(one)
         return False
 
     there.send_as(1, NOW, gid=b"a" * 16)
-    assert received(receiving, refuses) is None
+    assert received(receiving, reject) is None
     assert (seen[0].attachment.gid, seen[0].odometry.frame) == (b"a" * 16, "inertial")
     assert receiving.counts.malformed == 1
     there.send_as(1, NOW, gid=b"b" * 16)
@@ -623,10 +619,10 @@ def test_what_the_judge_refuses_is_counted_and_makes_its_publisher_no_source(
 
 
 @pytest.mark.parametrize("ahead", [-3600.0, -0.5, 0.5, 3600.0])
-def test_the_clock_of_a_refused_publisher_makes_no_other_one_late(
+def test_the_clock_of_a_rejected_publisher_does_not_affect_the_delay_of_another(
     there: ScriptedBase, receiving: OdometryLink, ahead: float
 ) -> None:
-    """Two hosts' clocks are never set alike; a publisher that is used up, or too far away, is refused before the right one comes."""
+    """The clocks of two publishers differ. The first one is rejected before the second sends."""
     there.send_as(1, NOW + round(ahead * 1e9), gid=b"a" * 16)
     assert received(receiving, lambda _: False) is None
     time.sleep(0.6)
@@ -637,10 +633,10 @@ def test_the_clock_of_a_refused_publisher_makes_no_other_one_late(
     assert receiving.counts.clock_steps == 0
 
 
-def test_a_watchdog_shorter_than_two_cycles_is_refused_with_both_numbers(here: ZenohBase) -> None:
+def test_a_watchdog_shorter_than_two_cycles_is_rejected_with_both_numbers(here: ZenohBase) -> None:
     here.values["watchdog"][:] = 0.003
     with pytest.raises(
         DeviceError,
-        match=r"base\.watchdog is 0\.003 s; two cycles of set points or more are expected, 0\.008 s",
+        match=r"base\.watchdog is 0\.003 s; at least two cycles of set points are expected, 0\.008 s",
     ):
         here.configure()

@@ -15,7 +15,7 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
 from freeflyer_adapters import read_recording
-from freeflyer_adapters.cli.hil import recording_told
+from freeflyer_adapters.cli.hil import recording_lines
 from freeflyer_adapters.recording import parts
 from freeflyer_adapters.recording.parts import PART_SECONDS, PartedRecording
 from freeflyer_adapters.recording.recorder import Recorder
@@ -86,7 +86,7 @@ def test_the_result_names_all_parts(tmp_path: Path, runtime: Path, short: None) 
     assert [Path(path).name for path in written.recording] == [
         f"recording{end}.mcap" for end in ("", "_2", "_3", "_4")
     ]
-    (line,) = recording_told({"recording": written.recording, "can": [], "flight": None})
+    (line,) = recording_lines({"recording": written.recording, "can": [], "flight": None})
     assert "recording.mcap" in line
     assert "recording_4.mcap" in line
     assert read_recording(tmp_path)["instant"].tolist() == list(range(COUNT))

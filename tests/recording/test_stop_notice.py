@@ -35,7 +35,7 @@ CHILD = """
 import sys, time
 from pathlib import Path
 from freeflyer_adapters.loop.stop_notice import StopNotice
-notice = StopNotice(directory=Path(sys.argv[1]), log_to=None, scenario="child", say=print)
+notice = StopNotice(directory=Path(sys.argv[1]), log_to=None, scenario="child", show=print)
 """
 GIVES = f"notice.give({REASON!r}, {LEFT!r}, orderly=False)\n"
 
@@ -47,7 +47,7 @@ def made(
         directory=directory,
         log_to=log_to,
         scenario="facility",
-        say=([] if said is None else said).append,
+        show=([] if said is None else said).append,
     )
 
 
@@ -360,7 +360,7 @@ def test_a_pipe_without_a_reader_is_a_problem_and_no_error(tmp_path: Path) -> No
     os.close(reading)
     # rich's own console ends the command there.
     text = (
-        "from rich.console import Console\nnotice._say = Console().print\n"
+        "from rich.console import Console\nnotice._show = Console().print\n"
         + GIVES
         + "print(*notice.problems, file=sys.stderr)"
     )
@@ -385,7 +385,7 @@ def unknown_character(text: str) -> None:
 def test_a_terminal_that_fails_is_a_problem_and_no_error(
     tmp_path: Path, say: Any, told: str
 ) -> None:
-    notice = StopNotice(directory=tmp_path, log_to=None, scenario="facility", say=say)
+    notice = StopNotice(directory=tmp_path, log_to=None, scenario="facility", show=say)
     notice.give(REASON, LEFT, orderly=False)
     notice.close()
     (problem,) = notice.problems
@@ -469,7 +469,7 @@ def test_a_second_reason_changes_nothing(tmp_path: Path, receiver: socket.socket
 @pytest.mark.parametrize("text", ["x", "ä", "€", "😀", '"', "\\", "\udc80", "a\n", "😀x"])
 def test_long_texts_are_cut_between_characters(tmp_path: Path, text: str) -> None:
     long = text * 20_000
-    notice = StopNotice(directory=tmp_path, log_to=None, scenario=long, say=lambda text: None)
+    notice = StopNotice(directory=tmp_path, log_to=None, scenario=long, show=lambda text: None)
     notice.give(long, long, orderly=False)
     notice.close()
     assert notice.problems == []

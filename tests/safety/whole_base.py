@@ -30,7 +30,7 @@ from search import shift_permit, without_hold_ups
 from freeflyer_adapters.base import ros_messages
 from freeflyer_adapters.base.link import Counts, OdometryLink
 from freeflyer_adapters.base.peer_clock import PeerClock
-from freeflyer_adapters.base.rmw_zenoh import GID_BYTES, NOBODY, Attachment
+from freeflyer_adapters.base.rmw_zenoh import GID_BYTES, NO_PUBLISHER, Attachment
 from freeflyer_adapters.device.device import LifeCycle
 from freeflyer_adapters.device.permit import Permit
 from freeflyer_adapters.facility.base_logic import MOST_USED, BaseLogic
@@ -143,7 +143,7 @@ class BaseEnd(OdometryLink):
 
     def __post_init__(self) -> None:
         self._environment: Any = Clock
-        self._told, self._obedience = "", None
+        self._reported, self._obedience = "", None
         self.clock = PeerClock()
         self._source = self._last = None
         self._other_source, self._turns, self._is_sealed = b"", deque(maxlen=3), False
@@ -160,7 +160,7 @@ class BaseEnd(OdometryLink):
         vars(self).update(
             state, counts=Counts(), options=Options, session=Air(), _turns=deque(maxlen=3)
         )
-        told = self._told
+        told = self._reported
         self._obedience = self.session.declare_token("/" + told) if told else None
         self.session.news.clear()
 
@@ -258,11 +258,11 @@ class Base(VirtualBase):
             last = max(link._last.sequence - 1, NOW - OLDEST - 1)
             stamp = max(link._last.stamp - CYCLE, (NOW - OLDEST - 1) * CYCLE)
             link._last = Attachment(last, stamp, link._last.gid)
-        if clock._quickest is None:
-            clock.forget()
+        if clock._fastest is None:
+            clock.reset()
         else:
             # The smallest delay decays too slowly to matter here.
-            clock._quickest = round(clock._quickest / CYCLE) * CYCLE
+            clock._fastest = round(clock._fastest / CYCLE) * CYCLE
             clock._delay = round(clock._delay / CYCLE) * CYCLE
             arrived = max(clock._arrived - CYCLE, (NOW - OLDEST - 1) * CYCLE)
             clock._stamp, clock._arrived = clock._stamp - clock._arrived + arrived, arrived
@@ -427,7 +427,7 @@ class Host:
             self.publishes = True
             permit.take(now)
             self.stage = "activating"
-        if self.stage == "activating":  # see `ZenohBase._be_obeyed`
+        if self.stage == "activating":  # see `ZenohBase._take_command`
             is_sent = self._publish()
             if not self.reports or self._obedience():
                 self.stage, self.is_active, self.was_accepted = "running", True, self.reports
@@ -586,7 +586,7 @@ class Whole:
     def restart(self) -> None:
         """Switch the base robot off and on: it loses the expired publishers, and has a new one."""
         whom = self.base._link._told
-        if whom not in ("", NOBODY):
+        if whom not in ("", NO_PUBLISHER):
             self.news.append((whom, False))
         self.base = Base(self.watchdog, self.proof)
         self.bases += 1

@@ -1,8 +1,9 @@
-"""Who may do what on the base robot's link, as Zenoh's access control enforces it, by the common name of the peer's certificate.
+"""Zenoh access control of the base robot's link, by the common names of the certificates.
 
-Zenoh judges every message that comes from a transport (ingress) or goes to one (egress) by its kind and its key expression: a rule holds
-for a key that its own key expression includes, what several subjects are allowed adds up, and the rest is denied. Replies to
-a liveliness query are declarations of tokens; a key that begins with @ is included by no ** that does not name it.
+Zenoh checks the kind and the key expression of every message from a transport (ingress) or to one
+(egress). A rule applies to each key that its key expression includes. A peer has the permissions
+of all subjects that it matches; every other message is denied. The replies to a liveliness query
+are declarations of tokens. A ** does not include a key that starts with @.
 """
 
 from __future__ import annotations
@@ -22,17 +23,20 @@ QUERIES = ("liveliness_query", "declare_liveliness_subscriber")
 
 @dataclass(frozen=True, kw_only=True)
 class Protection:
-    """Who one end of a link is, and what it lets others do."""
+    """Identity of one end of a link, and the permissions of its peers."""
 
     identity: Identity
     access: Rules
-    """Zenoh's `access_control`."""
+    """The `access_control` section of the Zenoh configuration."""
     listens_for_others: bool
-    """Whether it is the end that others connect to."""
+    """True for the end that accepts connections."""
 
 
-def controllers_end(options: LinkOptions) -> Protection | None:
-    """Of the session that commands: it talks to the base robot, and to nobody else. None for a link without certificates."""
+def controller_protection(options: LinkOptions) -> Protection | None:
+    """Return the protection of the controller's session, which only accepts the base robot.
+
+    None for a link without certificates.
+    """
     if options.certificates is None:
         return None
     setpoint, measured, announced, own = _keys(options)
@@ -41,10 +45,10 @@ def controllers_end(options: LinkOptions) -> Protection | None:
         _rule("robot may", "ingress", ["declare_subscriber"], [setpoint]),
         _rule("robot may", "ingress", ["liveliness_token"], [announced, *own]),
         _rule("robot may", "ingress", QUERIES, [announced]),
-        _rule("robot is told", "egress", ["put"], [setpoint]),
-        _rule("robot is told", "egress", ["declare_subscriber"], [measured]),
-        _rule("robot is told", "egress", ["liveliness_token"], [announced]),
-        _rule("robot is told", "egress", QUERIES, [announced, *own]),
+        _rule("robot receives", "egress", ["put"], [setpoint]),
+        _rule("robot receives", "egress", ["declare_subscriber"], [measured]),
+        _rule("robot receives", "egress", ["liveliness_token"], [announced]),
+        _rule("robot receives", "egress", QUERIES, [announced, *own]),
     ]
     access = _access({"robot": ({"cert_common_names": [options.robot]}, robot)})
     return Protection(
@@ -54,22 +58,25 @@ def controllers_end(options: LinkOptions) -> Protection | None:
     )
 
 
-def robots_end(options: LinkOptions) -> Protection | None:
-    """Of the base robot's session: commanders may send set points, everybody with a certificate may read what is measured."""
+def robot_protection(options: LinkOptions) -> Protection | None:
+    """Return the protection of the base robot's session, or None without certificates.
+
+    Commanders may send set points. Every peer with a certificate may read the measurements.
+    """
     if options.certificates is None:
         return None
     setpoint, measured, announced, own = _keys(options)
     reader = [
         _rule("reader may", "ingress", ["declare_subscriber"], [measured]),
         _rule("reader may", "ingress", QUERIES, [announced, *own]),
-        _rule("reader is told", "egress", ["put"], [measured]),
-        _rule("reader is told", "egress", ["liveliness_token"], [announced, *own]),
+        _rule("reader receives", "egress", ["put"], [measured]),
+        _rule("reader receives", "egress", ["liveliness_token"], [announced, *own]),
     ]
     commander = [
         _rule("commander may", "ingress", ["put"], [setpoint]),
         _rule("commander may", "ingress", ["liveliness_token"], [announced]),
-        _rule("commander is told", "egress", ["declare_subscriber"], [setpoint]),
-        _rule("commander is told", "egress", QUERIES, [announced]),
+        _rule("commander receives", "egress", ["declare_subscriber"], [setpoint]),
+        _rule("commander receives", "egress", QUERIES, [announced]),
     ]
     access = _access({
         "reader": ({"link_protocols": list(ENCRYPTED)}, reader),
@@ -83,7 +90,7 @@ def robots_end(options: LinkOptions) -> Protection | None:
 
 
 def _keys(options: LinkOptions) -> tuple[str, str, str, list[str]]:
-    """Set points, measurements, the announcements of rmw_zenoh, and this project's own tokens."""
+    """Return the keys of set points, measurements, rmw_zenoh announcements and project tokens."""
     topics = [
         rmw_zenoh.topic_key(options.domain, topic, ros_messages.TYPE_NAME, ros_messages.TYPE_HASH)
         for topic in (options.setpoint_topic, options.measured_topic)
@@ -95,8 +102,8 @@ def _keys(options: LinkOptions) -> tuple[str, str, str, list[str]]:
     return topics[0], topics[1], f"@ros2_lv/{options.domain}/**", own
 
 
-def _rule(who: str, flow: str, messages: Sequence[str], keys: Sequence[str]) -> dict[str, Any]:
-    name = f"{who} {', '.join(messages)}"
+def _rule(subject: str, flow: str, messages: Sequence[str], keys: Sequence[str]) -> dict[str, Any]:
+    name = f"{subject} {', '.join(messages)}"
     return {
         "id": name,
         "permission": "allow",
@@ -111,7 +118,7 @@ def _access(subjects: Mapping[str, tuple[Mapping[str, Any], list[dict[str, Any]]
         "enabled": True,
         "default_permission": "deny",
         "rules": [rule for _, rules in subjects.values() for rule in rules],
-        "subjects": [{"id": name, **of} for name, (of, _) in subjects.items()],
+        "subjects": [{"id": name, **match} for name, (match, _) in subjects.items()],
         "policies": [
             {"subjects": [name], "rules": [rule["id"] for rule in rules]}
             for name, (_, rules) in subjects.items()

@@ -1,4 +1,4 @@
-"""An authority of one's own, for the few machines of a lab: its certificate, and those that it signs. EC P-256 throughout."""
+"""A private certificate authority for the machines of one laboratory. All keys are EC P-256."""
 
 from __future__ import annotations
 
@@ -24,31 +24,30 @@ from freeflyer_adapters.base.certificates import AUTHORITY, Identity, general_na
 
 AUTHORITY_DAYS = 3650
 HOSTS = ("localhost", "127.0.0.1", "::1")
-"""Under which every listener can be met on its own machine."""
+"""Hosts of every listener, for connections from its own machine."""
 EARLIER = timedelta(minutes=5)
-"""Two machines' clocks never agree."""
+"""Validity starts this much in the past, because the clocks of two machines differ."""
 
 
 class CertificateError(CosimError):
-    """A certificate that cannot be made."""
+    """A certificate cannot be made."""
 
 
 class CertificateAuthority:
-    """The key that signs, and its certificate."""
+    """The signing key and its certificate."""
 
     def __init__(self, key: ec.EllipticCurvePrivateKey, certificate: x509.Certificate) -> None:
         self.key, self.certificate = key, certificate
 
     @classmethod
     def new(cls, folder: Path) -> CertificateAuthority:
-        """A new one, with its files in the folder."""
+        """Create an authority and write its certificate and key to `folder`."""
         key = ec.generate_private_key(ec.SECP256R1())
-        name = _name(
-            f"freeflyer authority {x509.random_serial_number():x}"[:40]
-        )  # two labs' authorities have two names
-        begin = datetime.now(UTC) - EARLIER
+        # A random name: the authorities of two laboratories must differ.
+        name = _name(f"freeflyer authority {x509.random_serial_number():x}"[:40])
+        start = datetime.now(UTC) - EARLIER
         builder = _builder(
-            name, name, key.public_key(), begin, begin + timedelta(days=AUTHORITY_DAYS)
+            name, name, key.public_key(), start, start + timedelta(days=AUTHORITY_DAYS)
         )
         builder = builder.add_extension(
             x509.BasicConstraints(ca=True, path_length=0), critical=True
@@ -61,14 +60,14 @@ class CertificateAuthority:
 
     @classmethod
     def read(cls, folder: Path) -> CertificateAuthority:
-        """CertificateError if it cannot sign."""
+        """Read an authority from `folder`. Raises CertificateError if it cannot sign."""
         where = Identity(folder, AUTHORITY)
         try:
             certificate = x509.load_pem_x509_certificate(where.certificate.read_bytes())
             key = load_pem_private_key(where.key.read_bytes(), password=None)
         except FileNotFoundError as error:
             raise CertificateError(
-                f"{error.filename} is not there, so that nothing can be signed; it lies where the authority was made"
+                f"{error.filename} is missing, and nothing can be signed without it; it is on the machine where the authority was made"
             ) from error
         except OSError as error:
             raise CertificateError(
@@ -76,7 +75,7 @@ class CertificateAuthority:
             ) from error
         except (ValueError, TypeError) as error:
             raise CertificateError(
-                f"{where.certificate} and {where.key} are no certificate and key in PEM"
+                f"{where.certificate} and {where.key} are not a PEM certificate and key"
             ) from error
         if (
             not isinstance(key, ec.EllipticCurvePrivateKey)
@@ -87,7 +86,7 @@ class CertificateAuthority:
             )
         if certificate.not_valid_after_utc < datetime.now(UTC):
             raise CertificateError(
-                f"{where.certificate} expired on {certificate.not_valid_after_utc:%Y-%m-%d}; a new folder gets a new authority"
+                f"{where.certificate} expired on {certificate.not_valid_after_utc:%Y-%m-%d}; make a new authority in a new folder"
             )
         return cls(key, certificate)
 
@@ -98,15 +97,19 @@ class CertificateAuthority:
         days: float,
         hosts: Sequence[str],
         may_listen: bool,
-        begin: datetime | None = None,
+        start: datetime | None = None,
     ) -> x509.Certificate:
-        """A new key and certificate, in the folder; it never outlives the authority."""
+        """Write a new key and a signed certificate to the folder of `identity`.
+
+        The certificate is valid for `days`, but not longer than the certificate of the authority.
+        """
         key = ec.generate_private_key(ec.SECP256R1())
-        begin = begin or datetime.now(UTC) - EARLIER
-        end = min(begin + EARLIER + timedelta(days=days), self.certificate.not_valid_after_utc)
+        start = start or datetime.now(UTC) - EARLIER
+        end = min(start + EARLIER + timedelta(days=days), self.certificate.not_valid_after_utc)
         builder = _builder(
-            _name(identity.name), self.certificate.subject, key.public_key(), begin, end
+            _name(identity.name), self.certificate.subject, key.public_key(), start, end
         )
+        # The extensions limit the uses and the hosts of the certificate.
         uses = [
             ExtendedKeyUsageOID.CLIENT_AUTH,
             *([ExtendedKeyUsageOID.SERVER_AUTH] if may_listen else []),
@@ -137,7 +140,7 @@ def _builder(
     subject: x509.Name,
     issuer: x509.Name,
     key: ec.EllipticCurvePublicKey,
-    begin: datetime,
+    start: datetime,
     end: datetime,
 ) -> x509.CertificateBuilder:
     return (
@@ -146,7 +149,7 @@ def _builder(
         .issuer_name(issuer)
         .public_key(key)
         .serial_number(x509.random_serial_number())
-        .not_valid_before(begin)
+        .not_valid_before(start)
         .not_valid_after(end)
         .add_extension(x509.SubjectKeyIdentifier.from_public_key(key), critical=False)
     )
@@ -176,7 +179,7 @@ def _write(
 
 
 def _write_private(path: Path, data: bytes) -> None:
-    """Nobody else can open the file at any moment, also not one that was left behind."""
+    """Write a new file that only the user can read from the start. Replaces an existing file."""
     path.unlink(missing_ok=True)
     with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
         file.write(data)

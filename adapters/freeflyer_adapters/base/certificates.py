@@ -1,6 +1,7 @@
-"""A folder with certificates, and whether one of them can be used: told from its files, before anything is opened.
+"""Checks of a folder with certificates, from its files, before a link is opened.
 
-ca.pem is the authority's certificate, NAME.pem and NAME.key belong to who is called NAME. On a robot's machine lies only what is its own.
+ca.pem is the certificate of the authority. NAME.pem and NAME.key belong to the peer NAME.
+The folder on a robot's machine contains ca.pem and the robot's own files only.
 """
 
 from __future__ import annotations
@@ -27,13 +28,13 @@ from freeflyer_adapters.device.device import DeviceError
 
 AUTHORITY = "ca"
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
-"""A common name, which is a file's name too and a part of a key expression."""
+"""A common name. It is also used as a file name and in key expressions."""
 USES = {ExtendedKeyUsageOID.CLIENT_AUTH: "connecting", ExtendedKeyUsageOID.SERVER_AUTH: "listening"}
 
 
 @dataclass(frozen=True)
 class Identity:
-    """Who one is on a link."""
+    """The identity of one end of a link: the folder and the name of its certificate."""
 
     folder: Path
     name: str
@@ -54,19 +55,23 @@ class Identity:
 def check(
     identity: Identity, subject: str, *, hosts: Sequence[str] = (), listens: bool = False
 ) -> x509.Certificate:
-    """The certificate, if it can be used to connect (and to listen on `hosts`); else DeviceError with the reason."""
+    """Check and return the certificate of `identity`.
+
+    With `listens`, it must also be valid for listening on `hosts`. Raises DeviceError.
+    """
     folder = identity.folder
     if not folder.is_dir():
         raise DeviceError(
             f"{subject}: there is no folder of certificates {folder}; {remedy(folder, identity.name)}"
         )
+    # The files: readable, of the expected name, not expired, signed by the authority.
     authorities = _certificates(identity.authority, subject)
     chain = _certificates(identity.certificate, subject)
     found = chain[0]
     where = f"{subject}: certificate {identity.certificate}"
     if common_name(found) != identity.name:
         raise DeviceError(
-            f"{where} is that of {common_name(found)!r}, but access goes by names, and {identity.name!r} is expected"
+            f"{where} belongs to {common_name(found)!r}, but access is granted by name, and {identity.name!r} is expected"
         )
     _check_key(identity, found, subject)
     _check_dates(
@@ -77,9 +82,10 @@ def check(
     _check_dates(found, where, remedy_of_age(identity))
     if not is_issued(chain, authorities):
         raise DeviceError(
-            f"{where} was not signed by the authority of {identity.authority} (its issuer calls itself "
-            f"{found.issuer.rfc4514_string()!r}); one from there is expected"
+            f"{where} was not signed by the authority of {identity.authority} (its issuer is "
+            f"{found.issuer.rfc4514_string()!r}); a certificate of that authority is expected"
         )
+    # Uses and hosts.
     needed = [
         ExtendedKeyUsageOID.CLIENT_AUTH,
         *([ExtendedKeyUsageOID.SERVER_AUTH] if listens else []),
@@ -87,14 +93,14 @@ def check(
     for use in needed:
         if not _is_for(found, use):
             raise DeviceError(
-                f"{where} is not for {USES[use]} (its extended key usage lacks {use._name}); one made by "
-                f"`freeflyer certificates {folder} --name` is"
+                f"{where} is not for {USES[use]} (its extended key usage lacks {use._name}); "
+                f"`freeflyer certificates {folder} --name` makes one that is"
             )
     known = hosts_of(found)
     for host in hosts:
         if not any(_covers(name, host) for name in known):
             raise DeviceError(
-                f"{where} is for {', '.join(known) or 'no host'}, not for {host}, so nobody would accept it there; "
+                f"{where} is for {', '.join(known) or 'no host'}, not for {host}, so peers would reject it there; "
                 f"`freeflyer certificates {folder} --renew {identity.name} --host {host}` makes one that is"
             )
     return found
@@ -109,12 +115,13 @@ def remedy_of_age(identity: Identity) -> str:
 
 
 def common_name(certificate: x509.Certificate) -> str:
+    """Return the common name of the subject; empty if there is none."""
     found = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
     return str(found[0].value) if found else ""
 
 
 def hosts_of(certificate: x509.Certificate) -> list[str]:
-    """Names and addresses under which its owner may be met."""
+    """Return the host names and addresses of the certificate (subject alternative names)."""
     try:
         names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
     except x509.ExtensionNotFound:
@@ -123,7 +130,7 @@ def hosts_of(certificate: x509.Certificate) -> list[str]:
 
 
 def written(host: str) -> str:
-    """One spelling for each address and name."""
+    """Return the normalised spelling of an address or name."""
     try:
         return str(ipaddress.ip_address(host))
     except ValueError:
@@ -131,12 +138,13 @@ def written(host: str) -> str:
 
 
 def _covers(name: str, host: str) -> bool:
-    """A star stands for the first part of a name (RFC 6125, 6.4.3)."""
+    """Match a host name; a wildcard stands for the first label (RFC 6125, 6.4.3)."""
     name, host = written(name), written(host)
     return name == host or (name.startswith("*.") and name[2:] == host.partition(".")[2])
 
 
 def general_name(host: str) -> x509.GeneralName:
+    """Return a host name or address as an entry of the subject alternative names."""
     try:
         return x509.IPAddress(ipaddress.ip_address(host))
     except ValueError:
@@ -144,7 +152,7 @@ def general_name(host: str) -> x509.GeneralName:
 
 
 def is_issued(chain: Sequence[x509.Certificate], authorities: Sequence[x509.Certificate]) -> bool:
-    """Whether an authority signed the first of a chain, directly or by way of the others in it."""
+    """Return True if an authority signed the first certificate, directly or through the chain."""
     for i, certificate in enumerate(chain):
         if any(_signed(certificate, authority) for authority in authorities):
             return True
@@ -176,7 +184,7 @@ def _is_for(certificate: x509.Certificate, use: x509.ObjectIdentifier) -> bool:
     try:
         return use in certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
     except x509.ExtensionNotFound:
-        return True  # RFC 5280, 4.2.1.12: without the extension, every use
+        return True  # RFC 5280, 4.2.1.12: a certificate without the extension is for every use
 
 
 def _read(path: Path, subject: str) -> bytes:
@@ -198,7 +206,7 @@ def _read(path: Path, subject: str) -> bytes:
 
 def _made(path: Path) -> str:
     if path.stem == AUTHORITY:
-        return "the authority's certificate is expected beside the others"
+        return "the authority's certificate is expected in the same folder"
     return remedy(path.parent, path.stem)
 
 
@@ -207,7 +215,7 @@ def _certificates(path: Path, subject: str) -> list[x509.Certificate]:
         return x509.load_pem_x509_certificates(_read(path, subject))
     except ValueError as error:
         raise DeviceError(
-            f"{subject}: {path} is no certificate in PEM ('-----BEGIN CERTIFICATE-----')"
+            f"{subject}: {path} is not a PEM certificate ('-----BEGIN CERTIFICATE-----')"
         ) from error
 
 
@@ -217,17 +225,17 @@ def _check_key(identity: Identity, certificate: x509.Certificate, subject: str) 
     mode = stat.S_IMODE(path.stat().st_mode)
     if mode & 0o077:
         raise DeviceError(
-            f"{subject}: key {path} can be used by others (mode {mode:04o}); `chmod 600 {path}` keeps it to you"
+            f"{subject}: key {path} is accessible to other users (mode {mode:04o}); `chmod 600 {path}` restricts it to you"
         )
     try:
         key = load_pem_private_key(data, password=None)
     except TypeError as error:
         raise DeviceError(
-            f"{subject}: key {path} is under a passphrase, which nobody could be asked for; one without is expected"
+            f"{subject}: key {path} is protected by a passphrase; a key without passphrase is expected"
         ) from error
     except Exception as error:
         raise DeviceError(
-            f"{subject}: {path} is no private key in PEM ('-----BEGIN PRIVATE KEY-----')"
+            f"{subject}: {path} is not a PEM private key ('-----BEGIN PRIVATE KEY-----')"
         ) from error
     form = (Encoding.DER, PublicFormat.SubjectPublicKeyInfo)
     if key.public_key().public_bytes(*form) != certificate.public_key().public_bytes(*form):
@@ -237,14 +245,14 @@ def _check_key(identity: Identity, certificate: x509.Certificate, subject: str) 
 
 
 def _check_dates(certificate: x509.Certificate, where: str, then: str) -> None:
-    now, begin, end = (
+    now, start, end = (
         datetime.now(UTC),
         certificate.not_valid_before_utc,
         certificate.not_valid_after_utc,
     )
     if now > end:
         raise DeviceError(f"{where} expired on {end:%Y-%m-%d %H:%M} UTC; {then}")
-    if now < begin:
+    if now < start:
         raise DeviceError(
-            f"{where} is not valid before {begin:%Y-%m-%d %H:%M} UTC, and this machine's clock says {now:%Y-%m-%d %H:%M} UTC"
+            f"{where} is not valid before {start:%Y-%m-%d %H:%M} UTC, and the clock of this machine is at {now:%Y-%m-%d %H:%M} UTC"
         )

@@ -1,7 +1,8 @@
-"""Whom a base robot lets command, told by itself: one liveliness token for each, which only a link with certificates carries.
+"""Announcement of the commanders of a base robot, one liveliness token each.
 
-Zenoh drops what access control denies without a word to the sender. With these tokens a controller learns that it has no right to command
-before it sends anything; what enforces it is the base robot's access control.
+Zenoh's access control drops denied messages without an error at the sender. These tokens let a
+controller detect a missing permission before it sends set points. The access control of the base
+robot enforces the permission. Only links with certificates have these tokens.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from freeflyer_adapters.base.options import LinkOptions
 
 
 def announce(session: Any, options: LinkOptions) -> list[Any]:
-    """The tokens, which live as long as the session; none on a link without certificates."""
+    """Declare the tokens, which the session keeps alive; none on a link without certificates."""
     if options.certificates is None:
         return []
     keys = [
@@ -24,7 +25,7 @@ def announce(session: Any, options: LinkOptions) -> list[Any]:
 
 
 def announced(session: Any, options: LinkOptions) -> list[str]:
-    """Whom the base robot lets command; empty if it does not tell."""
+    """Return the certificate names that may command; empty if the base robot does not report."""
     key = rmw_zenoh.commander_token(options.domain, options.setpoint_topic, "*")
     replies = session.liveliness().get(key, timeout=1.0)
     return sorted(
@@ -33,7 +34,7 @@ def announced(session: Any, options: LinkOptions) -> list[str]:
 
 
 def refusal(session: Any, options: LinkOptions, subject: str) -> str | None:
-    """Why set points of this session would be dropped, if the base robot tells."""
+    """Return why set points of this session would be dropped, or None if this is not known."""
     if options.certificates is None:
         return None
     allowed = announced(session, options)
@@ -41,5 +42,5 @@ def refusal(session: Any, options: LinkOptions, subject: str) -> str | None:
         return None
     return (
         f"{subject} does not let certificate {options.controller!r} command, only {', '.join(allowed)}: "
-        f"name one of them as `controller`, or this one among the base robot's `commanders`"
+        f"set `controller` to one of these, or add this one to the base robot's `commanders`"
     )

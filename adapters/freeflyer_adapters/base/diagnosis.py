@@ -1,4 +1,4 @@
-"""Why nothing comes over the base robot's link, as the end of a sentence."""
+"""Diagnosis of a base robot's link on which nothing is received."""
 
 from __future__ import annotations
 
@@ -11,26 +11,25 @@ from freeflyer_adapters.base.options import LinkOptions
 
 
 def why_silent(session: Any, options: LinkOptions) -> str:
-    """': REASON' for what a look at the endpoints finds, else a question. Takes a few seconds an endpoint at most."""
+    """Return ': REASON' from a check of all endpoints, or a question if the check finds nothing.
+
+    Takes at most a few seconds per endpoint.
+    """
     found = [
-        trouble
+        problem
         for text in options.connect
-        if (trouble := _trouble(session, options, Endpoint(text)))
+        if (problem := _problem(session, options, Endpoint(text)))
     ]
     return f": {'; '.join(found) or 'is the base robot (or `freeflyer facility`) running there?'}"
 
 
-def _trouble(session: Any, options: LinkOptions, endpoint: Endpoint) -> str | None:
+def _problem(session: Any, options: LinkOptions, endpoint: Endpoint) -> str | None:
     if options.certificates is not None and endpoint.protocol == "tls":
-        return tls_handshake.trouble(
+        return tls_handshake.problem(
             endpoint, Identity(options.certificates, options.controller), options.robot
         )
-    if (
-        endpoint.protocol == "tcp"
-        and not _has_peers(session)
-        and tls_handshake.speaks_tls(endpoint)
-    ):
-        return f"TLS is spoken on {endpoint.text}: `certificates` and tls/{endpoint.address} are expected"
+    if endpoint.protocol == "tcp" and not _has_peers(session) and tls_handshake.uses_tls(endpoint):
+        return f"TLS is used on {endpoint.text}: `certificates` and tls/{endpoint.address} are expected"
     return None
 
 

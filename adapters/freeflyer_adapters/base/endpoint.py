@@ -1,4 +1,4 @@
-"""A Zenoh endpoint such as tls/192.0.2.10:7447: whom it reaches, and whether it is encrypted."""
+"""A Zenoh endpoint such as tls/192.0.2.10:7447: its address and whether it is encrypted."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 ENCRYPTED = ("tls", "quic")
 LOCAL = ("unixsock-stream", "unixpipe")
-"""Within one machine by their nature."""
+"""Protocols that work within one machine only."""
 TLS_KEYS = (
     "root_ca_",
     "listen_",
@@ -20,7 +20,10 @@ TLS_KEYS = (
 
 @dataclass(frozen=True)
 class Endpoint:
-    """`protocol/address?metadata#configuration`, as Zenoh writes it; `host` and `port` mean something only where it `is_complete`."""
+    """An endpoint in Zenoh's form, `protocol/address?metadata#configuration`.
+
+    `host` and `port` are valid only if `is_complete`.
+    """
 
     text: str
 
@@ -34,7 +37,7 @@ class Endpoint:
 
     @property
     def host(self) -> str:
-        """Without brackets and zone."""
+        """The host name or address without brackets and zone."""
         host = self.address.rpartition(":")[0]
         return host.strip("[]").partition("%")[0]
 
@@ -44,7 +47,7 @@ class Endpoint:
 
     @property
     def is_complete(self) -> bool:
-        """Whether host and port are there, or a path."""
+        """True if the endpoint has a host and a port, or a path."""
         if self.protocol in LOCAL:
             return bool(self.address)
         port = self.address.rpartition(":")[2]
@@ -56,7 +59,7 @@ class Endpoint:
 
     @property
     def is_within_this_machine(self) -> bool:
-        """127.0.0.0/8, ::1, localhost or a Unix socket; a name is not looked up."""
+        """True for 127.0.0.0/8, ::1, localhost and Unix sockets. Host names are not resolved."""
         if self.protocol in LOCAL or self.host == "localhost":
             return True
         address = self._number
@@ -70,8 +73,8 @@ class Endpoint:
         return self._number is not None and self._number.is_unspecified
 
     @property
-    def says_its_own_tls(self) -> bool:
-        """Whether its configuration part would overrule the link's certificates or checks."""
+    def has_own_tls_settings(self) -> bool:
+        """True if the configuration part would override the certificates or checks of the link."""
         return any(key in self.text.partition("#")[2] for key in TLS_KEYS)
 
     @property

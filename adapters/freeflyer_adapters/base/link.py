@@ -1,4 +1,4 @@
-"""One topic out and one in over a Zenoh session, freshest only."""
+"""Odometry over a Zenoh session: one published topic, and the latest sample of another topic."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ from freeflyer_adapters.foundation import environment
 from freeflyer_adapters.foundation.pose import twist_rotated
 
 LONGEST_QUERY = 0.5
-"""[s] for an answer about liveliness tokens."""
+"""Timeout of a query for liveliness tokens [s]."""
 SECOND, WITHIN = 3, 20
-"""Samples of another publisher in turn with those in use, within so many of these, that make a second publisher."""
+"""`SECOND` samples of another source among `WITHIN` accepted ones mean a second publisher."""
 LARGEST = 1e4
-"""Of a position [m] or a velocity [m/s, rad/s] in a facility; what is beyond is none."""
+"""Limit of a valid position component [m] or velocity component [m/s, rad/s]."""
 
 
 def is_usable(odometry: Odometry) -> bool:
-    """Numbers that can be a pose and a twist, and an orientation that is one."""
-    # In this order NaN fails the comparison.
+    """Return True if position and velocity are plausible and the orientation has unit norm."""
+    # NaN fails comparisons of this form.
     possible = (np.abs(odometry.position) < LARGEST).all() and (
         np.abs(odometry.velocity) < LARGEST
     ).all()
@@ -49,38 +49,40 @@ def is_usable(odometry: Odometry) -> bool:
 
 @dataclass
 class Received:
-    """The freshest sample, and when it was read [ns of CLOCK_MONOTONIC]; `delay` [ns]: how much later than the quickest before it."""
+    """The latest sample."""
 
     odometry: Odometry
     attachment: Attachment
     arrived: int
+    """Time of reading [ns of CLOCK_MONOTONIC]."""
     delay: int = 0
+    """Transport delay relative to the fastest sample before it [ns]."""
 
 
 @dataclass
 class Counts:
     accepted: int = 0
     skipped: int = 0
-    """Sequence numbers that were never seen here: lost, or overwritten by a fresher sample."""
+    """Missing sequence numbers: samples lost, or overwritten by a later sample."""
     malformed: int = 0
     stale: int = 0
-    """Repeated, reordered or older than the one before."""
+    """Samples repeated, reordered or older than the previous one."""
     other_sources: int = 0
-    """From another publisher than the one in use."""
+    """Samples of a publisher that is not in use."""
     undecided: int = 0
-    """Neither used nor refused: they prove first that they come in time."""
+    """Samples neither used nor rejected, because it is not yet known whether they are in time."""
     clock_steps: int = 0
-    """How often the publisher's clock was set."""
+    """Steps of the publisher's clock."""
     failed: int = 0
-    """Samples that Zenoh did not take for sending."""
+    """Samples that Zenoh did not accept for sending."""
     last_fault: str = ""
 
 
 @dataclass
 class OdometryLink:
-    """Publishes Odometry on one topic and reads the freshest from another.
+    """Publishes Odometry on one topic and reads the latest sample of another.
 
-    Without `publishes` there is no publisher before `begin_publishing`: each one has a GID of its own.
+    Without `publishes`, the publisher is declared by `begin_publishing`. Each one has a new GID.
     """
 
     session: Any
@@ -94,7 +96,7 @@ class OdometryLink:
         o = self.options
         self._environment = environment.present()
         self._session_id = str(self.session.zid())
-        # The wall clock is a label: a step of it does not show in what is sent.
+        # Stamps advance with CLOCK_MONOTONIC: a step of the wall clock does not affect them.
         self._wall = self._environment.time_ns() - self._environment.monotonic_ns()
         self._publisher: Any = None
         self._gid = b""
@@ -106,15 +108,15 @@ class OdometryLink:
         self._obeyed_tokens: Any = None
         self._announcements: list[Any] = []
         self.known: frozenset[str] = frozenset()
-        """Sessions whose announcements are no news: they come again after a link was down."""
-        self._told = ""
+        """Known sessions. Their repeated announcements after a link failure are not reported."""
+        self._reported = ""
         self.clock = PeerClock()
         self._source: bytes | None = None
         self._last: Attachment | None = None
         self._other_source = b""
         self._turns: deque[int] = deque(maxlen=SECOND)
         self._is_sealed = False
-        """Whether the source's samples have a checksum; then all of them have."""
+        """Whether the samples of the source have checksums. Then every sample must have one."""
         try:
             self._subscriber = self.session.declare_subscriber(
                 self._key(self.in_topic), zenoh.handlers.RingChannel(1)
@@ -125,10 +127,10 @@ class OdometryLink:
             if self.publishes:
                 self.begin_publishing()
         except zenoh.ZError as error:
-            raise DeviceError(f"Zenoh refuses a topic: {zenoh_message(error)}") from error
+            raise DeviceError(f"Zenoh rejects a topic: {zenoh_message(error)}") from error
 
     def begin_publishing(self) -> None:
-        """A new publisher: one that was never obeyed before."""
+        """Declare a publisher with a new GID, which the base robot has never accepted before."""
         token = self._token(self.out_topic, "MP", next(self._entities))
         self._gid, self._sequence = rmw_zenoh.gid_of(token), 0
         self._publisher = self.session.declare_publisher(
@@ -140,7 +142,7 @@ class OdometryLink:
         self._announcement = self.session.liveliness().declare_token(token)
 
     def end_publishing(self) -> None:
-        """Undeclare the publisher; its GID is not used again."""
+        """Undeclare the publisher. Its GID is not used again."""
         if self._publisher is not None:
             publisher, self._publisher = self._publisher, None
             for declared in (self._announcement, publisher):
@@ -166,7 +168,7 @@ class OdometryLink:
 
     @property
     def gid(self) -> str:
-        """By which samples of this publisher are known."""
+        """GID of this publisher (hexadecimal), which all its samples carry."""
         return self._gid.hex()
 
     @property
@@ -174,7 +176,7 @@ class OdometryLink:
         return self._session_id
 
     def publishers(self, topic: str) -> list[str]:
-        """Sessions, other than this one, that announce to publish a topic."""
+        """Return the sessions, other than this one, that announce a publisher of `topic`."""
         found = set()
         for reply in self.session.liveliness().get(
             self._announcements_of(topic), timeout=LONGEST_QUERY
@@ -188,7 +190,7 @@ class OdometryLink:
         return f"@ros2_lv/{self.options.domain}/*/*/*/MP/*/*/*/{name}/**"
 
     def watch_publishers(self) -> None:
-        """From now on `new_publisher` reports further publishers of both topics."""
+        """Subscribe to the announcements that `new_publisher` reports, for both topics."""
         liveliness = self.session.liveliness()
         self._announcements = [
             (
@@ -201,28 +203,32 @@ class OdometryLink:
         ]
 
     def new_publisher(self) -> str | None:
-        """A publisher that was announced since the last call, in a sentence; never waits."""
+        """Return a message about a publisher announced since the last call. Does not block."""
         for topic, subscriber in self._announcements:
             news = subscriber.try_recv()
             if news is not None and news.kind == zenoh.SampleKind.PUT:
                 session = rmw_zenoh.session_of(str(news.key_expr))
                 if session != self._session_id and session not in self.known:
-                    return f"session {session} begins to publish topic {topic}, too"
+                    return f"session {session} starts to publish topic {topic}, too"
         return None
 
     @property
     def second_source(self) -> str | None:
-        """Two publishers whose samples come in turn, in a sentence."""
+        """Message about two publishers whose samples are interleaved, or None."""
         if len(self._turns) < SECOND or self.counts.accepted - self._turns[0] > WITHIN:
             return None
         assert self._source is not None
         return f"two publishers send topic {self.in_topic}: {self._source.hex()} and {self._other_source.hex()}"
 
     def publish(self, position: Array, orientation: Array, velocity: Array) -> None:
-        """Pose of B in I and twist in I (which goes out in B)."""
+        """Publish a pose of B in I and a twist in I. The message contains the twist in B.
+
+        position (3) [m], orientation (4, xyzw), velocity (6) [m/s, rad/s].
+        """
         stamp = self._environment.monotonic_ns() + self._wall
         self._sequence += 1
         twist = twist_rotated(orientation, velocity, back=True)
+        # Increment the stamp until the checksum is allowed in the options (see sealed_odometry).
         while True:
             attachment = Attachment(self._sequence, stamp, self._gid).pack()
             payload = self._writer.write(stamp, position, orientation, twist)
@@ -232,7 +238,7 @@ class OdometryLink:
         self.put(sealed(payload, attachment), attachment)
 
     def put(self, payload: bytes, attachment: bytes) -> None:
-        """A sample into the session; one that it does not take is counted."""
+        """Put a sample into the session. Count a failure."""
         if self._publisher is None:
             return
         try:
@@ -242,7 +248,7 @@ class OdometryLink:
             self.counts.last_fault = zenoh_message(error)
 
     def take(self) -> tuple[bytes, bytes] | None:
-        """Payload and attachment of the freshest sample since the last call; never waits."""
+        """Return payload and attachment of the latest new sample, or None. Does not block."""
         sample = self._subscriber.try_recv()
         if sample is None:
             return None
@@ -251,56 +257,57 @@ class OdometryLink:
             b"" if sample.attachment is None else sample.attachment.to_bytes(),
         )
 
-    def obeyed(self) -> str | None:
-        """Whose set points the base robot takes: a GID, NOBODY, or None from one that does not tell."""
+    def obeyed_publisher(self) -> str | None:
+        """Return the GID of the publisher in command, NO_PUBLISHER, or None without a report."""
         key = rmw_zenoh.obedience_token(self.options.domain, self.options.setpoint_topic, "*")
         found = [
             str(reply.ok.key_expr).rsplit("/", 1)[1]
             for reply in self.session.liveliness().get(key, timeout=LONGEST_QUERY)
             if reply.ok is not None
         ]
-        # While the token changes there may be two; somebody's name says more than nobody's.
+        # There may be two tokens during a change. A GID has priority over NO_PUBLISHER.
         return next(
-            (whom for whom in found if whom != rmw_zenoh.NOBODY), found[0] if found else None
+            (gid for gid in found if gid != rmw_zenoh.NO_PUBLISHER), found[0] if found else None
         )
 
     def watch_obedience(self) -> None:
-        """From now on `obedience` reports whether the base robot obeys this publisher."""
+        """Subscribe to the obedience token of this publisher, which `obedience` reports."""
         key = rmw_zenoh.obedience_token(self.options.domain, self.options.setpoint_topic, self.gid)
         self._obeyed_tokens = self.session.liveliness().declare_subscriber(
             key, zenoh.handlers.FifoChannel(64)
         )
 
     def obedience(self) -> bool | None:
-        """What the base robot has reported since the last call: True, it obeys this publisher; False, it has ceased to; None: nothing.
+        """Return the change of the obedience token since the last call, without blocking.
 
-        Never waits.
+        True: this publisher is in command. False: not any more. None: no change.
         """
         news = None if self._obeyed_tokens is None else self._obeyed_tokens.try_recv()
         return None if news is None else news.kind == zenoh.SampleKind.PUT
 
-    def tell_obeyed(self, active: bool) -> None:
-        """Declare whose set points are taken, if that has changed: the source in use, while the base robot is `active`."""
-        whom = self._source.hex() if active and self._source is not None else rmw_zenoh.NOBODY
-        if whom != self._told:
-            before, self._told = self._obedience, whom
-            key = rmw_zenoh.obedience_token(self.options.domain, self.options.setpoint_topic, whom)
+    def report_obeyed(self, active: bool) -> None:
+        """Update the obedience token: the source in use if the base robot is `active`."""
+        gid = self._source.hex() if active and self._source is not None else rmw_zenoh.NO_PUBLISHER
+        if gid != self._reported:
+            before, self._reported = self._obedience, gid
+            key = rmw_zenoh.obedience_token(self.options.domain, self.options.setpoint_topic, gid)
             self._obedience = self.session.liveliness().declare_token(key)
             if before is not None:
                 before.undeclare()
 
     def receive(self, judge: Callable[[Received], bool | None]) -> Received | None:
-        """The freshest sample since the last call, if there is one that can be used and `judge` agrees; never waits. One that it answers
-        with None is neither used nor refused.
+        """Return the latest sample since the last call, if it is valid. Does not block.
 
-        The first such sample's publisher is the only one that is listened to from then on.
+        `judge` returns True to accept a sample, False to reject it, and None to ignore it.
+        The publisher of the first accepted sample is the source: samples of others are ignored.
         """
         sample = self.take()
         if sample is None:
             return None
+        # Check the bytes: checksum, message and frames.
         payload, raw = sample
         if (is_sealed(payload) or self._is_sealed) and not is_intact(payload, raw):
-            return self._refused("a sample that does not fit its checksum")
+            return self._refused("a sample with a wrong checksum")
         try:
             attachment = rmw_zenoh.read_attachment(raw)
             odometry = ros_messages.read(payload)
@@ -315,6 +322,7 @@ class OdometryLink:
                 f"a pose of {frames[1]!r} in {frames[0]!r} (child_frame_id, header.frame_id); {expected[1]!r} in {expected[0]!r} is "
                 f"expected (child_frame, frame of the device)"
             )
+        # Check the publisher and the order of its samples.
         if self._source is not None and attachment.gid != self._source:
             self._note_other_source(attachment.gid)
             return None
@@ -325,6 +333,7 @@ class OdometryLink:
             self.counts.stale += 1
             self.counts.last_fault = f"sequence number {attachment.sequence} after {last.sequence}, its stamp {(attachment.stamp - last.stamp) * 1e-9:.6g} s later"
             return None
+        # The caller checks the values.
         delay = self.clock.delay(attachment.stamp, arrived)
         received = Received(odometry, attachment, arrived, delay)
         judged = judge(received)
@@ -333,9 +342,9 @@ class OdometryLink:
             return None
         if not judged:
             if self._source is None:
-                self.clock.forget()  # the next publisher's clock is another
+                self.clock.reset()  # the next publisher may have another clock
             return self._refused(
-                f"a pose or twist that cannot be used: {odometry.position}, {odometry.orientation}, {delay * 1e-9:.3g} s late"
+                f"an invalid pose or twist: {odometry.position}, {odometry.orientation}, {delay * 1e-9:.3g} s late"
             )
         if last is not None:
             self.counts.skipped += attachment.sequence - last.sequence - 1
@@ -351,7 +360,7 @@ class OdometryLink:
 
     @property
     def other_source(self) -> bytes:
-        """The publisher, other than the one in use, that came last; empty if there was none."""
+        """GID of the last sample that was not from the source in use; empty if there was none."""
         return self._other_source
 
     def _note_other_source(self, gid: bytes) -> None:
@@ -363,16 +372,16 @@ class OdometryLink:
         if not self._turns or self._turns[-1] != self.counts.accepted:
             self._turns.append(self.counts.accepted)
 
-    def forget_counts(self) -> None:
+    def reset_counts(self) -> None:
         self.counts, self.clock.steps = Counts(), 0
         self._turns.clear()
 
-    def forget_source(self) -> None:
-        """Listen to whichever publisher comes next."""
+    def reset_source(self) -> None:
+        """Accept the publisher of the next valid sample as the source."""
         self._source = self._last = None
         self._other_source, self._is_sealed = b"", False
         self._turns.clear()
-        self.clock.forget()
+        self.clock.reset()
 
     def close(self) -> None:
         self.end_publishing()

@@ -1,4 +1,4 @@
-"""What a user is told of the base robot's link before it is opened: how it is protected, and where it is not."""
+"""Notices about the protection of the base robot's link, printed before the link is opened."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SOON_DAYS = 30
 
 
 def notices(scenario: Scenario, *, as_robot: bool) -> Iterator[str]:
-    """One line each; DeviceError for a device's table that cannot be."""
+    """Yield one notice per line. Raises DeviceError if the table of a device is not valid."""
     for spec in scenario.devices:
         if spec.kind == KIND:
             options = link_options.options_from(spec.name, spec.options, scenario.directory)
@@ -30,7 +30,7 @@ def _of_link(options: LinkOptions, as_robot: bool) -> Iterator[str]:
     endpoints = [*listening, *(Endpoint(text) for text in options.connect if not as_robot)]
     for endpoint in endpoints:
         if options.certificates is None and not endpoint.is_within_this_machine:
-            yield f"WARNING: {endpoint.text} is not encrypted, and whoever reaches it can command the robot (insecure = true)"
+            yield f"WARNING: {endpoint.text} is not encrypted, so any peer that reaches it can command the robot (insecure = true)"
     for endpoint in listening:
         if endpoint.is_every_interface:
             yield f"{endpoint.text} listens on every interface of this machine"
@@ -44,8 +44,8 @@ def _of_certificate(identity: Identity) -> Iterator[str]:
     try:
         end = x509.load_pem_x509_certificate(identity.certificate.read_bytes()).not_valid_after_utc
     except (OSError, ValueError):
-        return  # opening the link says what is wrong
+        return  # opening the link reports the error
     days = (end - datetime.now(UTC)).days
     yield f"TLS with certificate {identity.name!r}, valid until {end:%Y-%m-%d}"
     if 0 <= days < SOON_DAYS:
-        yield f"WARNING: certificate {identity.name!r} expires in {days} days, and ends its links then; {remedy_of_age(identity)}"
+        yield f"WARNING: certificate {identity.name!r} expires in {days} days, and its links end then; {remedy_of_age(identity)}"

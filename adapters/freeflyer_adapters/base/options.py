@@ -1,4 +1,4 @@
-"""What a scenario's `[devices.NAME]` of kind "zenoh_base" may say besides `parameters`; both ends of the link read it."""
+"""Options of a scenario's `[devices.NAME]` of kind "zenoh_base". Both ends of the link use them."""
 
 from __future__ import annotations
 
@@ -14,15 +14,16 @@ from freeflyer_adapters.device.device import DeviceError
 from freeflyer_adapters.device.options import checked, known_keys
 
 LONGEST_FRAME = 200
-"""Bytes of a frame's name."""
+"""Longest frame name [bytes]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LinkOptions:
-    """Endpoints as Zenoh writes them. Nothing is found by multicast or gossip: who is not named here is not met.
+    """Options of the link, with endpoints in Zenoh's form.
 
-    With `certificates` both ends prove who they are, by the files of their names in that folder. Without them nothing leaves this
-    machine, unless the scenario itself says `insecure`.
+    Multicast and gossip are off: only the endpoints listed here are used. With `certificates`, both
+    ends authenticate with their files in that folder. Without certificates, endpoints of other
+    machines are rejected, unless the scenario sets `insecure`.
     """
 
     connect: Sequence[str] = ("tcp/127.0.0.1:7447",)
@@ -34,18 +35,19 @@ class LinkOptions:
     child_frame: str = "base"
     node: str = "freeflyer"
     certificates: Path | None = None
-    """What `freeflyer certificates` has made: ca.pem, and a certificate and key for each name."""
+    """Folder made by `freeflyer certificates`: ca.pem, and a certificate and key for each name."""
     controller: str = "controller"
-    """The name on the controllers' certificate."""
+    """Common name of the controller's certificate."""
     robot: str = "base_robot"
-    """The name on the base robot's certificate; by default the device's."""
+    """Common name of the base robot's certificate (default: the name of the device)."""
     commanders: Sequence[str] = ("controller",)
-    """Whom the base robot lets command; by default the controller."""
+    """Certificate names that may command the base robot (default: the controller)."""
     insecure: bool = False
 
 
 def check(options: LinkOptions, subject: str) -> None:
-    """DeviceError for an endpoint or a topic that cannot be."""
+    """Check all options. Raises DeviceError."""
+    # Endpoints.
     for key in ("connect", "listen"):
         endpoints = getattr(options, key)
         if isinstance(endpoints, str) or not all(
@@ -64,6 +66,7 @@ def check(options: LinkOptions, subject: str) -> None:
         raise DeviceError(
             f"{subject}: insecure = true and certificates exclude each other; leave one of them out"
         )
+    # Names of certificates.
     for key, names in (
         ("controller", [options.controller]),
         ("robot", [options.robot]),
@@ -76,21 +79,22 @@ def check(options: LinkOptions, subject: str) -> None:
                 )
     if not options.commanders:
         raise DeviceError(
-            f"{subject}: commanders is empty, and nobody could command; the name of a certificate is expected"
+            f"{subject}: commanders is empty, so no controller could command; the name of a certificate is expected"
         )
     if options.robot in options.commanders:
         raise DeviceError(
             f"{subject}: {options.robot!r} is both robot and commander; a certificate for each is expected"
         )
+    # Names in ROS.
     for key in ("setpoint_topic", "measured_topic"):
         topic = getattr(options, key)
         if not isinstance(topic, str) or not rmw_zenoh.TOPIC.fullmatch(topic):
             raise DeviceError(
-                f"{subject}: {key} is {topic!r}, no valid key expression of a ROS topic; 'name/name' is expected"
+                f"{subject}: {key} is {topic!r}, not a valid key expression of a ROS topic; 'name/name' is expected"
             )
     if not options.connect:
         raise DeviceError(
-            f"{subject}: connect is empty, and nobody would be met; name the endpoint of the base robot or a router"
+            f"{subject}: connect is empty; the endpoint of the base robot or of a router is expected"
         )
     if not rmw_zenoh.NAME.fullmatch(options.node):
         raise DeviceError(
@@ -109,18 +113,18 @@ def check(options: LinkOptions, subject: str) -> None:
 
 
 def _check_endpoint(endpoint: Endpoint, options: LinkOptions, subject: str) -> None:
-    """Nothing crosses a machine's border without certificates, unless the scenario says so itself."""
+    """Reject endpoints of other machines without certificates, unless `insecure` is set."""
     where, how = (
         f"{subject}: endpoint {endpoint.text}",
         "make certificates with `freeflyer certificates DIR`, name them by certificates = 'DIR'",
     )
     if not endpoint.is_complete:
         raise DeviceError(
-            f"{where} is not whole; PROTOCOL/HOST:PORT is expected, such as tls/192.0.2.10:7447"
+            f"{where} is incomplete; PROTOCOL/HOST:PORT is expected, such as tls/192.0.2.10:7447"
         )
-    if endpoint.says_its_own_tls:
+    if endpoint.has_own_tls_settings:
         raise DeviceError(
-            f"{where} brings TLS settings of its own, past those of the device; leave out what follows '#'"
+            f"{where} has TLS settings that override those of the device; remove the part after '#'"
         )
     if options.certificates is not None and not endpoint.is_encrypted:
         raise DeviceError(
@@ -130,17 +134,20 @@ def _check_endpoint(endpoint: Endpoint, options: LinkOptions, subject: str) -> N
         raise DeviceError(f"{where} is encrypted, but no certificates are named; {how}")
     if options.certificates is None and endpoint.is_every_interface:
         raise DeviceError(
-            f"{where} is every interface of this machine, which nobody may listen on without certificates; {how}"
+            f"{where} listens on every interface of this machine, which requires certificates; {how}"
         )
     if not (options.certificates or options.insecure or endpoint.is_within_this_machine):
         raise DeviceError(
-            f"{where} leaves this machine without encryption, and whoever reaches it could command the robot; {how} "
-            f"and write tls/{endpoint.address} (or say insecure = true)"
+            f"{where} leaves this machine without encryption, so any peer that reaches it could command the robot; {how} "
+            f"and write tls/{endpoint.address} (or set insecure = true)"
         )
 
 
 def options_from(name: str, raw: Mapping[str, Any], directory: Path) -> LinkOptions:
-    """The device's table as options; DeviceError for a key or value that is none. Paths are relative to the scenario's `directory`."""
+    """Read the options from the table of device `name`. Raises DeviceError if one is not valid.
+
+    Paths are relative to `directory`, which contains the scenario.
+    """
     defaults = LinkOptions()
     known_keys(name, raw, list(LinkOptions.__dataclass_fields__))
     folder = checked(name, raw, "certificates", str, "")

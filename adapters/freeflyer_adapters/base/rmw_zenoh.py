@@ -1,7 +1,7 @@
-"""How ROS 2's rmw_zenoh_cpp names topics, announces itself and marks every sample, so that its nodes are peers of ours.
+"""Topic keys, liveliness tokens and attachments of ROS 2's rmw_zenoh_cpp.
 
-Layout from ros2/rmw_zenoh (docs/design.md, attachment_helpers.cpp, liveliness_utils.cpp); the bytes of the attachment are those
-of zenoh-ext's serialiser, with which the tests compare them.
+The layout is from ros2/rmw_zenoh (docs/design.md, attachment_helpers.cpp, liveliness_utils.cpp).
+The tests compare the bytes of the attachment with the serialiser of zenoh-ext.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ ATTACHMENT = struct.Struct(f"<qqB{GID_BYTES}s")
 """Sequence number, source time stamp [ns since the epoch], length of the GID, GID."""
 TOPIC = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
-NOBODY = "nobody"
+NO_PUBLISHER = "nobody"
 QOS_SENSOR_DATA = "2::,1:,:,:,,"
-"""Best effort, volatile, keep last 1; all else as ROS 2's default."""
+"""Best effort, volatile, keep last 1; otherwise the defaults of ROS 2."""
 
 
 class AttachmentError(ValueError):
-    """Bytes that are no attachment of rmw_zenoh."""
+    """The bytes are not an attachment of rmw_zenoh."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Attachment:
 
 
 def read_attachment(data: bytes) -> Attachment:
-    """AttachmentError if these are not its bytes."""
+    """Unpack an attachment. Raises AttachmentError."""
     if len(data) != ATTACHMENT.size:
         raise AttachmentError(f"an attachment of {len(data)} bytes; {ATTACHMENT.size} are expected")
     sequence, stamp, length, gid = ATTACHMENT.unpack(data)
@@ -46,11 +46,12 @@ def read_attachment(data: bytes) -> Attachment:
 
 
 def topic_key(domain: int, topic: str, type_name: str, type_hash: str) -> str:
-    """The key expression that carries a topic's samples."""
+    """Return the key expression of the samples of a topic."""
     return f"{domain}/{topic.strip('/')}/{type_name}/{type_hash}"
 
 
 def mangled(name: str) -> str:
+    """Return a ROS name as rmw_zenoh writes it in liveliness tokens."""
     return name.replace("/", "%")
 
 
@@ -65,28 +66,34 @@ def liveliness_token(
     type_name: str,
     type_hash: str,
 ) -> str:
-    """The key of the token that announces a publisher (kind MP) or a subscription (MS)."""
+    """Return the key of the token of a publisher (kind MP) or a subscription (MS)."""
     parts = ["@ros2_lv", str(domain), session, "0", str(entity), kind, "%", "%", node]
     return "/".join(
         [*parts, mangled("/" + topic.strip("/")), mangled(type_name), type_hash, QOS_SENSOR_DATA]
     )
 
 
-def obedience_token(domain: int, topic: str, whom: str) -> str:
-    """Our own addition: the key of the token by which a base robot tells whose set points it takes (a GID, or NOBODY)."""
-    return f"freeflyer/obeys/{domain}/{mangled(topic.strip('/'))}/{whom}"
+def obedience_token(domain: int, topic: str, gid: str) -> str:
+    """Return the key of the token by which a base robot reports the publisher in command.
+
+    `gid` is the GID of the publisher or NO_PUBLISHER. The token is an addition of this project.
+    """
+    return f"freeflyer/obeys/{domain}/{mangled(topic.strip('/'))}/{gid}"
 
 
 def commander_token(domain: int, topic: str, name: str) -> str:
-    """Our own addition: the key of the token by which a base robot tells that it lets a certificate of this name command."""
+    """Return the key of the token by which a base robot reports a certificate that may command.
+
+    The token is an addition of this project.
+    """
     return f"freeflyer/commanders/{domain}/{mangled(topic.strip('/'))}/{name}"
 
 
 def session_of(token: str) -> str:
-    """Whose token it is: the Zenoh id of its session."""
+    """Return the Zenoh id of the session that declared a token."""
     return token.split("/")[2] if token.count("/") > 2 else token
 
 
 def gid_of(token: str) -> bytes:
-    """16 bytes that are an entity's own: rmw_zenoh takes a hash of its token; which hash it is, nobody compares."""
+    """Return a unique GID (16 bytes), which is a hash of the token. Peers do not verify it."""
     return hashlib.blake2b(token.encode(), digest_size=GID_BYTES).digest()

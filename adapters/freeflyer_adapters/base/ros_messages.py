@@ -1,7 +1,8 @@
-"""nav_msgs/msg/Odometry as ROS 2 puts it on the wire (XCDR1, OMG DDS-XTypes): a pose and a twist with one time stamp.
+"""nav_msgs/msg/Odometry in the wire format of ROS 2 (XCDR1, OMG DDS-XTypes).
 
-As REP 105 and the message's own definition have it, the pose is that of `child_frame_id` in `header.frame_id`, and the twist is
-expressed in `child_frame_id`: here B in I, and the twist in B. The rest of this project expresses velocities in I.
+The message has a stamp, a pose and a twist. By REP 105 and the message definition, the pose is that
+of `child_frame_id` in `header.frame_id`, here B in I. The twist is expressed in `child_frame_id`,
+here B. The rest of this project expresses velocities in I.
 """
 
 from __future__ import annotations
@@ -16,19 +17,22 @@ from freeflyer.fmi.component import Array
 
 TYPE_NAME = "nav_msgs::msg::dds_::Odometry_"
 TYPE_HASH = "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0"
-"""REP 2016; tested against the definition of the message."""
+"""REP 2016. A test compares it with the message definition."""
 POSE_NUMBERS, COVARIANCE, TWIST_NUMBERS = 7, 36, 6
 NUMBERS = POSE_NUMBERS + COVARIANCE + TWIST_NUMBERS + COVARIANCE
 LONGEST_NAME = 256
 
 
 class MessageError(ValueError):
-    """Bytes that are not the message they should be."""
+    """The bytes are not an Odometry message."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Odometry:
-    """`stamp` [ns since the epoch]; position (3) [m] and orientation (4, xyzw) of B in I; velocity (6) [m/s, rad/s], in B."""
+    """Stamp [ns since the epoch], and pose and twist of B.
+
+    position (3) [m] and orientation (4, xyzw) in I, velocity (6) [m/s, rad/s] in B.
+    """
 
     stamp: int
     frame: str
@@ -39,7 +43,7 @@ class Odometry:
 
 
 class OdometryWriter:
-    """Fixed frame names, so that all but the numbers is laid out once."""
+    """Writes messages with fixed frame names, whose layout is computed once."""
 
     def __init__(self, frame: str, child_frame: str) -> None:
         head = bytearray(b"\x00\x01\x00\x00")  # CDR, little-endian
@@ -54,7 +58,7 @@ class OdometryWriter:
         self._numbers = np.frombuffer(memoryview(self._data)[self._first :], dtype="<f8")
 
     def write(self, stamp: int, position: Array, orientation: Array, velocity: Array) -> bytes:
-        """Shapes and units as in `Odometry`; covariances are 0: unknown."""
+        """Return the bytes of a message; shapes and units as in `Odometry`. Covariances are 0."""
         struct.pack_into("<iI", self._data, 4, stamp // 1_000_000_000, stamp % 1_000_000_000)
         numbers = self._numbers
         numbers[0:3] = position
@@ -64,7 +68,11 @@ class OdometryWriter:
 
 
 def read(data: bytes) -> Odometry:
-    """Any Odometry, of either byte order; its numbers as they came, finite or not. MessageError if the bytes are none."""
+    """Read an Odometry of either byte order. The numbers may be NaN or infinite.
+
+    Raises MessageError if the bytes are not an Odometry.
+    """
+    # Header: encapsulation and time stamp.
     if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
         raise MessageError(
             f"the encapsulation is {data[:4].hex()}; CDR (00 00 or 00 01) is expected"
@@ -73,6 +81,7 @@ def read(data: bytes) -> Odometry:
     seconds, nanoseconds = _take(order + "iI", data, 4)
     if not 0 <= nanoseconds < 1_000_000_000:
         raise MessageError(f"the stamp has {nanoseconds} ns")
+    # Two frame names, each a length and a zero-terminated string.
     place, names = 12, []
     for _ in range(2):
         place += -(place - 4) % 4
@@ -88,7 +97,7 @@ def read(data: bytes) -> Odometry:
             raise MessageError("a frame name is not UTF-8") from error
         place += 4 + length
     place += -(place - 4) % 8
-    # A serialiser may pad the end to four bytes.
+    # The numbers. A serialiser may pad the end to four bytes.
     if not place + 8 * NUMBERS <= len(data) <= place + 8 * NUMBERS + 3:
         raise MessageError(f"the message has {len(data)} bytes; {place + 8 * NUMBERS} are expected")
     numbers = np.frombuffer(data, dtype=order + "f8", count=NUMBERS, offset=place).astype(float)
@@ -110,5 +119,5 @@ def _take(form: str, data: bytes, place: int) -> tuple[Any, ...]:
 
 
 def _align(data: bytearray, size: int) -> None:
-    """Alignment counts from the end of the encapsulation header."""
+    """Pad to a multiple of `size`, counted from the end of the encapsulation header."""
     data += bytes(-(len(data) - 4) % size)

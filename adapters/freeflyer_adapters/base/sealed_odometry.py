@@ -1,9 +1,11 @@
-"""A checksum for samples of Odometry, where CDR and rmw_zenoh have none: a value that was changed on its way is not used.
+"""A checksum for samples of Odometry, which detects values corrupted in transit.
 
-It is a CRC-16 (CCITT, as in E2E profile 5) over message and attachment, and lies in the two
-bytes of options of CDR's encapsulation header, which receivers ignore (DDSI-RTPS 2.5, 10.2) but for the two lowest bits, in which
-later versions of CDR count padding: those stay zero, as senders move their time stamp on, by nanoseconds, until they are. Options
-of zero say that there is no checksum: a plain ROS 2 node's. It is against errors; against attackers there is TLS.
+CDR and rmw_zenoh have no checksum. This one is a CRC-16 (CCITT, as in E2E profile 5) over message
+and attachment. It is stored in the two option bytes of CDR's encapsulation header, which receivers
+ignore (DDSI-RTPS 2.5, 10.2). Later versions of CDR use the two lowest bits for the padding size,
+so these bits must stay zero: the sender increments the time stamp by 1 ns until they are.
+Options of zero mean that there is no checksum, as for a plain ROS 2 node. The checksum protects
+against errors; TLS protects against attackers.
 """
 
 from __future__ import annotations
@@ -12,21 +14,21 @@ from binascii import crc_hqx
 
 PADDING_BITS = 0b11
 FIRST, LAST = 2, 4
-"""Where the options are."""
+"""Byte range of the options in the payload."""
 
 
 def checksum(payload: bytes, attachment: bytes) -> int:
-    """Of a sample; what its options say makes no difference."""
+    """Return the checksum of a sample, without its option bytes."""
     return crc_hqx(attachment, crc_hqx(payload[LAST:], crc_hqx(payload[:FIRST], 0xFFFF)))
 
 
 def is_sealable(code: int) -> bool:
-    """Whether a checksum can stand for itself in the options."""
+    """Return True if the checksum may be stored in the options: non-zero, padding bits zero."""
     return code != 0 and not code & PADDING_BITS
 
 
 def sealed(payload: bytes, attachment: bytes) -> bytes:
-    """The payload with its checksum, whatever its bits are."""
+    """Return the payload with its checksum, without a check of the bits."""
     return payload[:FIRST] + checksum(payload, attachment).to_bytes(2, "big") + payload[LAST:]
 
 
@@ -35,5 +37,5 @@ def is_sealed(payload: bytes) -> bool:
 
 
 def is_intact(payload: bytes, attachment: bytes) -> bool:
-    """Of a sealed payload."""
+    """Return True if the checksum of a sealed payload is correct."""
     return int.from_bytes(payload[FIRST:LAST], "big") == checksum(payload, attachment)

@@ -1,4 +1,4 @@
-"""A Zenoh session that listens where it is told to and nowhere else, with certificates on both sides where the link has them."""
+"""A Zenoh session with explicit endpoints only, and mutual TLS if the link has certificates."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def open_session(
     subject: str,
     protection: Protection | None = None,
 ) -> Any:
-    """A peer. DeviceError if the endpoints or the certificates cannot be used."""
+    """Open a Zenoh session in peer mode. Raises DeviceError for endpoints and certificates."""
     settings: dict[str, Any] = {
         "mode": "peer",
         "connect/endpoints": list(connect),
@@ -46,31 +46,33 @@ def open_session(
             config.insert_json5(key, json.dumps(value))
         except zenoh.ZError as error:
             raise DeviceError(
-                f"{subject}: Zenoh refuses {key} = {value!r}: {zenoh_message(error)}"
+                f"{subject}: Zenoh rejects {key} = {value!r}: {zenoh_message(error)}"
             ) from error
     try:
         return environment.present().session(config)
     except zenoh.ZError as error:
         raise DeviceError(
-            f"{subject}: a Zenoh session (listening on {', '.join(listen)}, connecting to {', '.join(connect) or 'nobody'}) cannot be "
+            f"{subject}: a Zenoh session (listening on {', '.join(listen)}, connecting to {', '.join(connect) or 'no endpoint'}) cannot be "
             f"opened: {zenoh_message(error)}"
         ) from error
 
 
 def _protected(protection: Protection) -> Mapping[str, Any]:
-    """TLS with certificates of both sides, each checked by the other, and access by their names."""
-    who, tls = protection.identity, "transport/link/tls"
+    """Return the settings of mutual TLS and of the access control."""
+    identity, tls = protection.identity, "transport/link/tls"
     return {
-        f"{tls}/root_ca_certificate": str(who.authority),
+        f"{tls}/root_ca_certificate": str(identity.authority),
         f"{tls}/enable_mtls": True,
         f"{tls}/verify_name_on_connect": True,
         f"{tls}/close_link_on_expiration": True,
-        **{f"{tls}/{side}_certificate": str(who.certificate) for side in ("listen", "connect")},
-        **{f"{tls}/{side}_private_key": str(who.key) for side in ("listen", "connect")},
+        **{
+            f"{tls}/{side}_certificate": str(identity.certificate) for side in ("listen", "connect")
+        },
+        **{f"{tls}/{side}_private_key": str(identity.key) for side in ("listen", "connect")},
         "access_control": dict(protection.access),
     }
 
 
 def zenoh_message(error: Exception) -> str:
-    """Zenoh's reason without its source lines."""
+    """Return the message of a Zenoh error without its source lines."""
     return " ".join(str(error).split(" at ")[0].split())[:200]

@@ -1,4 +1,4 @@
-"""Why a TLS endpoint and we do not come together: Zenoh only goes on trying, so a handshake of our own asks, in bounded time."""
+"""Diagnosis of a TLS endpoint. Zenoh only retries, so a separate handshake finds the error."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from freeflyer_adapters.base.certificates import Identity, common_name, hosts_of
 from freeflyer_adapters.base.endpoint import Endpoint
 
 PATIENCE = 2.0
-"""For a connection, and for each part of a handshake [s]."""
+"""Timeout of a connection and of each part of a handshake [s]."""
 SILENCE = 1.0
-"""A peer that has taken our certificate waits for us to speak first; one that has not says so before that [s]."""
+"""Time to wait for a TLS alert [s]. A peer that accepted our certificate waits for our data."""
 ANOTHER_AUTHORITY = (18, 19, 20, 21)
 NOT_YET, EXPIRED, OTHER_NAME, OTHER_ADDRESS = 9, 10, 62, 64
 """OpenSSL's X509_V_ERR_*."""
 ALERTS = {
-    "CERTIFICATE_REQUIRED": "it demands a certificate, and was given none",
-    "UNKNOWN_CA": "it does not know the authority that signed ours",
+    "CERTIFICATE_REQUIRED": "it requires a certificate, and none was presented",
+    "UNKNOWN_CA": "it does not trust the authority that signed ours",
     "CERTIFICATE_EXPIRED": "ours has expired, by its clock",
     "CERTIFICATE_REVOKED": "ours was revoked",
     "BAD_CERTIFICATE": "ours cannot be used",
@@ -29,24 +29,27 @@ ALERTS = {
     "DECRYPT_ERROR": "ours was not signed by the authority whose name it bears",
     "ACCESS_DENIED": "ours has no access",
 }
-"""TLS alerts (RFC 8446, 6.2) by which a peer refuses a certificate."""
+"""TLS alerts (RFC 8446, 6.2) by which a peer rejects a certificate."""
 
 
-def trouble(endpoint: Endpoint, identity: Identity | None, peer: str | None) -> str | None:
-    """What is wrong at an endpoint, as a clause; None if a handshake finds nothing.
+def problem(endpoint: Endpoint, identity: Identity | None, peer: str | None) -> str | None:
+    """Return the problem of an endpoint as a clause, or None if a handshake succeeds.
 
-    `identity` None: no certificate is shown, and none is checked. `peer`: whose certificate is expected there.
+    Without `identity`, no certificate is sent and none is verified. `peer` is the expected common
+    name of the certificate.
     """
+    # TCP.
     try:
         connection = socket.create_connection((endpoint.host, endpoint.port), PATIENCE)
     except ConnectionRefusedError:
         return f"nothing listens on {endpoint.text}"
     except socket.gaierror:
-        return f"the host name {endpoint.host!r} is not known here"
+        return f"the host name {endpoint.host!r} cannot be resolved"
     except TimeoutError:
         return f"{endpoint.host} does not answer within {PATIENCE:g} s"
     except OSError as error:
         return f"{endpoint.text} cannot be reached: {error.strerror or error}"
+    # TLS. A server may reject our certificate after the handshake.
     with closing(connection):
         try:
             with _context(identity).wrap_socket(connection, server_hostname=endpoint.host) as tls:
@@ -57,23 +60,24 @@ def trouble(endpoint: Endpoint, identity: Identity | None, peer: str | None) -> 
         except ssl.SSLError as error:
             return (
                 _alert(endpoint, error)
-                or f"what listens on {endpoint.text} does not speak TLS ({_reason(error)})"
+                or f"the server on {endpoint.text} does not use TLS ({_reason(error)})"
             )
         except TimeoutError:
-            return f"what listens on {endpoint.text} does not speak TLS (plain TCP, most likely)"
+            return f"the server on {endpoint.text} does not use TLS (plain TCP, most likely)"
         except OSError as error:
-            return f"{endpoint.text} breaks the handshake off: {error.strerror or error}"
+            return f"{endpoint.text} aborts the handshake: {error.strerror or error}"
+    # The certificate of the peer must have the expected name.
     if refused or identity is None or found is None:
         return refused
     name = common_name(x509.load_der_x509_certificate(found))
     if peer is not None and name != peer:
-        return f"the certificate on {endpoint.text} is that of {name!r}, but {peer!r} is expected there (`robot` of the device)"
+        return f"the certificate on {endpoint.text} belongs to {name!r}, but {peer!r} is expected there (`robot` of the device)"
     return None
 
 
-def speaks_tls(endpoint: Endpoint) -> bool:
-    """Whether a handshake without any check succeeds."""
-    return (found := trouble(endpoint, None, None)) is None or "certificate" in found
+def uses_tls(endpoint: Endpoint) -> bool:
+    """Return True if a handshake without verification succeeds."""
+    return (found := problem(endpoint, None, None)) is None or "certificate" in found
 
 
 def _context(identity: Identity | None) -> ssl.SSLContext:
@@ -88,7 +92,7 @@ def _context(identity: Identity | None) -> ssl.SSLContext:
 
 
 def _refusal(tls: ssl.SSLSocket, endpoint: Endpoint) -> str | None:
-    """In TLS 1.3 a server refuses a client's certificate after the client's handshake has ended."""
+    """Return why the server rejects our certificate: in TLS 1.3, after the client's handshake."""
     tls.settimeout(SILENCE)
     try:
         if tls.recv(1) == b"":
@@ -111,7 +115,7 @@ def _alert(endpoint: Endpoint, error: ssl.SSLError) -> str | None:
     meaning = next((text for name, text in ALERTS.items() if found.endswith(name)), None)
     return (
         meaning
-        and f"{endpoint.text} refuses our certificate: {meaning} (TLS alert: {_reason(error)})"
+        and f"{endpoint.text} rejects our certificate: {meaning} (TLS alert: {_reason(error)})"
     )
 
 
@@ -119,14 +123,14 @@ def _not_trusted(endpoint: Endpoint, error: ssl.SSLCertVerificationError) -> str
     found = _shown(endpoint)
     what = f"the certificate on {endpoint.text}" + (f", {common_name(found)!r}," if found else "")
     if error.verify_code in ANOTHER_AUTHORITY:
-        return f"{what} was signed by another authority than ours: it is a stranger's, or made with another `freeflyer certificates`"
+        return f"{what} was signed by another authority than ours; one made in the same `freeflyer certificates` folder is expected"
     if error.verify_code == EXPIRED:
         return f"{what} has expired" + (
             f" on {found.not_valid_after_utc:%Y-%m-%d %H:%M} UTC" if found else ""
         )
     if error.verify_code == NOT_YET:
         return f"{what} is not valid yet" + (
-            f", but from {found.not_valid_before_utc:%Y-%m-%d %H:%M} UTC" if found else ""
+            f", only from {found.not_valid_before_utc:%Y-%m-%d %H:%M} UTC" if found else ""
         )
     if error.verify_code in (OTHER_NAME, OTHER_ADDRESS):
         known = f"for {', '.join(hosts_of(found)) or 'no host'}, " if found else ""
@@ -135,7 +139,7 @@ def _not_trusted(endpoint: Endpoint, error: ssl.SSLCertVerificationError) -> str
 
 
 def _shown(endpoint: Endpoint) -> x509.Certificate | None:
-    """The certificate that is shown there, unchecked: only to be named."""
+    """Return the certificate of the endpoint without verification, for messages only."""
     try:
         with (
             socket.create_connection((endpoint.host, endpoint.port), PATIENCE) as connection,

@@ -1,6 +1,7 @@
-"""The base robot on Zenoh as a device: set points out, measured pose and twist in, freshest only.
+"""The base robot as a Zenoh device: publishes set points, reads the latest measured pose and twist.
 
-It is read at the arm's rate and spoken to at its own: `cycle` is a whole number of the communication steps.
+The device is read at the rate of the arm. It writes set points once per `cycle`, which is a whole
+number of communication steps.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from freeflyer_adapters.base import access_control, commanders
 from freeflyer_adapters.base import diagnosis as link_diagnosis
 from freeflyer_adapters.base.link import OdometryLink, Received, is_usable
 from freeflyer_adapters.base.options import LinkOptions
-from freeflyer_adapters.base.rmw_zenoh import NOBODY
+from freeflyer_adapters.base.rmw_zenoh import NO_PUBLISHER
 from freeflyer_adapters.base.session import open_session
 from freeflyer_adapters.device import settings as all_settings
 from freeflyer_adapters.device.device import DeviceError, LifeCycle, SafeStop, State
@@ -29,14 +30,14 @@ from freeflyer_adapters.foundation.pacing import Pacer
 from freeflyer_adapters.foundation.pose import distance, twist_rotated
 
 PATIENCE = 1.75
-"""A cycle counts as lost when the last sample is so many cycles old; jitter below that is none."""
+"""Age of the last sample [cycles] above which a cycle counts as lost. A smaller age is jitter."""
 LISTEN = 25
-"""Samples that are looked at before anything is published: a second publisher shows within 20."""
+"""Samples to receive before the first publication. A second publisher is detected within 20."""
 TWIST = ("m/s",) * 3 + ("rad/s",) * 3
 
 
 class ZenohBase:
-    """See `freeflyer_adapters.device.device.Device` for the calls."""
+    """The base robot. `freeflyer_adapters.device.device.Device` documents the methods."""
 
     is_clock = False
 
@@ -44,6 +45,7 @@ class ZenohBase:
         self.name, self.options = name, options
         self.state = State(name)
         self._environment = environment.present()
+        # Ports: settings, set points, measurements.
         ports = [
             *all_settings.ports(all_settings.BASE),
             Port(name="position_setpoint", size=3, causality="input", units=("m",) * 3),
@@ -63,8 +65,9 @@ class ZenohBase:
         ]
         self.ports: Mapping[str, Port] = {port.name: port for port in ports}
         self.values = memory(self.ports.values())
+        # Counts and link. The link exists from `configure` to `deactivate`.
         self.age = Histogram()
-        """Of every sample when it is read; it tells something only where both clocks are one."""
+        """Age of every sample when it is read. Only meaningful if both ends use the same clock."""
         self.published = 0
         self._link: OdometryLink | None = None
         self._session: Any = None
@@ -77,7 +80,7 @@ class ZenohBase:
         self.permit = self._new_permit()
         self._sent: tuple[Array, Array] | None = None
         self._offset = (np.zeros(3), np.zeros(3))
-        self._tells_obedience = False
+        self._reports_obedience = False
         self._clock_sentence = ""
 
     @property
@@ -88,24 +91,25 @@ class ZenohBase:
     def step(self) -> float:
         return float(self.values["period"][0])
 
-    # Before anything moves
+    # Before any motion
 
     def configure(self) -> None:
         v, o = self.values, self.options
+        # The settings must be consistent before a link is opened.
         all_settings.check(self.name, all_settings.BASE, v)
         if not v["start_orientation"].any():
             raise DeviceError(
-                f"{self.name}.start_orientation is all zero; a quaternion x, y, z, w of norm one is expected"
+                f"{self.name}.start_orientation is all zero; a unit quaternion x, y, z, w is expected"
             )
         cycle = float(v["cycle"][0])
         self._ratio = round(cycle / self.step)
         if self._ratio < 1 or abs(self._ratio * self.step - cycle) > 1e-9:
             raise DeviceError(
-                f"{self.name}: its cycle of {cycle:g} s is no multiple of its step of {self.step:g} s"
+                f"{self.name}: the cycle of {cycle:g} s is not a multiple of the step of {self.step:g} s"
             )
         if v["watchdog"][0] < 2.0 * cycle:
             raise DeviceError(
-                f"{self.name}.watchdog is {v['watchdog'][0]:g} s; two cycles of set points or more are expected, {2.0 * cycle:g} s"
+                f"{self.name}.watchdog is {v['watchdog'][0]:g} s; at least two cycles of set points are expected, {2.0 * cycle:g} s"
             )
         self.limits = BaseLimits(v)
         self.monitor = QualityMonitor(
@@ -117,14 +121,16 @@ class ZenohBase:
         )
         self._late = round(PATIENCE * cycle * 1e9)
         self._age_limit = round(float(v["age_limit"][0]) * 1e9)
+        # No publisher yet: the link must not disturb another controller.
         self._session = open_session(
-            o.connect, o.listen, self.name, access_control.controllers_end(o)
+            o.connect, o.listen, self.name, access_control.controller_protection(o)
         )
         self._link = link = OdometryLink(
             self._session, o, o.setpoint_topic, o.measured_topic, publishes=False
         )
         self.permit = self._new_permit()
         self._observe(LISTEN)
+        # The session needs the right to command, one base robot, and no other controller.
         if refused := commanders.refusal(self._session, o, self.name):
             raise DeviceError(refused)
         others = link.publishers(o.measured_topic)
@@ -139,11 +145,12 @@ class ZenohBase:
                 f"{self.name}: session {others[0]} commands topic {o.setpoint_topic} already; this is session {link.identity}: "
                 f"stop that one first"
             )
-        self._tells_obedience = self._refuse_another_controller() is not None
+        self._reports_obedience = self._refuse_another_controller() is not None
         self.state.to(LifeCycle.inactive)
 
     def _new_permit(self) -> Permit:
-        # A base robot reports no life cycle: after a hold-up nothing is sent any more, not even a set point to hold.
+        # A base robot reports no life cycle. After a suspension of this process nothing is sent,
+        # not even a set point to hold.
         return Permit(
             "the base robot",
             watchdog=round(float(self.values["watchdog"][0]) * 1e9),
@@ -151,7 +158,10 @@ class ZenohBase:
         )
 
     def _observe(self, samples: int, meanwhile: Callable[[], bool] = lambda: False) -> None:
-        """So many samples, or fewer if the user stops; nothing is published. DeviceError for silence, and for a second publisher."""
+        """Receive `samples` samples and publish nothing. Return early if `meanwhile` returns True.
+
+        Raises DeviceError if no sample arrives in time, or if a second publisher is detected.
+        """
         assert self._link is not None
         v, o, link = self.values, self.options, self._link
         end = self._environment.monotonic() + float(v["configure_timeout"][0])
@@ -161,13 +171,13 @@ class ZenohBase:
                     return
                 if self._environment.monotonic() > end:
                     why = (
-                        f"; samples came but were refused: {link.counts.last_fault}"
+                        f"; samples were received but rejected: {link.counts.last_fault}"
                         if link.counts.last_fault
                         else ""
                     )
                     why = why or link_diagnosis.why_silent(self._session, o)
                     raise DeviceError(
-                        f"{self.name} sends nothing on topic {o.measured_topic} by way of {', '.join(o.connect)} within "
+                        f"{self.name} sends nothing on topic {o.measured_topic} via {', '.join(o.connect)} within "
                         f"{v['configure_timeout'][0]:g} s{why}"
                     )
                 self._environment.sleep(0.001)
@@ -177,24 +187,27 @@ class ZenohBase:
                 )
 
     def _refuse_another_controller(self) -> str | None:
-        """Which publisher the base obeys, where it reports that; DeviceError if that is another one."""
+        """Return the GID of the publisher in command, or None if the base does not report it.
+
+        Raises DeviceError if another publisher is in command.
+        """
         assert self._link is not None
-        obeyed = self._link.obeyed()
-        if obeyed not in (None, NOBODY, self._link.gid):
+        obeyed = self._link.obeyed_publisher()
+        if obeyed not in (None, NO_PUBLISHER, self._link.gid):
             raise DeviceError(
-                f"{self.name} obeys publisher {obeyed} already; this is {self._link.gid or 'session ' + self._link.identity}: "
+                f"{self.name} accepts commands from publisher {obeyed} already; this is {self._link.gid or 'session ' + self._link.identity}: "
                 f"stop that one first"
             )
         return obeyed
 
     @property
     def cannot_refuse(self) -> list[str]:
-        """What this base robot cannot refuse or report by itself, a sentence for each."""
-        if self._tells_obedience:
+        """What this base robot cannot reject or report by itself, one sentence each."""
+        if self._reports_obedience:
             return []
         return [
-            "it does not report which publisher it obeys, as a plain ROS 2 node does not: what ends its motion after a stop, and keeps "
-            "late set points from moving it, is in the node itself (interface control document)"
+            "it does not report which publisher it accepts commands from, like any plain ROS 2 node; that node itself must end the motion "
+            "after a stop and reject late set points (interface control document)"
         ]
 
     @property
@@ -203,7 +216,7 @@ class ZenohBase:
 
     @property
     def _start_gap(self) -> tuple[float, float]:
-        """How far from the start the base was measured last."""
+        """Distance [m] and angle [rad] between the last measured pose and the start pose."""
         return distance(self.values["base_position"], self.values["base_orientation"], *self._start)
 
     @property
@@ -218,7 +231,7 @@ class ZenohBase:
         v, gap = self.values, self._start_gap
         if not self._is_at_start and not v["approach"][0]:
             raise DeviceError(
-                f"{self.name} stands at {_shown(v['base_position'], v['base_orientation'])}, but the scenario starts at "
+                f"{self.name} is at {_shown(v['base_position'], v['base_orientation'])}, but the scenario starts at "
                 f"{_shown(*self._start)}: {gap[0]:.4f} m and {np.degrees(gap[1]):.3f} deg apart, {v['start_tolerance'][0]:g} m and "
                 f"{np.degrees(v['start_tolerance'][1]):.3g} deg are allowed; move it there, or set its parameter approach = true"
             )
@@ -227,7 +240,7 @@ class ZenohBase:
         pass
 
     def stay(self) -> None:
-        """While the arm takes its time: the base's watchdog is not to take this for the end."""
+        """Repeat the last set point while the arm is activated, so that no watchdog expires."""
         due = self._published_at + round(float(self.values["cycle"][0]) * 1e9)
         if (
             self.state.now is LifeCycle.active
@@ -238,49 +251,57 @@ class ZenohBase:
             self._publish(*self._sent, np.zeros(6))
 
     def activate(self, meanwhile: Callable[[], bool]) -> None:
-        """The first set point is the measured pose; what lies between it and the start is taken off slowly."""
+        """Publish the measured pose as the first set point, then reduce its offset from the start.
+
+        Raises DeviceError if the base robot does not take set points, or if the approach fails.
+        """
         v, start, link = self.values, self._start, self._link
         assert link is not None
         self._observe(1, meanwhile)
         if meanwhile():
             return
+        # Subscribe to the reports before the first set point, so that none is missed.
         link.watch_publishers()
         link.begin_publishing()
-        link.watch_obedience()  # before it is asked for, so that no report is missed
+        link.watch_obedience()
         if others := link.publishers(self.options.setpoint_topic):
             raise DeviceError(
                 f"{self.name}: session {others[0]} commands topic {self.options.setpoint_topic}, too; stop one of them"
             )
         self.permit.take(self._environment.monotonic_ns())
-        self._be_obeyed(meanwhile)
+        self._take_command(meanwhile)
         if not self._is_at_start:
             self._approach(start, meanwhile)
+        # The remaining offset from the start decays in `write`: the set points do not jump.
         measured = Rotation.from_quat(v["base_orientation"])
         self._offset = (
             v["base_position"] - start[0],
             (measured * Rotation.from_quat(start[1]).inv()).as_rotvec(),
         )
-        link.forget_counts()
+        link.reset_counts()
         self._publish(v["base_position"].copy(), v["base_orientation"].copy(), np.zeros(6))
         self._sequence = 0
         self.state.to(LifeCycle.active)
 
-    def _be_obeyed(self, meanwhile: Callable[[], bool]) -> None:
-        """Set points that are where the base is, until a base that reports which publisher it obeys reports this one."""
+    def _take_command(self, meanwhile: Callable[[], bool]) -> None:
+        """Publish the measured pose until the base robot reports that this publisher is in command.
+
+        Returns after one set point if the base robot has no such report. Raises DeviceError.
+        """
         assert self._link is not None
         v, cycle = self.values, float(self.values["cycle"][0])
         end = self._environment.monotonic() + float(v["configure_timeout"][0])
         while True:
             self._publish(v["base_position"].copy(), v["base_orientation"].copy(), np.zeros(6))
-            if not self._tells_obedience or self._link.obedience():
+            if not self._reports_obedience or self._link.obedience():
                 return
             self._refuse_lost_permit()
             if self._environment.monotonic() > end:
                 self._refuse_another_controller()
                 raise DeviceError(
                     commanders.refusal(self._session, self.options, self.name)
-                    or f"{self.name} does not take set points of {self.options.setpoint_topic}, although they are where it stands: "
-                    f"it receives none or other messages, or refuses them"
+                    or f"{self.name} does not take set points of {self.options.setpoint_topic}, although they are at its measured pose: "
+                    f"it receives no set points or other messages, or rejects them"
                 )
             if meanwhile():
                 return
@@ -292,28 +313,34 @@ class ZenohBase:
             raise DeviceError(f"{self.name} was not activated: {self.permit.lost}")
 
     def _approach(self, start: tuple[Array, Array], meanwhile: Callable[[], bool]) -> None:
-        """Set points from the measured pose to the start, no faster than `approach_speed`."""
+        """Move from the measured pose to `start`, not faster than `approach_speed`.
+
+        Raises DeviceError at a limit, without measurements, or if the start is not reached.
+        """
         v, cycle = self.values, float(self.values["cycle"][0])
+        # A straight line and one rotation about a fixed axis, both of the same duration.
         first = v["base_position"].copy()
-        turn = Rotation.from_quat(start[1]) * Rotation.from_quat(v["base_orientation"]).inv()
-        begin = Rotation.from_quat(v["base_orientation"])
+        first_orientation = Rotation.from_quat(v["base_orientation"])
+        rotation = Rotation.from_quat(start[1]) * first_orientation.inv()
+        rotation_vector = rotation.as_rotvec()
         path = start[0] - first
         duration = max(
             float(np.linalg.norm(path)) / float(v["approach_speed"][0]),
-            turn.magnitude() / float(v["approach_speed"][1]),
+            rotation.magnitude() / float(v["approach_speed"][1]),
             cycle,
         )
         count = int(np.ceil(duration / cycle))
-        pacer = Pacer(
-            round(cycle * 1e9)
-        )  # after a hold-up it goes on where it was, and does not hurry
+        # The pacer skips missed deadlines: the approach is not accelerated after a suspension.
+        pacer = Pacer(round(cycle * 1e9))
         settle = round(1.0 / cycle)
         for i in range(1, count + settle + 1):
             share = min(1.0, i / count)
             position = first + share * path
-            orientation = (Rotation.from_rotvec(share * turn.as_rotvec()) * begin).as_quat()
+            orientation = (
+                Rotation.from_rotvec(share * rotation_vector) * first_orientation
+            ).as_quat()
             moving = (
-                np.concatenate([path, turn.as_rotvec()]) / duration if i < count else np.zeros(6)
+                np.concatenate([path, rotation_vector]) / duration if i < count else np.zeros(6)
             )
             reason = self.limits.setpoint(position, orientation, moving, self._sent)
             if reason:
@@ -322,6 +349,7 @@ class ZenohBase:
                 )
             self._publish(position, orientation, moving)
             pacer.wait()
+            # The measurement must follow the set point.
             self._take()
             reason = self.limits.measured(
                 v["base_position"], v["base_orientation"], (position, orientation)
@@ -334,7 +362,7 @@ class ZenohBase:
                 )
             self._refuse_lost_permit()
             if meanwhile():
-                return  # the loop ends before its first instant; the base holds where it is
+                return  # the loop ends before its first instant; the base holds its pose
             gap = distance(v["base_position"], v["base_orientation"], *start)
             if i > count and all(
                 size < 0.5 * most for size, most in zip(gap, v["start_tolerance"], strict=True)
@@ -351,17 +379,18 @@ class ZenohBase:
         if sentence := permit.hold_up(self._environment.monotonic_ns()):
             raise SafeStop(self.name, sentence)
         before = self._sequence
-        came = self._take()
+        received = self._take()
         self._steps += 1
         reason = None
-        if came:
-            # What was missed shows in the sequence numbers, unless it was counted as silence already.
+        if received:
+            # The sequence numbers show lost samples. Some may be counted as silence already.
             missing = self._sequence - before - 1 - self._silent if before else 0
             reason = self.monitor.lose(max(missing, 0))
             self._silent = 0
             self.monitor.observe(lost=False)
         if self._steps % self._ratio and not reason:
             return
+        # Once per cycle: the last sample must be recent.
         silence = self._environment.monotonic_ns() - self._arrived
         if silence > self._late:
             self._silent += 1
@@ -372,6 +401,7 @@ class ZenohBase:
                 reason
                 or f"the last measurement is {age * 1e-9:.4g} s old, its limit is {self._age_limit * 1e-9:g} s"
             )
+        # No second base robot or controller may appear, and the base must still take set points.
         if link is not None:
             reason = link.second_source or link.new_publisher() or reason
             if link.obedience() is False:
@@ -384,7 +414,7 @@ class ZenohBase:
                 self.values["base_position"], self.values["base_orientation"], self._sent
             )
         if reason:
-            # A hold-up in the middle of this is the cause.
+            # A suspension of this process is reported as the cause.
             raise SafeStop(self.name, permit.hold_up(self._environment.monotonic_ns()) or reason)
 
     def write(self) -> None:
@@ -412,17 +442,17 @@ class ZenohBase:
     # The end
 
     def revoke(self, reason: str) -> None:
-        """A reason to stop: from now on only the last set point is held; after a hold-up nothing is sent any more."""
+        """Withdraw the permit. Only the last set point is repeated; after a suspension, nothing."""
         is_held_up = self.permit.hold_up(self._environment.monotonic_ns())
         self.permit.lose(reason)
         if is_held_up and self._link is not None:
             self._link.end_publishing()
 
     def ramp_down(self, elapsed: float) -> bool:
-        """Holds the last set point, without velocity, while the arm comes to rest."""
+        """Repeat the last set point with zero velocity while the arm comes to rest. Return True."""
         self._take()
         self._steps += 1
-        # Not where the activation was given up half-way: holding a place could complete it.
+        # Not after an incomplete activation: a set point could complete it.
         is_active = self.state.now is LifeCycle.active
         if (
             is_active
@@ -435,7 +465,7 @@ class ZenohBase:
 
     @property
     def at_rest(self) -> bool:
-        """A base robot holds the last set point by itself."""
+        """Always True: a base robot holds the last set point by itself."""
         return True
 
     def on_error(self, reason: str) -> None:
@@ -459,7 +489,7 @@ class ZenohBase:
 
     @property
     def remarks(self) -> list[str]:
-        """What else the operator should know of the run, a sentence for each."""
+        """Further information about the run for the operator, one sentence each."""
         return [self._clock_sentence] if self._clock_sentence else []
 
     def report(self) -> Mapping[str, float]:
@@ -497,7 +527,7 @@ class ZenohBase:
         return True
 
     def _publish(self, position: Array, orientation: Array, velocity: Array) -> None:
-        """What may not be sent, is not; whether that ends the loop is decided where it is noticed."""
+        """Publish a set point if the permit allows it. `read` and `write` report a lost permit."""
         assert self._link is not None
         now = self._environment.monotonic_ns()
         if not (self.permit.allows(now) or self.permit.may_ramp_down(now)):

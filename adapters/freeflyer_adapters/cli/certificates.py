@@ -23,7 +23,7 @@ from freeflyer_adapters.base.certificate_authority import (
 from freeflyer_adapters.base.certificates import AUTHORITY, NAME, Identity, hosts_of, written
 
 NAMES = ("controller", "base_robot")
-"""What a facility of one controller and one base robot needs."""
+"""Default names: one controller and one base robot."""
 DAYS = 365.0
 LONGEST = 3650.0
 HOST = re.compile(
@@ -38,42 +38,42 @@ class CertificatesCommand:
             "directory",
             type=folder,
             metavar="DIR",
-            help="an authority that is there signs; else a new one is made",
+            help="folder of the authority; an existing authority signs, otherwise a new one is made",
         )
         parser.add_argument(
             "--name",
             action="append",
             default=[],
             metavar="NAME",
-            help=f"one that connects and listens (default: {' and '.join(NAMES)})",
+            help=f"certificate of a peer that connects and listens (default: {' and '.join(NAMES)})",
         )
         parser.add_argument(
             "--observer",
             action="append",
             default=[],
             metavar="NAME",
-            help="one that connects only, to read",
+            help="certificate of a peer that connects only, to read",
         )
         parser.add_argument(
             "--host",
             action="append",
             default=[],
             metavar="HOST",
-            help=f"name or address under which those of --name are met (besides {', '.join(HOSTS)})",
+            help=f"host name or address of the peers of --name (besides {', '.join(HOSTS)})",
         )
         parser.add_argument(
             "--days",
             type=float,
             default=DAYS,
             metavar="N",
-            help="how long certificates are valid (default: 365)",
+            help="validity of the certificates (default: 365)",
         )
         parser.add_argument(
             "--renew",
             action="append",
             default=[],
             metavar="NAME",
-            help="a new certificate and key for one that is there",
+            help="replace the certificate and key of an existing name",
         )
 
     def execute(self, arguments: argparse.Namespace, console: Console) -> int:
@@ -85,6 +85,7 @@ class CertificatesCommand:
         )
         if not names and not observers and not renewed:
             names = list(NAMES)
+        # Check all arguments before a file is written.
         _check(directory, names + observers, renewed, arguments.host, arguments.days)
         before = {name: _read(Identity(directory, name)) for name in renewed}
         is_new = not Identity(directory, AUTHORITY).certificate.exists()
@@ -93,6 +94,7 @@ class CertificatesCommand:
             console.print(
                 f"{directory}/{AUTHORITY}.pem, {AUTHORITY}.key: a new authority", soft_wrap=True
             )
+        # A renewed certificate keeps its uses and hosts.
         for name in [*names, *observers, *renewed]:
             old = before.get(name)
             may_listen = _may_listen(old) if old is not None else name in names
@@ -115,11 +117,12 @@ class CertificatesCommand:
 def _check(
     directory: Path, names: Sequence[str], renewed: Sequence[str], hosts: Sequence[str], days: float
 ) -> None:
-    """Every mistake before a file is written."""
+    """Check all arguments. Raises CertificateError."""
+    # Names, hosts and validity.
     for name in [*names, *renewed]:
         if not NAME.fullmatch(name) or name == AUTHORITY:
             raise CertificateError(
-                f"{name!r} is no name for a certificate; up to 64 letters, digits, '_', '.' and '-' are expected, and not {AUTHORITY!r}"
+                f"{name!r} is not a valid certificate name; up to 64 letters, digits, '_', '.' and '-' are expected, and not {AUTHORITY!r}"
             )
     if twice := next((name for name in names if [*names, *renewed].count(name) > 1), None):
         raise CertificateError(
@@ -136,12 +139,13 @@ def _check(
         )
     if directory.exists() and not directory.is_dir():
         raise CertificateError(f"{directory} is a file; a directory is expected")
+    # New names must not exist; renewed names must.
     for name in names:
-        there = Identity(directory, name)
-        for path in (there.certificate, there.key):
+        identity = Identity(directory, name)
+        for path in (identity.certificate, identity.key):
             if path.exists():
                 raise CertificateError(
-                    f"{path} is there already, and is not overwritten; --renew {name} makes a new one in its place"
+                    f"{path} exists already and is not overwritten; --renew {name} makes a new one in its place"
                 )
     for name in renewed:
         if not Identity(directory, name).certificate.exists():
@@ -165,7 +169,7 @@ def _authority(directory: Path, is_new: bool) -> CertificateAuthority:
     key = Identity(directory, AUTHORITY).key
     if key.exists():
         raise CertificateError(
-            f"{key} is there without its certificate, and is not overwritten; another directory is expected"
+            f"{key} exists without its certificate and is not overwritten; another directory is expected"
         )
     try:
         directory.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -179,7 +183,7 @@ def _read(identity: Identity) -> x509.Certificate:
         return x509.load_pem_x509_certificate(identity.certificate.read_bytes())
     except (OSError, ValueError) as error:
         raise CertificateError(
-            f"{identity.certificate} is no certificate that could be renewed"
+            f"{identity.certificate} is not a certificate that can be renewed"
         ) from error
 
 
@@ -194,12 +198,12 @@ def _may_listen(certificate: x509.Certificate) -> bool:
 
 
 def _united(hosts: Sequence[str], more: Sequence[str]) -> list[str]:
-    """Each once, as `ipaddress` writes it, in order."""
+    """Return all hosts without duplicates, normalised, in order."""
     return list(dict.fromkeys(written(host) for host in [*hosts, *more]))
 
 
 def _next_step(directory: Path) -> str:
     return (
-        f'Next: certificates = "{directory}" and tls/ endpoints in [devices.base_robot] of your scenario; to every other machine go '
-        f"{AUTHORITY}.pem and its own .pem and .key, over a channel that you trust, and never {AUTHORITY}.key (docs/security.md)"
+        f'Next: set certificates = "{directory}" and tls/ endpoints in [devices.base_robot] of your scenario; copy {AUTHORITY}.pem and the '
+        f"machine's own .pem and .key to every other machine over a channel that you trust, but never {AUTHORITY}.key (docs/security.md)"
     )

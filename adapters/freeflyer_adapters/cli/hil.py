@@ -32,7 +32,7 @@ from freeflyer_adapters.recording.client import Recording
 from freeflyer_adapters.recording.rescue import rescue
 
 AFTERWARDS = 1.0
-"""[s] of virtual time in which the devices come to rest after the controllers have gone."""
+"""Virtual time in which the devices come to rest after the controllers have ended [s]."""
 
 
 class HilCommand:
@@ -45,17 +45,17 @@ class HilCommand:
         how.add_argument(
             "--simulated",
             action="store_true",
-            help="every device is its model in this process, at wall-clock rate",
+            help="simulate every device by its model in this process, at wall-clock rate",
         )
         how.add_argument(
             "--accelerated",
             action="store_true",
-            help="with a virtual facility, its links and their faults in this process, in virtual time: as fast as can be computed",
+            help="run a virtual facility with its links and faults in this process, in virtual time, as fast as possible",
         )
         parser.add_argument(
             "--check",
             action="store_true",
-            help="configure every device, show what it measures and whether it could be activated, and end: nothing moves",
+            help="configure every device, show its measurements and whether it could be activated, and exit: nothing moves",
         )
         parser.add_argument(
             "--view",
@@ -67,18 +67,18 @@ class HilCommand:
             "--record",
             action=argparse.BooleanOptionalAction,
             default=True,
-            help="recording.mcap and the CAN log (default: yes); flight_recording.mcap, the last 2 s, is written in any case",
+            help="write recording.mcap and the CAN log (default: yes); flight_recording.mcap with the last 2 s is always written",
         )
         parser.add_argument(
             "--log-to",
             metavar="LOG",
-            help="the reason of the stop to the system log, too: syslog (that is /dev/log), syslog:PATH or syslog:HOST:PORT",
+            help="send the reason of the stop to the system log, too: syslog (/dev/log), syslog:PATH or syslog:HOST:PORT",
         )
         parser.add_argument(
             "--can-log",
             choices=FORMATS,
             default=FORMATS[0],
-            help=f"format of it (default: {FORMATS[0]})",
+            help=f"format of the CAN log (default: {FORMATS[0]})",
         )
 
     def execute(self, arguments: argparse.Namespace, console: Console) -> int:
@@ -88,6 +88,7 @@ class HilCommand:
             check_log_to(arguments.log_to)
         if arguments.check:
             return _check(chosen, arguments, console)
+        # Check the output and print all notices before a device is opened.
         directory = arguments.out or Path("freeflyer_out") / f"hil_{chosen.name}"
         check_writable(directory)
         if not arguments.simulated:
@@ -95,11 +96,12 @@ class HilCommand:
                 console.print(notice, soft_wrap=True)
         view = console.is_terminal if arguments.view is None else arguments.view
 
-        def say(text: str) -> None:
+        def show(text: str) -> None:
             console.print(text, soft_wrap=True)
 
+        # Recordings of a process that was killed are completed first.
         for sentence in rescue():
-            say(sentence)
+            show(sentence)
         recording = Recording(
             directory=directory,
             everything=arguments.record,
@@ -107,9 +109,9 @@ class HilCommand:
             can_format=arguments.can_log,
         )
         stop = StopNotice(
-            directory=directory, log_to=arguments.log_to, scenario=chosen.name, say=say
+            directory=directory, log_to=arguments.log_to, scenario=chosen.name, show=show
         )
-        with closing(stop), _facility_beside(chosen, arguments, say), _reason_kept(stop):
+        with closing(stop), _facility_beside(chosen, arguments, show), _reason_kept(stop):
             result, report = hil.run(
                 chosen,
                 real_time=arguments.real_time and not arguments.accelerated,
@@ -118,10 +120,11 @@ class HilCommand:
                 fmi=arguments.fmi,
                 recording=recording,
                 notice=stop,
-                say=say,
+                say=show,
             )
+        # The results are written after the stop.
         for problem in stop.problems:
-            say(problem)
+            show(problem)
         experiment.write(result, directory)
         console.print(result_table(result))
         console.print(times_table(report.times))
@@ -129,7 +132,7 @@ class HilCommand:
         console.print(
             f"Results in {directory}: record.parquet, summary.json, stop.json", soft_wrap=True
         )
-        for sentence in (*report.remarks, *recording_told(report.recording or {})):
+        for sentence in (*report.remarks, *recording_lines(report.recording or {})):
             console.print(sentence, soft_wrap=True)
         return verdict(result)
 
@@ -146,22 +149,23 @@ class FacilityCommand:
         if arguments.out:
             check_writable(arguments.out)
 
-        def say(text: str) -> None:
+        def show(text: str) -> None:
             console.print(f"{time.strftime('%H:%M:%S')}  {text}", soft_wrap=True)
 
         for notice in notices(chosen, as_robot=True):
-            say(notice)
+            show(notice)
+        # Threads of the links start before the loop gets its priority.
         try:
             pacing.prepare_links(arguments.real_time)
             facility = Facility(chosen, arguments.fmi)
             with interrupts(), closing(facility):
-                say("real time: " + ", ".join(pacing.enter_real_time(arguments.real_time)))
-                say(
+                show("real time: " + ", ".join(pacing.enter_real_time(arguments.real_time)))
+                show(
                     f"the facility of scenario {chosen.name} is there: {', '.join(d.name for d in facility.devices)}; Ctrl-C ends it"
                 )
-                say_faults(facility, say)
+                show_faults(facility, show)
                 with pacing.no_collection():
-                    outcome = facility.run(say)
+                    outcome = facility.run(show)
         finally:
             pacing.leave_real_time()
         report = facility.report()
@@ -175,30 +179,30 @@ class FacilityCommand:
 
 
 def _check(chosen: Scenario, arguments: argparse.Namespace, console: Console) -> int:
-    """What `--check` shows; BAD_INPUT if a device could not be activated as it stands."""
+    """Run `--check`. Return BAD_INPUT if a device could not be activated in its present state."""
     with _facility_beside(chosen, arguments, lambda text: None):
         found = hil.inspect(chosen, simulated=arguments.simulated, fmi=arguments.fmi)
-    for name, looked in found.items():
+    for name, inspection in found.items():
         table = Table(title=f"{name} measures", title_justify="left")
         for column in ("", "unit", "value"):
             table.add_column(column)
-        for variable, values in looked.measured.items():
-            units = list(dict.fromkeys(unit or "" for unit in looked.units[variable]))
+        for variable, values in inspection.measured.items():
+            units = list(dict.fromkeys(unit or "" for unit in inspection.units[variable]))
             table.add_row(
                 variable.replace("_", " "),
                 ", ".join(units),
                 "  ".join(f"{value:.5g}" for value in values),
             )
         console.print(table)
-    for sentence in hil.limitations({name: looked.cannot_refuse for name, looked in found.items()}):
+    for sentence in hil.limitations({name: i.cannot_refuse for name, i in found.items()}):
         console.print(sentence, soft_wrap=True)
-    refusals = [looked.refusal for looked in found.values() if looked.refusal]
+    refusals = [inspection.refusal for inspection in found.values() if inspection.refusal]
     for refusal in refusals:
         report_error(refusal, BAD_INPUT)
     if refusals:
         return BAD_INPUT
     console.print(
-        "Every device answers as the scenario expects, and could be activated. Nothing was.",
+        "Every device answers as the scenario expects, and could be activated. Nothing was activated.",
         soft_wrap=True,
     )
     return DONE
@@ -206,7 +210,7 @@ def _check(chosen: Scenario, arguments: argparse.Namespace, console: Console) ->
 
 @contextmanager
 def _reason_kept(stop: StopNotice) -> Iterator[None]:
-    """What ends a run before its devices are prepared is a reason, too; the command prints it."""
+    """Record the reason if a run ends before its devices are prepared. The command prints it."""
     try:
         yield
     except BaseException as error:
@@ -221,21 +225,21 @@ def _reason_kept(stop: StopNotice) -> Iterator[None]:
 
 @contextmanager
 def _facility_beside(
-    chosen: Scenario, arguments: argparse.Namespace, say: Callable[[str], None]
+    chosen: Scenario, arguments: argparse.Namespace, show: Callable[[str], None]
 ) -> Iterator[None]:
-    """Where `--accelerated` asks for it: in this process, on one virtual time with the loop."""
+    """With `--accelerated`, run the facility in this process, in the virtual time of the loop."""
     if not arguments.accelerated:
         yield
         return
-    with accelerated(chosen, arguments.fmi, say) as both:
-        say_faults(both.facility, say)
+    with accelerated(chosen, arguments.fmi, show) as both:
+        show_faults(both.facility, show)
         yield
         both.time.sleep(AFTERWARDS)
 
 
-def say_faults(facility: Facility, say: Callable[[str], None]) -> None:
+def show_faults(facility: Facility, show: Callable[[str], None]) -> None:
     for fault in facility.settings.faults:
-        say(f"fault: {fault.said()}")
+        show(f"fault: {fault.said()}")
 
 
 def _common(parser: argparse.ArgumentParser) -> None:
@@ -257,20 +261,20 @@ def _common(parser: argparse.ArgumentParser) -> None:
         "--real-time",
         action=argparse.BooleanOptionalAction,
         default=True,
-        help="ask for SCHED_FIFO and locked memory (default: yes)",
+        help="request SCHED_FIFO and locked memory (default: yes)",
     )
 
 
-def recording_told(recording: Mapping[str, Any]) -> list[str]:
-    """What was recorded where, and what is missing, as the result's `recording` has it."""
+def recording_lines(recording: Mapping[str, Any]) -> list[str]:
+    """Return messages about written and missing recordings, from `LoopReport.recording`."""
     paths = [*recording.get("recording", ()), *recording.get("can", ()), recording.get("flight")]
-    said = [f"Recorded: {', '.join(path for path in paths if path)}"] if any(paths) else []
+    lines = [f"Recorded: {', '.join(path for path in paths if path)}"] if any(paths) else []
     if recording.get("rows_lost"):
-        said.append(
-            f"The recorder was held up: {recording['rows_lost']} instants are missing in the recording"
+        lines.append(
+            f"The recorder was delayed: {recording['rows_lost']} instants are missing in the recording"
         )
     return [
-        *said,
+        *lines,
         *recording.get("clock_steps", ()),
         *(f"Missing: {sentence}" for sentence in recording.get("missing", ())),
     ]

@@ -19,10 +19,10 @@ class RecoverCommand:
             "path",
             type=Path,
             metavar="PATH",
-            help="FILE.mcap, FILE.blf, FILE.ring, or the directory of a run with all of them",
+            help="FILE.mcap, FILE.blf, FILE.ring, or the directory of a run with these files",
         )
         parser.add_argument(
-            "--out", type=Path, metavar="FILE", help="default: FILE_recovered beside it"
+            "--out", type=Path, metavar="FILE", help="default: FILE_recovered in the same directory"
         )
 
     def execute(self, arguments: argparse.Namespace, console: Console) -> int:
@@ -33,13 +33,11 @@ class RecoverCommand:
         if path.is_dir():
             if out is not None:
                 raise RecordError(
-                    f"--out {out}: {path} is a directory, whose files are recovered beside the old ones"
+                    f"--out {out}: {path} is a directory, and its files are recovered in that directory; leave out --out"
                 )
             paths = list(unfinished(path))
             if not paths:
-                raise RecordError(
-                    f"{path} has no recording, no CAN log, and no run in it has left a ring"
-                )
+                raise RecordError(f"{path} has no recording, no CAN log and no ring of a run")
         elif path.suffix.lower() == ".mcap" and path.is_file():
             paths = [*rings_of(path.parent), path]
         with (

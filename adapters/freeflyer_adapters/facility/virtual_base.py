@@ -72,7 +72,7 @@ class VirtualBase(VirtualDevice[BaseLogic]):
         self.logic = self._new_logic()
         self._pose = (np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))
         self._calls = 0
-        self._session: Any = open_session([], o.connect, name, access_control.robots_end(o))
+        self._session: Any = open_session([], o.connect, name, access_control.robot_protection(o))
         self._commanders = commanders.announce(self._session, o)
         self.faults = LinkFaults(settings.faults_of(name), period, settings.seed, ZenohTamper())
         self._link = FaultyOdometryLink(self._session, o, o.measured_topic, o.setpoint_topic)
@@ -93,8 +93,8 @@ class VirtualBase(VirtualDevice[BaseLogic]):
         """The model's start pose, which is held until set points come."""
         self.logic = self._new_logic()
         self.begin_faults(self.faults, self._link)
-        self._link.forget_source()
-        self._link.tell_obeyed(False)
+        self._link.reset_source()
+        self._link.report_obeyed(False)
         self._pose = (parameters["true_position"].copy(), parameters["true_orientation"].copy())
         self.logic.hold(*self._pose)
 
@@ -106,9 +106,9 @@ class VirtualBase(VirtualDevice[BaseLogic]):
             is_active = self.logic.life.now is LifeCycle.active
             if is_active and self._link.other_source:
                 self.logic.refuse(self._link.other_source)
-            self._link.tell_obeyed(is_active)
+            self._link.report_obeyed(is_active)
             if was_active and not is_active:
-                self._link.forget_source()  # used up: the next publisher may be another
+                self._link.reset_source()  # used up: the next publisher may be another
         values["position_setpoint"][:] = self.logic.position
         values["orientation_setpoint"][:] = self.logic.orientation
         values["velocity_setpoint"][:] = self.logic.velocity

@@ -1,7 +1,7 @@
-"""What devices reach the outside by: clocks, CAN buses, Zenoh sessions. Virtual time puts its own in their place.
+"""The environment of devices: clocks, CAN buses and Zenoh sessions. Virtual time replaces it.
 
-Whoever needs one asks `present()` when it is made and keeps it, so that every part of a loop, and both ends of a facility's links,
-can be run in virtual time (`freeflyer_adapters.facility.virtual_time`) without a line of their own for it.
+A constructor calls `present()` and keeps the result. So every part of a loop, and both ends of the
+facility's links, can run in virtual time (`freeflyer_adapters.facility.virtual_time`) unchanged.
 """
 
 from __future__ import annotations
@@ -17,28 +17,28 @@ import zenoh
 
 
 class Environment:
-    """The real one."""
+    """The real environment."""
 
-    # Asked for some twenty times in a cycle of 1 ms: the system's own functions, without a call of ours around them.
+    # Called about twenty times per cycle of 1 ms: without a wrapper, for speed.
     monotonic_ns: Callable[[], int] = staticmethod(time.monotonic_ns)
-    """[ns], from an unknown beginning; it never goes back."""
+    """Monotonic clock with an arbitrary zero [ns]."""
     time_ns: Callable[[], int] = staticmethod(time.time_ns)
-    """[ns since the epoch], as the system's clock has it; it may be set."""
+    """Wall clock [ns since the epoch]. It may be set."""
 
     def monotonic(self) -> float:
-        """[s]"""
+        """Return the monotonic clock [s]."""
         return self.monotonic_ns() * 1e-9
 
     def sleep(self, duration: float) -> None:
-        """[s]"""
+        """Sleep for `duration` [s]."""
         time.sleep(duration)
 
     def bus(self, **arguments: Any) -> can.BusABC:
-        """As python-can opens it, with its errors."""
+        """Open a bus of python-can. Raises the exceptions of python-can."""
         return can.Bus(**arguments)
 
     def session(self, config: zenoh.Config) -> Any:
-        """As Zenoh opens it, with its errors."""
+        """Open a Zenoh session. Raises zenoh.ZError."""
         return zenoh.open(config)
 
 
@@ -46,12 +46,13 @@ _present: ContextVar[Environment] = ContextVar("environment", default=Environmen
 
 
 def present() -> Environment:
+    """Return the environment of the current context."""
     return _present.get()
 
 
 @contextmanager
 def within(other: Environment) -> Iterator[None]:
-    """What is made meanwhile reaches the outside by `other`."""
+    """Make `other` the present environment of all objects constructed in the block."""
     token = _present.set(other)
     try:
         yield

@@ -1,15 +1,15 @@
-"""Times of every cycle as counts per microsecond: nothing grows while the loop runs."""
+"""Histogram of cycle times with a constant memory size."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
 BINS = 100_000
-"""One per microsecond; what is longer counts in the last, and `longest` says how long it was."""
+"""One bin per microsecond. The last bin counts all longer times; `longest` is exact."""
 
 
 class Histogram:
-    """Durations in ns."""
+    """Counts of durations [ns]."""
 
     def __init__(self) -> None:
         self._counts = [0] * BINS
@@ -27,12 +27,12 @@ class Histogram:
         self._counts[index if 0 <= index < BINS else (0 if index < 0 else BINS - 1)] += 1
 
     def take_recent(self) -> float:
-        """The longest since the last call [us]."""
+        """Return the longest duration since the last call [us]."""
         recent, self._recent = self._recent, 0
         return recent / 1000.0
 
     def quantile(self, share: float) -> float:
-        """[us], to the microsecond (its upper edge); 0 if nothing was counted."""
+        """Return a quantile [us] as the upper edge of its bin; 0 if the histogram is empty."""
         wanted, seen = share * self.count, 0
         for index, count in enumerate(self._counts):
             seen += count

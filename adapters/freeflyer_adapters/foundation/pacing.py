@@ -1,4 +1,4 @@
-"""Real time: what the system grants the loop, and waiting for absolute deadlines."""
+"""Real-time scheduling of the process, and waiting for absolute deadlines."""
 
 from __future__ import annotations
 
@@ -14,23 +14,26 @@ from freeflyer_adapters.foundation.histogram import Histogram
 PR_SET_TIMERSLACK = 29
 MCL_CURRENT, MCL_FUTURE = 1, 2
 LINK_PRIORITY, LOOP_PRIORITY = 20, 40
-"""SCHED_FIFO priorities: of the threads that the links start (they inherit it), and of the loop itself."""
+"""SCHED_FIFO priorities: of the threads of the links, which inherit it, and of the loop."""
 
 
 def prepare_links(real_time: bool) -> None:
-    """Before devices open their links: threads started from now on are scheduled above everything ordinary, where permitted."""
+    """Set the real-time priority that the threads of the links inherit, if permitted.
+
+    Call it before devices open their links.
+    """
     if real_time:
         with suppress(OSError, AttributeError):
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(LINK_PRIORITY))
 
 
 def enter_real_time(real_time: bool) -> list[str]:
-    """Ask for everything that helps; one phrase for each thing granted or refused."""
+    """Request SCHED_FIFO, locked memory and a short timer slack. Return one phrase for each."""
     return [_scheduler(real_time), _memory(real_time), _timer_slack()]
 
 
 def leave_real_time() -> None:
-    """An ordinary process again: with its memory locked, every large allocation would be paid for in full."""
+    """Restore ordinary scheduling, and unlock the memory because it makes allocations slow."""
     with suppress(OSError, AttributeError):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     with suppress(OSError, AttributeError):
@@ -39,7 +42,7 @@ def leave_real_time() -> None:
 
 def _scheduler(real_time: bool) -> str:
     if not real_time:
-        return "ordinary scheduling (as asked)"
+        return "ordinary scheduling (as requested)"
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(LOOP_PRIORITY))
     except (OSError, AttributeError) as error:
@@ -49,7 +52,7 @@ def _scheduler(real_time: bool) -> str:
 
 def _memory(real_time: bool) -> str:
     if not real_time:
-        return "memory not locked (as asked)"
+        return "memory not locked (as requested)"
     try:
         failed = ctypes.CDLL(None, use_errno=True).mlockall(MCL_CURRENT | MCL_FUTURE)
     except (OSError, AttributeError):
@@ -62,12 +65,12 @@ def _timer_slack() -> str:
         failed = ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, 1, 0, 0, 0)
     except (OSError, AttributeError):
         failed = -1
-    return "timer slack as it was" if failed else "timer slack 1 ns"
+    return "timer slack unchanged" if failed else "timer slack 1 ns"
 
 
 @contextmanager
 def no_collection() -> Iterator[None]:
-    """No garbage collection while the loop runs."""
+    """Disable the garbage collection while the loop runs."""
     gc.collect()
     gc.freeze()
     gc.disable()
@@ -79,8 +82,10 @@ def no_collection() -> Iterator[None]:
 
 
 class Pacer:
-    """Waits for t0 + k * period. A process that was held up longer than a period starts its count anew there, and says how often:
-    it never hurries after deadlines that are gone.
+    """Waits for the deadlines t0 + k * period.
+
+    After a delay longer than one period, t0 is reset to the present time. So missed deadlines are
+    skipped, and not executed in quick succession. `overruns` counts these resets.
     """
 
     def __init__(self, period: int) -> None:
@@ -88,12 +93,12 @@ class Pacer:
         self.overruns = 0
         self.lateness = Histogram()
         self.late = 0
-        """At the last waking up [ns]."""
+        """Lateness at the last wake-up [ns]."""
         self._deadline = 0
         self._environment = environment.present()
 
     def wait(self) -> int:
-        """Returns the time of waking up [ns of CLOCK_MONOTONIC]."""
+        """Wait for the next deadline. Return the time of wake-up [ns of CLOCK_MONOTONIC]."""
         now = self._environment.monotonic_ns()
         if not self._deadline:
             self._deadline = now

@@ -1,4 +1,7 @@
-"""Poses as the loop needs them in every cycle: plain floating point, a tenth of the time of SciPy's rotations (tested against them)."""
+"""Rotations and pose distances in plain floating point, for use in every cycle.
+
+They take a tenth of the time of SciPy's rotations, with which the tests compare them.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ from freeflyer.fmi.component import Array
 
 
 def rotated(orientation: Array, vector: Array, *, back: bool = False) -> tuple[float, float, float]:
-    """R(q) v, or R(q)' v: `orientation` (4, xyzw) of norm one, `vector` (3)."""
+    """Return R(q) v, or R(q)' v with `back`. `orientation` is a unit quaternion (4, xyzw)."""
     x, y, z, w = orientation.tolist()
     a, b, c = vector.tolist()
     if back:
@@ -20,7 +23,7 @@ def rotated(orientation: Array, vector: Array, *, back: bool = False) -> tuple[f
 
 
 def twist_rotated(orientation: Array, twist: Array, *, back: bool = False) -> Array:
-    """Both halves of a twist (6), rotated alike."""
+    """Return a twist (6) with the linear and the angular part rotated by `rotated`."""
     return np.array(
         [*rotated(orientation, twist[:3], back=back), *rotated(orientation, twist[3:], back=back)]
     )
@@ -29,7 +32,10 @@ def twist_rotated(orientation: Array, twist: Array, *, back: bool = False) -> Ar
 def distance(
     position: Array, orientation: Array, other_position: Array, other_orientation: Array
 ) -> tuple[float, float]:
-    """Between two poses: [m] and [rad]. By the chord between unit quaternions, which is exact near zero."""
+    """Return distance [m] and angle [rad] between two poses.
+
+    The angle is from the chord between unit quaternions, which is accurate near zero.
+    """
     gap = position - other_position
     q = orientation / math.sqrt(orientation @ orientation)
     r = other_orientation / math.sqrt(other_orientation @ other_orientation)

@@ -1,4 +1,4 @@
-"""Directories that only their user may enter: for sockets, rings and files that nobody else may put there or read."""
+"""Private directories for sockets, rings and files, without access for other users."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 def made(path: Path) -> str | None:
-    """Make it (mode 0700) unless it is there; why it must not be used, in one sentence, or None."""
+    """Make a directory (mode 0700) unless it exists. Return why it must not be used, or None."""
     try:
         path.mkdir(mode=0o700, exist_ok=True)
         state = path.lstat()

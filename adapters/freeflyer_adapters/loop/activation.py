@@ -1,4 +1,4 @@
-"""The activation of a run's devices: the one path by which a run gives them power."""
+"""The activation of all devices of a run. No other code enables their power."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from freeflyer_adapters.device.device import Device, SafeStop
 
 
 def guarded(device: Device, call: Callable[[], object]) -> None:
-    """Call a driver. SafeStop for whatever it raises in its own way, so that what was recorded is kept."""
+    """Call a driver. Raises its other exceptions as SafeStop, so that the recording is kept."""
     try:
         call()
     except (StepFailed, CosimError):
@@ -20,12 +20,12 @@ def guarded(device: Device, call: Callable[[], object]) -> None:
 
 
 def clocks_first(devices: Sequence[Device]) -> list[Device]:
-    """The order in which devices are written: the arm waits for its answer."""
+    """Return the devices in the order of writing: the clock first, as the arm waits for it."""
     return sorted(devices, key=lambda device: not device.is_clock)
 
 
 def prepare(devices: Sequence[Device]) -> None:
-    """Check every start pose, then prepare every device; nothing gets power. Raises DeviceError."""
+    """Check all start poses, then prepare all devices without power. Raises DeviceError."""
     for device in clocks_first(devices):
         guarded(device, device.check_start)
     for device in clocks_first(devices):
@@ -33,9 +33,10 @@ def prepare(devices: Sequence[Device]) -> None:
 
 
 def activate(devices: Sequence[Device], is_interrupted: Callable[[], bool]) -> bool:
-    """Activate all, the arm last: from then on it waits for its commands. False if the user has interrupted.
+    """Activate all devices. Return False if the user has interrupted.
 
-    Raises DeviceError, or SafeStop if a driver fails.
+    The arm is last, because it needs commands as soon as it is active. Raises DeviceError, or
+    SafeStop if a driver fails.
     """
 
     def meanwhile() -> bool:

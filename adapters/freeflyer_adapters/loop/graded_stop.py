@@ -1,4 +1,4 @@
-"""The graded stop: every device is brought to rest under its own clock, whatever ended the loop."""
+"""The graded stop: brings every device to rest after any end of the loop."""
 
 from __future__ import annotations
 
@@ -10,40 +10,43 @@ from freeflyer_adapters.foundation import environment
 from freeflyer_adapters.foundation.pacing import Pacer
 
 LONGEST_STOP = 5.0
-"""After so long [s] the graded stop is given up, and the devices are left to their own watchdogs."""
+"""Timeout of the graded stop [s]. After it, only the watchdogs of the devices can stop them."""
 NOTHING_ACTIVE = "nothing was active"
 
 
 def stop(devices: Sequence[Device], period: int, reason: str, *, orderly: bool) -> str:
-    """Bring every active device to rest, and close all; returns how they were left. `orderly`: nothing has failed.
+    """Bring all active devices to rest and close all devices. Return a sentence about the result.
 
-    First of all every device loses its permit: from then on nothing is sent but what lowers.
+    `period` [ns] is the step without an active clock device. `orderly` means that nothing failed.
     """
+    # Without permits, only commands that reduce motion can be sent.
     for device in devices:
         with suppress(Exception):
             device.revoke(reason)
-    # Also a device whose activation was given up half-way must be seen to come to rest.
+    # A device with an incomplete activation must be brought to rest as well.
     active = [
         device
         for device in devices
         if device.state.now is LifeCycle.active or device.may_have_power
     ]
+    # Ramp down all active devices together. A clock device sets the pace by itself.
     now = environment.present().monotonic
-    begin = now()
+    start = now()
     pacer = None if any(device.is_clock for device in active) else Pacer(period)
     going = list(active)
     broken: list[Device] = []
-    while going and now() - begin < LONGEST_STOP:
+    while going and now() - start < LONGEST_STOP:
         if pacer is not None:
             pacer.wait()
-        elapsed = now() - begin
-        # A device that is done goes on holding until all are.
+        elapsed = now() - start
+        # A device that has finished keeps holding until all have finished.
         done = [_ramped(device, elapsed, broken) for device in active]
         going = [device for device, is_done in zip(active, done, strict=True) if not is_done]
-    took = now() - begin
+    took = now() - start
     unsure = [device.name for device in active if device in broken or not device.at_rest]
     for device in devices:
-        with suppress(Exception):  # one that fails even now must not keep the others from their end
+        # A failing device must not prevent the deactivation of the others.
+        with suppress(Exception):
             if device in active and (not orderly or device.name in unsure):
                 device.on_error(reason)
             device.deactivate()
@@ -55,7 +58,7 @@ def stop(devices: Sequence[Device], period: int, reason: str, *, orderly: bool) 
 
 
 def _ramped(device: Device, elapsed: float, broken: list[Device]) -> bool:
-    """Whether the device is done; one whose driver fails is left alone from then on."""
+    """Ramp down one device. Return True if it has finished or its driver has failed (`broken`)."""
     if device in broken:
         return True
     try:

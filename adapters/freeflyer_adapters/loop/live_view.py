@@ -1,6 +1,6 @@
-"""The live terminal view of a running loop, drawn by another process from a small piece of shared memory.
+"""The live terminal view of a running loop, in a separate process that reads shared memory.
 
-The loop only copies numbers into a memory-mapped file; whether anybody reads them, or how fast, does not touch it.
+The loop only copies numbers into a memory-mapped file. The reader cannot block or delay it.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from freeflyer_adapters.device.device import STATE, LifeCycle
 SEQUENCE = struct.Struct("=Q")
 HEADER = struct.Struct("=I")
 PERIOD = 0.2
-"""Between two pictures [s]."""
+"""Refresh period of the view [s]."""
 
 
 class LiveValues:
-    """The loop's side: names once, numbers whenever it likes."""
+    """The writer, in the loop: names are written once, values at any time."""
 
     def __init__(self, title: str, names: Sequence[str]) -> None:
         self.names = tuple(names)
@@ -42,7 +42,7 @@ class LiveValues:
         handle, path = tempfile.mkstemp(prefix="freeflyer-view-")
         self.path = Path(path)
         size = self._first + SEQUENCE.size + self._values.size
-        # Space for every byte: on a full disk, a write into memory that has none would end the process.
+        # Allocate the space: on a full disk, a write to unallocated mapped memory raises SIGBUS.
         os.posix_fallocate(handle, 0, size) if hasattr(os, "posix_fallocate") else os.write(
             handle, bytes(size)
         )
@@ -60,7 +60,10 @@ class LiveValues:
         )
 
     def write(self, values: Sequence[float]) -> None:
-        """An odd sequence number says that numbers are being written. Never an error: nobody stops a loop for its picture."""
+        """Write all values (seqlock: the sequence number is odd during the write).
+
+        A wrong number of values is ignored: the view must not stop the loop.
+        """
         if len(values) != len(self.names):
             return
         self._sequence += 2
@@ -70,7 +73,7 @@ class LiveValues:
         SEQUENCE.pack_into(self._memory, place, self._sequence)
 
     def end(self) -> None:
-        """End the picture; waits for half a second at most."""
+        """Terminate the viewer. Waits for at most 0.5 s."""
         if self.viewer is not None:
             self.viewer.terminate()
             with suppress(subprocess.TimeoutExpired):
@@ -89,7 +92,7 @@ class LiveValues:
 
 
 class LiveReader:
-    """The viewer's side."""
+    """The reader, in the process of the viewer."""
 
     def __init__(self, path: Path) -> None:
         with path.open("rb") as file:
@@ -105,7 +108,7 @@ class LiveReader:
         self._values = struct.Struct(f"={len(self.names)}d")
 
     def read(self) -> Mapping[str, float]:
-        """One consistent set of numbers; empty before the first."""
+        """Return one consistent set of values; empty before the first `write`."""
         for _ in range(100):
             (before,) = SEQUENCE.unpack_from(self._memory, self._first)
             values = self._values.unpack_from(self._memory, self._first + SEQUENCE.size)
@@ -130,8 +133,8 @@ def picture(title: str, values: Mapping[str, float]) -> Table:
 
 
 def main(path: str) -> None:
-    """Until the loop has gone, or ends this process."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the loop's
+    """Show the view until the process of the loop ends, or terminates this process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the loop handles Ctrl-C
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     reader = LiveReader(Path(path))
     with Live(console=Console(), auto_refresh=False, transient=True) as live:

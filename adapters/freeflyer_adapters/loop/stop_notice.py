@@ -1,4 +1,7 @@
-"""The reason of a stop, before any other file work: on standard output, in a file whose space was reserved, in the system log."""
+"""Output of the reason of a stop to standard output, a preallocated file and the system log.
+
+It precedes all other file output of a run.
+"""
 
 from __future__ import annotations
 
@@ -21,20 +24,20 @@ from freeflyer_adapters.foundation import environment
 
 NAME = "stop.json"
 SIZE = 4096
-"""[bytes] of stop.json, whatever it says: overwriting it needs no room."""
+"""Constant size of stop.json [bytes]: overwriting it needs no disk space."""
 LONGEST = {"scenario": 256, "reason": 2400, "left": 1000}
-"""[bytes] of JSON; the other members need less than 300."""
+"""Limits of these members in JSON [bytes]; the other members need less than 300."""
 LONGEST_MESSAGE = 2048
-"""[bytes] that every receiver of a system log should take (RFC 5424, 6.1)."""
+"""Size that every receiver of a system log should accept [bytes] (RFC 5424, 6.1)."""
 PATIENCE = 1.0
-"""After so long [s], a terminal or pipe that takes nothing comes last."""
+"""Time to wait for a blocked terminal or pipe [s]. After it, standard output is written last."""
 
 
 class StopNotice:
-    """Where the reason of a stop goes first: standard output, DIR/stop.json, and the system log if asked for."""
+    """The outputs of the reason of a stop: standard output, DIR/stop.json and the system log."""
 
     problems: list[str]
-    """One sentence for each place that did not take it, to be printed afterwards."""
+    """One sentence for each output that failed, to be printed afterwards."""
 
     def __init__(
         self,
@@ -42,11 +45,14 @@ class StopNotice:
         directory: Path | None,
         log_to: str | None,
         scenario: str,
-        say: Callable[[str], None],
+        show: Callable[[str], None],
     ) -> None:
-        """Open every place. Raises DeviceError for `log_to`, OutputError where stop.json cannot be reserved (exit code 2)."""
+        """Open all outputs. `show` prints a line on standard output.
+
+        Raises DeviceError for `log_to`, or OutputError (exit code 2) without space for stop.json.
+        """
         self.problems = []
-        self._environment, self._say, self._given = environment.present(), say, False
+        self._environment, self._show, self._given = environment.present(), show, False
         self._started = self._environment.monotonic_ns()
         self._fields: dict[str, Any] = {
             "scenario": _cut(one_line(scenario), LONGEST["scenario"]),
@@ -70,13 +76,15 @@ class StopNotice:
             raise
 
     def give(self, reason: str, left: str, *, orderly: bool, quiet: bool = False) -> None:
-        """Put it everywhere, once (`quiet`: not on standard output); nothing that a disk, a terminal or a socket does raises or keeps it from the other places.
+        """Write the reason to all outputs. Only the first call has an effect.
 
-        A terminal or pipe that takes nothing comes last, and may block then.
+        With `quiet`, standard output is left out. A failing output does not raise and does not
+        affect the others. A blocked terminal or pipe is written last, and may block this call.
         """
         if self._given:
             return
         self._given = True
+        # Complete the document.
         stopped_ns, after_s = (
             self._environment.time_ns(),
             (self._environment.monotonic_ns() - self._started) * 1e-9,
@@ -93,20 +101,21 @@ class StopNotice:
             "stopped_ns": stopped_ns,
             "after_s": after_s,
         }
-        at_once = quiet or _takes(sentence)
-        if at_once and not quiet:
+        # Standard output is first, unless it would block.
+        is_writable = quiet or _is_writable(sentence)
+        if is_writable and not quiet:
             self._put("standard output", lambda: self._print(sentence))
-        # The log before the file: it never blocks, but a dying disk may.
+        # The log precedes the file, because it never blocks. A failing disk may.
         if (log := self._log) is not None:
             priority = SysLogHandler.LOG_NOTICE if orderly else SysLogHandler.LOG_WARNING
             self._put(f"the system log at {log.name!r}", lambda: log.send(sentence, priority))
         if (file := self._file) is not None:
             self._put(str(self._path), lambda: _overwrite(file, _document(self._fields)))
-        if not at_once:
+        if not is_writable:
             self._put("standard output", lambda: self._print(sentence))
 
     def close(self) -> None:
-        """Close what is open; it may be called again."""
+        """Close all outputs. May be called repeatedly."""
         if self._log is not None:
             self._log.close()
         if self._file is not None:
@@ -117,30 +126,30 @@ class StopNotice:
     def _put(self, place: str, put: Callable[[], None]) -> None:
         try:
             put()
-        except (
-            Exception,
-            SystemExit,
-        ) as error:  # a console may make anything of a terminal that is gone
-            self.problems.append(f"{place} did not take the reason of the stop: {_told(error)}")
+        # A console may raise SystemExit without a terminal.
+        except (Exception, SystemExit) as error:
+            self.problems.append(f"{place} did not take the reason of the stop: {_message(error)}")
 
     def _print(self, sentence: str) -> None:
-        self._say(sentence)
-        print(end="", flush=True)  # a pipe's buffer would keep it until the end
+        self._show(sentence)
+        print(end="", flush=True)  # a pipe is buffered until the end of the process
 
 
 class _SystemLog:
-    """Datagrams to a system log.
+    """A client that sends datagrams to a system log.
 
-    Not by SysLogHandler itself: that connects anew with a socket that blocks, and looks up a host's name for each message.
+    SysLogHandler is not used: it reconnects with a blocking socket and resolves the host name for
+    each message.
     """
 
     def __init__(self, log_to: str) -> None:
-        """Find the address; raises DeviceError."""
+        """Find the address. Raises DeviceError."""
+        # Parse the option.
         expected = "'syslog', 'syslog:PATH' or 'syslog:HOST:PORT' is expected"
-        word, colon, self.name = log_to.partition(":")
-        if word != "syslog":
+        log, colon, self.name = log_to.partition(":")
+        if log != "syslog":
             raise DeviceError(
-                f"--log-to {log_to!r}: there is no log {word!r}; {expected}{did_you_mean(word, ['syslog'])}"
+                f"--log-to {log_to!r}: there is no log {log!r}; {expected}{did_you_mean(log, ['syslog'])}"
             )
         if not colon:
             self.name = "/dev/log"
@@ -150,8 +159,9 @@ class _SystemLog:
             host and port.isascii() and port.isdecimal() and len(port) < 6 and 0 < int(port) < 65536
         ):
             raise DeviceError(
-                f"--log-to {log_to!r}: that is no path, and not HOST:PORT with a port of 1 to 65535; {expected}"
+                f"--log-to {log_to!r}: this is not a path, and not HOST:PORT with a port of 1 to 65535; {expected}"
             )
+        # Check the address: a Unix socket must exist, and a host name must resolve.
         family: int = socket.AF_UNIX
         self._address: Any = self.name
         try:
@@ -164,19 +174,19 @@ class _SystemLog:
                 )
                 family, *_, self._address = found[0]
             self._socket = socket.socket(family, socket.SOCK_DGRAM)
-        except (OSError, ValueError) as error:  # ValueError: no host can have that name
+        except (OSError, ValueError) as error:  # ValueError: not a valid host name
             raise DeviceError(
-                f"--log-to {log_to!r}: no system log takes datagrams at {self.name!r}: {_told(error)}; start one there, or give "
+                f"--log-to {log_to!r}: no system log takes datagrams at {self.name!r}: {_message(error)}; start one there, or give "
                 "another 'syslog:PATH' or 'syslog:HOST:PORT'"
             ) from error
         self._socket.setblocking(False)
 
     def send(self, sentence: str, priority: int) -> None:
-        """Send it without waiting. Raises OSError."""
+        """Send a message without blocking. Raises OSError."""
         message = f"<{SysLogHandler.LOG_DAEMON << 3 | priority}>freeflyer: {sentence}".encode()[
             :LONGEST_MESSAGE
         ]
-        # Not connected: a daemon that was started anew meanwhile has another socket of the same name.
+        # The socket is not connected: a restarted daemon has a new socket of the same name.
         self._socket.sendto(message.decode(errors="ignore").encode(), self._address)
 
     def close(self) -> None:
@@ -184,18 +194,18 @@ class _SystemLog:
 
 
 def check_log_to(text: str) -> None:
-    """Raise DeviceError, in one sentence, for an option that names no system log."""
+    """Raise DeviceError if the option `--log-to` is not valid, or if the log is not available."""
     _SystemLog(text).close()
 
 
 def one_line(text: str) -> str:
-    """Return it without line ends and control characters; what is no UTF-8 is spelled out."""
+    """Return `text` without line ends and control characters; invalid UTF-8 is escaped."""
     visible = text.encode(errors="backslashreplace").decode()
     return " ".join("".join(c if c.isprintable() else " " for c in visible).split())
 
 
 def _cut(text: str, size: int) -> str:
-    """Return as much of its begin as `size` [bytes] of JSON have room for."""
+    """Return `text` cut to `size` [bytes] of JSON."""
     whole, text = text, text[:size]
     while (
         excess := len(json.dumps(text + "..." * (text != whole), ensure_ascii=False).encode())
@@ -216,7 +226,7 @@ def _reserved(path: Path, document: bytes) -> int:
     file = -1
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        # A new file beside it, moved there: a link or FIFO of either name is replaced, not opened.
+        # A new file is renamed: an existing link or FIFO of this name is replaced, not opened.
         partial.unlink(missing_ok=True)
         file = os.open(partial, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
         if hasattr(os, "posix_fallocate"):
@@ -231,22 +241,22 @@ def _reserved(path: Path, document: bytes) -> int:
             with suppress(OSError):
                 partial.unlink()
         failure = OutputError(
-            f"{path} cannot be reserved for the reason of a stop: {_told(error)}; a directory with {SIZE} bytes of room is "
-            "expected: make room, or give another"
+            f"{path} cannot be reserved for the reason of a stop: {_message(error)}; a directory with {SIZE} bytes of free space is "
+            "expected: free some space, or give another directory"
         )
         failure.exit_code = BAD_INPUT
         raise failure from error
 
 
 def _overwrite(file: int, document: bytes) -> None:
-    """Put it in the file's place, and on the disk. Raises OSError."""
+    """Overwrite the file and sync it. Raises OSError."""
     if os.pwrite(file, document, 0) != len(document):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     os.fsync(file)
 
 
 def _sync_directory(path: Path) -> None:
-    """Put a file's name on the disk, where the file system can."""
+    """Sync the directory entries, if the file system supports it."""
     with suppress(OSError):
         folder = os.open(path, os.O_RDONLY)
         try:
@@ -255,19 +265,15 @@ def _sync_directory(path: Path) -> None:
             os.close(folder)
 
 
-def _takes(sentence: str) -> bool:
-    """Whether standard output takes it within PATIENCE, as far as can be known."""
+def _is_writable(sentence: str) -> bool:
+    """Return True if standard output can probably be written within PATIENCE."""
     try:
         writable = select.select([], [sys.stdout.fileno()], [], PATIENCE)[1]
-    except (
-        AttributeError,
-        OSError,
-        ValueError,
-    ):  # none, or one without a descriptor: it is no pipe
+    except (AttributeError, OSError, ValueError):  # no standard output, or without a descriptor
         return True
-    # A pipe that is writable has room for so much only.
+    # A writable pipe only has space for PIPE_BUF bytes.
     return bool(writable) and len(sentence.encode()) < select.PIPE_BUF
 
 
-def _told(error: BaseException) -> str:
+def _message(error: BaseException) -> str:
     return one_line(getattr(error, "strerror", None) or str(error) or type(error).__name__)
