@@ -15,7 +15,7 @@ import pytest
 from freeflyer.scenario import scenario
 from freeflyer_adapters import read_recording
 from freeflyer_adapters.loop import hil
-from freeflyer_adapters.recording.client import Recording, Tap
+from freeflyer_adapters.recording.client import Recording, RecordingClient
 
 pytestmark = pytest.mark.benchmark
 SECONDS = 20.0
@@ -40,19 +40,19 @@ def test_cost_of_a_recording_in_the_loop_and_in_the_recorder(
     # Each row is timed in the loop; the recorder is measured at 10 s and near the end.
     took: list[int] = []
     seen: list[tuple[float, float, float]] = []
-    original = Tap.write
+    original = RecordingClient.write
 
-    def timed(self: Tap, k: int) -> None:
+    def timed(self: RecordingClient, k: int) -> None:
         start = time.perf_counter_ns()
         original(self, k)
         took.append(time.perf_counter_ns() - start)
         if k in (10_000, round(SECONDS * 1000) - 100) and self.recorder is not None:
             seen.append((time.monotonic(), processor_time(self.recorder), resident(self.recorder)))
 
-    monkeypatch.setattr(Tap, "write", timed)
+    monkeypatch.setattr(RecordingClient, "write", timed)
     chosen = scenario.load("facility", [f"stop_s={SECONDS}"])
     result, report = hil.run(
-        chosen, simulated=True, recording=Recording(directory=tmp_path), say=lambda text: None
+        chosen, simulated=True, recording=Recording(directory=tmp_path), show=lambda text: None
     )
     # Nothing is lost.
     assert result.as_expected

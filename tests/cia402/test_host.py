@@ -491,7 +491,7 @@ def test_lost_tpdos_are_counted_and_too_many_stop_the_loop(
         bench.drive_end.dropped = {0x187}
         stopped(
             bench,
-            "5 cycles in a row were lost, 5 are one too many (TPDOs of arm, cycles of 0.004 s); no TPDO from node 7",
+            "5 cycles in a row were lost, the limit is 5 (TPDOs of arm, cycles of 0.004 s); no TPDO from node 7",
         )
 
 

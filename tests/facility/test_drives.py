@@ -86,7 +86,7 @@ def run(
     channel: str, *settings: str, simulated: bool = False
 ) -> tuple[experiment.Result, hil.LoopReport]:
     chosen = scenario.load(SCENARIO, [f'devices.arm_drive.channel="{channel}"', *settings])
-    return hil.run(chosen, real_time=False, simulated=simulated, say=lambda text: None)
+    return hil.run(chosen, real_time=False, simulated=simulated, show=lambda text: None)
 
 
 def test_a_missing_drive_is_reported(bench: Rig) -> None:
@@ -108,4 +108,4 @@ def test_classic_can_at_1_ms_is_rejected_with_its_bus_load(bench: Rig) -> None:
 def test_the_scenario_runs_with_simulated_devices_at_wall_clock_rate(bench: Rig) -> None:
     result, report = run(bench.channel, "stop_s=0.4", simulated=True)
     assert result.as_expected
-    assert report.stop.startswith("the scenario is over; all devices were brought to rest")
+    assert report.stop.startswith("scenario finished; all devices were brought to rest")

@@ -148,7 +148,7 @@ def test_an_invalid_setting_is_rejected(
         (("hil", "nothing"), "there is no scenario 'nothing'"),
         (
             ("hil", "facility", "--set", "exchange=parallel"),
-            "a device answers at its instant; 'sequential' is expected",
+            "a device responds within the same instant; 'sequential' is expected",
         ),
     ],
 )

@@ -23,7 +23,7 @@ from freeflyer_adapters.device.simulated import SimulatedDevice
 from freeflyer_adapters.loop import graded_stop, hil
 from freeflyer_adapters.loop.live_view import LiveValues
 from freeflyer_adapters.loop.stop_notice import StopNotice
-from freeflyer_adapters.recording.client import Tap
+from freeflyer_adapters.recording.client import RecordingClient
 
 
 def loaded(folder: Path, text: str = "", overrides: tuple[str, ...] = ("stop_s=0.5",)) -> Scenario:
@@ -33,7 +33,7 @@ def loaded(folder: Path, text: str = "", overrides: tuple[str, ...] = ("stop_s=0
 
 
 def run(chosen: Scenario) -> tuple[Any, str]:
-    result, report = hil.run(chosen, real_time=False, simulated=True, say=lambda text: None)
+    result, report = hil.run(chosen, real_time=False, simulated=True, show=lambda text: None)
     return result, report.stop
 
 
@@ -49,7 +49,7 @@ def test_simulated_devices_match_the_simulation(tmp_path: Path) -> None:
     ):
         # Not exactly equal: a device has no torque before its first command.
         assert np.abs(there.outcome.record[name] - here.outcome.record[name]).max() < 1e-5, name
-    assert stop.startswith("the scenario is over; all devices were brought to rest")
+    assert stop.startswith("scenario finished; all devices were brought to rest")
 
 
 @pytest.mark.parametrize(
@@ -97,7 +97,7 @@ def test_energy_below_its_bound_stops_the_loop_only_after_the_given_time(tmp_pat
 def test_a_torque_beyond_the_limit_is_clipped_and_counted(tmp_path: Path) -> None:
     text = "[components.arm_drive.parameters]\ntorque_rate_limit = 0.5"
     result, report = hil.run(
-        loaded(tmp_path, text), real_time=False, simulated=True, say=lambda text: None
+        loaded(tmp_path, text), real_time=False, simulated=True, show=lambda text: None
     )
     assert result.as_expected
     assert report.devices["arm_drive"]["torque_rate_limit_acted"] > 0
@@ -115,7 +115,7 @@ def test_a_failed_controller_stops_the_arm_in_order(tmp_path: Path) -> None:
 def test_the_live_view_continues_when_a_limit_starts_to_clip(tmp_path: Path) -> None:
     text = "[components.arm_drive.parameters]\ntorque_rate_limit = 0.5"
     result, report = hil.run(
-        loaded(tmp_path, text), real_time=False, simulated=True, view=True, say=lambda text: None
+        loaded(tmp_path, text), real_time=False, simulated=True, view=True, show=lambda text: None
     )
     assert result.as_expected
     assert report.devices["arm_drive"]["torque_rate_limit_acted"] > 0
@@ -135,7 +135,7 @@ def test_the_viewer_of_a_real_time_loop_has_ordinary_priority(
 
     monkeypatch.setattr(LiveValues, "show", watched)
     result, _ = hil.run(
-        loaded(tmp_path), real_time=True, simulated=True, view=True, say=lambda text: None
+        loaded(tmp_path), real_time=True, simulated=True, view=True, show=lambda text: None
     )
     assert result.as_expected
     assert policies == [os.SCHED_OTHER]
@@ -183,7 +183,7 @@ def test_the_reason_precedes_all_files_and_is_sent_to_the_system_log(
 
     monkeypatch.setattr(hil, "stop", noted("devices stopped", hil.stop))
     monkeypatch.setattr(StopNotice, "give", noted("reason given", StopNotice.give))
-    monkeypatch.setattr(Tap, "close", noted("recording closed", Tap.close))
+    monkeypatch.setattr(RecordingClient, "close", noted("recording closed", RecordingClient.close))
     monkeypatch.setattr(experiment, "write", noted("results written", experiment.write))
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as log:
         log.bind(str(tmp_path / "log"))
@@ -200,11 +200,11 @@ def test_the_reason_precedes_all_files_and_is_sent_to_the_system_log(
             str(out),
         )
         assert command.call((*arguments, "--log-to", f"syslog:{tmp_path / 'log'}")) == 0
-        assert b"Stop: the scenario is over; all devices were brought to rest" in log.recv(4096)
+        assert b"Stop: scenario finished; all devices were brought to rest" in log.recv(4096)
     assert done == ["devices stopped", "reason given", "recording closed", "results written"]
     written = json.loads((out / "stop.json").read_text())
     assert written["stopped"] is True
-    assert written["reason"] == "the scenario is over"
+    assert written["reason"] == "scenario finished"
 
 
 def test_an_invalid_log_is_rejected_before_a_device_is_opened(

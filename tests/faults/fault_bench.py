@@ -168,7 +168,7 @@ def run(chosen: Scenario) -> Observed:
 
         hil.stop = noted_stop
         try:
-            seen.result, seen.report = hil.run(chosen, real_time=False, say=lambda text: None)
+            seen.result, seen.report = hil.run(chosen, real_time=False, show=lambda text: None)
         except hil.CosimError as error:
             seen.error = str(error)
         finally:
@@ -245,7 +245,7 @@ def _spy(
 def assert_safe(seen: Observed) -> None:
     """What holds whatever the faults were."""
     assert not PROGRAM_ERROR.search(seen.stop), seen.stop
-    assert "no transition" not in seen.stop
+    assert "not a transition" not in seen.stop
     frames = ArmFrames(FrameMapping(), JOINTS)
     _assert_nothing_corrupted_was_used(seen, frames)
     _assert_commands_within_limits(seen, frames)

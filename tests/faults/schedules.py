@@ -20,7 +20,7 @@ WITHIN = 0.2
 RAMP = 0.05
 """[s] of both ends' ramp-down, so that more schedules fit into an hour."""
 HOW = (
-    ("went on", "the scenario is over"),
+    ("went on", "scenario finished"),
     ("the arm's watchdog", "the arm went to safe_stop by itself"),
     ("the arm's own fault", "the arm went to fault by itself"),
     ("lost state frames", "(state frames of arm_drive"),

@@ -39,7 +39,7 @@ def test_a_fault_of_the_drives_stops_the_loop_and_ends_with_brakes(
     fault = {"kind": kind, "device": "arm_drive", "begin_s": BEGIN, **how}
     chosen = replace(chosen, facility={**chosen.facility, "faults": [fault]})
     with accelerated(chosen) as both:
-        result, report = hil.run(chosen, real_time=False, say=lambda text: None)
+        result, report = hil.run(chosen, real_time=False, show=lambda text: None)
         arm = both.facility.devices[0]
         assert isinstance(arm, VirtualCia402)
         logic = arm.logic

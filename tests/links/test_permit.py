@@ -63,7 +63,7 @@ def test_a_gap_up_to_the_watchdog_is_allowed() -> None:
     assert not made.allows(START + WATCHDOG + 1)
     assert made.was_held_up
     assert made.lost == (
-        "the loop was held up for 0.004 s, longer than the watchdog of arm (0.004 s), which has stopped by then"
+        "the loop was held up for 0.004 s, longer than the watchdog of arm (0.004 s); the device has stopped"
     )
 
 

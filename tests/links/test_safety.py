@@ -260,7 +260,7 @@ def test_only_transitions_in_the_table_are_accepted(wanted: list[LifeCycle]) -> 
             state.to(following)
             assert state.now is following
         else:
-            with pytest.raises(RuntimeError, match="no transition"):
+            with pytest.raises(RuntimeError, match="not a transition"):
                 state.to(following)
             assert state.now is before
 

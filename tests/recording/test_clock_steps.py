@@ -20,7 +20,7 @@ from freeflyer_adapters import read_recording
 from freeflyer_adapters.facility.virtual_time import VirtualTime
 from freeflyer_adapters.foundation import environment
 from freeflyer_adapters.foundation.environment import Environment
-from freeflyer_adapters.recording.client import Tap
+from freeflyer_adapters.recording.client import RecordingClient
 from freeflyer_adapters.recording.recorder import Recorder, Written
 from freeflyer_adapters.recording.rescue import rescue
 from freeflyer_adapters.recording.ring import RingReader, RingWriter
@@ -135,7 +135,7 @@ def test_with_a_dead_recorder_the_loop_names_the_step(
 ) -> None:
     clocks = SetBack()
 
-    def set_back(tap: Tap) -> None:
+    def set_back(client: RecordingClient) -> None:
         clocks.set_by = -SECOND
 
     with (

@@ -62,10 +62,10 @@ def test_a_killed_recorder_costs_the_end_of_the_recording_and_the_loop_writes_it
         os.kill(made.recorder, signal.SIGKILL)
         said = made.finish()
     assert made.process.returncode == 0
-    assert "the recorder did not live to the end" in said
+    assert "the recorder ended early" in said
     (flight,) = map(read_recording, flights(tmp_path))
     assert flight["instant"].iloc[-1] == 2000
-    assert flight.attrs["stop"]["reason"].startswith("the scenario is over")
+    assert flight.attrs["stop"]["reason"].startswith("scenario finished")
     done = recover(tmp_path / "recording.mcap")
     assert done.path is not None
     frame = read_recording(done.path)

@@ -21,7 +21,7 @@ from freeflyer.foundation.errors import OutputError
 from freeflyer.scenario import scenario
 from freeflyer_adapters import read_recording
 from freeflyer_adapters.loop import hil
-from freeflyer_adapters.recording.client import Recording, Tap
+from freeflyer_adapters.recording.client import Recording, RecordingClient
 from freeflyer_adapters.recording.recorder import Recorder
 from freeflyer_adapters.recording.recording_file import FLIGHT_SECONDS
 from freeflyer_adapters.recording.recover import recover
@@ -40,7 +40,10 @@ def run(
     out = folder / "out"
     out.mkdir(exist_ok=True)
     result, report = hil.run(
-        chosen, simulated=True, recording=Recording(directory=out, **options), say=lambda text: None
+        chosen,
+        simulated=True,
+        recording=Recording(directory=out, **options),
+        show=lambda text: None,
     )
     assert report.recording is not None
     return result, dict(report.recording)
@@ -84,7 +87,7 @@ def test_the_flight_recording_has_the_last_two_seconds_of_every_signal(
     )
     assert np.array_equal(flight.to_numpy(), frame[flight.columns].tail(len(flight)).to_numpy())
     assert flight.attrs["stop"]["reason"].startswith(
-        "the scenario is over; all devices were brought to rest"
+        "scenario finished; all devices were brought to rest"
     )
     assert flight.attrs["stop"]["rows lost by the recorder"] == "0"
 
@@ -170,24 +173,24 @@ def test_an_unfinished_recording_of_an_earlier_run_is_not_written_over(
 
 @contextlib.contextmanager
 def while_it_runs(
-    monkeypatch: pytest.MonkeyPatch, acts: dict[int, Callable[[Tap], object]]
+    monkeypatch: pytest.MonkeyPatch, acts: dict[int, Callable[[RecordingClient], object]]
 ) -> Iterator[None]:
-    """Calls `acts[k](tap)` at instant k."""
-    original = Tap.write
+    """Calls `acts[k](client)` at instant k."""
+    original = RecordingClient.write
 
-    def write(self: Tap, k: int) -> None:
+    def write(self: RecordingClient, k: int) -> None:
         original(self, k)
         if k in acts:
             acts[k](self)
 
-    monkeypatch.setattr(Tap, "write", write)
+    monkeypatch.setattr(RecordingClient, "write", write)
     yield
 
 
-def signalled(number: int) -> Callable[[Tap], None]:
-    def act(tap: Tap) -> None:
-        assert tap.recorder is not None
-        os.kill(tap.recorder, number)
+def signalled(number: int) -> Callable[[RecordingClient], None]:
+    def act(client: RecordingClient) -> None:
+        assert client.recorder is not None
+        os.kill(client.recorder, number)
 
     return act
 
@@ -199,7 +202,7 @@ def test_a_vanished_directory_is_told_and_the_loop_goes_on(
     monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    with while_it_runs(monkeypatch, {300: lambda tap: shutil.rmtree(tmp_path / "out")}):
+    with while_it_runs(monkeypatch, {300: lambda client: shutil.rmtree(tmp_path / "out")}):
         result, recording = run(tmp_path, stop=0.8)
     assert result.as_expected
     assert result.outcome.simulated == 0.8
@@ -222,9 +225,9 @@ def test_a_full_disk_is_told_once_and_what_was_written_is_kept(
 ) -> None:
     """The recorder's files may not grow beyond half a megabyte."""
 
-    def fill(tap: Tap) -> None:
-        assert tap.recorder is not None
-        resource.prlimit(tap.recorder, resource.RLIMIT_FSIZE, (500_000, resource.RLIM_INFINITY))
+    def fill(client: RecordingClient) -> None:
+        assert client.recorder is not None
+        resource.prlimit(client.recorder, resource.RLIMIT_FSIZE, (500_000, resource.RLIM_INFINITY))
 
     def full(*arguments: object) -> None:
         raise OutputError("no room")

@@ -120,7 +120,7 @@ class HilCommand:
                 fmi=arguments.fmi,
                 recording=recording,
                 notice=stop,
-                say=show,
+                show=show,
             )
         # The results are written after the stop.
         for problem in stop.problems:

@@ -1,4 +1,7 @@
-"""A device as a component of the master: its step reads what is measured; its command goes out at the end of the instant."""
+"""Device as a component of the master. Its step reads the measurements.
+
+The loop writes the commands at the end of the instant (`freeflyer_adapters.loop`).
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ from freeflyer_adapters.device.device import Device
 
 
 class DeviceComponent(PythonComponent):
-    """Initialising configures the device; activating it, and writing its command, is the loop's affair (`freeflyer_adapters.loop.hil`)."""
+    """Component of one device. Initialisation configures it; `loop.hil` activates it."""
 
     variable_step = False
 
@@ -22,7 +25,7 @@ class DeviceComponent(PythonComponent):
         self.device.read()
 
     def step(self, time: float, size: float) -> None:
-        self.advance(time, size)  # what is measured was checked by the device itself
+        self.advance(time, size)  # the device checks its measurements
 
     def close(self) -> None:
         self.device.deactivate()

@@ -1,9 +1,10 @@
-"""What simulated, virtual and real devices have in common: their life cycle, their calls, and how they fail.
+"""Interface of simulated, virtual and real devices: life cycle, call order and errors.
 
-Calls come in this order: `configure`, `check_start`, `prepare`, `activate`, then `read` and `write` in turn once a cycle, then `revoke` and
-`ramp_down`, at last `deactivate`; `on_error` may come at any time and leaves the device in safe stop or fault. Up to `check_start`, which is
-where `--check` ends, nothing is sent that changes the device. The states and what leads from one to another are those of
-`TRANSITIONS`; both ends of a link (the host's device and the device itself) keep to them.
+The loop calls `configure`, `check_start`, `prepare` and `activate` in this order. It then
+calls `read` and `write` in every cycle, and finally `revoke`, `ramp_down` and `deactivate`. It may
+call `on_error` at any time; the device is then in safe stop or fault. The option `--check` ends
+after `check_start`. Up to this call, no message changes the state of the device. Both ends of a
+link, the host and the device, follow `TRANSITIONS`.
 """
 
 from __future__ import annotations
@@ -18,7 +19,10 @@ from freeflyer_adapters.foundation.histogram import Histogram
 
 
 class LifeCycle(IntEnum):
-    """As ros2_control and KUKA's FRI have it, with safe stop apart from fault: one is left by activating anew, the other by reset."""
+    """Device states, as in ros2_control and KUKA's FRI.
+
+    A new activation leaves safe stop. Only a reset leaves fault.
+    """
 
     unconfigured = 0
     inactive = 1
@@ -37,116 +41,133 @@ TRANSITIONS: Mapping[LifeCycle, frozenset[LifeCycle]] = {
 
 
 STATE = ": state"
-"""A reported number whose name ends so is a state of the life cycle."""
+"""Suffix of the names of reported numbers that are life cycle states."""
 SIMULATED = "simulated"
-"""The kind of a device that is its model in the host's own process."""
+"""Kind of a device whose model runs in the host process."""
 
 
 class DeviceError(CosimError):
-    """A device that cannot be configured or activated; nothing has moved."""
+    """Error of a device that cannot be configured or activated. Nothing has moved."""
 
 
 class SafeStop(StepFailed):
-    """A device, or who watches it, demands a stop: a limit, lost cycles, or the device's own word."""
+    """Request for a stop: a violated limit, lost cycles, or a report of the device."""
 
 
 class State:
-    """A life cycle that refuses a step which `TRANSITIONS` does not have."""
+    """Life cycle state of one device."""
 
     def __init__(self, subject: str) -> None:
         self.subject = subject
         self.now = LifeCycle.unconfigured
 
     def to(self, following: LifeCycle) -> None:
+        """Change the state. Raises RuntimeError for a transition that is not in `TRANSITIONS`."""
         if following == self.now:
             return
         if following not in TRANSITIONS[self.now]:
             raise RuntimeError(
-                f"{self.subject}: {self.now.name} -> {following.name} is no transition of its life cycle"
+                f"{self.subject}: {self.now.name} -> {following.name} is not a transition of its life cycle"
             )
         self.now = following
 
 
 class Device(Protocol):
-    """One arm or base robot as the host sees it."""
+    """Host side of one arm or base robot."""
 
     name: str
     is_clock: bool
-    """Whether `read` waits for the device's own cycle, which then paces the loop."""
+    """True if `read` waits for the cycle of the device. The device then paces the loop."""
     state: State
     ports: Mapping[str, Port]
-    """Parameters are settings, inputs are commands, outputs are measurements; all SI, in frames that their names say."""
+    """Settings (parameters), commands (inputs) and measurements (outputs), in SI units.
+
+    The names state the frames.
+    """
     values: dict[str, Array]
-    """`freeflyer.fmi.component.memory` of the ports; the master reads and writes these arrays."""
+    """Arrays of the ports (`freeflyer.fmi.component.memory`). The master reads and writes them."""
 
     @property
     def woken(self) -> int:
-        """A clock: when its last measurement came [ns of CLOCK_MONOTONIC]; 0 for a device that is none."""
+        """Arrival time of the last measurement [ns, CLOCK_MONOTONIC]; 0 if not `is_clock`."""
 
     @property
     def step(self) -> float:
-        """How often `read` and `write` are called [s]."""
+        """Period of the calls of `read` and `write` [s]."""
 
     @property
     def may_have_power(self) -> bool:
-        """Whether anything was sent that may have given the device power, also where its activation was given up half-way."""
+        """True after any message that may have given power, even if the activation failed."""
 
     @property
     def cannot_refuse(self) -> Sequence[str]:
-        """What the device itself cannot refuse or report, a sentence for each; known once it is configured."""
+        """Unsafe commands and faults that the device cannot reject or report, one sentence each.
+
+        Valid after `configure`.
+        """
 
     @property
     def remarks(self) -> Sequence[str]:
-        """After a run: what else the operator should know of it, a sentence for each."""
+        """Remarks for the operator after a run, one sentence each."""
 
     def configure(self) -> None:
-        """Open the link, compare the device with what the scenario expects, read the first measurement.
+        """Open the link, compare the device with the scenario, and read the first measurement.
 
-        DeviceError if they do not agree, or nobody answers.
+        Raises DeviceError if they differ, or if the device does not respond.
         """
 
     def check_start(self) -> None:
-        """Whether the device may be activated now; asked of every device before any is. DeviceError, with both numbers."""
+        """Check that the device may be activated now. Called for all devices before `prepare`.
+
+        Raises DeviceError with the measured and the expected value.
+        """
 
     def prepare(self) -> None:
-        """The first half of an activation, of every device before any is active: whatever changes the device but gives no power.
+        """Do the part of the activation that gives no power, for all devices before `activate`.
 
-        DeviceError if that cannot be done.
+        Raises DeviceError if it fails.
         """
 
     def stay(self) -> None:
-        """Called in every cycle while another device takes its time to become active."""
+        """Keep the present state for one cycle, while another device is being activated."""
 
     def activate(self, meanwhile: Callable[[], bool]) -> None:
-        """Take over without a bump: the first command equals the measurement. DeviceError if that cannot be done.
+        """Activate without a bump: the first command equals the measurement.
 
-        `meanwhile` is called in every cycle while that takes time; True means that the user wants to stop.
+        `meanwhile` is called in every cycle of the activation. It returns True if the user
+        requested a stop. Raises DeviceError if the activation fails.
         """
 
     def read(self) -> None:
-        """Fill the measurements with what is freshest; SafeStop if a limit or the quality monitor demands it."""
+        """Read the latest measurements. Raises SafeStop for a limit or for lost cycles."""
 
     def write(self) -> None:
-        """Send the commands, within their limits; SafeStop if they must not be sent."""
+        """Send the commands within their limits. Raises SafeStop if they must not be sent."""
 
     def revoke(self, reason: str) -> None:
-        """The loop has a reason to stop: from now on only what lowers is sent. Nothing gives this activation's power back."""
+        """Revoke the power of this activation permanently; `reason` is the reason of the stop.
+
+        From now on, only commands that lower the power are sent.
+        """
 
     def ramp_down(self, elapsed: float) -> bool:
-        """One cycle of the graded stop, `elapsed` [s] after its begin; True once there is nothing left to do for it."""
+        """Run a cycle of the graded stop, `elapsed` [s] after its start. Return True at its end."""
 
     @property
     def at_rest(self) -> bool:
-        """Whether the device has confirmed that it stands and holds itself."""
+        """True if the device has confirmed that it is at rest and holds its position."""
 
     def on_error(self, reason: str) -> None:
-        """The loop has failed: from active to safe stop."""
+        """Go from active to safe stop after a failure of the loop."""
 
     def deactivate(self) -> None:
-        """Leave the device inactive, holding itself, and close the link. May be called in any state, more than once."""
+        """Leave the device inactive and holding its position, and close the link.
+
+        May be called in any state, and repeatedly.
+        """
 
     def report(self) -> Mapping[str, float]:
-        """Counters by name, for the summary and the live view; cheap, as the loop calls it."""
+        """Return the counters of the summary and the live view. Must be fast: the loop calls it."""
 
     def histograms(self) -> Mapping[str, Histogram]:
-        """Times that the device measures, by name."""
+        """Return the histograms of the times that the device measures."""

@@ -1,6 +1,7 @@
-"""Limits that stand between the controllers and the devices. No clock is read and nothing is sent here.
+"""Limits between controllers and devices. This module reads no clock and sends nothing.
 
-A limit that clips is counted; one that must not act gives the reason to stop, with its number and unit.
+A clamping limit counts how often it acts. A stopping limit returns the reason to stop, with value
+and unit.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from freeflyer_adapters.foundation.pose import distance
 
 
 class ArmLimits:
-    """Of one arm; `settings` are those of `freeflyer_adapters.device.settings.ARM`."""
+    """Limits of one arm; `settings` as in `freeflyer_adapters.device.settings.ARM`."""
 
     def __init__(self, settings: Mapping[str, Array], cycle: float) -> None:
         self.effort = np.array(settings["joint_effort_limit"])
@@ -29,25 +30,31 @@ class ArmLimits:
         self.acted: Counter[str] = Counter(joint_effort_limit=0, torque_rate_limit=0)
 
     def command(self, wanted: Array, before: Array) -> tuple[Array, str | None]:
-        """The torque (n) [N m] to send in place of `wanted`, after `before` in the last cycle; a reason to stop."""
+        """Clamp the torque `wanted` (n) [N m]; `before` is the torque of the last cycle.
+
+        Return the torque to send, and a reason to stop or None.
+        """
         if not np.isfinite(wanted).all():
             return (
                 before,
                 f"the commanded joint torque is {_listed(wanted)} N m; finite numbers are expected",
             )
-        # Written with minimum and maximum: np.clip takes several times as long for so few numbers.
+        # np.minimum and np.maximum are several times faster than np.clip for so few numbers.
         held = np.minimum(np.maximum(wanted, -self.effort), self.effort)
         if (held != wanted).any():
             self.acted["joint_effort_limit"] += 1
         slewed = np.minimum(np.maximum(held, before - self.change), before + self.change)
         if (slewed != held).any():
             self.acted["torque_rate_limit"] += 1
-        # Whatever was before: never beyond the effort limit.
+        # `before` may be outside the effort limit.
         return np.minimum(np.maximum(slewed, -self.effort), self.effort), None
 
     def measured(self, position: Array, velocity: Array) -> str | None:
-        """A reason to stop from measured joint positions (n) [rad] and velocities (n) [rad/s]."""
-        # In this order NaN fails the comparison.
+        """Check measured positions (n) [rad] and velocities (n) [rad/s] of the joints.
+
+        Return a reason to stop, or None.
+        """
+        # NaN fails `<=`, so it is rejected as well.
         if not ((np.abs(velocity) <= self.velocity).all()):
             joint = int(np.argmax(np.nan_to_num(np.abs(velocity) / self.velocity, nan=np.inf)))
             return f"joint {joint + 1} moves at {velocity[joint]:.4g} rad/s, its limit is {self.velocity[joint]:.4g} rad/s"
@@ -61,7 +68,7 @@ class ArmLimits:
 
 
 class BaseLimits:
-    """Of one base robot; `settings` are those of `freeflyer_adapters.device.settings.BASE`."""
+    """Limits of one base robot; `settings` as in `freeflyer_adapters.device.settings.BASE`."""
 
     def __init__(self, settings: Mapping[str, Array]) -> None:
         self.lower, self.upper = (
@@ -79,7 +86,11 @@ class BaseLimits:
         velocity: Array,
         before: tuple[Array, Array] | None,
     ) -> str | None:
-        """A reason not to send a set point: position (3) [m], orientation (4, xyzw), velocity (6); `before` is the last one."""
+        """Check a set point; return a reason not to send it, or None.
+
+        Position (3) [m], orientation (4, quaternion xyzw), velocity (6) [m/s, rad/s]. `before` is
+        the previous position and orientation.
+        """
         if not (
             np.isfinite(position).all()
             and np.isfinite(orientation).all()
@@ -108,7 +119,7 @@ class BaseLimits:
     def measured(
         self, position: Array, orientation: Array, setpoint: tuple[Array, Array]
     ) -> str | None:
-        """A reason to stop from the measured pose."""
+        """Check the measured pose; return a reason to stop or None."""
         if not (np.isfinite(position).all() and np.isfinite(orientation).all()):
             return f"the base's measured pose is {_listed([*position, *orientation])}; finite numbers are expected"
         for size, limit, unit in zip(

@@ -1,4 +1,4 @@
-"""Keys of a device's table in a scenario, one at a time."""
+"""Checks of the keys in a device's table of a scenario."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ KINDS = {str: "a text", int: "a whole number", dict: "a table", list: "a list"}
 
 
 def known_keys(name: str, raw: Mapping[str, Any], keys: Sequence[str]) -> None:
+    """Check the keys of `raw`. Raises DeviceError for a key that is not in `keys`."""
     for key in raw:
         if key not in keys:
             raise DeviceError(
@@ -21,6 +22,7 @@ def known_keys(name: str, raw: Mapping[str, Any], keys: Sequence[str]) -> None:
 
 
 def checked(name: str, raw: Mapping[str, Any], key: str, kind: type[T], default: T) -> T:
+    """Return the value of `key`, or `default`. Raises DeviceError for another type than `kind`."""
     value = raw.get(key, default)
     if not isinstance(value, kind) or isinstance(value, bool):
         raise DeviceError(f"device {name}: {key} is {value!r}; {KINDS[kind]} is expected")

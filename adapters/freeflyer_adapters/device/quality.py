@@ -1,6 +1,6 @@
-"""The quality of a link: how many cycles in a row, or within a window, may be lost before the loop must stop.
+"""Quality of a link: the number of lost cycles, in a row or within a window, that stops the loop.
 
-No clock is read here: cycles are counted, so the same monitor watches a link in real time and a simulated one at any speed.
+The monitor counts cycles and reads no clock. It works in real time and at any simulated speed.
 """
 
 from __future__ import annotations
@@ -9,7 +9,11 @@ from collections import deque
 
 
 class QualityMonitor:
-    """Stop on `consecutive` lost cycles in a row, or on `within` lost ones in the last `window` cycles (0: that rule is off)."""
+    """Monitor of the lost cycles of one link.
+
+    It requests a stop after `consecutive` lost cycles in a row, or after `within` lost cycles in
+    the last `window` cycles (`within` = 0: disabled). `cycle` [s] and `subject` are for messages.
+    """
 
     def __init__(
         self, subject: str, *, consecutive: int, within: int = 0, window: int = 0, cycle: float
@@ -28,7 +32,7 @@ class QualityMonitor:
         self.longest_row = 0
 
     def lose(self, count: int) -> str | None:
-        """Several lost cycles at once; the first reason to stop, if there is one."""
+        """Count `count` lost cycles. Return the first reason to stop, or None."""
         for done in range(count):
             reason = self.observe(lost=True)
             if reason:
@@ -37,7 +41,7 @@ class QualityMonitor:
         return None
 
     def observe(self, lost: bool) -> str | None:
-        """One cycle; the reason to stop, in one sentence, if there is one."""
+        """Count one cycle. Return the reason to stop, or None."""
         self._count += 1
         if not lost:
             self._row = 0
@@ -47,14 +51,14 @@ class QualityMonitor:
         self.longest_row = max(self.longest_row, self._row)
         self._recent.append(self._count)
         if self._row >= self.consecutive:
-            return f"{self._row} cycles in a row were lost, {self.consecutive} are one too many ({self.subject}, cycles of {self.cycle:g} s)"
+            return f"{self._row} cycles in a row were lost, the limit is {self.consecutive} ({self.subject}, cycles of {self.cycle:g} s)"
         if (
             self.within
             and len(self._recent) == self.within
             and self._count - self._recent[0] < self.window
         ):
             return (
-                f"{self.within} cycles within {self.window * self.cycle:g} s were lost, one too many ({self.subject}, "
+                f"{self.within} cycles within {self.window * self.cycle:g} s were lost, the limit is {self.within} ({self.subject}, "
                 f"cycles of {self.cycle:g} s)"
             )
         return None

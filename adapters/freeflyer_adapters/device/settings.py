@@ -1,6 +1,7 @@
-"""Numbers that a device can be told in a scenario, `[devices.NAME.parameters]`: each with default, unit and what it does.
+"""Settings of a device, `[devices.NAME.parameters]` of a scenario, with default, unit and effect.
 
-They are ports like an FMU's parameters, so that units, references ("=COMPONENT.PARAMETER") and mistakes are handled alike.
+Settings are ports, like the parameters of an FMU. Units, references ("=COMPONENT.PARAMETER") and
+errors are handled in the same way.
 """
 
 from __future__ import annotations
@@ -16,7 +17,11 @@ from freeflyer_adapters.device.device import DeviceError
 
 @dataclass(frozen=True, kw_only=True)
 class Setting:
-    """`effect`: what happens when a limit is met ("clips", counted and reported, or "stops"); empty for what is no limit."""
+    """One setting of a device.
+
+    `effect` of a limit: "clips" (counted and reported), "stops" (the loop) or "refuses" (the
+    activation). It is empty if the setting is not a limit.
+    """
 
     name: str
     default: tuple[float, ...]
@@ -26,14 +31,15 @@ class Setting:
     per_joint: bool = False
     boolean: bool = False
     above: float | None = 0.0
-    """Every value is greater than this; None: any."""
+    """Exclusive lower bound; None: no bound."""
     least: float | None = None
-    """In place of `above`: every value is this or more."""
+    """Inclusive lower bound, in place of `above`."""
     whole: bool = False
     most: float = 1e6
+    """Inclusive upper bound of the absolute value."""
 
     def check(self, device: str, values: Array) -> None:
-        """DeviceError for a value out of range: names, number, unit."""
+        """Check `values`. Raises DeviceError with name, value and unit if one is out of range."""
         for value in values:
             unit = f" {self.unit}" if self.unit and " " not in self.unit else ""
             if self.whole and value != int(value):
@@ -67,7 +73,7 @@ class Setting:
 
 
 def check(device: str, settings: Sequence[Setting], values: Mapping[str, Array]) -> None:
-    """Every setting within its range; DeviceError if not."""
+    """Check all settings. Raises DeviceError if one is out of range."""
     for setting in settings:
         setting.check(device, values[setting.name])
 
@@ -77,7 +83,7 @@ def ports(settings: Sequence[Setting], joints: int = 0) -> list[Port]:
 
 
 def arm_ports(joints: int, settings: Sequence[Setting]) -> dict[str, Port]:
-    """Of every arm: its settings, what it is told, and what it measures."""
+    """Return the ports of an arm: settings, torque command and measurements."""
     units = {"joint_position": "rad", "joint_velocity": "rad/s", "joint_torque": "N.m"}
     signals = [
         Port(name="joint_torque_command", size=joints, causality="input", units=("N.m",) * joints),
@@ -102,7 +108,7 @@ ARM = (
     Setting(name="joint_upper_limit", above=None, default=(np.pi,), per_joint=True, unit="rad", effect="stops",
             description="Largest measured joint position"),
     Setting(name="joint_limit_margin", least=0.0, most=1.0, default=(0.02,), unit="rad", effect="stops",
-            description="How far from the ends of the joint range it stops"),
+            description="Distance from the ends of the joint range at which the loop stops"),
     Setting(name="state_age_limit", most=60.0, default=(0.02,), unit="s", effect="stops",
             description="Largest age of the last accepted state frame"),
     Setting(name="lost_consecutive", whole=True, default=(20.0,), unit=None, effect="stops",
@@ -111,21 +117,21 @@ ARM = (
             description="Lost cycles within the window; 0: off"),
     Setting(name="window", most=60.0, default=(0.2,), unit="s", description="Window of lost_in_window"),
     Setting(name="watchdog_cycles", whole=True, most=1e5, default=(4.0,), unit=None, effect="stops",
-            description="The arm's own watchdog: cycles without a command after which it stops by itself; a loop that was held up for longer stops"),
+            description="Watchdog of the arm: cycles without a command after which the arm stops by itself. The loop stops as well if it is delayed for longer"),
     Setting(name="start_joint_position", above=None, default=(0.0,), per_joint=True, unit="rad",
-            description="Where the scenario expects the joints at activation"),
+            description="Expected joint positions at activation"),
     Setting(name="start_tolerance", default=(0.02,), unit="rad", effect="refuses",
-            description="Largest distance of a joint from there"),
-    Setting(name="ramp_down_time", most=60.0, default=(0.25,), unit="s", description="Damped ramp-down: time until the torque is gone"),
-    Setting(name="ramp_down_damping", least=0.0, most=1e4, default=(5.0,), unit="N.m.s/rad", description="Damped ramp-down: torque against joint speed"),
-    Setting(name="configure_timeout", most=3600.0, default=(3.0,), unit="s", description="How long the arm may take to answer at first"),
+            description="Largest deviation of a joint from `start_joint_position`"),
+    Setting(name="ramp_down_time", most=60.0, default=(0.25,), unit="s", description="Damped ramp-down: time until the torque is zero"),
+    Setting(name="ramp_down_damping", least=0.0, most=1e4, default=(5.0,), unit="N.m.s/rad", description="Damped ramp-down: damping of the joint speeds"),
+    Setting(name="configure_timeout", most=3600.0, default=(3.0,), unit="s", description="Timeout of the first response of the arm"),
 )  # fmt: skip
 
 BASE = (
-    Setting(name="period", most=1.0, default=(0.001,), unit="s", description="Communication step: how often the freshest sample is read"),
+    Setting(name="period", most=1.0, default=(0.001,), unit="s", description="Communication step: period of reading the latest sample"),
     Setting(name="cycle", most=1.0, default=(0.004,), unit="s", description="Cycle of set points and measurements"),
-    Setting(name="workspace_lower", above=None, default=(-0.5, -0.5, -0.5), unit="m", effect="stops", description="Least set-point position"),
-    Setting(name="workspace_upper", above=None, default=(0.5, 0.5, 0.5), unit="m", effect="stops", description="Largest set-point position"),
+    Setting(name="workspace_lower", above=None, default=(-0.5, -0.5, -0.5), unit="m", effect="stops", description="Lower limit of the set-point position"),
+    Setting(name="workspace_upper", above=None, default=(0.5, 0.5, 0.5), unit="m", effect="stops", description="Upper limit of the set-point position"),
     Setting(name="velocity_limit", default=(0.2, 0.5), unit="m/s rad/s", effect="stops", description="Largest set-point speeds"),
     Setting(name="step_limit", default=(0.002, 0.005), unit="m rad", effect="stops",
             description="Largest change of the set point from one cycle to the next"),
@@ -137,12 +143,12 @@ BASE = (
     Setting(name="lost_in_window", whole=True, least=0.0, default=(3.0,), unit=None, effect="stops", description="Lost cycles within the window; 0: off"),
     Setting(name="window", most=60.0, default=(0.2,), unit="s", description="Window of lost_in_window"),
     Setting(name="watchdog", most=60.0, default=(0.02,), unit="s", effect="stops",
-            description="The base's own watchdog: time without a set point after which it holds its place; a loop that was held up for longer stops"),
-    Setting(name="start_position", above=None, default=(0.0, 0.0, 0.0), unit="m", description="Where the scenario expects the base at activation"),
-    Setting(name="start_orientation", above=None, default=(0.0, 0.0, 0.0, 1.0), unit="1", description="Its orientation there, quaternion x, y, z, w"),
+            description="Watchdog of the base: time without a set point after which the base holds its position. The loop stops if it is delayed for longer"),
+    Setting(name="start_position", above=None, default=(0.0, 0.0, 0.0), unit="m", description="Expected base position at activation"),
+    Setting(name="start_orientation", above=None, default=(0.0, 0.0, 0.0, 1.0), unit="1", description="Expected base orientation at activation, quaternion x, y, z, w"),
     Setting(name="start_tolerance", default=(0.005, 0.01), unit="m rad", effect="refuses",
-            description="Largest distance of the base from there"),
-    Setting(name="approach", above=None, boolean=True, default=(0.0,), unit=None, description="A base further away is brought there by a ramp, arm braked"),
-    Setting(name="approach_speed", default=(0.02, 0.05), unit="m/s rad/s", description="Speeds of that ramp, and of taking off what is within tolerance"),
+            description="Largest deviation of the base from `start_position` and `start_orientation`"),
+    Setting(name="approach", above=None, boolean=True, default=(0.0,), unit=None, description="Move a base that is further away to the start pose by a ramp, with the arm braked"),
+    Setting(name="approach_speed", default=(0.02, 0.05), unit="m/s rad/s", description="Speeds of the approach ramp, and of the correction of a deviation within the tolerance"),
     Setting(name="configure_timeout", most=3600.0, default=(3.0,), unit="s", description="How long the base may take to answer at first"),
 )  # fmt: skip

@@ -1,8 +1,9 @@
-"""A model in the host's own process as a device: kind = "simulated". The loop is then paced by the wall clock, not by an arm.
+"""Model in the host process as a device: kind = "simulated". The wall clock paces the loop.
 
-An arm model (one with `joint_torque_command` and `joint_velocity`) is braked until it is activated, keeps to the arm's limits, and is
-brought to rest as a real arm is; a base model (one with `position_setpoint`) keeps to the base's limits. Both start where the
-scenario says, so that there is nothing to compare at activation.
+An arm model has `joint_torque_command` and `joint_velocity`. It is braked until its activation,
+respects the limits of an arm, and is brought to rest like a real arm. A base model has
+`position_setpoint` and respects the limits of a base. Both start at the start values of the
+scenario, so `check_start` has nothing to compare.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from freeflyer_adapters.foundation.histogram import Histogram
 
 
 class SimulatedDevice:
-    """See `freeflyer_adapters.device.device.Device` for the calls; `model` is stepped by `read`."""
+    """Device (`freeflyer_adapters.device.device.Device`) whose `read` steps `model`."""
 
     is_clock = False
 
@@ -86,9 +87,9 @@ class SimulatedDevice:
         self._write = self.model.bind_inputs(self._inputs, inputs) if self._inputs else _nothing
         self._read = self.model.bind_outputs(self._outputs, outputs) if self._outputs else _nothing
         self._brake(True)
-        self._hand_in()
+        self._write_inputs()
         self.model.exit_initialization()
-        self._hand_out()
+        self._read_outputs()
         v = self.values
         if self.is_base:
             self.base_limits = BaseLimits(v)
@@ -104,7 +105,7 @@ class SimulatedDevice:
 
     cannot_refuse = remarks = ()
     may_have_power = False
-    """It is a model in this process: no actuator, and no permit."""
+    """A model has no actuator and no permit."""
 
     def prepare(self) -> None:
         pass
@@ -140,7 +141,7 @@ class SimulatedDevice:
         self._last_torque = torque
 
     def _write_base(self) -> None:
-        """Once in a cycle of set points, which the limits are for."""
+        """Check the limits of the set point, once per cycle of set points."""
         v = self.values
         if self._count % max(1, round(float(v["cycle"][0]) / self.step)):
             return
@@ -204,15 +205,15 @@ class SimulatedDevice:
             self.values["brake"][0] = float(engaged)
 
     def _cycle(self) -> None:
-        self._hand_in()
+        self._write_inputs()
         self.model.step(self._count * self.step, self.step)
         self._count += 1
-        self._hand_out()
+        self._read_outputs()
 
-    def _hand_in(self) -> None:
+    def _write_inputs(self) -> None:
         first = 0
         for name in self._inputs:
-            # The torque that was let through, whatever the controller has asked for since.
+            # The torque after the limits, not the latest command of the controller.
             value = (
                 self._last_torque
                 if self.is_arm and name == "joint_torque_command"
@@ -222,7 +223,7 @@ class SimulatedDevice:
             first += value.size
         self._write()
 
-    def _hand_out(self) -> None:
+    def _read_outputs(self) -> None:
         self._read()
         first = 0
         for name in self._outputs:
@@ -236,13 +237,16 @@ def _nothing() -> None:
 
 
 def simulated_component(name: str, options: Mapping[str, Any], directory: Path) -> DeviceComponent:
-    """The entry point of kind "simulated"; `fmu` and `fmi` are those of the kind "fmu"."""
+    """Return the device of kind "simulated" (entry point); keys `fmu` and `fmi` as in kind "fmu".
+
+    Raises DeviceError if the block is not sampled.
+    """
     known_keys(name, options, ("fmu", "fmi"))
     model = FmuComponent(name, find_fmu(name, options, directory))
     period = model.ports.get("period")
     if period is None or period.size != 1 or not period.settable:
         model.close()
         raise DeviceError(
-            f"device {name}: a simulated device must be a sampled block with the parameter period; {model.path} is none"
+            f"device {name}: {model.path} has no settable parameter period; a simulated device must be a sampled block"
         )
     return DeviceComponent(SimulatedDevice(name, model))

@@ -1,7 +1,8 @@
-"""The hardware in the loop: the scenario's controllers, with devices in the place of its device models.
+"""Hardware in the loop: the scenario's controllers, with devices in place of the device models.
 
-Devices are configured while the system is assembled, activated together, and stopped together, whatever ended the loop: a damped
-ramp-down under the arm's own clock, then brakes. The arm's state frame is the clock; without an arm, absolute deadlines are.
+Devices are configured during the assembly, activated together and stopped together. The stop is
+the same for every reason: a damped ramp-down at the rate of the arm, then brakes. The state frames
+of the arm pace the loop. Without an arm, absolute deadlines pace it.
 """
 
 from __future__ import annotations
@@ -31,24 +32,24 @@ from freeflyer_adapters.loop.graded_stop import NOTHING_ACTIVE, stop
 from freeflyer_adapters.loop.instant_hooks import CommandWriting, Observation, Pacing
 from freeflyer_adapters.loop.live_view import LiveValues
 from freeflyer_adapters.loop.stop_notice import StopNotice
-from freeflyer_adapters.recording.client import Recording, Tap
+from freeflyer_adapters.recording.client import Recording, RecordingClient
 
-INTERRUPTED, FINISHED = "interrupted by the user", "the scenario is over"
+INTERRUPTED, FINISHED = "interrupted by the user", "scenario finished"
 
 
 @dataclass(frozen=True, kw_only=True)
 class LoopReport:
-    """What a run in real time adds to a result."""
+    """Part of a result that only a run with devices has."""
 
     granted: Sequence[str]
     times: Mapping[str, Mapping[str, float]]
     devices: Mapping[str, Mapping[str, float]]
     stop: str
-    """Why the loop ended, and how the devices were left."""
+    """Reason of the stop, and the final state of the devices."""
     remarks: Sequence[str] = ()
-    """What else the operator should know, a sentence for each."""
+    """Remarks for the operator, one sentence each."""
     recording: Mapping[str, Any] | None = None
-    """Where it was recorded, and what is missing there."""
+    """Files of the recording, and missing data; None if nothing was recorded."""
 
     def summary(self) -> dict[str, Any]:
         return {
@@ -64,9 +65,13 @@ class LoopReport:
 def with_devices(
     scenario: Scenario, *, simulated: bool = False, fmi: int | None = None
 ) -> Scenario:
-    """Devices in the place of the components of the same names; what joined two of them is physics, which is theirs.
+    """Replace components of the scenario by its devices of the same names.
 
-    `simulated`: every device is its own model in this process, and the wall clock paces the loop.
+    A connection between two devices exists in hardware. It is removed unless its target is a
+    simulated device. `simulated`: run the model of every device in this process, paced by the wall
+    clock. `fmi`: FMI version of these models.
+
+    Raises DeviceError without devices, or for an exchange other than "sequential".
     """
     if not scenario.devices:
         raise DeviceError(
@@ -74,8 +79,9 @@ def with_devices(
         )
     if scenario.exchange != "sequential":
         raise DeviceError(
-            f"scenario {scenario.name}: exchange is '{scenario.exchange}', but a device answers at its instant; 'sequential' is expected"
+            f"scenario {scenario.name}: exchange is '{scenario.exchange}', but a device responds within the same instant; 'sequential' is expected"
         )
+    # The devices, or their models if `simulated`.
     models = {spec.name: spec for spec in scenario.components}
     if simulated:
         specs = [
@@ -84,7 +90,7 @@ def with_devices(
         ]
     else:
         specs = list(scenario.devices)
-    # A simulated device has its model's parameters and, beside them, a device's settings.
+    # A simulated device has the parameters of its model and the settings of a device.
     specs = [
         _with_model(spec, models[spec.name], fmi) if spec.kind == SIMULATED else spec
         for spec in specs
@@ -93,13 +99,16 @@ def with_devices(
     others = tuple(spec for spec in scenario.components if spec.name not in devices)
 
     def adapted(connection: Connection) -> Connection | None:
-        """What joins two devices stays in this process only where a model here is the target and
-        the other end measures it."""
+        """Drop a connection between two devices, unless a simulated device is the target.
+
+        A connection that is kept is optional: the source may lack this measurement.
+        """
         source, target = split(connection.source)[0], split(connection.target)[0]
         if source not in devices or target not in devices:
             return connection
         return replace(connection, optional=True) if devices[target].kind == SIMULATED else None
 
+    # Connections between the remaining components and the devices.
     connections = tuple(filter(None, map(adapted, scenario.connections)))
     return replace(scenario, components=(*devices.values(), *others), connections=connections)
 
@@ -116,9 +125,9 @@ def _with_model(spec: ComponentSpec, model: ComponentSpec, fmi: int | None) -> C
 def _present_errors(
     scenario: Scenario, master: Master, values: Values
 ) -> dict[str, Callable[[], float]]:
-    """Return the scenario's errors at the present instant, by their names with units."""
+    """Return functions that compute the scenario's errors now, by names with units."""
 
-    def made(measure: Measure) -> Callable[[], float]:
+    def error_now(measure: Measure) -> Callable[[], float]:
         ends = []
         for signal in (measure.actual, measure.desired):
             component, variable = split(signal)
@@ -132,7 +141,7 @@ def _present_errors(
         error = metrics.ERRORS[measure.kind]
         return lambda: float(error(actual, desired)[0])
 
-    return {f"{name} error [{m.unit}]": made(m) for name, m in scenario.errors.items()}
+    return {f"{name} error [{m.unit}]": error_now(m) for name, m in scenario.errors.items()}
 
 
 def run(
@@ -144,37 +153,43 @@ def run(
     fmi: int | None = None,
     recording: Recording | None = None,
     notice: StopNotice | None = None,
-    say: Callable[[str], None] = print,
+    show: Callable[[str], None] = print,
 ) -> tuple[Result, LoopReport]:
-    """Configure, activate, run, stop. Raises CosimError before anything moves; afterwards everything is in the result.
+    """Configure, activate, run and stop the devices of a scenario.
 
-    `notice` gets the reason of the stop before anything else is written.
+    `real_time`: use real-time priorities. `simulated`, `fmi`: see `with_devices`. `view`: open the
+    live view. `notice` receives the reason of the stop before any other output. `show` prints a
+    line. Raises CosimError before anything moves. The result contains all later errors.
     """
     scenario = with_devices(scenario, simulated=simulated, fmi=fmi)
     pacing.prepare_links(real_time)
     try:
-        # Until something is active, Ctrl-C is an ordinary exception, which closes what was opened.
+        # Before the activation, Ctrl-C raises KeyboardInterrupt, which closes the links.
         with assembled(scenario, fmi) as (master, values):
-            return _run(scenario, master, values, real_time, view, recording, notice, say)
+            return _run(scenario, master, values, real_time, view, recording, notice, show)
     finally:
         pacing.leave_real_time()
 
 
 @dataclass(frozen=True, kw_only=True)
 class Inspection:
-    """What a device measures before anything is activated; `refusal`: why it could not be activated now, or None."""
+    """Measurements of a device before the activation."""
 
     measured: Mapping[str, Array]
     units: Mapping[str, tuple[str | None, ...]]
     refusal: str | None
+    """Reason why the device cannot be activated now; None if it can."""
     cannot_refuse: Sequence[str] = ()
-    """What the device itself cannot refuse, a sentence for each."""
+    """Unsafe commands that the device itself cannot reject, one sentence each."""
 
 
 def inspect(
     scenario: Scenario, *, simulated: bool = False, fmi: int | None = None
 ) -> dict[str, Inspection]:
-    """Configure every device, read it, ask whether it may be activated, and leave it as it was found. Raises CosimError."""
+    """Configure and read every device, and check whether it may be activated. Raises CosimError.
+
+    No message changes the state of a device.
+    """
     scenario = with_devices(scenario, simulated=simulated, fmi=fmi)
     found = {}
     with assembled(scenario, fmi) as (master, _):
@@ -197,11 +212,11 @@ def inspect(
 
 
 def limitations(found: Mapping[str, Sequence[str]]) -> list[str]:
-    """What devices cannot refuse by themselves, for the operator."""
+    """Return sentences for the operator about unsafe commands that devices cannot reject."""
     return [
-        f"{name} cannot refuse everything by itself: {sentence}"
-        for name, said in found.items()
-        for sentence in said
+        f"{name} cannot reject every unsafe command: {sentence}"
+        for name, sentences in found.items()
+        for sentence in sentences
     ]
 
 
@@ -213,8 +228,9 @@ def _run(
     view: bool,
     recording: Recording | None,
     notice: StopNotice | None,
-    say: Callable[[str], None],
+    show: Callable[[str], None],
 ) -> tuple[Result, LoopReport]:
+    # Devices are called once per communication step, so both periods must agree.
     metrics.check(scenario, master.graph.components)
     devices = [c.device for c in master.graph.components.values() if isinstance(c, DeviceComponent)]
     period = master.schedule.tick
@@ -224,6 +240,7 @@ def _run(
             raise DeviceError(
                 f"device {device.name} works in steps of {device.step:g} s; its step_s is {step:g} s"
             )
+    # Commands are written before the observation, which may take longer.
     deadlines = Pacing(devices, period)
     observation = Observation(
         devices,
@@ -233,40 +250,44 @@ def _run(
         _present_errors(scenario, master, values),
     )
     hooks: list[InstantHook] = [deadlines, CommandWriting(devices, master), observation]
-    pacing.leave_real_time()  # or viewer and recorder would inherit the priority of the links
+    # Viewer and recorder must not inherit the priority of the links.
+    pacing.leave_real_time()
     outcome, end, recorded = master.outcome(), None, None
-    stopping = _Stopping(devices, period, observation, notice, say)
+    stopping = _Stopping(devices, period, observation, notice, show)
     with ExitStack() as until_the_end:
         try:
+            # Start the viewer and the recorder.
             if view:
                 try:
                     observation.view = LiveValues(
-                        f"{scenario.title} (Ctrl-C stops it in order)", observation.names
+                        f"{scenario.title} (Ctrl-C: orderly stop)", observation.names
                     )
                     observation.view.show()
                 except OSError as error:
-                    say(
-                        f"there is no live view: {error.strerror or error}; the loop runs without it"
-                    )
+                    show(f"no live view: {error.strerror or error}; the loop runs without it")
             if recording is not None:
-                observation.tap = Tap(recording, scenario, master, values, devices)
+                observation.recording = RecordingClient(
+                    recording, scenario, master, values, devices
+                )
+            # Show the granted priorities and the limitations of the devices, then run the loop.
             granted = pacing.enter_real_time(real_time)
-            say("Real time: " + ", ".join(granted))
+            show("Real time: " + ", ".join(granted))
             for sentence in limitations({device.name: device.cannot_refuse for device in devices}):
-                say(sentence)
+                show(sentence)
             with pacing.no_collection() if real_time else nullcontext(), stopping:
                 activation.prepare(devices)
-                asked = until_the_end.enter_context(interrupts())
-                outcome = _loop(master, outcome, devices, hooks, asked)
+                stop_requests = until_the_end.enter_context(interrupts())
+                outcome = _loop(master, outcome, devices, hooks, stop_requests)
                 stopping.reason = outcome.cause or FINISHED
                 stopping.orderly = outcome.interrupted or outcome.cause is None
                 end = round(outcome.simulated * 1e9 / period)
         finally:
+            # The devices are stopped: close the viewer and the recorder.
             if observation.view is not None:
                 observation.view.close()
             pacing.leave_real_time()
-            if observation.tap is not None:
-                recorded = observation.tap.close(stopping.sentence, end)
+            if observation.recording is not None:
+                recorded = observation.recording.close(stopping.sentence, end)
     report = LoopReport(
         granted=granted,
         times={name: histogram.summary() for name, histogram in observation.times.items()},
@@ -283,23 +304,23 @@ def _loop(
     outcome: Outcome,
     devices: Sequence[Device],
     hooks: Sequence[InstantHook],
-    asked: Sequence[float],
+    stop_requests: Sequence[float],
 ) -> Outcome:
-    """Activate as late as can be, then run to the end."""
+    """Activate the devices, then run to the end. `stop_requests` holds the times of SIGINT."""
     try:
-        if activation.activate(devices, lambda: bool(asked)):
+        if activation.activate(devices, lambda: bool(stop_requests)):
             outcome = master.run(hooks=hooks)
         else:
             outcome.interrupted, outcome.cause = True, INTERRUPTED
             master.finish(outcome, 0, whole=True)
-    except StepFailed as error:  # a driver that fails in its activation; what was measured is kept
+    except StepFailed as error:  # a driver failed during the activation; keep the measurements
         outcome.stopped_by(error)
         master.finish(outcome, 0, whole=False)
     return outcome
 
 
 def reason_of(error: BaseException) -> str:
-    """Why a run ended that an exception has ended."""
+    """Return the reason of a stop that `error` caused, in one line."""
     return (
         INTERRUPTED
         if isinstance(error, KeyboardInterrupt)
@@ -308,7 +329,7 @@ def reason_of(error: BaseException) -> str:
 
 
 class _Stopping:
-    """Whatever ends its block: the devices are stopped, then the reason is given, before anything else is done."""
+    """Context manager that first stops the devices, then reports the reason, on any exit."""
 
     def __init__(
         self,
@@ -316,10 +337,10 @@ class _Stopping:
         period: int,
         observation: Observation,
         notice: StopNotice | None,
-        say: Callable[[str], None],
+        show: Callable[[str], None],
     ) -> None:
         self._devices, self._period, self._observation = devices, period, observation
-        self._notice, self._say = notice, say
+        self._notice, self._show = notice, show
         self.reason, self.left, self.orderly = "", "", False
 
     @property
@@ -337,13 +358,13 @@ class _Stopping:
         with no_interrupts():
             self.left = stop(self._devices, self._period, self.reason, orderly=self.orderly)
             if self._observation.view is not None:
-                self._observation.view.end()  # or it would draw over the sentence
-            # A refusal before anything was active is printed by the command, once.
+                self._observation.view.end()  # it would overwrite the reason
+            # The command prints an error that occurs before any device is active.
             quiet = error is not None and self.left == NOTHING_ACTIVE
             if self._notice is not None:
                 self._notice.give(self.reason, self.left, orderly=self.orderly, quiet=quiet)
             elif not quiet:
-                self._say(f"Stop: {self.sentence}")
+                self._show(f"Stop: {self.sentence}")
 
 
 def _result(

@@ -1,4 +1,4 @@
-"""What happens at the instants of a loop in real time besides the components' steps: pacing, writing commands, observing."""
+"""Hooks of the real-time loop at each instant: pacing, command writing, observation."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from freeflyer_adapters.foundation.histogram import Histogram
 from freeflyer_adapters.foundation.pacing import Pacer
 from freeflyer_adapters.loop.activation import clocks_first, guarded
 from freeflyer_adapters.loop.live_view import LiveValues
-from freeflyer_adapters.recording.client import Tap
+from freeflyer_adapters.recording.client import RecordingClient
 
 VIEW_EVERY = 100
-"""Instants between two sets of numbers for the live view."""
+"""Number of instants between two updates of the live view."""
 
 
 class Pacing:
-    """Absolute deadlines, where no device is the clock. `woken` [ns]: when the present instant began."""
+    """Hook that waits for absolute deadlines if no device is the clock."""
 
     def __init__(self, devices: Sequence[Device], period: int) -> None:
         self._clock = next((device for device in devices if device.is_clock), None)
@@ -28,6 +28,7 @@ class Pacing:
 
     @property
     def woken(self) -> int:
+        """Start of the present instant [ns, CLOCK_MONOTONIC]."""
         return self._clock.woken if self._clock is not None else self._woken
 
     def before(self, k: int) -> str | None:
@@ -40,7 +41,7 @@ class Pacing:
 
 
 class CommandWriting:
-    """The devices' commands at the end of every instant, the arm's first."""
+    """Hook that writes the commands at the end of each instant, those of the arm first."""
 
     def __init__(self, devices: Sequence[Device], master: Master) -> None:
         self._in_order, self._master = clocks_first(devices), master
@@ -55,7 +56,7 @@ class CommandWriting:
 
 
 class Observation:
-    """Times, recording and live view, after the commands have gone out. Nothing here can reach a device."""
+    """Hook for times, recording and live view, after the commands. It sends nothing to devices."""
 
     def __init__(
         self,
@@ -70,7 +71,7 @@ class Observation:
         self.period = master.schedule.tick
         self.compute = Histogram()
         self.view: LiveValues | None = None
-        self.tap: Tap | None = None
+        self.recording: RecordingClient | None = None
         self._times = {name: h for device in devices for name, h in device.histograms().items()}
         if pacing.pacer is not None:
             self._times["loop: wake-up"] = pacing.pacer.lateness
@@ -81,8 +82,8 @@ class Observation:
         return None
 
     def after(self, k: int) -> None:
-        if self.tap is not None:
-            self.tap.write(k)
+        if self.recording is not None:
+            self.recording.write(k)
         self.compute.add(self._environment.monotonic_ns() - self._pacing.woken)
         if self.view is not None and k % VIEW_EVERY == 0:
             self.view.write(self.numbers(k))
@@ -93,6 +94,7 @@ class Observation:
 
     @property
     def names(self) -> list[str]:
+        """Names and units of the values in the live view."""
         times = [
             "time [s]",
             "rate [Hz]",
@@ -114,7 +116,7 @@ class Observation:
         ]
 
     def numbers(self, k: int) -> list[float]:
-        """In the order of `names`; times since the last set, all else as it is."""
+        """Return the values in the order of `names`. Times are the longest since the last call."""
         now = self._environment.monotonic()
         rate = VIEW_EVERY / max(now - self._shown_at, 1e-9)
         self._shown_at = now

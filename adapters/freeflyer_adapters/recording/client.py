@@ -1,4 +1,4 @@
-"""The loop's side of a recording: one row of numbers for every instant, and what happens before the first and after the last."""
+"""Recording client of the loop: starts the recorder and writes one row per instant."""
 
 from __future__ import annotations
 
@@ -33,24 +33,25 @@ from freeflyer_adapters.recording.ring import RingReader, RingWriter
 from freeflyer_adapters.recording.wall_clock import WallClock
 
 COUNTERS_EVERY = 10
-"""Instants between two looks at the devices' counters; their states are looked at in every one."""
-PATIENCE = 30.0
-"""How long the loop waits for its recorder before the begin and after the end [s]; nothing moves then."""
+"""Number of instants between two readings of the counters; states are read at every instant."""
+TIMEOUT = 30.0
+"""Timeout of the recorder's start and end [s]. No device is active during the wait."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Recording:
-    """How a run is to be recorded. `everything`: the whole run and the CAN channels, not only its last seconds."""
+    """Options of a recording."""
 
     directory: Path
     everything: bool = True
+    """Record the whole run and the CAN channels, not only the last seconds."""
     can: bool = True
-    """Not, where the channels are in this process's memory only."""
+    """Record the CAN channels; False if they exist only in the memory of this process."""
     can_format: str = "blf"
 
 
 def can_channels(devices: Sequence[Device]) -> list[CanChannel]:
-    """Of the devices whose options name a CAN interface and a channel; one that several devices share is there once."""
+    """Return the CAN channels in the options of the devices, each channel once."""
     found: dict[tuple[str, str], CanChannel] = {}
     for device in devices:
         options = getattr(device, "options", None)
@@ -67,8 +68,11 @@ def can_channels(devices: Sequence[Device]) -> list[CanChannel]:
     return list(found.values())
 
 
-class Tap:
-    """Opened before the loop begins; `write` in every instant; `close` whatever has happened."""
+class RecordingClient:
+    """Client of one recorder process, connected by a ring of rows in shared memory.
+
+    Create it before the loop starts, call `write` at every instant, and always call `close`.
+    """
 
     def __init__(
         self,
@@ -78,7 +82,11 @@ class Tap:
         values: Values,
         devices: Sequence[Device],
     ) -> None:
-        """RecordError if there is no memory for the ring. A recorder that does not start is a sentence in the result."""
+        """Start the recorder; `close` reports a failed start.
+
+        Raises RecordError if there is no memory for the ring.
+        """
+        # A row: all signals of the master, the states, then the counters.
         places = master.slaves.places
         ports = {name: component.ports for name, component in master.graph.components.items()}
         signals = []
@@ -97,8 +105,9 @@ class Tap:
             for device, names in self._counters
             for name in names
         ]
+        # The header describes the row and the run.
         self._clock = WallClock.start()
-        head = RecordingHeader(
+        header = RecordingHeader(
             scenario=scenario.name,
             title=scenario.title,
             tick=master.schedule.tick,
@@ -114,15 +123,17 @@ class Tap:
             can=can_channels(devices) if wanted.everything and wanted.can else [],
             can_format=wanted.can_format,
         )
-        self._line = np.zeros(head.width)
+        # Views of one row, which `write` fills in place.
+        self._line = np.zeros(header.width)
         width = self._now.size
         self._signals, self._states = self._line[:width], self._line[width : width + len(states)]
         self._counts = self._line[width + len(states) :]
+        # The recorder opens the ring, so the ring is created first.
         self._directory = wanted.directory.absolute()
         self._missing: list[str] = []
         if wanted.everything:
-            set_aside(wanted.directory, head.can, wanted.can_format)
-        self._ring = RingWriter(head)
+            set_aside(wanted.directory, header.can, wanted.can_format)
+        self._ring = RingWriter(header)
         self._recorder: subprocess.Popen[bytes] | None = None
         try:
             self._recorder = subprocess.Popen(
@@ -141,29 +152,29 @@ class Tap:
             self._missing.append(f"the recorder has not started: {error.strerror}")
 
     def _await_start(self) -> None:
-        """Its imports are over before anything moves."""
+        """Wait for the recorder's imports to finish."""
         assert self._recorder is not None
         assert self._recorder.stdout is not None
-        ready, _, _ = select.select([self._recorder.stdout], [], [], PATIENCE)
+        ready, _, _ = select.select([self._recorder.stdout], [], [], TIMEOUT)
         if not ready or self._recorder.stdout.readline().strip() != READY.encode():
             self._missing.append("the recorder has not started")
 
     @property
     def recorder(self) -> int | None:
-        """Its process."""
+        """Process id of the recorder; None if it did not start."""
         return None if self._recorder is None else self._recorder.pid
 
     def write(self, k: int) -> None:
-        """Everything as it is now, as instant k."""
+        """Write the present signals, states and counters as the row of instant `k`."""
         self._signals[:] = self._now
         states = self._states
         for i, device in enumerate(self._devices):
             states[i] = device.state.now
         if k % COUNTERS_EVERY == 0:
-            self._count()
+            self._update_counters()
         self._ring.write(k, self._line)
 
-    def _count(self) -> None:
+    def _update_counters(self) -> None:
         place, counts = 0, self._counts
         for device, names in self._counters:
             report = device.report()
@@ -172,48 +183,57 @@ class Tap:
                 place += 1
 
     def close(self, reason: str, k: int | None = None) -> Mapping[str, Any]:
-        """What was written, as the result tells it. `k`: the instant of the end, which the loop has not told in its turn."""
-        with contextlib.suppress(Exception):  # a counter of a broken driver must not cost the row
-            self._count()
+        """End the recording. Return the written files and the missing data, for the result.
+
+        `reason` is that of the stop. `k` is the last instant; its row is written if it is missing.
+        """
+        with contextlib.suppress(Exception):  # a failed driver must not prevent the row
+            self._update_counters()
         if k is not None and k > self._ring.last_instant >= 0:
             self._signals[:] = self._now
             for i, device in enumerate(self._devices):
                 self._states[i] = device.state.now
             self._ring.write(k, self._line)
         self._ring.say_reason(reason)
-        # The recorder names steps with their moments; the difference of start and end is for one that has died, or has other clocks.
+        # The recorder reports clock steps with times. The total step is used if it reports none.
         written = self._written(self._clock.whole_step())
         self._ring.close()
         return {**asdict(written), "missing": [*self._missing, *written.missing]}
 
     def _add_rest(self, reader: RingReader, written: Written) -> None:
+        """Write the part of the recording that only the ring contains."""
         try:
             save_rest(reader, "the loop, without its recorder", written.clock_steps)
             if reader.head.records and self._directory.is_dir():
                 written.recording = [str(path) for path in parts(self._directory)]
         except (OSError, CosimError) as error:
             written.missing.append(
-                f"what the ring had of the recording's end is not written: {error}"
+                f"the end of the recording was not written from the ring: {error}"
             )
 
     def _written(self, clock_steps: list[str]) -> Written:
-        """By the recorder; what it has not done is done here, and `clock_steps` stand for what it has not named."""
-        said = b""
-        why = "the recorder did not live to the end; `freeflyer recover` makes its files whole"
+        """Return what the recorder wrote; write here what it did not write.
+
+        `clock_steps` is used if the recorder reports no clock steps.
+        """
+        # The recorder ends after GOODBYE and reports in JSON.
+        answer = b""
+        why = "the recorder ended early; `freeflyer recover` repairs its files"
         if self._recorder is not None:
             try:
-                said, _ = self._recorder.communicate(GOODBYE, timeout=PATIENCE)
+                answer, _ = self._recorder.communicate(GOODBYE, timeout=TIMEOUT)
             except subprocess.TimeoutExpired:
-                why = f"the recorder (process {self._recorder.pid}) is held up since {PATIENCE:g} s; it ends by itself once it goes on"
+                why = f"the recorder (process {self._recorder.pid}) has not responded for {TIMEOUT:g} s; it ends by itself when it continues"
             except (OSError, ValueError):
                 pass
         try:
-            written = Written(**json.loads(said))
+            written = Written(**json.loads(answer))
         except (ValueError, TypeError):
             written = Written(missing=[why])
         written.clock_steps = written.clock_steps or clock_steps
         if written.flight is not None or self._ring.last_instant < 0:
             return written
+        # No flight recording yet: save it from the ring.
         try:
             with closing(RingReader(self._ring.path)) as reader:
                 flight = save_flight(

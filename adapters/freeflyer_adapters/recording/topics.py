@@ -1,20 +1,23 @@
-"""Which messages a run's signals become. A signal's variable, size and unit decide; no scenario is known here.
+"""Topics and messages of a run's signals, from the name, size and unit of each variable.
 
-Every component's signals, exactly as they are, in one message of the component's own (topic /COMPONENT, definition made from the
-scenario, units in its comments); the loop's states and counters likewise (topic /loop). Beside them, so that tools show them without
-being told, those that ROS has messages for:
+Each component has one topic /COMPONENT, which contains all its signals unchanged. Its message
+definition is generated from the scenario and gives the units in comments. The topic /loop contains
+the states and counters of the loop. Signals that fit a standard ROS message are also written to a
+topic /COMPONENT/PREFIX/NAME of this message, which tools display without configuration:
 
-| variables of one component (PREFIX may be empty) | size, unit | message, topic |
+| variables of one component (PREFIX may be empty) | size, unit | message, NAME |
 |---|---|---|
-| PREFIXjoint_position, _velocity, _torque, or some of them | n, any of rad, m, N.m, N | sensor_msgs/JointState, /COMPONENT/PREFIX/joint_states |
-| PREFIXposition, PREFIXorientation, PREFIXvelocity of a base | 3 m; 4; 6 m/s, rad/s | nav_msgs/Odometry, .../odometry |
-| PREFIXposition, PREFIXorientation of anything else | 3 m; 4 | geometry_msgs/PoseStamped, .../pose |
-| PREFIXvelocity | 6 m/s, rad/s | geometry_msgs/TwistStamped, .../twist |
-| PREFIXacceleration | 6 m/s2, rad/s2 | geometry_msgs/AccelStamped, .../accel |
-| PREFIXwrench | 6 N, N.m | geometry_msgs/WrenchStamped, .../wrench |
+| PREFIXjoint_position, _velocity, _torque (1 to 3) | n | sensor_msgs/JointState, joint_states |
+| PREFIXposition, _orientation, _velocity (base) | 3 m; 4; 6 | nav_msgs/Odometry, odometry |
+| PREFIXposition, _orientation (others) | 3 m; 4 | geometry_msgs/PoseStamped, pose |
+| PREFIXvelocity | 6 m/s, rad/s | geometry_msgs/TwistStamped, twist |
+| PREFIXacceleration | 6 m/s2, rad/s2 | geometry_msgs/AccelStamped, accel |
+| PREFIXwrench | 6 N, N.m | geometry_msgs/WrenchStamped, wrench |
 
-"Of a base": the prefix, or the component's name where the prefix has no body in it, has the word base. Frames are those of the
-messages on the wire: I is "inertial"; an Odometry's twist is expressed in its child frame "base", as its definition demands.
+A body is a base if the prefix, split at "_", contains "base". If the prefix is empty or "true_",
+the name of the component is used instead. Frames have the same names as on the link: I is
+"inertial". The twist of an Odometry is expressed in its child frame "base", as its definition
+requires.
 """
 
 from __future__ import annotations
@@ -42,7 +45,7 @@ from freeflyer_adapters.recording.ros_definitions import (
 
 INERTIAL, BASE = "inertial", "base"
 COLUMNS = "freeflyer.columns"
-"""Metadata of the channels that hold everything: JSON, [{name, size, units}, ...] in the order of a message's fields."""
+"""Metadata key of the component topics: JSON [{name, size, units}, ...] in field order."""
 COVARIANCE = 36
 LOOP = "/loop"
 
@@ -51,22 +54,22 @@ LOOP = "/loop"
 class Topic:
     name: str
     message: str
-    """As ROS 2 names it, with /msg/."""
+    """Type name of ROS 2, with /msg/."""
     definition: str
     layout: Layout
     metadata: Mapping[str, str] = field(default_factory=dict)
 
 
-def topics(head: RecordingHeader, signals: Sequence[Signal]) -> list[Topic]:
-    """Of the chosen signals of a run; the loop's own topic is always among them."""
+def topics(header: RecordingHeader, signals: Sequence[Signal]) -> list[Topic]:
+    """Return the topic of the loop, then the topics of `signals`."""
     by_component: dict[str, dict[str, Signal]] = {}
     for signal in signals:
         component, variable = split(signal.name)
         by_component.setdefault(component, {})[variable] = signal
-    found = [_loop(head)]
+    found = [_loop_topic(header)]
     for component, variables in by_component.items():
-        found.append(_everything(component, variables))
-        found += _known(component, variables)
+        found.append(_component_topic(component, variables))
+        found += _standard_topics(component, variables)
     return found
 
 
@@ -80,15 +83,15 @@ def _columns(signal: Signal) -> Numbers:
     return lambda rows: rows.values[:, first:last]
 
 
-# Everything, as it is
+# Topics with all signals
 
 
-def _loop(head: RecordingHeader) -> Topic:
+def _loop_topic(header: RecordingHeader) -> Topic:
     layout = Layout("")
     layout.numbers(2, lambda rows: rows.times[:, 1:3])
-    layout.numbers(1, lambda rows: rows.times[:, 2:3] * head.tick / 1e9)
-    first = head.width - len(head.loop)
-    layout.numbers(len(head.loop), lambda rows: rows.values[:, first:])
+    layout.numbers(1, lambda rows: rows.times[:, 2:3] * header.tick / 1e9)
+    first = header.width - len(header.loop)
+    layout.numbers(len(header.loop), lambda rows: rows.values[:, first:])
     states = ", ".join(f"{state.value} {state.name}" for state in LifeCycle)
     lines = [
         "std_msgs/Header header",
@@ -97,16 +100,16 @@ def _loop(head: RecordingHeader) -> Topic:
         "float64 time  # [s] of the scenario",
     ]
     for name, text in zip(
-        field_names(["monotonic", "instant", "time", *head.loop])[3:], head.loop, strict=True
+        field_names(["monotonic", "instant", "time", *header.loop])[3:], header.loop, strict=True
     ):
         lines.append(f"float64 {name}  # {states}" if text.endswith(STATE) else f"float64 {name}")
-    columns = json.dumps([{"name": name, "size": 1, "units": [""]} for name in head.loop])
+    columns = json.dumps([{"name": name, "size": 1, "units": [""]} for name in header.loop])
     return Topic(
         LOOP, f"{PACKAGE}/msg/Loop", full_text("\n".join(lines)), layout, {COLUMNS: columns}
     )
 
 
-def _everything(component: str, variables: Mapping[str, Signal]) -> Topic:
+def _component_topic(component: str, variables: Mapping[str, Signal]) -> Topic:
     layout = Layout("")
     lines = ["std_msgs/Header header"]
     for name, (variable, signal) in zip(
@@ -132,21 +135,22 @@ def _everything(component: str, variables: Mapping[str, Signal]) -> Topic:
     )
 
 
-# What ROS has messages for
+# Topics with standard ROS messages
 
 
-def _known(component: str, variables: Mapping[str, Signal]) -> list[Topic]:
+def _standard_topics(component: str, variables: Mapping[str, Signal]) -> list[Topic]:
+    """Return the topics of all variables that fit a standard message; a variable is used once."""
     found: list[Topic] = []
     done: set[str] = set()
     for variable in variables:
-        for ending, units, made in (
+        for ending, units, create in (
             ("joint_position", None, _joints),
             ("joint_velocity", None, _joints),
             ("joint_torque", None, _joints),
             ("orientation", ("1",) * 4, _pose),
-            ("velocity", ("m/s",) * 3 + ("rad/s",) * 3, _six("Twist")),
-            ("acceleration", ("m/s2",) * 3 + ("rad/s2",) * 3, _six("Accel")),
-            ("wrench", ("N",) * 3 + ("N.m",) * 3, _six("Wrench")),
+            ("velocity", ("m/s",) * 3 + ("rad/s",) * 3, _twist_like("Twist")),
+            ("acceleration", ("m/s2",) * 3 + ("rad/s2",) * 3, _twist_like("Accel")),
+            ("wrench", ("N",) * 3 + ("N.m",) * 3, _twist_like("Wrench")),
         ):
             signal = variables[variable]
             if (
@@ -158,7 +162,7 @@ def _known(component: str, variables: Mapping[str, Signal]) -> list[Topic]:
             prefix = variable.removesuffix(ending)
             if prefix and not prefix.endswith("_"):
                 continue
-            topic, used = made(component, prefix, variables)
+            topic, used = create(component, prefix, variables)
             if topic is not None:
                 found.append(topic)
                 done |= used
@@ -205,13 +209,13 @@ def _pose(
     if position is None or orientation is None or not _has(position, ("m",) * 3):
         return None, set()
     moves = _has(velocity, ("m/s",) * 3 + ("rad/s",) * 3)
-    words = prefix.split("_") if prefix.strip("_") not in ("", "true") else component.split("_")
+    parts = (component if prefix.strip("_") in ("", "true") else prefix).split("_")
     layout = Layout(INERTIAL)
-    if BASE in words and moves and velocity is not None:
+    if BASE in parts and moves and velocity is not None:
         layout.text(BASE)
         layout.numbers(3, _columns(position))
         layout.numbers(4, _columns(orientation))
-        layout.zeros(COVARIANCE)  # zeros: unknown
+        layout.zeros(COVARIANCE)  # zeros mean unknown
         layout.numbers(6, _in_body(_columns(orientation), _columns(velocity)))
         layout.zeros(COVARIANCE)
         return _topic(component, prefix, "odometry", "nav_msgs/Odometry", layout), set(names)
@@ -220,13 +224,14 @@ def _pose(
     return _topic(component, prefix, "pose", "geometry_msgs/PoseStamped", layout), set(names[:2])
 
 
-Made = Callable[[str, str, Mapping[str, Signal]], tuple[Topic | None, set[str]]]
+TopicFactory = Callable[[str, str, Mapping[str, Signal]], tuple[Topic | None, set[str]]]
 
 
-def _six(kind: str) -> Made:
+def _twist_like(kind: str) -> TopicFactory:
+    """Return a function that creates the topic of one linear and angular vector (6)."""
     ending = {"Twist": "velocity", "Accel": "acceleration", "Wrench": "wrench"}[kind]
 
-    def made(
+    def create(
         component: str, prefix: str, variables: Mapping[str, Signal]
     ) -> tuple[Topic | None, set[str]]:
         layout = Layout(INERTIAL)
@@ -235,15 +240,15 @@ def _six(kind: str) -> Made:
             prefix + ending
         }
 
-    return made
+    return create
 
 
 def _in_body(orientation: Numbers, velocity: Numbers) -> Numbers:
-    """Linear and angular velocity, expressed in I, turned into the frame of the body."""
+    """Return a function that transforms twists from I to the frame of the body."""
 
     def numbers(rows: Rows) -> Array:
         q, v = np.asarray(orientation(rows), dtype=float), np.asarray(velocity(rows), dtype=float)
-        vector, scalar = -q[:, :3], q[:, 3:]  # the inverse turn
+        vector, scalar = -q[:, :3], q[:, 3:]  # inverse rotation
         parts = []
         for part in (v[:, :3], v[:, 3:]):
             across = 2.0 * np.cross(vector, part)

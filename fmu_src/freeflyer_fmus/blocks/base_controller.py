@@ -85,7 +85,7 @@ def base_controller(robot: Robot) -> Block:
     # M~ of B in I: the base inertia without a wrench at the end-effector.
     M = (
         articulated_base_inertia(mechanism, state.q)
-        .turned(rotation.matrix(state.orientation))
+        .rotated(rotation.matrix(state.orientation))
         .matrix()
     )
     is_matched = discretisation == int(Discretisation.matched)

@@ -99,7 +99,7 @@ def articulated_end_effector_inertia(mechanism: Mechanism, state: State) -> SX:
         )
         R_I = R_I @ transform(joint, state.q[i])[0]
     at_end_effector = inertia.shifted(-sparse(mechanism.robot.end_effector_translation))
-    return at_end_effector.turned(R_I).matrix()
+    return at_end_effector.rotated(R_I).matrix()
 
 
 class _Pass(NamedTuple):

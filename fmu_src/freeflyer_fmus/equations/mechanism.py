@@ -1,4 +1,4 @@
-"""The robot as the recursions see it: inertias (some of them symbols) and the transform of every joint."""
+"""Robot model of the recursions: inertias, which may be symbols, and joint transforms."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SX = ca.SX
 
 
 class Mechanism(NamedTuple):
-    """`base` and `bodies` in their own frames; the tool is part of the last body."""
+    """Inertias of the base in B and of `bodies[i]` in joint frame i. The last includes the tool."""
 
     robot: Robot
     base: RigidInertia
@@ -26,7 +26,11 @@ class Mechanism(NamedTuple):
 
 
 class State(NamedTuple):
-    """A configuration and its velocities: quaternion (4) of R_IB, velocities (3, 3) of B in I, q (n), q' (n)."""
+    """Configuration and velocities of the robot.
+
+    `orientation`: quaternion (4) of R_IB. `v` [m/s], `w` [rad/s]: velocities (3) of B in I.
+    `q`, `qd` (n): joint positions and velocities.
+    """
 
     orientation: SX
     v: SX
@@ -36,13 +40,13 @@ class State(NamedTuple):
 
 
 def symmetric_matrix(entries: SX) -> SX:
-    """(3, 3) from [xx, yy, zz, xy, xz, yz]."""
+    """Return the matrix (3, 3) with the entries [xx, yy, zz, xy, xz, yz]."""
     xx, yy, zz, xy, xz, yz = ca.vertsplit(entries)
     return ca.blockcat([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 def inertia_entries(matrix: object) -> list[float]:
-    """[xx, yy, zz, xy, xz, yz] of a (3, 3) matrix."""
+    """Return [xx, yy, zz, xy, xz, yz] of a matrix (3, 3)."""
     m = np.asarray(matrix, dtype=float)
     return [float(m[i, j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
 
@@ -55,7 +59,11 @@ def mechanism(
     tool_centre_of_mass: SX,
     tool_inertia: SX,
 ) -> Mechanism:
-    """Base mass [kg] and inertia (6) about B; tool mass, centre of mass (3) in E and inertia (6) about it, in E."""
+    """Return the mechanism with these inertias of base and tool, and constants for all others.
+
+    Masses are in kg. Inertias (6) [kg m2] are about the centre of mass, in B for the base and in E
+    for the tool. `tool_centre_of_mass` (3) [m] is in E.
+    """
     base = RigidInertia.of(base_mass, SX(3, 1), symmetric_matrix(base_inertia))
     tool = RigidInertia.of(tool_mass, tool_centre_of_mass, symmetric_matrix(tool_inertia))
     bodies = [RigidInertia.constant(body) for body in robot.bodies]
@@ -66,7 +74,7 @@ def mechanism(
 
 
 def constant_mechanism(robot: Robot) -> Mechanism:
-    """With the robot's own masses as numbers."""
+    """Return the mechanism with all masses and inertias of `robot` as numbers."""
     return mechanism(
         robot,
         SX(robot.base.mass),
@@ -78,20 +86,23 @@ def constant_mechanism(robot: Robot) -> Mechanism:
 
 
 def inertia_to_parent(inertia: ArticulatedInertia, joint: Joint, q: SX) -> ArticulatedInertia:
-    """About the parent's origin, in its axes: the turn about the joint's z apart, which costs less so."""
+    """Return the inertia about the parent's origin, in parent axes.
+
+    The rotation about the joint axis is a separate step, which needs fewer operations.
+    """
     if joint.kind == "revolute":
         inertia = inertia.rotated_about_z(ca.cos(q), ca.sin(q))
-    return inertia.turned(sparse(joint.rotation)).shifted(transform(joint, q)[1])
+    return inertia.rotated(sparse(joint.rotation)).shifted(transform(joint, q)[1])
 
 
 def inertia_to_child(inertia: ArticulatedInertia, joint: Joint, q: SX) -> ArticulatedInertia:
-    """The other way."""
-    inertia = inertia.shifted(-transform(joint, q)[1]).turned(sparse(joint.rotation).T)
+    """Return the inertia about the child's origin, in child axes. Inverts `inertia_to_parent`."""
+    inertia = inertia.shifted(-transform(joint, q)[1]).rotated(sparse(joint.rotation).T)
     return inertia.rotated_about_z(ca.cos(q), -ca.sin(q)) if joint.kind == "revolute" else inertia
 
 
 def transform(joint: Joint, q: SX) -> tuple[SX, SX]:
-    """(R, r) of the joint frame displaced by q in its parent body's frame."""
+    """Return the pose (R, r) of the joint frame, displaced by q, in the parent body's frame."""
     R, r = sparse(joint.rotation), sparse(joint.translation)
     if joint.kind == "prismatic":
         return R, r + R[:, 2] * q

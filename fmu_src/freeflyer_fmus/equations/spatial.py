@@ -1,7 +1,8 @@
-"""Rigid and articulated inertias in one frame, and how they pass from a body to its parent.
+"""Rigid and articulated inertias, and their transforms between the frames of child and parent.
 
-Everything is pairs of 3-vectors (linear, angular); a transform is (R, r): R turns child into parent coordinates, r is the
-child's origin in the parent frame. Source of the algorithms: Featherstone, Rigid Body Dynamics Algorithms, 2008.
+Spatial vectors are pairs of 3-vectors (linear, angular). A transform is (R, r): R maps child to
+parent coordinates, r is the origin of the child in the parent frame. Source of the algorithms:
+Featherstone, Rigid Body Dynamics Algorithms, 2008.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ Z = SX(ca.DM([0.0, 0.0, 1.0]))
 
 
 def skew(v: SX) -> SX:
-    """[v]x (3, 3), so that skew(v) @ u = v x u."""
+    """Return [v]x (3, 3), with skew(v) @ u = v x u."""
     return ca.skew(v)
 
 
@@ -26,17 +27,17 @@ def cross(a: SX, b: SX) -> SX:
 
 
 def sparse(values: Any) -> SX:
-    """A constant matrix with its exact zeros left out, so that products with them are never generated."""
+    """Return a constant matrix without its exact zeros: no code is generated for their products."""
     return SX(ca.sparsify(ca.DM(values)))
 
 
 def symmetric(upper: SX) -> SX:
-    """The symmetric matrix with this upper triangle: mirrored entries are the same expression, computed once."""
+    """Return the symmetric matrix of this upper triangle; mirrored entries are one expression."""
     return ca.triu2symm(ca.triu(upper))
 
 
 class RigidInertia(NamedTuple):
-    """Mass [kg], first moment m c (3) [kg m] and inertia about the frame's origin (3, 3) [kg m2]."""
+    """Mass [kg], first moment m c (3) [kg m], inertia about the frame's origin (3, 3) [kg m2]."""
 
     mass: SX
     first_moment: SX
@@ -44,7 +45,7 @@ class RigidInertia(NamedTuple):
 
     @staticmethod
     def of(mass: SX, centre_of_mass: SX, inertia: SX) -> RigidInertia:
-        """From the inertia about the centre of mass."""
+        """Return the rigid inertia from `inertia` about the centre of mass (3) [m]."""
         shift = (
             ca.dot(centre_of_mass, centre_of_mass) * SX.eye(3) - centre_of_mass @ centre_of_mass.T
         )
@@ -58,7 +59,7 @@ class RigidInertia(NamedTuple):
         return RigidInertia(*(ca.sparsify(part) for part in whole))
 
     def seen_from(self, rotation: SX, translation: SX) -> RigidInertia:
-        """The same body in a frame in which this one stands at (rotation, translation)."""
+        """Return the inertia in a frame where the present one has pose (rotation, translation)."""
         moment = rotation @ self.first_moment
         cross_term = (
             moment @ translation.T
@@ -66,8 +67,8 @@ class RigidInertia(NamedTuple):
             + self.mass * translation @ translation.T
         )
         about = ca.trace(cross_term) * SX.eye(3) - cross_term
-        turned = rotation @ self.inertia @ rotation.T
-        return RigidInertia(self.mass, moment + self.mass * translation, symmetric(turned + about))
+        rotated = rotation @ self.inertia @ rotation.T
+        return RigidInertia(self.mass, moment + self.mass * translation, symmetric(rotated + about))
 
     def __add__(self, other: object) -> RigidInertia:
         assert isinstance(other, RigidInertia)
@@ -78,7 +79,10 @@ class RigidInertia(NamedTuple):
         )
 
     def momentum(self, v: SX, w: SX) -> tuple[SX, SX]:
-        """Linear momentum and angular momentum about the frame's origin, from the origin's velocity v and w."""
+        """Return linear momentum, and angular momentum about the frame's origin.
+
+        v [m/s] is the velocity of the origin, w [rad/s] the angular velocity.
+        """
         return self.mass * v + cross(w, self.first_moment), self.inertia @ w + cross(
             self.first_moment, v
         )
@@ -88,7 +92,7 @@ class RigidInertia(NamedTuple):
 
 
 class ArticulatedInertia(NamedTuple):
-    """A symmetric 6x6 inertia in blocks: force = M a + H alpha, torque = H^T a + I alpha."""
+    """Symmetric 6x6 inertia in blocks: force = M a + H alpha, torque = H^T a + I alpha."""
 
     M: SX
     H: SX
@@ -98,18 +102,18 @@ class ArticulatedInertia(NamedTuple):
         assert isinstance(other, ArticulatedInertia)
         return ArticulatedInertia(self.M + other.M, self.H + other.H, self.I + other.I)
 
-    def turned(self, R: SX) -> ArticulatedInertia:
-        """In other axes about the same origin: R turns the present coordinates into the new ones."""
+    def rotated(self, R: SX) -> ArticulatedInertia:
+        """Return the inertia in other axes, same origin: R maps present to new coordinates."""
         return ArticulatedInertia(
             symmetric(R @ self.M @ R.T), R @ self.H @ R.T, symmetric(R @ self.I @ R.T)
         )
 
     def rotated_about_z(self, c: SX, s: SX) -> ArticulatedInertia:
-        """`turned` by the angle with this cosine and sine."""
+        """Return `rotated` for the rotation about z with cosine c and sine s."""
         return ArticulatedInertia(*(_rotated_about_z(part, c, s) for part in self))
 
     def shifted(self, r: SX) -> ArticulatedInertia:
-        """About another origin, from which the present one is seen at r; in the same axes."""
+        """Return the inertia about a new origin, in the same axes; r points from new to old."""
         H = self.H - self.M @ skew(r)
         return ArticulatedInertia(self.M, H, symmetric(self.I + skew(r) @ H + (skew(r) @ self.H).T))
 
@@ -118,7 +122,10 @@ class ArticulatedInertia(NamedTuple):
 
 
 def _rotated_about_z(A: SX, c: SX, s: SX) -> SX:
-    """R A R^T (3, 3) with less than half the products: in the plane, the trace and the antisymmetric part do not turn."""
+    """Return R A R^T (3, 3) with less than half of the products.
+
+    The rotation does not change the trace and the antisymmetric part of the xy block.
+    """
     u = s * (A[0, 0] - A[1, 1]) + c * (A[0, 1] + A[1, 0])
     column = ca.vertcat(c * A[0, 2] - s * A[1, 2], s * A[0, 2] + c * A[1, 2])
     row = ca.horzcat(c * A[2, 0] - s * A[2, 1], s * A[2, 0] + c * A[2, 1])
@@ -127,13 +134,13 @@ def _rotated_about_z(A: SX, c: SX, s: SX) -> SX:
 
 
 def wrench_to_parent(R: SX, r: SX, force: SX, torque: SX) -> tuple[SX, SX]:
-    """A wrench about the child's origin, as one about the parent's, in parent coordinates."""
-    turned = R @ force
-    return turned, R @ torque + cross(r, turned)
+    """Transform a wrench about the child's origin to the parent's origin and axes."""
+    rotated = R @ force
+    return rotated, R @ torque + cross(r, rotated)
 
 
 def solve_positive_definite(A: SX, b: SX) -> SX:
-    """A^-1 b for symmetric positive definite A by L D L^T: no pivoting needed, no square root."""
+    """Return A^-1 b for symmetric positive definite A by L D L^T, without pivots or roots."""
     n = A.size1()
     L, D, LD = SX.eye(n), [SX(0)] * n, SX(n, n)
     for j in range(n):

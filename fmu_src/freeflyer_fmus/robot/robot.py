@@ -1,7 +1,8 @@
-"""The robot as plain numbers: a rigid base and a serial chain of one-degree-of-freedom joints.
+"""Numerical robot model: a rigid base and a serial chain of joints with one degree of freedom.
 
-Conventions (see NOTATION.md). B is the base frame: origin at the base body's centre of mass, axes of the base link.
-Every joint frame is turned so that the joint's axis is its own z axis: the recursions then know the motion subspace.
+Conventions are those of NOTATION.md. The base frame B has its origin at the centre of mass of the
+base body, and the axes of the base link. The z axis of every joint frame is the joint axis, so
+all joints have the same motion subspace in the recursions.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 def constant(values: object, shape: tuple[int, ...]) -> Array:
-    """A read-only float array of the given shape."""
+    """Return a read-only float array of the given shape."""
     array = np.array(values, dtype=np.float64).reshape(shape)
     array.flags.writeable = False
     return array
@@ -26,7 +27,7 @@ def constant(values: object, shape: tuple[int, ...]) -> Array:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Inertial:
-    """Mass [kg], centre of mass (3) [m] and inertia about it (3, 3) [kg m2], in the axes of the frame that owns it."""
+    """Mass [kg], centre of mass (3) [m], inertia about it (3, 3) [kg m2], all in one frame."""
 
     mass: float
     centre_of_mass: Array
@@ -41,7 +42,7 @@ class Inertial:
         )
 
     def seen_from(self, rotation: Array, translation: Array) -> Inertial:
-        """The same body in a frame in which this one stands at (rotation, translation)."""
+        """Return the body in a frame where the present one has pose (rotation, translation)."""
         return Inertial(
             mass=self.mass,
             centre_of_mass=constant(rotation @ self.centre_of_mass + translation, (3,)),
@@ -49,7 +50,7 @@ class Inertial:
         )
 
     def merged_with(self, other: Inertial) -> Inertial:
-        """Both bodies welded together; both are given in the same frame."""
+        """Return both bodies as one rigid body; both must be given in the same frame."""
         mass = self.mass + other.mass
         if mass == 0.0:
             return self
@@ -66,7 +67,11 @@ class Inertial:
         )
 
     def check(self, subject: str) -> None:
-        """Refuse what no rigid body can be: mass <= 0, inertia not positive definite, triangle inequality violated."""
+        """Check that a rigid body can have these values. `subject` names it in messages.
+
+        Raises RobotError if a value is not finite, the mass is not positive, or the inertia is not
+        positive definite or violates the triangle inequality.
+        """
         if not (
             np.isfinite(self.mass)
             and np.isfinite(self.centre_of_mass).all()
@@ -94,10 +99,11 @@ def _parallel_axis(offset: Array) -> Array:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Joint:
-    """A revolute or prismatic joint about or along the z axis of its own frame.
+    """Revolute or prismatic joint; the z axis of the joint frame is the joint axis.
 
-    `rotation` (3, 3) and `translation` (3) [m] place the joint frame in the parent body's frame at zero displacement.
-    Limits are in rad or m, rad/s or m/s, N m or N; infinite where there is none.
+    `rotation` (3, 3) and `translation` (3) [m] are the pose of the joint frame in the parent
+    body's frame at zero displacement. Limits are in rad or m, rad/s or m/s, N m or N; infinity
+    means no limit.
     """
 
     name: str
@@ -112,11 +118,14 @@ class Joint:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Robot:
-    """A free-flyer: base, joints with the body that each moves, tool and end-effector.
+    """Free-flyer: base, joints, one body per joint, tool and end-effector.
 
-    `base` is in B (its centre of mass is B's origin); `base_attachment` is what is welded to it (the arm's first link), in B.
-    `bodies[i]` moves with joint i, in joint frame i. `end_effector_*` place the end-effector frame E in the last joint
-    frame. `tool` moves with the last joint and is given in E. `posture` (n) is the start posture of the joints.
+    `base` is in B, with its centre of mass at the origin. `base_attachment`, also in B, is the
+    link of the arm that is fixed to the base. `bodies[i]` moves with joint i and is in joint frame
+    i. `end_effector_*` are the pose of the end-effector frame E in the last joint frame. `tool`
+    moves with the last joint and is in E. `posture` (n) contains the joint positions at the start.
+
+    Raises RobotError for inconsistent sizes or impossible values.
     """
 
     name: str
@@ -130,6 +139,7 @@ class Robot:
     posture: Array
 
     def __post_init__(self) -> None:
+        # Base, and sizes of the chain.
         self.base.check(f"robot {self.name}, base")
         if np.abs(self.base.centre_of_mass).max() > 0.0:
             raise RobotError(
@@ -148,11 +158,13 @@ class Robot:
                 f"robot {self.name}: posture has {self.posture.size} values; one for each of the free joints "
                 f"{', '.join(joint.name for joint in self.joints)} is expected"
             )
+        # The last body is checked with its tool; either may be massless.
         last = len(self.joints) - 1
         for index, (joint, body) in enumerate(zip(self.joints, self.bodies, strict=True)):
             tool = self.tool.seen_from(self.end_effector_rotation, self.end_effector_translation)
             whole = body.merged_with(tool) if index == last else body
             whole.check(f"robot {self.name}, body moved by joint {joint.name}")
+        # The start posture within the joint limits.
         for joint, value in zip(self.joints, self.posture, strict=True):
             if not np.isfinite(value):
                 raise RobotError(
