@@ -154,6 +154,14 @@ def test_a_singular_jacobian_stops_the_run_and_keeps_the_record(
             "[robot]: no component has a parameter 'base_mas'; did you mean 'base_mass'",
         ),
         ("[errors]\nhand = ['a', 'b']\n", "errors.hand"),
+        (
+            "[[limits]]\nsignal = 'free_flyer.base_velocity'\nminimum = 0.1\nnorm = 'euclidean'\n",
+            "'norm' applies to a 'maximum'",
+        ),
+        (
+            "[components.free_flyer]\nstep_s = { value = true, unit = 's' }\n",
+            "step_s is {'value': True, 'unit': 's'}",
+        ),
         ("[record]\nevery_s = 0.0015\n", "the recording interval of 0.0015 s is no multiple"),
         ("stop_s = \n", "is not valid TOML"),
         (

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from matplotlib import colors
 from matplotlib import pyplot as plt
@@ -98,6 +98,28 @@ def test_the_boundary_is_the_predicted_one_with_a_gap_at_a_rejected_value(
     assert "no boundary for case scenario at free_flyer.base_mass = -1" in str(done[1])
 
 
+@pytest.mark.parametrize(
+    ("axis", "seconds"),
+    [
+        ('{ values = [50, 200], unit = "ms" }', 0.001),
+        ("{ values = [0.2, 0.8], relative = true }", 0.3),
+    ],
+)
+def test_the_boundary_is_in_the_unit_of_its_axis(tmp_path: Path, axis: str, seconds: float) -> None:
+    path = tmp_path / "some.toml"
+    path.write_text(
+        f'scenario = "multirate_unstable"\n[grid]\n"base_controller.period" = {axis}\n'
+        '"free_flyer.base_mass" = [150]\n'
+        '[map]\nx = "base_controller.period"\ny = "free_flyer.base_mass"\npredict = true\n'
+    )
+    plan = Plan(sweep_file.read(str(path)))
+    assert plan.sweep.map is not None
+    ((periods, _),) = boundary.predicted(plan, plan.sweep.map, lambda _: None).values()
+    expected = predict(scenario.load("multirate_unstable")).largest_stable_s
+    assert periods[0] * seconds == pytest.approx(expected, abs=1e-12)
+
+
+@example([1.0, 0.010000000000000002, 0.01])
 @given(st.lists(st.floats(0.01, 100.0), min_size=1, max_size=12, unique=True))
 def test_every_value_lies_inside_its_cell(values: list[float]) -> None:
     ordered = np.sort(np.array(values))

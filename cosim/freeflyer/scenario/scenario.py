@@ -296,6 +296,7 @@ class _Reader:
             isinstance(step, dict)
             and isinstance(step.get("unit"), str)
             and isinstance(step.get("value"), int | float)
+            and not isinstance(step.get("value"), bool)
         ):
             try:
                 step = converted(step["value"], factor(step["unit"], "s"))
@@ -377,6 +378,8 @@ class _Reader:
             raise self.fail(
                 f"limit on {signal}: norm is {norm!r}; 'maximum' or 'euclidean' is expected"
             )
+        if "minimum" in raw and "norm" in raw:
+            raise self.fail(f"limit on {signal}: 'norm' applies to a 'maximum'; remove it here")
 
         # Without `elements` the limit applies to all elements of the signal.
         elements = raw.get("elements")

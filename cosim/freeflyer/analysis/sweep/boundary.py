@@ -14,6 +14,7 @@ from freeflyer.analysis.sweep.plan import Plan
 from freeflyer.fmi.component import Array
 from freeflyer.foundation.errors import CosimError, ScenarioError
 from freeflyer.foundation.signal_name import component_of, split
+from freeflyer.foundation.units import converted, factor
 
 
 def check(plan: Plan) -> None:
@@ -44,15 +45,16 @@ def check(plan: Plan) -> None:
 def predicted(
     plan: Plan, figure: Map, done: Callable[[str | None], None]
 ) -> Mapping[str, tuple[Array, Array]]:
-    """Return the boundary of each case: periods x [s], and values y in the unit of the map's axis.
+    """Return the boundary of each case: periods x and values y, in the units of the map's axes.
 
     x is NaN if the loop is stable up to the map's edge or if the point cannot be predicted.
     `done` is called after each point, with a message if the prediction failed and None otherwise.
     """
     component = component_of(figure.x)
-    longest = max(plan.levels(figure.x))
     lines = {}
     for case in plan.sweep.cases:
+        longest = _longest(plan, figure, case)
+        unit = longest / max(plan.levels(figure.x))  # [s] of the axis's unit, or of a factor of 1
         ys, xs = np.array(plan.levels(figure.y), dtype=float), []
         for y in ys:
             scenario = plan.setup.scenario(case, _assignments(plan, figure, case, float(y)))
@@ -63,7 +65,7 @@ def predicted(
                 ).largest_stable_s
             except CosimError as error:
                 failed = f"no boundary for case {case} at {figure.y} = {y:g}: {error}"
-            xs.append(found if found < longest else np.nan)
+            xs.append(found / unit if found < longest else np.nan)
             done(failed)
         lines[case] = (np.array(xs), ys)
     return lines
@@ -72,6 +74,14 @@ def predicted(
 def points(plan: Plan, figure: Map) -> int:
     """Return the number of points that `predicted` computes, which is how often it calls `done`."""
     return len(plan.sweep.cases) * len(plan.levels(figure.y))
+
+
+def _longest(plan: Plan, figure: Map, case: str) -> float:
+    """Return the longest period of the map [s]; the axis may be in another unit, or a factor."""
+    value = dict(_assignments(plan, figure, case, None))[figure.x]
+    if isinstance(value, dict):
+        return converted(value["value"], factor(value["unit"], "s"))
+    return float(np.ravel(value)[0])
 
 
 def _assignments(

@@ -115,9 +115,14 @@ def edges(values: Array) -> Array:
     if values.size == 1:
         return np.array([0.9, 1.1]) * values[0] if values[0] else np.array([-0.5, 0.5])
     if is_logarithmic(values):
-        return np.exp(edges_between(np.log(values)))
-    borders = edges_between(values)
-    return np.maximum(borders, 0.0) if values[0] > 0.0 else borders  # no negative period
+        borders = np.exp(edges_between(np.log(values)))
+    else:
+        borders = edges_between(values)
+        borders = np.maximum(borders, 0.0) if values[0] > 0.0 else borders  # no negative period
+    # Rounding of the logarithm can place an edge beyond a value that is close to its neighbour.
+    borders[1:-1] = np.clip(borders[1:-1], values[:-1], values[1:])
+    borders[[0, -1]] = min(borders[0], values[0]), max(borders[-1], values[-1])
+    return borders
 
 
 def edges_between(values: Array) -> Array:
