@@ -1,8 +1,9 @@
-"""Find words that stand for persons, or for what persons do, where a component, process or file is meant.
+"""Find words that stand for persons, where a component, process or file is meant.
 
 Usage: python .ci/language.py [PATH ...]    (default: product code, documents, and the names of tests)
 
-A phrase of language_exceptions.txt is allowed. So is a line with the marker `language: person`. Exit code 1 with the places.
+A phrase of language_exceptions.txt is allowed. So is a line with the marker `language: person`.
+The exit code is 1 if a word is found.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
-"""Hardware in the loop: devices and their links, the loop in real time, recordings, the virtual facility.
+"""Hardware in the loop: devices, links, the loop in real time, recordings, virtual facility.
 
-Public names are those of `__all__`, declared in __init__.pyi and loaded when first used. Every module is private and may move.
+Public names are those of `__all__`, declared in __init__.pyi and loaded when first used. Every
+module is private and may move.
 """
 
 import lazy_loader

@@ -1,6 +1,7 @@
 """Multi-rate co-simulation of a free-flying space robot: scenarios, master, records, analysis.
 
-Public names are those of `__all__`, declared in __init__.pyi and loaded when first used. Every module is private and may move.
+Public names are those of `__all__`, declared in __init__.pyi and loaded when first used. Every
+module is private and may move.
 """
 
 import lazy_loader

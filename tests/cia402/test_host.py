@@ -324,7 +324,7 @@ def test_a_fault_that_remains_after_its_reset_is_reported_and_nothing_is_switche
 ) -> None:
     with pair(monkeypatch) as bench:
         bench.joints.virtual.fail(2, 0x4310)
-        monkeypatch.setattr(bench.logics[1], "obey", lambda controlword: None)
+        monkeypatch.setattr(bench.logics[1], "apply_controlword", lambda word: None)
         refused(
             bench, "drive of joint 2 (node 7) stays in Fault (statusword 0x0218", bench.prepared
         )
@@ -340,7 +340,7 @@ def test_a_drive_that_does_not_become_enabled_is_named_with_its_state_and_error(
     with pair(monkeypatch) as bench:
         bench.prepared()
         monkeypatch.setattr(
-            bench.logics[1], "obey", lambda controlword: bench.logics[1].fail(0x4310)
+            bench.logics[1], "apply_controlword", lambda word: bench.logics[1].fail(0x4310)
         )
         with pytest.raises(
             DeviceError,
@@ -435,7 +435,7 @@ def test_a_fault_is_reset_by_an_edge_even_if_the_bit_was_set_before(
 ) -> None:
     with pair(monkeypatch) as bench:
         bench.joints.virtual.fail(1)
-        bench.logics[0].obey(0x80)  # resets it
+        bench.logics[0].apply_controlword(0x80)  # resets it
         bench.joints.virtual.fail(1)
         bench.activated()
         assert bench.logics[0].state is STATES.operation_enabled
@@ -553,8 +553,8 @@ def test_a_second_controller_is_rejected_while_the_first_sends_sync_or_has_enabl
         refused(bench, "another controller sends SYNC")
     with pair(monkeypatch) as bench:
         for logic in bench.logics:
-            for controlword in (0x06, 0x07, 0x0F):
-                logic.obey(controlword)
+            for word in (0x06, 0x07, 0x0F):
+                logic.apply_controlword(word)
         with pytest.raises(
             DeviceError,
             match=re.escape(

@@ -135,7 +135,7 @@ def test_an_invalid_setting_is_rejected(
     ("arguments", "sentence"),
     [
         (("hil", "multirate_passive"), "nothing to put into the loop"),
-        (("facility", "multirate_passive"), "nothing for a virtual facility to play"),
+        (("facility", "multirate_passive"), "nothing for a virtual facility to simulate"),
         (
             ("facility", "facility", "--set", "facility.arm_watchdog_cycle=3"),
             "did you mean 'arm_watchdog_cycles'",

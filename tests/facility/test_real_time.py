@@ -154,7 +154,7 @@ def test_the_arm_is_in_safe_stop_within_five_cycles_after_sigkill_of_the_control
     report = bench.facility_report(facility)
     assert any("no set point" in event for event in events(report, "base_robot"))
     assert flight.stat().st_mtime - killed < WITHIN
-    rows = flight_of(flight.parent, "^the controllers' process ended without a word$")
+    rows = flight_of(flight.parent, "^the controllers' process ended without a reported reason$")
     assert 0.0 <= killed - rows["wall_ns"].iloc[-1] * 1e-9 < 0.2
 
 

@@ -1,4 +1,4 @@
-"""One run of both ends of the facility in virtual time, with faults, and everything that must hold whatever they do."""
+"""Run of the host and the facility in virtual time with faults, and checks for all faults."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ from freeflyer_adapters.loop.hil import LoopReport
 JOINTS = 6
 ARM, BASE = "arm_drive", "base_robot"
 PROGRAM_ERROR = re.compile(r"\.py, line \d+\)")
-"""How an exception that nobody expected is told (`freeflyer.master.master.told`)."""
+"""Message of an unexpected exception (`freeflyer.master.master`)."""
 PIECE = 0.03
-"""Longer than any watchdog [s]."""
+"""Duration of one wait after the loop [s]; longer than any watchdog."""
 AFTERWARDS = 0.9
-"""[s] at most after the controllers have gone: the devices' own watchdogs and ramps."""
+"""Longest time [s] after the end of the controllers: watchdogs and ramp-downs of the devices."""
 
 
 def shipped(stop: float, *overrides: str) -> Scenario:
-    # Every instant is recorded, so that every value that was used can be compared.
+    # Every instant is recorded, so that every used value can be compared.
     return replaced(
         scenario.load("facility", [f"stop_s={stop}", *overrides]), record_every=1_000_000
     )
@@ -51,7 +51,7 @@ def with_faults(base: Scenario, faults: Sequence[dict[str, Any]] = (), **facilit
 
 
 class _SetPoints:
-    """A subscriber that keeps everything."""
+    """A subscriber that keeps all samples."""
 
     def __init__(self, key: str) -> None:
         self.key, self.payloads = key, []
@@ -65,37 +65,37 @@ class _SetPoints:
 
 @dataclass
 class Observed:
-    """`stopped_at`, `active_at` in seconds of virtual time."""
+    """Observations of a run; times in seconds of virtual time."""
 
     scenario: Scenario
     faults: tuple[Fault, ...] = ()
     result: Result | None = None
     report: LoopReport | None = None
     error: str = ""
-    """Why it was not even activated."""
+    """Why the devices were not activated."""
     stopped_at: float = np.nan
     active_at: dict[str, float] = field(default_factory=dict)
     safe_at: dict[str, float] = field(default_factory=dict)
-    """When a device went to a stop by itself."""
+    """Time at which a device went to safe stop or fault."""
     true_states: list[bytes] = field(default_factory=list)
     true_samples: list[bytes] = field(default_factory=list)
     commands: list[can.Message] = field(default_factory=list)
     setpoints: list[bytes] = field(default_factory=list)
     applied: list[tuple[LifeCycle, bool, Array]] = field(default_factory=list)
-    """Of the arm in every cycle: state, brakes, torque."""
+    """State, brakes and torque of the arm in every cycle."""
     delivered: list[tuple[int, list[bytes]]] = field(default_factory=list)
-    """For every cycle: its number, and the frames that came out of the link for the arm before it."""
+    """Number of every cycle, and the frames that the arm received before it."""
     lives: dict[str, list[tuple[float, LifeCycle]]] = field(
         default_factory=lambda: {ARM: [], BASE: []}
     )
-    """Of each device in every cycle: when, and its state."""
+    """Time and state of each device in every cycle."""
     followed: list[tuple[Array, Array]] = field(default_factory=list)
-    """Set points that the base robot was given in every cycle."""
+    """Set point of the base robot in every cycle."""
     devices: dict[str, Any] = field(default_factory=dict)
     events: dict[str, list[str]] = field(default_factory=dict)
     acted: dict[str, int] = field(default_factory=dict)
     effort: Array = field(default_factory=lambda: np.zeros(JOINTS))
-    """The arm's own limits (n) [N m]."""
+    """Joint effort limits of the arm (n) [N m]."""
     at_the_end: dict[str, LifeCycle] = field(default_factory=dict)
     braked_at_the_end: bool = False
 
@@ -108,12 +108,18 @@ class Observed:
         return self.result is not None and self.result.as_expected
 
     def since(self, device: str, begin: float, moment: float) -> float:
-        """[s] from a fault's begin (counted from the device's activation) until a moment."""
+        """Return the time [s] from the start of a fault to `moment`.
+
+        `begin` [s] counts from the activation of the device.
+        """
         return round(moment - (self.active_at[device] + begin), 9)  # the clock counts nanoseconds
 
 
 def run(chosen: Scenario) -> Observed:
-    """Raises nothing that the loop or the facility should have caught."""
+    """Run a scenario and return the observations.
+
+    Exceptions that the loop or the facility should catch are not caught here.
+    """
     seen = Observed(scenario=chosen)
     frames = ArmFrames(FrameMapping(), JOINTS)
     stop = hil.stop
@@ -124,14 +130,15 @@ def run(chosen: Scenario) -> Observed:
         arm, base = facility.devices
         assert isinstance(arm, VirtualArm)
         assert isinstance(base, VirtualBase)
-        listener = clock.bus(channel=arm.options.channel)
-        came: list[bytes] = []
-        handed_out = arm._bus.recv
+        # Record all frames, samples and states on both sides of the links.
+        observer = clock.bus(channel=arm.options.channel)
+        received: list[bytes] = []
+        original_recv = arm._bus.recv
 
         def noted_frame(timeout: float = 0.0) -> can.Message | None:
-            message = handed_out(timeout)
+            message = original_recv(timeout)
             if message is not None:
-                came.append(bytes(message.data))
+                received.append(bytes(message.data))
             return message
 
         arm._bus.recv = noted_frame  # type: ignore[method-assign]
@@ -139,7 +146,7 @@ def run(chosen: Scenario) -> Observed:
         clock._net.subscribers.append(taken)  # type: ignore[arg-type]
 
         def drained() -> None:
-            while (message := listener.recv(0.0)) is not None:
+            while (message := observer.recv(0.0)) is not None:
                 if message.arbitration_id == frames.command.identifier:
                     seen.commands.append(message)
 
@@ -147,8 +154,8 @@ def run(chosen: Scenario) -> Observed:
             drained()
             logic = arm.logic
             seen.applied.append((logic.life.now, logic.braked, logic.torque.copy()))
-            seen.delivered.append((logic.cycle, came.copy()))
-            came.clear()
+            seen.delivered.append((logic.cycle, received.copy()))
+            received.clear()
             _note_state(seen, ARM, logic.life.now, now())
 
         def note_base(_: Any) -> None:
@@ -166,6 +173,7 @@ def run(chosen: Scenario) -> Observed:
             seen.stopped_at = now()
             return stop(*arguments, **keywords)
 
+        # Run the loop, then the devices alone until both are safe.
         hil.stop = noted_stop
         try:
             seen.result, seen.report = hil.run(chosen, real_time=False, show=lambda text: None)
@@ -183,8 +191,9 @@ def run(chosen: Scenario) -> Observed:
                 and _is_over(seen, clock.monotonic())
             ):
                 break
+        # Collect the results.
         drained()
-        listener.shutdown()
+        observer.shutdown()
         assert facility.outcome is None or not facility.outcome.failed, facility.outcome
         seen.setpoints = taken.payloads
         seen.devices = {name: dict(counts) for name, counts in facility.report()["devices"].items()}
@@ -206,7 +215,7 @@ def run(chosen: Scenario) -> Observed:
 
 
 def _is_over(seen: Observed, now: float) -> bool:
-    """Whether no fault that ends will yet end: a device that hung may go on where it was."""
+    """Whether every temporary fault has ended; a device that hung may continue its work."""
     return all(
         now > seen.active_at.get(f.device, now) + (f.begin_s or 0.0) + f.duration_s
         or f.duration_s > AFTERWARDS
@@ -243,16 +252,16 @@ def _spy(
 
 
 def assert_safe(seen: Observed) -> None:
-    """What holds whatever the faults were."""
+    """Check what must hold for all faults."""
     assert not PROGRAM_ERROR.search(seen.stop), seen.stop
     assert "not a transition" not in seen.stop
     frames = ArmFrames(FrameMapping(), JOINTS)
     _assert_nothing_corrupted_was_used(seen, frames)
     _assert_commands_within_limits(seen, frames)
-    _assert_an_unheard_arm_stops(seen, frames)
+    _assert_arm_without_commands_stops(seen, frames)
     _assert_one_activation(seen, frames)
     for name, state in seen.at_the_end.items():
-        # One that hangs for ever does nothing any more.
+        # A device that hangs until the end keeps its state.
         hangs = any(
             f.kind == "hung" and f.device == name and f.duration_s > AFTERWARDS for f in seen.faults
         )
@@ -261,7 +270,7 @@ def assert_safe(seen: Observed) -> None:
 
 
 def _assert_nothing_corrupted_was_used(seen: Observed, frames: ArmFrames) -> None:
-    """Every value that either side has used is one that the other side has sent."""
+    """Every value that one side used was sent by the other side."""
     states = [frames.state.unpack(data) for data in seen.true_states]
     commands = {
         tuple(frames.command.unpack(m.data)["joint_torque_command"]) for m in seen.commands
@@ -273,7 +282,7 @@ def _assert_nothing_corrupted_was_used(seen: Observed, frames: ArmFrames) -> Non
             assert tuple(torque) in commands
     sent = [ros_messages.read(payload) for payload in seen.setpoints]
     places = {tuple(s.position) for s in sent} | {tuple(seen.followed[0][0])}
-    # A base without power stays where it was measured last.
+    # A base without power stays at its last measured pose.
     unpowered = any(fault.kind == "dead" and fault.device == BASE for fault in seen.faults)
     for position, _ in seen.followed:
         assert tuple(position) in places or (
@@ -294,48 +303,53 @@ def _assert_nothing_corrupted_was_used(seen: Observed, frames: ArmFrames) -> Non
         assert {tuple(row) for row in record[f"{BASE}.{name}"]} <= values, name
 
 
-def _assert_an_unheard_arm_stops(seen: Observed, frames: ArmFrames) -> None:
-    """An arm is active only while whole commands come that answer one of its last cycles. Whole is what has the right CRC: one that
-    a faulty sender has numbered wrongly is none the less its command.
+def _assert_arm_without_commands_stops(seen: Observed, frames: ArmFrames) -> None:
+    """The arm is active only while it receives intact commands that answer its last cycles.
+
+    A command with a correct CRC is intact, even if its sender numbered it wrongly.
     """
     watchdog, newest, data_id = 4, -1000, frames.command.data_id
-    for (cycle, frames_that_came), (life, _, _) in zip(seen.delivered, seen.applied, strict=True):
-        for data in frames_that_came:
+    for (cycle, received), (life, _, _) in zip(seen.delivered, seen.applied, strict=True):
+        for data in received:
             if len(data) == frames.command.size and e2e_p05_check(data, data_id):
                 newest = max(newest, int(frames.command.unpack(data)["answered_cycle"][0]))
-        # `cycle` is the number of the state frame to come; the last one was the cycle before.
+        # `cycle` is the number of the next state frame; the last one had the number before.
         hung = any(fault.kind == "hung" and fault.device == ARM for fault in seen.faults)
         assert life is not LifeCycle.active or cycle - 1 - newest < watchdog or hung
 
 
 def _assert_one_activation(seen: Observed, frames: ArmFrames) -> None:
-    """What has left active stays so, and the loop's stop ends activations; the arm is activated by mode 4 and nothing else."""
+    """A device is activated at most once, never after the stop, and the arm only by mode 4."""
     for name, lives in seen.lives.items():
-        begun = [
+        activated = [
             now
             for (_, before), (now, state) in pairwise(lives)
             if state is not before and state is LifeCycle.active
         ]
-        said = [event for event in seen.events[name] if event.split(":")[0].endswith("-> active")]
-        assert len(begun) == len(said) <= 1, (name, begun, said)
-        assert not begun or not begun[0] > seen.stopped_at, (name, begun, seen.stopped_at)
-    for (_, came), (before, _, _), (life, _, _) in zip(
+        events = [event for event in seen.events[name] if event.split(":")[0].endswith("-> active")]
+        assert len(activated) == len(events) <= 1, (name, activated, events)
+        assert not activated or not activated[0] > seen.stopped_at, (
+            name,
+            activated,
+            seen.stopped_at,
+        )
+    for (_, received), (before, _, _), (life, _, _) in zip(
         seen.delivered[1:], seen.applied, seen.applied[1:], strict=False
     ):
         if life is LifeCycle.active and before is not life:
-            whole = [
+            intact = [
                 data
-                for data in came
+                for data in received
                 if len(data) == frames.command.size and e2e_p05_check(data, frames.command.data_id)
             ]
             assert Mode.activate in [
-                frames.mode(frames.command.unpack(data)["mode"][0]) for data in whole
+                frames.mode(frames.command.unpack(data)["mode"][0]) for data in intact
             ]
 
 
 def _assert_commands_within_limits(seen: Observed, frames: ArmFrames) -> None:
     resolution = frames.command.fields["joint_torque_command"][0].resolution
-    change = 1000.0 * 0.001  # N m in a cycle: torque_rate_limit, and the period
+    change = 1000.0 * 0.001  # [N m] per cycle: torque_rate_limit times period
     before = np.zeros(JOINTS)
     for message in seen.commands:
         numbers = frames.command.unpack(message.data)

@@ -1,6 +1,7 @@
-"""The fault matrix: every fault, what must come of it and by when. The tests run these rows; docs/fault_matrix.md is made of them.
+"""Fault matrix: every fault, its required reaction and the longest time of the reaction.
 
-python tests/faults/fault_matrix.py > docs/fault_matrix.md
+The tests run these rows. `python tests/faults/fault_matrix.py > docs/fault_matrix.md` writes the
+document.
 """
 
 from __future__ import annotations
@@ -24,10 +25,12 @@ BASE_WATCHDOG = "the base robot does not take set points any more"
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """One fault and its stated reaction. `stop`: what the reason must say (a regular expression), or None: the loop goes on.
+    """A fault and its required reaction.
 
-    `within` [s] from the fault's begin: until the controllers have decided to stop, and until the device itself is safe, where it
-    decides by itself. `counted`: counters of which one or more must not be zero.
+    `stop`: regular expression for the reason of the stop; None: the loop continues.
+    `within`: longest time [s] from the start of the fault to the stop of the loop.
+    `device_within`: longest time [s] until the device itself is safe, if it has a reaction of its
+    own. `counted`: counters, of which at least one must not be zero.
     """
 
     device: str
@@ -40,7 +43,7 @@ class Row:
     device_within: float | None = None
     counted: tuple[str, ...] = ()
     lasts: float = 0.4
-    """How long the run goes on after the fault's begin, if nothing stops it [s]."""
+    """Longest duration of the run after the start of the fault [s]."""
     seed: int = 1
 
     @property
@@ -61,7 +64,7 @@ class Row:
 
 @dataclass(frozen=True, kw_only=True)
 class ProcessRow:
-    """What happens to a whole process or its disk; `test` is where it is tested, FILE::FUNCTION."""
+    """A fault of a process or its disk; `test` is the name of the test, FILE::FUNCTION."""
 
     what: str
     reaction: str
@@ -70,16 +73,17 @@ class ProcessRow:
 
 
 def _arm_rows() -> Iterator[Row]:
-    lost_answers = "late answers: the arm's watchdog after 4 cycles; the controller after 20, or when the arm says so"
-    refused = "refused by E2E, as if lost: "
+    # Lost packets.
+    lost_answers = "late answers: the arm's watchdog after 4 cycles; the controller after 20, or when the arm reports it"
+    refused = "rejected by E2E, as if lost: "
     for share, direction, row in (
-        (0.01, TO_CONTROLLER, {"reaction": "held over, counted", "lasts": 2.0}),
-        (0.05, TO_CONTROLLER, {"reaction": "held over, counted", "lasts": 2.0}),
-        (0.2, TO_CONTROLLER, {"reaction": "4 cycles without an answer come at random, some 0.8 s on average; then the arm's watchdog",
+        (0.01, TO_CONTROLLER, {"reaction": "the last values are used, counted", "lasts": 2.0}),
+        (0.05, TO_CONTROLLER, {"reaction": "the last values are used, counted", "lasts": 2.0}),
+        (0.2, TO_CONTROLLER, {"reaction": "4 cycles without an answer occur after 0.8 s on average; then the arm's watchdog",
                               "stop": ARM_WATCHDOG, "within": 5.0, "lasts": 6.0}),
-        (0.01, TO_DEVICE, {"reaction": "the last command acts on, counted", "lasts": 2.0}),
-        (0.05, TO_DEVICE, {"reaction": "the last command acts on, counted", "lasts": 2.0}),
-        (0.2, TO_DEVICE, {"reaction": "as to the controller: some 0.8 s on average, then the arm's watchdog",
+        (0.01, TO_DEVICE, {"reaction": "the last command remains, counted", "lasts": 2.0}),
+        (0.05, TO_DEVICE, {"reaction": "the last command remains, counted", "lasts": 2.0}),
+        (0.2, TO_DEVICE, {"reaction": "as to the controller: 0.8 s on average, then the arm's watchdog",
                           "stop": ARM_WATCHDOG, "within": 5.0, "lasts": 6.0}),
     ):  # fmt: skip
         counted = ("cycles_lost",) if direction == TO_CONTROLLER else ("commands_late_or_lost",)
@@ -91,6 +95,7 @@ def _arm_rows() -> Iterator[Row]:
             counted=counted,
             **row,
         )  # type: ignore[arg-type]
+    # Faults that make every packet of a direction unusable.
     for kind, how in (("cut", {}), ("flipped_bits", {"bits": 1}), ("flipped_bits", {"bits": 8}), ("wrong_data_id", {}), ("frozen_counter", {}),
                       ("stale_stamp", {})):  # fmt: skip
         prefix = (
@@ -103,37 +108,40 @@ def _arm_rows() -> Iterator[Row]:
         yield Row(device=ARM, direction=TO_CONTROLLER, kind=kind, how=how, stop=ARM_SILENT, within=0.0225, device_within=0.0065,
                   reaction=prefix + lost_answers, counted=("cycles_lost",))  # fmt: skip
         yield Row(device=ARM, direction=TO_DEVICE, kind=kind, how=how, stop=ARM_WATCHDOG, within=0.006, device_within=0.005,
-                  reaction=prefix + "the arm's watchdog after 4 cycles, which it says", counted=("commands_late_or_lost",))  # fmt: skip
+                  reaction=prefix + "the arm's watchdog after 4 cycles, which the arm reports", counted=("commands_late_or_lost",))  # fmt: skip
     yield Row(
         device=ARM,
         direction=BOTH,
         kind="cut",
         how={"duration_s": 0.002},
-        reaction="held over, counted",
+        reaction="the last values are used, counted",
         counted=("cycles_lost",),
     )
     yield Row(device=ARM, direction=BOTH, kind="cut", how={"duration_s": 0.015}, stop=ARM_WATCHDOG, within=0.018, device_within=0.0055,
-              reaction="the arm's watchdog after 4 cycles; the controller learns of it when the link is back")  # fmt: skip
+              reaction="the arm's watchdog after 4 cycles; the controller receives the new state when the link is back")  # fmt: skip
+    # Delayed, duplicated and reordered packets.
     for direction in (TO_CONTROLLER, TO_DEVICE):
         yield Row(device=ARM, direction=direction, kind="delay", how={"delay_s": 0.002}, reaction="late answers are used and counted",
                   counted=("commands_late_or_lost",))  # fmt: skip
         yield Row(device=ARM, direction=direction, kind="delay", how={"delay_s": 0.01}, stop=f"{ARM_WATCHDOG}|{ARM_SILENT}", within=0.016,
-                  device_within=0.0065, reaction="answers that are 4 cycles late are none: the arm's watchdog")  # fmt: skip
+                  device_within=0.0065, reaction="answers that are 4 cycles late are ignored: the arm's watchdog")  # fmt: skip
         yield Row(device=ARM, direction=direction, kind="jitter", how={"delay_s": 0.003}, reaction="late answers are used and counted",
                   counted=("commands_late_or_lost",))  # fmt: skip
-        yield Row(device=ARM, direction=direction, kind="duplication", reaction="the second is refused by E2E, counted",
+        yield Row(device=ARM, direction=direction, kind="duplication", reaction="the second packet is rejected by E2E, counted",
                   counted=("state_frames_rejected",) if direction == TO_CONTROLLER else ("commands_rejected",))  # fmt: skip
-        yield Row(device=ARM, direction=direction, kind="reordering", how={"probability": 0.1}, reaction="the late one is refused, counted",
+        yield Row(device=ARM, direction=direction, kind="reordering", how={"probability": 0.1}, reaction="the late packet is rejected, counted",
                   counted=("state_frames_rejected", "commands_rejected"))  # fmt: skip
+    # Wrong values and clocks.
     yield Row(device=ARM, direction=TO_CONTROLLER, kind="out_of_range", how={"probability": 0.05}, stop="its range is", within=0.1,
-              reaction="a joint beyond its range is no error of the link: stop on the first")  # fmt: skip
+              reaction="a joint beyond its range is not a link error: stop at the first value")  # fmt: skip
     yield Row(device=ARM, direction=TO_DEVICE, kind="out_of_range", stop=ARM_WATCHDOG, within=0.006, device_within=0.005,
-              reaction="a torque beyond the arm's limits is not used, as if lost", counted=("commands_beyond_limits",))  # fmt: skip
+              reaction="a torque beyond the arm's limits is rejected, as if lost", counted=("commands_beyond_limits",))  # fmt: skip
     for jump in (1.0, -1.0):
         yield Row(device=ARM, direction=TO_CONTROLLER, kind="clock_jump", how={"jump_s": jump}, stop=ARM_SILENT, within=0.0225, device_within=0.0065,
-                  reaction="cycle numbers ahead are lost cycles: stop at once" if jump > 0 else "cycle numbers of the past are refused: " + lost_answers)  # fmt: skip
+                  reaction="higher cycle numbers count as lost cycles: immediate stop" if jump > 0 else "old cycle numbers are rejected: " + lost_answers)  # fmt: skip
     yield Row(device=ARM, direction=TO_DEVICE, kind="clock_jump", stop=ARM_WATCHDOG, within=0.006, device_within=0.005,
-              reaction="answers to cycles that never were are none: the arm's watchdog")  # fmt: skip
+              reaction="answers to unknown cycles are ignored: the arm's watchdog")  # fmt: skip
+    # Faults of the arm itself.
     yield Row(
         device=ARM,
         kind="bus_off",
@@ -143,10 +151,10 @@ def _arm_rows() -> Iterator[Row]:
         reaction=lost_answers,
     )
     yield Row(device=ARM, kind="hung", stop=ARM_SILENT, within=0.0225,
-              reaction="the controller after 20 cycles, and it says that the arm has not confirmed to be at rest: its last torque acts on; "
+              reaction="the controller after 20 cycles; it reports that the arm has not confirmed standstill. The arm's last torque remains; "
                        "a real arm needs a watchdog below its controller")  # fmt: skip
     yield Row(device=ARM, kind="hung", how={"duration_s": 0.01}, counted=("cycles_lost",),
-              reaction="held over: less than 20 cycles, in which its own time stood still, too")  # fmt: skip
+              reaction="the last values are used: fewer than 20 cycles, in which the arm's own cycle count stands still")  # fmt: skip
     yield Row(
         device=ARM,
         kind="dead",
@@ -156,49 +164,52 @@ def _arm_rows() -> Iterator[Row]:
         reaction="brakes without power; the controller after 20 cycles",
     )
     yield Row(device=ARM, kind="device_fault", stop="the arm went to fault by itself", within=0.0025, device_within=0.0015,
-              reaction="brakes; the controller stops on the arm's word")  # fmt: skip
+              reaction="brakes; the controller stops when the arm reports it")  # fmt: skip
 
 
 def _base_rows() -> Iterator[Row]:
+    # Lost packets.
     for share, direction, row in (
-        (0.01, TO_CONTROLLER, {"reaction": "two in a row, or three within 0.2 s: some 4.5 s on average", "stop": BASE_SILENT, "within": 15.0, "lasts": 15.0, "seed": 3}),
-        (0.05, TO_CONTROLLER, {"reaction": "two in a row, or three within 0.2 s: some 0.2 s on average", "stop": BASE_SILENT, "within": 2.0, "lasts": 2.1}),
-        (0.2, TO_CONTROLLER, {"reaction": "two in a row, or three within 0.2 s: within some cycles", "stop": BASE_SILENT, "within": 0.5, "lasts": 0.6}),
-        (0.01, TO_DEVICE, {"reaction": "the base follows the next one", "counted": ("setpoints_skipped",), "lasts": 2.0}),
-        (0.05, TO_DEVICE, {"reaction": "the base follows the next one", "counted": ("setpoints_skipped",), "lasts": 2.0}),
-        (0.2, TO_DEVICE, {"reaction": "the base follows the next one; five in a row (its watchdog) come once in 15 s on average",
+        (0.01, TO_CONTROLLER, {"reaction": "two in a row, or three within 0.2 s: 4.5 s on average", "stop": BASE_SILENT, "within": 15.0, "lasts": 15.0, "seed": 3}),
+        (0.05, TO_CONTROLLER, {"reaction": "two in a row, or three within 0.2 s: 0.2 s on average", "stop": BASE_SILENT, "within": 2.0, "lasts": 2.1}),
+        (0.2, TO_CONTROLLER, {"reaction": "two in a row, or three within 0.2 s: within a few cycles", "stop": BASE_SILENT, "within": 0.5, "lasts": 0.6}),
+        (0.01, TO_DEVICE, {"reaction": "the base follows the next set point", "counted": ("setpoints_skipped",), "lasts": 2.0}),
+        (0.05, TO_DEVICE, {"reaction": "the base follows the next set point", "counted": ("setpoints_skipped",), "lasts": 2.0}),
+        (0.2, TO_DEVICE, {"reaction": "the base follows the next set point; five lost in a row (its watchdog) occur once in 15 s on average",
                           "counted": ("setpoints_skipped",), "lasts": 1.0}),
     ):  # fmt: skip
         yield Row(device=BASE, direction=direction, kind="loss", how={"probability": share}, **row)  # type: ignore[arg-type]
+    # Faults that make every packet of a direction unusable.
     for kind, how in (("cut", {}), ("flipped_bits", {"bits": 1}), ("flipped_bits", {"bits": 8}), ("wrong_data_id", {}), ("frozen_counter", {}),
                       ("stale_stamp", {}), ("not_a_number", {}), ("out_of_range", {})):  # fmt: skip
-        prefix = "" if kind == "cut" else "refused, as if lost: "
+        prefix = "" if kind == "cut" else "rejected, as if lost: "
         yield Row(device=BASE, direction=TO_CONTROLLER, kind=kind, how=how, stop=BASE_SILENT, within=0.02,
                   reaction=prefix + "two cycles in a row")  # fmt: skip
         yield Row(device=BASE, direction=TO_DEVICE, kind=kind, how=how, stop=BASE_WATCHDOG, within=0.028, device_within=0.026,
-                  reaction=prefix + "the base's watchdog after 20 ms, which it says; a base that does not say it: following error")  # fmt: skip
+                  reaction=prefix + "the base's watchdog after 20 ms, which the base reports; without a report: following error")  # fmt: skip
     yield Row(
         device=BASE,
         kind="cut",
         how={"duration_s": 0.004},
-        reaction="one cycle is lost, held over and counted",
+        reaction="one cycle is lost and counted; the last values are used",
         counted=("cycles_lost", "samples_skipped"),
     )
+    # Delayed, duplicated and reordered packets.
     yield Row(
         device=BASE,
         direction=TO_CONTROLLER,
         kind="delay",
         how={"delay_s": 0.003},
-        reaction="older measurements; watched is their age",
+        reaction="older measurements; their age is monitored",
     )
     yield Row(device=BASE, direction=TO_CONTROLLER, kind="delay", how={"delay_s": 0.05}, stop=f"old, its limit is 0.02 s|{BASE_SILENT}", within=0.03,
-              reaction="lost cycles while they stay away; measurements later than the quickest by the age limit are too old")  # fmt: skip
+              reaction="lost cycles until the first delayed measurement; a measurement beyond the age limit is too old")  # fmt: skip
     yield Row(
         device=BASE,
         direction=TO_DEVICE,
         kind="delay",
         how={"delay_s": 0.01},
-        reaction="the base follows later; watched is the following error",
+        reaction="the base follows later; the following error is monitored",
     )
     yield Row(device=BASE, direction=TO_DEVICE, kind="delay", how={"delay_s": 0.05}, stop=BASE_WATCHDOG, within=0.03, device_within=0.026,
               reaction="the base's watchdog after 20 ms")  # fmt: skip
@@ -208,24 +219,25 @@ def _base_rows() -> Iterator[Row]:
             direction=direction,
             kind="jitter",
             how={"delay_s": 0.003},
-            reaction="the freshest is used",
+            reaction="the latest packet is used",
         )
         yield Row(
             device=BASE,
             direction=direction,
             kind="duplication",
-            reaction="the second is refused or overwrites the first",
+            reaction="the second packet is rejected or overwrites the first",
         )
     yield Row(device=BASE, direction=TO_CONTROLLER, kind="reordering", stop=BASE_SILENT, within=0.06,
-              reaction="only the freshest is kept, and that is the older one: every other cycle is lost")  # fmt: skip
+              reaction="only the last received packet is kept, which is the older one: every second cycle is lost")  # fmt: skip
     yield Row(
         device=BASE,
         direction=TO_DEVICE,
         kind="reordering",
-        reaction="every other set point is followed",
+        reaction="every second set point is followed",
         counted=("setpoints_refused", "setpoints_skipped"),
     )
-    set_to = "a clock set {} is noticed and counted; ages are counted anew"
+    # Wrong clocks.
+    set_to = "a clock set {} is detected and counted; the measurement of ages restarts"
     for direction in (TO_CONTROLLER, TO_DEVICE):
         yield Row(device=BASE, direction=direction, kind="clock_jump", how={"jump_s": 3600.0}, reaction=set_to.format("forward"),
                   counted=("clock_steps",))  # fmt: skip
@@ -233,6 +245,7 @@ def _base_rows() -> Iterator[Row]:
                   counted=("clock_steps",))  # fmt: skip
         yield Row(device=BASE, direction=direction, kind="clock_jump", how={"jump_s": 3600.0, "duration_s": 0.1},
                   reaction=set_to.format("back"), counted=("clock_steps",))  # fmt: skip
+    # Faults of the base itself.
     yield Row(
         device=BASE, kind="hung", stop=BASE_SILENT, within=0.02, reaction="two cycles in a row"
     )
@@ -241,7 +254,7 @@ def _base_rows() -> Iterator[Row]:
         kind="dead",
         stop=BASE_SILENT,
         within=0.02,
-        reaction="it stands; two cycles in a row",
+        reaction="the base stands still; two cycles in a row",
     )
 
 
@@ -257,68 +270,68 @@ _FACILITY, _STOPS, _TWO, _RUNS, _KILLED = (
 PROCESS_ROWS = (
     ProcessRow(what="SIGKILL of the controllers", reaction="the arm's own watchdog: damped ramp-down, brakes; the base holds its place",
                within="5 cycles; base 20 ms", test="tests/facility/test_real_time.py::test_the_arm_is_in_safe_stop_within_five_cycles_after_sigkill_of_the_controllers_and_the_base_holds"),
-    ProcessRow(what="SIGSTOP of the controllers for 2.5 s", reaction="as SIGKILL; continued, they stop because they were held up, and nothing gets power again",
+    ProcessRow(what="SIGSTOP of the controllers for 2.5 s", reaction="as SIGKILL; after SIGCONT they stop because they were suspended; no device is activated again",
                within="5 cycles; base 20 ms", test=f"{_FACILITY}::test_suspended_controllers_never_enable_the_power_of_a_braked_arm_again"),
-    ProcessRow(what="controller overrun: one cycle takes 50 ms", reaction="the arm's own watchdog; the loop says that it was held up",
+    ProcessRow(what="controller overrun: one cycle takes 50 ms", reaction="the arm's own watchdog; the loop reports the overrun",
                within="5 cycles", test=f"{_FACILITY}::test_the_loop_reports_an_overrun_of_the_controllers_as_the_cause"),
-    ProcessRow(what="the same, with a loop that forgives it", reaction="the arm's own watchdog, which the controllers learn from its next frame",
+    ProcessRow(what="the same, with a loop that tolerates the overrun", reaction="the arm's own watchdog; the controllers receive its state with the next frame",
                within="5 cycles", test=f"{_FACILITY}::test_the_watchdog_of_the_arm_stops_it_after_an_overrun_of_the_controllers"),
-    ProcessRow(what="SIGKILL of the facility", reaction="20 lost cycles; says that the arm has not confirmed to be at rest", within="21.5 ms",
+    ProcessRow(what="SIGKILL of the facility", reaction="20 lost cycles; the loop reports that the arm has not confirmed standstill", within="21.5 ms",
                test="tests/facility/test_real_time.py::test_the_controller_stops_in_order_after_sigkill_of_the_facility"),
-    ProcessRow(what="SIGSTOP of the facility", reaction="the same; when it goes on, it brakes by its watchdog", within="21.5 ms",
+    ProcessRow(what="SIGSTOP of the facility", reaction="the same; after SIGCONT the arm brakes because of its watchdog", within="21.5 ms",
                test=f"{_FACILITY}::test_a_suspended_facility_stops_the_controllers_and_brakes_after_it_resumes"),
-    ProcessRow(what="20 % loss both ways over real sockets", reaction="the arm's own watchdog; nothing that was changed or lost is used",
-               within="some 90 cycles on average", test=f"{_FACILITY}::test_corrupted_frames_on_real_sockets_are_never_used"),
-    ProcessRow(what="a torque frame after the brake command, or any other of its session", reaction="the arm stays inactive and braked; counted",
+    ProcessRow(what="20 % loss both ways over real sockets", reaction="the arm's own watchdog; no changed packet is used",
+               within="90 cycles on average", test=f"{_FACILITY}::test_corrupted_frames_on_real_sockets_are_never_used"),
+    ProcessRow(what="a torque frame after the brake command, or another frame of its session", reaction="the arm stays inactive and braked; counted",
                within="", test=f"{_STOPS}::test_frames_after_the_brake_command_cause_no_motion"),
-    ProcessRow(what="set points held up for 0.8 s on the way", reaction="the base's watchdog, and the controllers when its token is withdrawn; what comes late activates nothing",
+    ProcessRow(what="set points delayed for 0.8 s on the link", reaction="the base's watchdog; the controllers stop when its token is withdrawn; late set points activate nothing",
                within="its watchdog", test=f"{_STOPS}::test_delayed_set_points_do_not_activate_a_stopped_base"),
-    ProcessRow(what="set points held up from the first one on", reaction="the controllers give up; what comes late activates nothing", within="3 s",
+    ProcessRow(what="set points delayed from the first one on", reaction="the controllers stop waiting; late set points activate nothing", within="3 s",
                test=f"{_STOPS}::test_set_points_that_arrive_after_the_end_of_their_loop_do_not_activate"),
-    ProcessRow(what="two arms on one channel", reaction="refused before activation, as two senders of the state frame", within="40 cycles",
+    ProcessRow(what="two arms on one channel", reaction="rejected before activation, because two nodes send the state frame", within="40 cycles",
                test=f"{_TWO}::test_two_arms_on_one_channel_are_reported_and_not_activated"),
-    ProcessRow(what="a second arm appears", reaction="the loop stops and names it", within="30 cycles",
+    ProcessRow(what="a second arm appears", reaction="the loop stops and reports it", within="30 cycles",
                test=f"{_TWO}::test_a_second_arm_stops_the_running_loop_and_is_reported"),
-    ProcessRow(what="two base robots on one topic", reaction="refused before activation, both named", within="25 samples",
+    ProcessRow(what="two base robots on one topic", reaction="rejected before activation with the names of both", within="25 samples",
                test=f"{_TWO}::test_two_base_robots_on_one_topic_are_reported_and_not_commanded"),
-    ProcessRow(what="a second base robot appears", reaction="the loop stops and names it", within="its announcement, or 20 samples",
+    ProcessRow(what="a second base robot appears", reaction="the loop stops and reports its name", within="its announcement, or 20 samples",
                test=f"{_TWO}::test_a_second_base_robot_stops_the_running_loop_and_is_reported"),
-    ProcessRow(what="a base robot that reports other frames", reaction="refused by --check with the names of both", within="3 s",
+    ProcessRow(what="a base robot that reports other frames", reaction="rejected by --check with both names", within="3 s",
                test=f"{_TWO}::test_a_base_with_other_frames_is_rejected_by_a_check_with_both_names"),
-    ProcessRow(what="the base's clock is set back by 1 s", reaction="goes on, counted", within="",
+    ProcessRow(what="the base's clock is set back by 1 s", reaction="the loop continues; counted", within="",
                test=f"{_FACILITY}::test_a_base_continues_after_its_clock_is_set_back_and_the_step_is_counted"),
-    ProcessRow(what="a flood of frames of another node, then SIGTERM", reaction="the loop answers on and stops in order", within="2 s more than without; brakes 0.1 s",
+    ProcessRow(what="a flood of frames of another node, then SIGTERM", reaction="the loop continues to answer, then stops in order", within="2 s more than without; brakes 0.1 s",
                test=f"{_STOPS}::test_a_flood_of_frames_does_not_delay_the_stop"),
     ProcessRow(what="SIGTERM or SIGINT before activation", reaction="the process ends", within="1 s",
                test="tests/facility/test_real_time.py::test_a_signal_ends_the_wait_for_the_arm_immediately"),
-    ProcessRow(what="the disk of the results is full, then SIGINT", reaction="the reason is said before anything about files, and stop.json has it", within="at the stop",
+    ProcessRow(what="the disk of the results is full, then SIGINT", reaction="the reason is printed before any message about files, and stop.json contains it", within="at the stop",
                test=f"{_STOPS}::test_with_a_full_disk_the_reason_is_printed_once_and_stop_json_is_complete"),
-    ProcessRow(what="the disk is full while recording", reaction="told once; the loop goes on; what was written is whole, the last 2 s are written elsewhere or stay in the ring",
-               within="its next write", test=f"{_RUNS}::test_a_full_disk_is_told_once_and_what_was_written_is_kept"),
-    ProcessRow(what="the directory of the recording vanishes", reaction="told once; the loop goes on; it is made again for the last 2 s",
-               within="its next write", test=f"{_RUNS}::test_a_vanished_directory_is_told_and_the_loop_goes_on"),
-    ProcessRow(what="SIGKILL of the recorder", reaction="the loop goes on, says so at its end, and writes the last 2 s and what the recording lacks of the last 8 s",
-               within="at the stop", test=f"{_KILLED}::test_a_killed_recorder_costs_the_end_of_the_recording_and_the_loop_writes_its_last_seconds"),
-    ProcessRow(what="SIGSTOP of the recorder", reaction="the loop goes on; up to 8 s are caught up with, beyond that rows are counted as lost",
-               within="8 s", test=f"{_RUNS}::test_a_recorder_that_is_held_up_loses_nothing_and_holds_nobody_up"),
-    ProcessRow(what="SIGKILL of controllers and recorder", reaction="as SIGKILL of the controllers; the next start, or `freeflyer recover`, saves all that was not written yet",
+    ProcessRow(what="the disk is full while recording", reaction="reported once; the loop continues; the written part is intact; the last 2 s are written to another directory or stay in the ring",
+               within="its next write", test=f"{_RUNS}::test_a_full_disk_is_reported_once_and_the_written_part_is_kept"),
+    ProcessRow(what="the directory of the recording is deleted", reaction="reported once; the loop continues; the directory is created again for the last 2 s",
+               within="its next write", test=f"{_RUNS}::test_a_deleted_directory_is_reported_and_the_loop_continues"),
+    ProcessRow(what="SIGKILL of the recorder", reaction="the loop continues and reports it at its end; it writes the last 2 s, and what the recording lacks of the last 8 s",
+               within="at the stop", test=f"{_KILLED}::test_after_a_killed_recorder_the_loop_writes_the_last_seconds_and_the_rest_of_the_ring"),
+    ProcessRow(what="SIGSTOP of the recorder", reaction="the loop continues; up to 8 s are recorded later; older rows are counted as lost",
+               within="8 s", test=f"{_RUNS}::test_a_suspended_recorder_loses_nothing_and_does_not_block_the_loop"),
+    ProcessRow(what="SIGKILL of controllers and recorder", reaction="as SIGKILL of the controllers; the next start, or `freeflyer recover`, writes the data of the ring",
                within="8 s of ring", test=f"{_KILLED}::test_with_both_killed_the_next_start_saves_the_last_seconds_and_nothing_is_lost"),
-    ProcessRow(what="this machine's clock is set back while recording", reaction="the loop does not see it; recordings' times go on; the step is named with its size",
-               within="0.05 s", test="tests/recording/test_clock_steps.py::test_a_set_wall_clock_is_named_and_the_times_go_on_by_the_tick"),
-    ProcessRow(what="the disk is full at the start", reaction="refused before anything is opened; an earlier run's reason is kept",
-               within="the start", test="tests/recording/test_stop_notice.py::test_a_disk_that_is_full_at_the_start_is_refused_and_an_earlier_stop_json_is_kept"),
-    ProcessRow(what="the terminal is closed, or a second signal comes during the stop", reaction="an orderly stop, which no further signal interrupts",
+    ProcessRow(what="this machine's clock is set back while recording", reaction="the loop is not affected; the times of the recording continue; the step is reported with its size",
+               within="0.05 s", test="tests/recording/test_clock_steps.py::test_a_set_wall_clock_is_reported_and_the_times_continue_by_the_tick"),
+    ProcessRow(what="the disk is full at the start", reaction="rejected before a device is opened; the reason of an earlier run is kept",
+               within="the start", test="tests/recording/test_stop_notice.py::test_a_disk_that_is_full_at_the_start_is_rejected_and_an_earlier_stop_json_is_kept"),
+    ProcessRow(what="the terminal is closed, or a second signal comes during the stop", reaction="an orderly stop; further signals do not interrupt it",
                within="as SIGTERM", test="tests/facility/test_stops.py::test_a_second_signal_does_not_interrupt_the_stop"),
 )  # fmt: skip
 
 
 def _document() -> Iterator[str]:
-    sys.path.append(str(Path(__file__).parents[1]))  # what the tests share
+    sys.path.append(str(Path(__file__).parents[1]))  # modules of the tests
     from test_fault_matrix import observed, reaction_times
 
     yield "# Fault matrix"
     yield ""
-    yield "*Made by `python tests/faults/fault_matrix.py`, which runs every row; do not edit.*"
+    yield "*Generated by `python tests/faults/fault_matrix.py`, which runs every row; do not edit.*"
     yield ""
     yield from _INTRODUCTION.strip().splitlines()
     for device, title in ((ARM, "The arm on CAN"), (BASE, "The base robot on Zenoh")):
@@ -346,24 +359,28 @@ def _document() -> Iterator[str]:
 
 
 _INTRODUCTION = """
-What the facility's links, devices and processes may do, what then happens, and by when. Every row is a test with a seed
-(`tests/faults/test_fault_matrix.py`): the shipped `facility` with every rule at its default, both ends in virtual time
-(`freeflyer hil --accelerated`), where the same frames, samples, limits, monitors and state machines give the same instants every time.
-*Within* is what the test demands, *found* what this run gave, from the fault's begin on. In every row, too: no value that the other side has
-not sent is used, no command is beyond its limits or NaN, no state is illegal, no device becomes active a second time or after the loop's
-stop has begun, and at the end the arm is braked and the base holds its place.
+Faults of the facility's links, devices and processes, the reaction to each, and the time of the reaction. Every row is a test with a seed
+(`tests/faults/test_fault_matrix.py`). The tests run the shipped scenario `facility` with default settings, host and facility in virtual time
+(`freeflyer hil --accelerated`). Frames, samples, limits, monitors and state machines are those of real time, and the times are reproducible.
+*Within* is the limit of the test. *Found* is the result of this run. Both count from the start of the fault. Every row also checks:
 
-A stop is a reaction. After it the controllers ramp the torque down (0.25 s), the arm brakes, and the base holds; an arm that does not
-hear them does so by itself. Faults begin 0.1 s after activation and last to the end, unless a duration is named.
+- no value is used that the other side has not sent,
+- no command is NaN or beyond its limits,
+- no state is illegal,
+- no device becomes active twice, or after the stop of the loop has started,
+- at the end the arm is braked and the base holds its position.
+
+After a stop the controllers ramp the torque down (0.25 s), the arm brakes, and the base holds its position. An arm that receives no commands
+does the same by itself. Faults start 0.1 s after activation and last to the end, unless a duration is given.
 """
 
 
 def stated(row: Row) -> str:
-    """What the row states, its cells joined by |."""
-    ends = "stops" if row.stop else "goes on"
+    """Return the cells of the row without measured times, joined by |."""
+    ends = "stops" if row.stop else "continues"
     return "|".join(
         [
-            _said(row),
+            _title(row),
             row.direction.replace("_", " "),
             row.reaction,
             ends,
@@ -379,7 +396,7 @@ def _ms(time: float | None) -> str:
     return f"{time:.3g} s" if time >= 1.0 else f"{1e3 * time:.4g} ms"
 
 
-def _said(row: Row) -> str:
+def _title(row: Row) -> str:
     how = {
         "probability": "{:.0%}",
         "bits": "{:g} bit each",

@@ -1,8 +1,8 @@
-"""Faults by lot: what one seed's run must hold, and many of them at once.
+"""Random faults: run of one seed with checks, and a program that runs many seeds.
 
     python tests/faults/schedules.py FIRST COUNT
 
-prints a line for each seed that fails, and at the end how the runs ended.
+prints the error of each seed that fails, and at the end the number of runs per kind of end.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from fault_bench import Observed, assert_safe, run, shipped, with_faults
 from freeflyer_adapters.facility.link_faults import TAMPERING
 
 WITHIN = 0.2
-"""[s] of the loop; then it ends by itself."""
+"""Duration of the scenario [s]."""
 RAMP = 0.05
-"""[s] of both ends' ramp-down, so that more schedules fit into an hour."""
+"""Short ramp-down of host and facility [s], so that a schedule takes less time."""
 HOW = (
     ("went on", "scenario finished"),
     ("the arm's watchdog", "the arm went to safe_stop by itself"),
@@ -35,10 +35,10 @@ HOW = (
 
 
 def schedule(seed: int) -> Observed:
-    """One to six faults on both devices and all ways, with the laws of `fault_bench.assert_safe` held against it."""
-    # Every other one only changes what frames say: that is what must be found out.
+    """Run one to six random faults of both devices and check `fault_bench.assert_safe`."""
+    # Half of the seeds only change the content of packets, which is harder to detect.
     kinds = [] if seed % 2 else list(TAMPERING)
-    lot = {
+    drawn = {
         "seed": seed,
         "count": 1 + seed % 6,
         "within_s": 0.8 * WITHIN,
@@ -50,7 +50,7 @@ def schedule(seed: int) -> Observed:
         with_faults(
             shipped(WITHIN, f"devices.arm_drive.parameters.ramp_down_time={RAMP}"),
             seed=seed,
-            random_faults=lot,
+            random_faults=drawn,
             **quick,
         )
     )

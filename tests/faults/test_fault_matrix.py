@@ -1,4 +1,4 @@
-"""Every row of the fault matrix, both ends of the facility in virtual time, every rule at its default."""
+"""Rows of the fault matrix, host and facility in virtual time, default settings."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def observed(row: Row) -> Observed:
 
 
 def reaction_times(row: Row, seen: Observed) -> tuple[float, float]:
-    """Of the controllers and of the device itself, from the fault's begin [s]."""
+    """Return the reaction times of the controllers and the device [s], from the fault's start."""
     safe = seen.safe_at.get(row.device, float("nan"))
     return seen.since(row.device, BEGIN, seen.stopped_at), seen.since(row.device, BEGIN, safe)
 
@@ -36,7 +36,7 @@ def test_a_fault_has_its_stated_reaction_within_its_stated_time(row: Row) -> Non
     assert_safe(seen)
     assert not seen.error
     whole = row.kind in ("bus_off", "hung", "dead", "device_fault")
-    assert whole or seen.acted[row.kind] > 0, "the fault has met no packet"
+    assert whole or seen.acted[row.kind] > 0, "the fault has changed no packet"
     if row.stop is None:
         assert seen.went_on, seen.stop
     else:
@@ -48,7 +48,7 @@ def test_a_fault_has_its_stated_reaction_within_its_stated_time(row: Row) -> Non
             assert 0.0 <= by_itself <= row.device_within
     counts = Counter(seen.devices[row.device]) + Counter(
         seen.report.devices[row.device] if seen.report else {}
-    )  # of both ends
+    )  # of host and facility
     if row.counted:
         assert any(counts[name] > 0 for name in row.counted), counts
 
@@ -68,46 +68,47 @@ def test_without_a_fault_nothing_is_counted() -> None:
 ROOT = Path(__file__).parents[2]
 
 
-def test_every_row_about_processes_names_a_test_that_is_there() -> None:
+def test_every_process_row_names_an_existing_test() -> None:
     for row in PROCESS_ROWS:
         file, _, function = row.test.partition("::")
         assert f"def {function}(" in (ROOT / file).read_text(), row.test
 
 
-def test_the_document_has_every_row_with_its_reaction_and_its_time() -> None:
-    """The figures found are of the run that made it."""
-    said = (ROOT / "docs" / "fault_matrix.md").read_text()
+def test_the_document_contains_every_row_with_its_reaction_and_its_time() -> None:
+    """The measured times are not compared; they are those of the run that wrote the document."""
+    document = (ROOT / "docs" / "fault_matrix.md").read_text()
     expected = [stated(row) for row in ROWS]
     found = [
         "|".join([*cells[1:6], cells[7]])
-        for line in said.splitlines()
+        for line in document.splitlines()
         if len(cells := [cell.strip() for cell in line.split("|")]) == 10
         and cells[1] not in ("fault", "---")
     ]
     assert found == expected, "run python tests/faults/fault_matrix.py > docs/fault_matrix.md"
     for process in PROCESS_ROWS:
         assert (
-            f"| {process.what} | {process.reaction} | {process.within} | `{process.test}` |" in said
+            f"| {process.what} | {process.reaction} | {process.within} | `{process.test}` |"
+            in document
         )
 
 
-def test_an_arm_that_takes_half_a_second_to_become_active_costs_the_base_nothing(
+def test_the_base_stays_active_while_the_arm_takes_half_a_second_to_become_active(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Brakes are slow to open; meanwhile the base, which is active already, goes on hearing its set point."""
-    obey = ArmLogic._obey
-    asked: list[int] = []
+    """Brakes open slowly; meanwhile the active base continues to receive its set point."""
+    handle = ArmLogic._handle
+    requests: list[int] = []
 
     def slow(self: ArmLogic, command: Command) -> None:
         if command.mode is Mode.activate and self.life.now is LifeCycle.inactive:
-            asked.append(self.cycle)
-            if self.cycle < asked[0] + 500:
+            requests.append(self.cycle)
+            if self.cycle < requests[0] + 500:
                 return
-        obey(self, command)
+        handle(self, command)
 
-    monkeypatch.setattr(ArmLogic, "_obey", slow)
+    monkeypatch.setattr(ArmLogic, "_handle", slow)
     seen = run(shipped(0.2))
-    assert len(asked) > 400
+    assert len(requests) > 400
     assert seen.went_on, seen.stop
     assert not [
         event

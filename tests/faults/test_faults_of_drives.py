@@ -1,4 +1,4 @@
-"""Faults of an arm of CiA 402 drives on classic CAN, both ends in virtual time, every rule at its default."""
+"""Faults of an arm of CiA 402 drives on classic CAN, in virtual time, default settings."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ FAULTS: list[tuple[str, dict[str, object], str | None]] = [
 @pytest.mark.parametrize(
     ("kind", "how", "reason"), family(FAULTS, [FAULTS[0], FAULTS[3], FAULTS[7]])
 )
-def test_a_fault_of_the_drives_stops_the_loop_and_ends_with_brakes(
+def test_a_fault_of_the_drives_stops_the_loop_with_brakes(
     kind: str, how: dict[str, object], reason: str | None
 ) -> None:
     chosen = scenario.load("facility_cia402", ["stop_s=0.4"])

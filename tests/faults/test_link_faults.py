@@ -1,4 +1,7 @@
-"""What each fault does to packets, without a transport: packets are numbers, and a changed one is negative."""
+"""Effect of each fault on packets, without a transport.
+
+Packets are numbers; a changed packet is negative.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,7 @@ from freeflyer_adapters.facility.zenoh_faults import FAULT_KINDS as ON_ZENOH
 
 class Negating:
     def changed(
-        self, fault: Fault, way: str, packet: int, memory: dict[str, Any], lot: random.Random
+        self, fault: Fault, way: str, packet: int, memory: dict[str, Any], generator: random.Random
     ) -> int | None:
         return -packet
 
@@ -30,7 +33,7 @@ class Negating:
 def sent_through(
     *chosen: Fault, packets: int = 50, afterwards: int = 20, seed: int = 1
 ) -> list[tuple[int, int]]:
-    """(cycle of arrival, packet): one packet is sent in each cycle, 1 ... packets."""
+    """Send the packets 1 ... `packets`, one per cycle; return (cycle of arrival, packet)."""
     link: LinkFaults[int] = LinkFaults(chosen, 0.001, seed, Negating())
     arrived = []
     for cycle in range(packets + afterwards):
@@ -46,23 +49,23 @@ def fault(kind: str, **how: Any) -> Fault:
     return Fault(kind=kind, device="arm", **how)
 
 
-def test_without_faults_every_packet_comes_at_once_and_in_order() -> None:
+def test_without_faults_every_packet_arrives_in_the_same_cycle_and_in_order() -> None:
     assert sent_through() == [(k, k + 1) for k in range(50)]
 
 
 @given(share=st.floats(0.0, 1.0), seed=st.integers(1, 1000))
-def test_loss_takes_packets_away_and_changes_nothing_else(share: float, seed: int) -> None:
+def test_loss_removes_packets_and_does_not_delay_the_others(share: float, seed: int) -> None:
     arrived = sent_through(fault("loss", probability=share), seed=seed)
     assert all(packet == cycle + 1 for cycle, packet in arrived)
     assert len(arrived) == (50 if share == 0.0 else 0 if share == 1.0 else len(arrived))
 
 
-def test_the_share_of_lost_packets_is_the_stated_one() -> None:
+def test_the_share_of_lost_packets_is_the_given_probability() -> None:
     arrived = sent_through(fault("loss", probability=0.05), packets=20_000)
     assert len(arrived) / 20_000 == pytest.approx(0.95, abs=0.006)  # four standard deviations
 
 
-def test_a_delay_is_whole_cycles_rounded_up_and_ends_in_order() -> None:
+def test_a_delay_is_rounded_up_to_whole_cycles_and_keeps_the_order() -> None:
     arrived = sent_through(fault("delay", delay_s=0.0025, begin_s=0.01, duration_s=0.01))
     assert [packet for _, packet in arrived] == list(range(1, 51))
     assert all(cycle - (packet - 1) == 3 for cycle, packet in arrived if 10 <= packet - 1 < 20)
@@ -72,13 +75,13 @@ def test_a_delay_is_whole_cycles_rounded_up_and_ends_in_order() -> None:
 
 
 @given(seed=st.integers(1, 1000))
-def test_jitter_keeps_the_order_and_its_bound(seed: int) -> None:
+def test_jitter_keeps_the_order_and_its_limit(seed: int) -> None:
     arrived = sent_through(fault("jitter", delay_s=0.005), seed=seed)
     assert [packet for _, packet in arrived] == list(range(1, 51))
     assert all(0 <= cycle - (packet - 1) <= 5 for cycle, packet in arrived)
 
 
-def test_a_duplicate_comes_right_after_its_original() -> None:
+def test_a_duplicate_arrives_directly_after_its_original() -> None:
     assert [packet for _, packet in sent_through(fault("duplication"), packets=3)] == [
         1,
         1,
@@ -93,12 +96,12 @@ def test_reordered_packets_change_places_with_their_successors() -> None:
     assert [packet for _, packet in sent_through(fault("reordering"), packets=4)] == [2, 1, 4, 3]
 
 
-def test_a_cut_link_is_back_after_its_duration() -> None:
+def test_a_cut_link_works_again_after_its_duration() -> None:
     arrived = sent_through(fault("cut", begin_s=0.01, duration_s=0.02))
     assert [packet for _, packet in arrived] == [*range(1, 11), *range(31, 51)]
 
 
-def test_a_fault_acts_in_its_direction_and_from_activation_on_only() -> None:
+def test_a_fault_acts_only_in_its_direction_and_only_after_activation() -> None:
     link: LinkFaults[int] = LinkFaults(
         [fault("loss", direction="to_device", begin_s=0.0)], 0.001, 1, Negating()
     )
@@ -113,7 +116,7 @@ def test_a_fault_acts_in_its_direction_and_from_activation_on_only() -> None:
     assert link.acted["loss"] == 1
 
 
-def test_another_fault_does_not_change_what_the_first_one_does() -> None:
+def test_a_second_fault_does_not_change_the_random_numbers_of_the_first() -> None:
     first = fault("loss", probability=0.3)
     alone = {packet for _, packet in sent_through(first)}
     both = {
@@ -122,12 +125,17 @@ def test_another_fault_does_not_change_what_the_first_one_does() -> None:
     assert alone == both
 
 
-def test_bits_are_flipped_after_everything_that_a_sender_gets_wrong() -> None:
+def test_bits_are_flipped_after_all_sender_faults() -> None:
     class Noting:
         order: list[str] = []
 
         def changed(
-            self, fault: Fault, way: str, packet: int, memory: dict[str, Any], lot: random.Random
+            self,
+            fault: Fault,
+            way: str,
+            packet: int,
+            memory: dict[str, Any],
+            generator: random.Random,
         ) -> int:
             self.order.append(fault.kind)
             return packet
@@ -141,7 +149,7 @@ def test_bits_are_flipped_after_everything_that_a_sender_gets_wrong() -> None:
     assert noting.order == ["stale_stamp", "flipped_bits"]
 
 
-def test_the_same_seed_draws_the_same_faults_and_another_one_others() -> None:
+def test_equal_seeds_draw_equal_faults_and_other_seeds_draw_others() -> None:
     devices = {"arm_drive": ON_CAN, "base_robot": ON_ZENOH}
     drawn = [faults.draw(faults.RandomFaults(seed=seed, count=20), devices) for seed in (1, 1, 2)]
     assert drawn[0] == drawn[1] != drawn[2]
@@ -149,11 +157,11 @@ def test_the_same_seed_draws_the_same_faults_and_another_one_others() -> None:
     assert all(0.0 <= (f.begin_s or 0.0) <= 5.0 and f.duration_s <= 0.3 for f in drawn[0])
 
 
-def test_every_kind_is_played_by_some_device() -> None:
+def test_every_kind_is_supported_by_a_device() -> None:
     assert {*ON_CAN, *ON_ZENOH} == set(KINDS)
 
 
-# What a user writes
+# Scenario files
 
 
 @pytest.mark.parametrize(
@@ -164,10 +172,10 @@ def test_every_kind_is_played_by_some_device() -> None:
         ({"faults": [{"kind": "loss"}]}, r"device is None; the name of one of \[devices\] is expected"),
         ({"faults": [{"kind": "loss", "device": "a", "probability": 1.5}]}, "probability is 1.5; a number from 0 to 1 is expected"),
         ({"faults": [{"kind": "loss", "device": "a", "probability": float("nan")}]}, "probability is nan"),
-        ({"faults": [{"kind": "loss", "device": "a", "bits": 3}]}, "bits means nothing to loss"),
+        ({"faults": [{"kind": "loss", "device": "a", "bits": 3}]}, "bits does not apply to loss"),
         ({"faults": [{"kind": "loss", "device": "a", "begin": 3}]}, "begin is not known; did you mean 'begin_s'?"),
         ({"faults": [{"kind": "cut", "device": "a", "direction": "back"}]}, "direction is 'back'; one of to_controller, to_device, both"),
-        ({"faults": [{"kind": "dead", "device": "a", "direction": "to_device"}]}, "dead is of the whole device and has no direction"),
+        ({"faults": [{"kind": "dead", "device": "a", "direction": "to_device"}]}, "dead affects the whole device and has no direction"),
         ({"faults": [{"kind": "flipped_bits", "device": "a", "bits": 0}]}, "bits is 0; a whole number from 1 to 64 is expected"),
         ({"faults": [{"kind": "delay", "device": "a", "delay_s": True}]}, "delay_s is True"),
         ({"random_faults": []}, "a table is expected"),
@@ -180,24 +188,26 @@ def test_every_kind_is_played_by_some_device() -> None:
         ({"random_faults": {"cout": 1}}, "cout is not known; did you mean 'count'?"),
     ],
 )  # fmt: skip
-def test_a_mistake_is_one_sentence(raw: dict[str, Any], sentence: str) -> None:
+def test_an_invalid_table_is_rejected_with_the_reason(raw: dict[str, Any], sentence: str) -> None:
     with pytest.raises(DeviceError, match=sentence):
         settings.read(raw)
 
 
-def test_a_fault_of_a_device_that_is_not_there_or_does_not_know_it_is_refused() -> None:
+def test_a_fault_of_an_unknown_device_or_of_an_unsupported_kind_is_rejected() -> None:
     devices = {"arm_drive": ON_CAN, "base_robot": ON_ZENOH}
     with pytest.raises(
-        DeviceError, match=r"device .arm_driv. is not played here; did you mean .arm_drive.\?"
+        DeviceError,
+        match=r"device .arm_driv. is not simulated by this facility; did you mean .arm_drive.\?",
     ):
         faults.check([Fault(kind="loss", device="arm_driv")], devices)
     with pytest.raises(
-        DeviceError, match="base_robot has no fault 'bus_off'; it knows loss, delay"
+        DeviceError,
+        match="base_robot does not support the fault 'bus_off'; it supports loss, delay",
     ):
         faults.check([Fault(kind="bus_off", device="base_robot")], devices)
 
 
-def test_a_scenario_file_carries_faults(tmp_path: Path) -> None:
+def test_faults_are_read_from_a_scenario_file(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text(
         'extends = "facility"\n[[facility.faults]]\ndevice = "arm_drive"\nkind = "loss"\nprobability = 0.05\n'
@@ -214,13 +224,13 @@ def test_a_scenario_file_carries_faults(tmp_path: Path) -> None:
     st.binary(max_size=40),
     st.lists(st.integers(0, 7000), min_size=1, max_size=3, unique=True),
 )
-def test_up_to_three_changed_bits_are_always_found(
+def test_up_to_three_changed_bits_are_always_detected(
     message: bytes, attachment: bytes, places: list[int]
 ) -> None:
     whole = sealed(message, attachment)
     assert is_intact(whole, attachment)
     both = bytearray(whole + attachment)
-    # Not those of the checksum's own place, which may only make an intact sample look broken.
+    # Without the bits of the checksum itself, whose change can only reject an intact sample.
     changed = {p % (8 * len(both)) for p in places} - set(range(16, 32))
     if len({p % (8 * len(both)) for p in places}) < len(places) or not changed:
         return
@@ -229,7 +239,7 @@ def test_up_to_three_changed_bits_are_always_found(
     assert not is_intact(bytes(both[: len(whole)]), bytes(both[len(whole) :]))
 
 
-def test_a_checksum_leaves_the_padding_bits_of_cdr_alone() -> None:
+def test_a_checksum_does_not_use_the_padding_bits_of_cdr() -> None:
     codes = [checksum(b"\0\1\0\0" + bytes([k]), b"") for k in range(256)]
     assert any(is_sealable(code) for code in codes)
     assert all(code & 3 == 0 and code for code in codes if is_sealable(code))

@@ -1,7 +1,9 @@
-"""Many inputs at one target: what came of them, and each that broke a promise with its seed and its bytes.
+"""Fuzzing campaign: run many inputs on a target and report the outcomes and all faults.
+
+A fault is reported with the seed and the bytes of its input.
 
 python tests/fuzz/campaign.py --target cdr --inputs 1000000 --processes 2
-python tests/fuzz/campaign.py --target cdr --seed 4711        # one input again
+python tests/fuzz/campaign.py --target cdr --seed 4711        # repeat one input
 """
 
 from __future__ import annotations
@@ -20,15 +22,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
 
-sys.path.insert(0, str(Path(__file__).parent))  # a script, and a module of the tests
+sys.path.insert(0, str(Path(__file__).parent))  # for use as a script
 from target import Target
 
 MOST_FAULTS = 20
-"""More would say nothing new."""
+"""A campaign stops after this number of faults."""
 
 
 class Hang(BaseException):
-    """Not an Exception, so that nothing on the way up takes it for one of its own."""
+    """Time limit exceeded; not an Exception, so that the code under test does not catch it."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,11 @@ class Fault:
 
 @dataclass
 class Findings:
-    """`outcomes`: how many inputs, by what came of them; `seconds`: of wall time; `slowest`: one input [s], with its seed."""
+    """Result of a campaign.
+
+    `outcomes`: number of inputs by outcome. `seconds`: wall time. `slowest`: time [s] and seed of
+    the slowest input.
+    """
 
     target: str
     inputs: int = 0
@@ -70,7 +76,7 @@ class Findings:
 
 
 @contextmanager
-def _patience(seconds: float) -> Iterator[None]:
+def _time_limit(seconds: float) -> Iterator[None]:
     def end(_: int, __: FrameType | None) -> None:
         raise Hang
 
@@ -84,12 +90,12 @@ def _patience(seconds: float) -> Iterator[None]:
 
 
 def _size() -> float:
-    """The largest that this process has been [MiB]."""
+    """Return the peak memory of this process [MiB]."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
 
 
 def one(target: Target, data: bytes) -> str:
-    """What came of an input; an exception that is not allowed goes on."""
+    """Run one input and return the outcome; exceptions that are not allowed are not caught."""
     try:
         return target.call(data) or "value"
     except target.allowed as error:
@@ -97,11 +103,10 @@ def one(target: Target, data: bytes) -> str:
 
 
 def run(target: Target, first: int, count: int) -> Findings:
-    """Inputs of the seeds first ... first + count - 1."""
+    """Run the inputs of the seeds first ... first + count - 1."""
     found = Findings(target.name)
-    for seed in range(
-        first, first + min(count, 200)
-    ):  # what a target keeps for ever (caches) is no growth
+    # Fill the caches of the target before its memory is measured.
+    for seed in range(first, first + min(count, 200)):
         _try(target, seed, found)
     before = _size()
     begin = time.perf_counter()
@@ -127,10 +132,10 @@ def run(target: Target, first: int, count: int) -> Findings:
 def _try(target: Target, seed: int, found: Findings) -> str:
     data = target.input(seed)
     try:
-        with _patience(target.patience):
+        with _time_limit(target.time_limit):
             return one(target, data)
     except Hang:
-        what = f"no answer within {target.patience:g} s"
+        what = f"no answer within {target.time_limit:g} s"
     except Exception as error:
         place = traceback.extract_tb(error.__traceback__)[-1]
         what = f"{type(error).__name__}: {' '.join(str(error).split())[:200]} ({Path(place.filename).name}:{place.lineno})"
@@ -140,7 +145,7 @@ def _try(target: Target, seed: int, found: Findings) -> str:
 
 
 def run_in_processes(name: str, first: int, count: int, processes: int) -> Findings:
-    """`run`, split; each process takes a range of its own."""
+    """As `run`, with one range of seeds per process."""
     share = -(-count // processes)
     parts = [(name, first + k * share, min(share, count - k * share)) for k in range(processes)]
     found = Findings(name)
@@ -162,7 +167,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--target", choices=sorted(TARGETS), required=True)
     parser.add_argument(
-        "--seed", type=int, default=0, help="the first; without --inputs, the only one"
+        "--seed", type=int, default=0, help="first seed; without --inputs, the only seed"
     )
     parser.add_argument("--inputs", type=int)
     parser.add_argument("--processes", type=int, default=1)

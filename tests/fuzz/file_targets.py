@@ -1,4 +1,7 @@
-"""Files from strangers, other than scenarios: FMUs as far as their description, SSP files as far as their scenario, DBCs."""
+"""Untrusted FMUs, SSP files and DBC files.
+
+FMUs are read up to their description, SSP files up to their scenario.
+"""
 
 from __future__ import annotations
 
@@ -106,8 +109,8 @@ NUMBERS = (
 )
 
 
-def _words(rng: Random, text: bytes) -> bytes:
-    """Damage between the quotes of attributes, or to whole elements, so that it is XML still."""
+def _attributes(rng: Random, text: bytes) -> bytes:
+    """Mutate values of attributes, or remove and repeat elements; the result remains XML."""
     for _ in range(rng.randrange(1, 5)):
         parts = text.split(b'"')
         k = rng.randrange(len(parts) // 2) * 2 + 1 if len(parts) > 2 else 0
@@ -126,7 +129,7 @@ def _words(rng: Random, text: bytes) -> bytes:
 
 
 def _is_whole(line: bytes) -> bool:
-    """One element, as far as a line shows."""
+    """Return whether a line contains exactly one complete element."""
     line = line.strip()
     return line.endswith(b"/>") and line.startswith(b"<") and line.count(b"<") == 1
 
@@ -146,7 +149,9 @@ def _numbers(rng: Random, text: bytes) -> bytes:
 
 
 def _xml(rng: Random, seeds: list[bytes]) -> bytes:
-    return _words(rng, rng.choice(seeds)) if rng.random() < 0.7 else mutation.damaged(rng, seeds)
+    return (
+        _attributes(rng, rng.choice(seeds)) if rng.random() < 0.7 else mutation.damaged(rng, seeds)
+    )
 
 
 def fmu(rng: Random) -> bytes:
@@ -190,7 +195,7 @@ def read_fmu(data: bytes) -> str:
         return "description"
     finally:
         assert sorted(entry.name for entry in folder.iterdir()) == ["fuzz.fmu", "inside"], (
-            "it left its folder"
+            "files outside the folder"
         )
         shutil.rmtree(inside)
 
@@ -205,14 +210,14 @@ def read_ssp(data: bytes) -> str:
         assert found.components
         assert not found.devices
         assert all(component.kind in ("fmu", "model_exchange") for component in found.components), (
-            "code other than an FMU's"
+            "a component that is not an FMU"
         )
         return "scenario"
     finally:
         assert sorted(entry.name for entry in folder.iterdir() if entry.name != "fuzz.fmu") == [
             "fuzz.ssp",
             "inside",
-        ], "it left its folder"
+        ], "files outside the folder"
         shutil.rmtree(inside)
         path.unlink()
 
@@ -254,9 +259,8 @@ def read_dbc(data: bytes) -> str:
             arm.state.identifier,
             arm.state.extended,
         )
-        arm.check_activation(
-            "arm", implicit=False
-        )  # the mapping has what an activation needs, whatever the numbers are
+        # The mapping has all roles that an activation needs, whatever the numbers are.
+        arm.check_activation("arm", implicit=False)
         assert not arm.cannot_refuse(implicit=False)
     finally:
         path.unlink()

@@ -1,4 +1,4 @@
-"""What comes over the links: CAN frames, odometry messages, attachments."""
+"""Untrusted link data: CAN frames, odometry messages, attachments."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ from freeflyer_adapters.can.e2e import Protector
 from freeflyer_adapters.can.frame import Frame
 from freeflyer_adapters.can.link import Receiver
 
-# A drive's own DBC: big-endian signals, an E2E header at the end, and beside what is mapped, floats, a multiplexer with values that
-# stand for nothing, and named values.
+# DBC of a drive with big-endian signals and an E2E header at the end. Its unmapped signals are
+# floats, a multiplexer with undefined values, and named values.
 OWN_DBC = """VERSION ""
 NS_ :
 BS_:
@@ -88,7 +88,7 @@ def _own(**more: object) -> ArmFrames:
 
 
 @cache
-def listeners() -> list[tuple[ArmFrames, Frame]]:
+def receivers() -> list[tuple[ArmFrames, Frame]]:
     every = (
         ArmFrames(FrameMapping(), 6),
         _own(),
@@ -103,14 +103,18 @@ def listeners() -> list[tuple[ArmFrames, Frame]]:
 
 
 HEAD = struct.Struct("<BBIB")
-"""Which of `listeners` listens, flags (error, remote, extended), identifier, length; the data follow. An input is several of these."""
+"""Index into `receivers`, flags (error, remote, extended), identifier, length; the data follows.
+An input contains several frames."""
 ERROR, REMOTE, EXTENDED = 1, 2, 4
 
 
 def frames(rng: Random) -> bytes:
-    """Up to eight frames at one receiver. Half of the damaged ones get a header that fits again, so that it shields nothing."""
-    which = rng.randrange(len(listeners()))
-    _, frame = listeners()[which]
+    """Return up to eight frames for one receiver.
+
+    Half of the mutated ones have a valid E2E header, so that the receiver reads their signals.
+    """
+    which = rng.randrange(len(receivers()))
+    _, frame = receivers()[which]
     protector = None if frame.data_id is None else Protector(frame.data_id, frame.e2e_offset)
     parts = []
     for _ in range(rng.randrange(1, 9)):
@@ -122,7 +126,7 @@ def frames(rng: Random) -> bytes:
         if protector is not None:
             protector.protect(data)
         kind = rng.random()
-        if kind < 0.5:  # all signals' bits at random, or damage; then a valid checksum
+        if kind < 0.5:  # random or mutated signals with a valid checksum
             data = bytearray(
                 rng.randbytes(len(data)) if kind < 0.25 else mutation.damaged(rng, [bytes(data)])
             )
@@ -138,11 +142,11 @@ def frames(rng: Random) -> bytes:
 
 
 def take_frames(data: bytes) -> str:
-    place, outcome, receiver, arm = 0, "nothing", None, listeners()[0][0]
+    place, outcome, receiver, arm = 0, "nothing", None, receivers()[0][0]
     while place + HEAD.size <= len(data):
         which, flags, identifier, length = HEAD.unpack_from(data, place)
         if receiver is None:
-            arm, frame = listeners()[which]
+            arm, frame = receivers()[which]
             receiver = Receiver(frame)
         payload = bytearray(data[place + HEAD.size : place + HEAD.size + length])
         place += HEAD.size + length
@@ -154,14 +158,14 @@ def take_frames(data: bytes) -> str:
         values = receiver.take(message)
         after = receiver.accepted, receiver.refused
         if values is None:
-            assert after[0] == before[0], "counted as accepted, but not given"
+            assert after[0] == before[0], "counted as accepted, but not returned"
             outcome = max(
                 receiver.rejected,
                 key=lambda name: receiver.rejected[name],
-                default="for somebody else",
+                default="other identifier",
             )
             continue
-        assert after == (before[0] + 1, before[1]), "given, but not counted as accepted"
+        assert after == (before[0] + 1, before[1]), "returned, but not counted as accepted"
         outcome = "values"
         check_values(arm, receiver.frame, values)
     return outcome

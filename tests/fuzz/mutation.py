@@ -1,4 +1,4 @@
-"""Damage to bytes, as links, disks and strangers do it: every kind by one call of a seeded generator."""
+"""Mutations of bytes, as links, disks and attackers cause them, from a seeded generator."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from random import Random
 
 LONGEST = 1 << 16
-"""No input grows beyond this, whatever is done to it [bytes]."""
+"""Maximum size of an input after mutation [bytes]."""
 BOUNDARIES = (
     0,
     1,
@@ -24,7 +24,7 @@ BOUNDARIES = (
     1 << 63,
     (1 << 64) - 1,
 )
-"""Where integers of 8 to 64 bits change sign or end."""
+"""Limits of integers of 8 to 64 bits, with and without sign."""
 INTERESTING = (
     b"\x00",
     b"\xff",
@@ -33,7 +33,7 @@ INTERESTING = (
     b"\xc3\x28",
     b"\xed\xa0\x80",
 )
-"""Zeros, ones, infinity and NaN as doubles, bytes that are no UTF-8, a surrogate."""
+"""Zeros, ones, infinity and NaN as doubles, invalid UTF-8, a surrogate."""
 
 
 def bit(rng: Random, data: bytearray, _: Sequence[bytes]) -> None:
@@ -65,7 +65,7 @@ def repeat(rng: Random, data: bytearray, _: Sequence[bytes]) -> None:
 
 
 def boundary(rng: Random, data: bytearray, _: Sequence[bytes]) -> None:
-    """A boundary integer of some width and order where a length or a count may be."""
+    """Write a boundary integer of random width and byte order, in place of a length or count."""
     width, order = rng.choice((1, 2, 4, 8)), rng.choice(("little", "big"))
     if len(data) >= width:
         first = rng.randrange(len(data) - width + 1)
@@ -79,7 +79,7 @@ def interesting(rng: Random, data: bytearray, _: Sequence[bytes]) -> None:
 
 
 def splice(rng: Random, data: bytearray, seeds: Sequence[bytes]) -> None:
-    """The begin of one valid input and the end of another."""
+    """Join the start of one valid input and the end of another."""
     other = rng.choice(seeds)
     data[rng.randrange(len(data) + 1) :] = other[rng.randrange(len(other) + 1) :]
 
@@ -90,7 +90,7 @@ KINDS: Sequence[Callable[[Random, bytearray, Sequence[bytes]], None]] = (
 
 
 def damaged(rng: Random, seeds: Sequence[bytes], most: int = 4) -> bytes:
-    """A valid input with up to `most` damages; now and then an intact one, and now and then random bytes only."""
+    """Return a valid input with up to `most` mutations; rarely an intact one, or random bytes."""
     kind = rng.random()
     if kind < 0.02:
         return rng.randbytes(rng.randrange(300))

@@ -1,4 +1,4 @@
-"""Records from strangers: `freeflyer audit` of a Parquet file whose origin, columns and bytes are damaged."""
+"""Untrusted records: `freeflyer audit` of a Parquet file with mutated origin, columns or bytes."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def _folder() -> Path:
 
 @cache
 def _seed() -> tuple[pa.Table, dict[str, Any], bytes]:
-    """A record of 20 rows, its origin, and its bytes."""
+    """Return a record of 20 rows, its origin and its bytes."""
     path = _folder() / "record.parquet"
     result = experiment.run(scenario.load("multirate_passive", ["stop_s=0.2"]))
     result.outcome.record.write(path)
@@ -45,7 +45,7 @@ def _seed() -> tuple[pa.Table, dict[str, Any], bytes]:
 
 
 def _column(rng: Random, table: pa.Table, k: int) -> pa.Table:
-    """Something else in a column's place."""
+    """Replace a column by one of another type or with extreme values."""
     name, rows = table.column_names[k], table.num_rows
     made = rng.choice(
         (

@@ -1,8 +1,8 @@
-"""What `freeflyer recover` is given: recordings, CAN logs and rings, damaged, or made by somebody who sets the checksums right.
+"""Untrusted inputs of `freeflyer recover`: damaged or forged recordings, CAN logs and rings.
 
-An input is one letter for its kind and the file. What comes out is read with the formats' own readers. Its messages are among those
-that were written; where the damage has a right checksum (`FORGED`), among those that a plain search of the input for whole chunks
-finds.
+An input is one letter for its kind and the file. The result is read with the reference reader of
+its format. All its messages must be among the written ones. A forged input (`FORGED`) has valid
+checksums; its messages must be among those that an independent search for chunks finds.
 """
 
 from __future__ import annotations
@@ -43,15 +43,14 @@ OBJECT, CONTAINER = struct.Struct("<4sHHLL"), struct.Struct("<H6xL4x")
 LOG_HEAD, FRAMES = 144, 16
 TICK, START = 200_000_000, 1_800_000_000_000_000_000
 MOST_UNPACKED = 24 * 2**20
-"""More than any chunk may unpack to here; the plain search stops there."""
+"""Decompression limit of the independent search; larger than the limit of the reader [bytes]."""
 Key = tuple[int, int, bytes]
-logging.getLogger("can.io.blf").setLevel(
-    logging.CRITICAL
-)  # python-can tells of every object that it does not know
+# python-can logs every unknown object.
+logging.getLogger("can.io.blf").setLevel(logging.CRITICAL)
 
 
 class _Kept(io.BytesIO):
-    """What python-can has closed can be read still."""
+    """A stream that is still readable after python-can has closed it."""
 
     def close(self) -> None:
         pass
@@ -77,7 +76,7 @@ def _rows(count: int) -> Rows:
 
 @cache
 def _recordings() -> list[bytes]:
-    """By our writer, finished or not, and by mcap's in its other ways."""
+    """Return recordings of this project's writer, finished or not, and of the mcap writer."""
     found = []
     for finished in (True, False):
         stream, head = io.BytesIO(), _run_head()
@@ -105,18 +104,22 @@ def _written() -> frozenset[Key]:
 
 
 def _messages(data: bytes) -> list[Key]:
-    """By mcap's own reader; of an unfinished file by the plain search."""
+    """Return the messages found by the mcap reader; in an unfinished file, by the search."""
     if data.endswith(b"\x89MCAP0\r\n"):
         found = make_reader(io.BytesIO(data), validate_crcs=True).iter_messages(
             log_time_order=False
         )
         return [(m.log_time, m.sequence, m.data) for _, _, m in found]
-    return [key for key, _ in _plain_search(data)]
+    return [key for key, _ in _independent_search(data)]
 
 
-def _plain_search(data: bytes) -> Iterator[tuple[Key, bool]]:
-    """Messages of everything that could be a chunk with a right checksum, wherever it stands; and whether it has one at all."""
+def _independent_search(data: bytes) -> Iterator[tuple[Key, bool]]:
+    """Yield the messages of all possible chunks at any offset, and whether they have a checksum.
+
+    Chunks with a wrong checksum are skipped.
+    """
     for place in (found.start() for found in re.finditer(b"\x06", data)):
+        # Check the lengths of a possible chunk and decompress it.
         try:
             _, length = HEAD.unpack_from(data, place)
             body = data[place + HEAD.size : place + HEAD.size + length]
@@ -143,6 +146,7 @@ def _plain_search(data: bytes) -> Iterator[tuple[Key, bool]]:
             continue
         if checksum and zlib.crc32(inside) != checksum:
             continue
+        # Yield its messages.
         at = 0
         while at + HEAD.size <= len(inside):
             kind_of_record, length = HEAD.unpack_from(inside, at)
@@ -191,18 +195,18 @@ def _ring() -> bytes:
     ring = RingWriter(_run_head(), _folder())
     for k, line in enumerate(_rows(100).values):
         ring.write(k, line)
-    ring.say_reason("it was enough")
+    ring.set_reason("it was enough")
     ring.close()
     data = ring.path.read_bytes()
     ring.path.unlink()
     return data
 
 
-# Damage by somebody who knows the formats
+# Forged files: mutations with valid lengths and checksums
 
 
 def _records(data: bytes) -> list[bytes]:
-    """Of an undamaged file, without its magic."""
+    """Return the records of an undamaged file, without its magic bytes."""
     found, place = [], 8
     while place + HEAD.size <= len(data):
         end = place + HEAD.size + HEAD.unpack_from(data, place)[1]
@@ -264,9 +268,10 @@ def _forged(rng: Random) -> bytes:
         k, kind = rng.randrange(len(records)), rng.random()
         record = records[k]
         opcode, length = HEAD.unpack_from(record)
+        # Mutate the content of a chunk, which gets a new checksum.
         if opcode == Opcode.CHUNK and record in intact and kind < 0.6:
             inside = bytearray(_inside(record)) if rng.random() < 0.9 else bytearray()
-            if rng.random() < 0.3:  # lengths and op codes of the records in it
+            if rng.random() < 0.3:  # lengths and opcodes of the records in the chunk
                 starts, at = [0], 0
                 while at + HEAD.size <= len(inside):
                     at += HEAD.size + HEAD.unpack_from(inside, at)[1]
@@ -288,6 +293,7 @@ def _forged(rng: Random) -> bytes:
                 rng.choice((None, None, None, 0, 2**24, 2**40)),
                 bad=rng.random() < 0.1,
             )
+        # Mutate, repeat, remove or reorder records.
         elif kind < 0.15:
             records[k] = (
                 HEAD.pack(
@@ -380,25 +386,25 @@ def recover(data: bytes) -> str:
     made = output.getvalue()
     if name.suffix == ".blf":
         frames = list(can.BLFReader(io.BytesIO(made)))
-        assert len(frames) == done.kept, "the new log has other frames than were counted"
+        assert len(frames) == done.kept, "the new log has another number of frames than reported"
         if kind == LOG:
             numbers = [int.from_bytes(frame.data[:8], "little") for frame in frames]
             assert all(
                 frame.data == n.to_bytes(8, "little") * 2 and n < FRAMES
                 for frame, n in zip(frames, numbers, strict=True)
-            ), "a frame is new"
+            ), "a frame that was not written"
         return "log" if done.kept else "log without frames"
     kept = _messages(made)
-    assert len(kept) == done.kept, "the new file has other messages than were counted"
+    assert len(kept) == done.kept, "the new file has another number of messages than reported"
     if kept:
         new = set(kept) - _written()
         if new:
             found = {
                 key
-                for key, has_checksum in _plain_search(data)
+                for key, has_checksum in _independent_search(data)
                 if kind == FORGED or not has_checksum
             }
-            # Without a single chunk there is no checksum to go by.
+            # A forged file without chunks has no checksum.
             assert new <= found or (kind == FORGED and not _has_chunk(data)), (
                 "a message that was not written"
             )
@@ -406,7 +412,7 @@ def recover(data: bytes) -> str:
 
 
 def _has_chunk(data: bytes) -> bool:
-    return next(_plain_search(data), None) is not None
+    return next(_independent_search(data), None) is not None
 
 
 def _recover_ring(data: bytes) -> str:
@@ -420,7 +426,7 @@ def _recover_ring(data: bytes) -> str:
         write_rows(output, ring, rows, ring.head.signals, "a test")
     finally:
         ring.close()
-    # The arm's signals, the base's, joint states, and the loop's.
+    # Four topics: signals of arm and base, joint states, loop.
     assert (
         len(_messages(output.getvalue())) == 4 * len(rows)
         or ring.head.signals != _run_head().signals

@@ -1,4 +1,7 @@
-"""Scenario files and `--set` strings from anybody, as far as no FMU is needed: the reader, and what devices say of their tables."""
+"""Untrusted scenario files and `--set` strings: the reader and the options of devices.
+
+FMUs are not loaded.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +29,7 @@ from freeflyer_adapters.facility import settings as facility_settings
 SEEDS = [path.read_bytes() for path in sorted(scenario.SHIPPED.glob("*.toml"))]
 TABLES = [tomllib.loads(seed.decode()) for seed in SEEDS]
 SEPARATOR = b"\x00--set\x00"
-"""Between a file's bytes and its overrides in an input."""
+"""Separator of the file and its overrides in an input."""
 OVERRIDES = [
     b"base_controller.period=0.1", b"stop_s=2", b"exchange=parallel", b"robot.base_mass=160", b"devices.arm.channel='x'", b"facility.delay=0.1",
     b"record.every_s=0.02", b"base_controller.step_s=300 ms", b"base_controller.gain=[1, 2]", b"devices.arm.parameters.x={value=1, unit='deg'}",
@@ -64,7 +67,10 @@ def generate(rng: Random) -> bytes:
 
 
 def _folder() -> Path:
-    """With what a hostile file can point at: a parent, a file that extends it back, a FIFO, a device."""
+    """Return a folder with files that an attacker can refer to.
+
+    It contains a parent, a file that extends the input again, a FIFO and a device.
+    """
     kept = tempfile.TemporaryDirectory(
         prefix="freeflyer-fuzz-", dir="/dev/shm" if os.access("/dev/shm", os.W_OK) else None
     )
@@ -86,7 +92,7 @@ def load(data: bytes) -> str:
     text, *overrides = data.split(SEPARATOR)
     path = _place[0] / "fuzz.toml"
     path.write_bytes(text)
-    # A command line's bytes, as Python hands them on.
+    # Decode the overrides as Python decodes a command line.
     found = scenario.load(str(path), [os.fsdecode(override) for override in overrides])
     _check(found)
     outcome = "scenario"
@@ -123,11 +129,11 @@ def _check(found: scenario.Scenario) -> None:
         assert 0 <= limit.lasting < 2**63
         assert limit.elements is None or 1 <= limit.elements[0] <= limit.elements[1]
     again = scenario.from_tables(tomllib.loads(found.source), _place[0] / "fuzz.toml")
-    assert _plain(again) == _plain(found), "its source is another scenario"
+    assert _plain(again) == _plain(found), "its source gives another scenario"
 
 
 def _plain(one: scenario.Scenario) -> str:
-    """As text, whatever the order of its keys; NaN is itself."""
+    """Return the scenario as text with sorted keys, so that NaN equals NaN."""
     return json.dumps(
         dataclasses.asdict(dataclasses.replace(one, source="")), sort_keys=True, default=repr
     )

@@ -1,4 +1,4 @@
-"""What is fuzzed, and what it may answer: a value that holds what it promises, or one of its own exceptions."""
+"""Fuzzing target: a function that returns a valid value or raises a documented exception."""
 
 from __future__ import annotations
 
@@ -9,18 +9,20 @@ from random import Random
 
 @dataclass(frozen=True, kw_only=True)
 class Target:
-    """`call` takes an input and says in a word what came of it, or nothing; a promise that is broken is an AssertionError there.
+    """A fuzzing target.
 
-    `patience` [s] is for one input. `growth` [MiB]: how far the process may grow, by all inputs together.
+    `call` processes an input and returns the name of the outcome, or None. It raises
+    AssertionError for an invalid value. `time_limit`: longest time for one input [s]. `growth`:
+    largest growth of the process over all inputs [MiB].
     """
 
     name: str
     generate: Callable[[Random], bytes]
     call: Callable[[bytes], str | None]
     allowed: tuple[type[Exception], ...]
-    patience: float = 10.0
+    time_limit: float = 10.0
     growth: int = 128
 
     def input(self, seed: int) -> bytes:
-        """The same bytes for the same seed, on every machine."""
+        """Return the input of a seed; it is the same on every machine."""
         return self.generate(Random(f"{self.name} {seed}"))

@@ -1,6 +1,9 @@
-"""Everything that is fuzzed, by name. A further reader of bytes is one `Target` in this list, with a number of inputs in test_campaigns:
+"""All fuzzing targets, by name.
 
-Target(name="recover", generate=lambda rng: mutation.damaged(rng, [VALID]), call=recover_bytes, allowed=(RecordError,))
+To fuzz another reader, add a `Target` to this list and a number of inputs in test_campaigns:
+
+Target(name="recover", generate=lambda rng: mutation.damaged(rng, [VALID]), call=recover_bytes,
+       allowed=(RecordError,))
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""FMUs and SSP files that somebody made to do harm: one sentence that names the file and the limit, exit code 2, and nothing left behind."""
+"""Malicious FMUs and SSP files: the error names file and limit, exit code 2, no file remains."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PREFIX, SUFFIX = SMALL_2.split(b"\n", 1)
 
 @pytest.fixture(autouse=True)
 def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Where folders for FMUs are made."""
+    """The directory for temporary folders of FMUs."""
     folder = tmp_path / "temporary"
     folder.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(folder))
@@ -35,7 +35,7 @@ def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def named(*names: str) -> Make:
     def make(file: zipfile.ZipFile) -> None:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of duplicate names
+            warnings.simplefilter("ignore")  # about duplicate names
             for name in names:
                 file.writestr(zipfile.ZipInfo(name), b"x")
 
@@ -55,7 +55,7 @@ def by(method: int) -> Make:
     return lambda file: file.writestr(zipfile.ZipInfo("resources/x"), b"x" * 1000, method)
 
 
-def swollen(file: zipfile.ZipFile) -> None:
+def add_zeros(file: zipfile.ZipFile) -> None:
     with file.open("resources/zeros", "w") as entry:
         for _ in range(300):
             entry.write(bytes(1 << 20))
@@ -83,13 +83,13 @@ def swollen(file: zipfile.ZipFile) -> None:
         (by(zipfile.ZIP_BZIP2), "is compressed by bzip2; deflate is expected"),
         (by(zipfile.ZIP_LZMA), "is compressed by lzma; deflate is expected"),
         (
-            swollen,
+            add_zeros,
             "it unpacks to 300 MiB, more than 200 times its own size (set FREEFLYER_LARGEST_ARCHIVE=GIB if you trust it)",
         ),
     ],
 )
 @pytest.mark.parametrize("kind", ["fmu", "ssp"])
-def test_an_archive_is_refused_before_anything_of_it_is_used(
+def test_an_archive_is_rejected_before_any_entry_is_used(
     capsys: pytest.CaptureFixture[str],
     tmp_path: Path,
     temporary: Path,
@@ -104,10 +104,10 @@ def test_an_archive_is_refused_before_anything_of_it_is_used(
             SSD if kind == "ssp" else SMALL_2,
         )
         make(file)
-    refused(capsys, tmp_path, temporary, path, sentence)
+    rejected(capsys, tmp_path, temporary, path, sentence)
 
 
-def refused(
+def rejected(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, temporary: Path, path: Path, sentence: str
 ) -> None:
     run = path
@@ -133,7 +133,7 @@ def fmu(path: Path, description: bytes = SMALL_2, **more: bytes) -> Path:
 
 
 def library(path: Path) -> Path:
-    """An FMU that is to be unpacked: with what passes for a library, until it is loaded."""
+    """Add an invalid library, so that the FMU is unpacked before its library is loaded."""
     import fmpy
 
     with zipfile.ZipFile(path, "a") as file:
@@ -145,14 +145,14 @@ def directory_of(data: bytes) -> int:
     return int(struct.unpack_from("<I", data, data.rindex(b"PK\x05\x06") + 16)[0])
 
 
-def test_an_entry_whose_header_lies_about_its_size_gives_no_more_than_it_said(
+def test_an_entry_larger_than_its_stated_size_is_rejected(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, temporary: Path
 ) -> None:
     path = library(fmu(tmp_path / "liar.fmu", zeros=bytes(70 << 20)))
     data = path.read_bytes()
     assert data.count(struct.pack("<I", 70 << 20)) == 2
     path.write_bytes(data.replace(struct.pack("<I", 70 << 20), struct.pack("<I", 1000)))
-    refused(
+    rejected(
         capsys,
         tmp_path,
         temporary,
@@ -166,29 +166,29 @@ def test_a_damaged_library_leaves_nothing_behind(
 ) -> None:
     path = library(fmu(tmp_path / "bad.fmu"))
     path.write_bytes(path.read_bytes().replace(b"no library", b"on library"))
-    refused(capsys, tmp_path, temporary, path, "Bad CRC-32 for file 'binaries/")
+    rejected(capsys, tmp_path, temporary, path, "Bad CRC-32 for file 'binaries/")
 
 
-def test_an_encrypted_entry(
+def test_an_encrypted_entry_is_rejected(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, temporary: Path
 ) -> None:
     path = fmu(tmp_path / "some.fmu")
     data = bytearray(path.read_bytes())
     data[directory_of(data) + 8] |= 1
     path.write_bytes(data)
-    refused(capsys, tmp_path, temporary, path, "its entry 'modelDescription.xml' is encrypted")
+    rejected(capsys, tmp_path, temporary, path, "its entry 'modelDescription.xml' is encrypted")
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.9, 0.99])
-def test_a_truncated_archive(
+def test_a_truncated_archive_is_rejected(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, temporary: Path, share: float
 ) -> None:
     path = fmu(tmp_path / "some.fmu", x=b"y" * 5000)
     path.write_bytes(path.read_bytes()[: int(share * path.stat().st_size)])
-    refused(capsys, tmp_path, temporary, path, "it is no zip archive")
+    rejected(capsys, tmp_path, temporary, path, "it is no zip archive")
 
 
-def test_too_many_entries_and_too_long_a_list_of_them(
+def test_too_many_entries_or_a_too_large_directory_are_rejected(
     capsys: pytest.CaptureFixture[str],
     tmp_path: Path,
     temporary: Path,
@@ -197,17 +197,17 @@ def test_too_many_entries_and_too_long_a_list_of_them(
     path = fmu(tmp_path / "some.fmu", **{f"x{k}": b"" for k in range(100)})
     with monkeypatch.context() as patch:
         patch.setattr(archive, "MOST_ENTRIES", 100)
-        refused(capsys, tmp_path, temporary, path, "it has 101 entries; 100 are allowed")
+        rejected(capsys, tmp_path, temporary, path, "it has 101 entries; 100 are allowed")
     monkeypatch.setattr(archive, "LARGEST_DIRECTORY", 1000)
-    refused(capsys, tmp_path, temporary, path, "its list of entries has more than 1000 bytes")
+    rejected(capsys, tmp_path, temporary, path, "its list of entries has more than 1000 bytes")
 
 
-def test_a_large_archive_of_somebody_who_is_trusted(
+def test_a_large_trusted_archive_is_accepted(
     tmp_path: Path, temporary: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "some.fmu"
     with zipfile.ZipFile(fmu(path), "a", zipfile.ZIP_DEFLATED) as file:
-        swollen(file)
+        add_zeros(file)
     monkeypatch.setenv("FREEFLYER_LARGEST_ARCHIVE", "1")
     folder = unpacked.take(path)
     assert (folder / "resources" / "zeros").stat().st_size == 300 << 20
@@ -247,7 +247,7 @@ LAUGHS = b"".join(b'<!ENTITY x%d "%s">' % (k, b"&x%d;" % (k - 1) * 10) for k in 
     ],
 )
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
-def test_xml_with_a_document_type_is_refused_unread(
+def test_xml_with_a_document_type_is_rejected_before_parsing(
     capsys: pytest.CaptureFixture[str],
     tmp_path: Path,
     temporary: Path,
@@ -260,7 +260,7 @@ def test_xml_with_a_document_type_is_refused_unread(
         + SUFFIX.replace(b'modelName="some"', b'modelName="&x11;"')
     ).decode()
     path = fmu(tmp_path / "some.fmu", text.encode(encoding))
-    refused(
+    rejected(
         capsys,
         tmp_path,
         temporary,
@@ -269,14 +269,14 @@ def test_xml_with_a_document_type_is_refused_unread(
     )
 
 
-def test_xml_that_swells_or_nests(
+def test_xml_with_too_many_or_too_deep_elements_is_rejected(
     capsys: pytest.CaptureFixture[str],
     tmp_path: Path,
     temporary: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     deep = SUFFIX.replace(b"<CoSimulation", b"<a>" * 5000 + b"</a>" * 5000 + b"<CoSimulation")
-    refused(
+    rejected(
         capsys,
         tmp_path,
         temporary,
@@ -285,11 +285,11 @@ def test_xml_that_swells_or_nests(
     )
     monkeypatch.setattr(archive, "MOST_ELEMENTS", 1000)
     wide = SUFFIX.replace(b"<CoSimulation", b"<a/>" * 1000 + b"<CoSimulation")
-    refused(
+    rejected(
         capsys, tmp_path, temporary, fmu(tmp_path / "wide.fmu", wide), "more than 1000 elements"
     )
     monkeypatch.setattr(archive, "LARGEST_XML", 1 << 10)
-    refused(capsys, tmp_path, temporary, fmu(tmp_path / "long.fmu"), "1 KiB are allowed")
+    rejected(capsys, tmp_path, temporary, fmu(tmp_path / "long.fmu"), "1 KiB are allowed")
 
 
 def test_a_description_in_another_encoding_is_read(tmp_path: Path) -> None:
@@ -307,7 +307,7 @@ def test_a_description_in_another_encoding_is_read(tmp_path: Path) -> None:
     )
 
 
-def test_variables_of_more_elements_than_memory_has(tmp_path: Path) -> None:
+def test_variables_with_too_many_elements_are_rejected(tmp_path: Path) -> None:
     from file_targets import SMALL_3
 
     huge = SMALL_3.replace(b'<Dimension start="3"/>', b'<Dimension start="1000000000000"/>')
@@ -317,22 +317,22 @@ def test_variables_of_more_elements_than_memory_has(tmp_path: Path) -> None:
         ports_in(fmu(tmp_path / "huge.fmu", huge))
 
 
-def test_describing_an_fmu_runs_nothing_of_it(
+def test_describing_an_fmu_does_not_run_its_code(
     tmp_path: Path, temporary: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     import ctypes
 
-    def loads(*_: object, **__: object) -> None:
+    def load(*_: object, **__: object) -> None:
         raise AssertionError("a library is loaded")
 
-    monkeypatch.setattr(ctypes, "CDLL", loads)
+    monkeypatch.setattr(ctypes, "CDLL", load)
     path = library(fmu(tmp_path / "some.fmu"))
     assert describe_fmu(path).modelName == "some"
     assert ports_in(path)[0]["u"].start == (1.5,)
     assert not list(temporary.iterdir())
 
 
-def test_an_archive_within_an_archive_is_a_file(tmp_path: Path, temporary: Path) -> None:
+def test_an_archive_within_an_archive_is_not_unpacked(tmp_path: Path, temporary: Path) -> None:
     inner = io.BytesIO()
     with zipfile.ZipFile(inner, "w") as file:
         file.writestr("../evil", b"x")

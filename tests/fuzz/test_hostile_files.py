@@ -1,4 +1,4 @@
-"""Files that are no files, never end, or are not what their names say: one sentence and exit code 2."""
+"""Malicious files: special files, endless input, wrong formats; an error and exit code 2."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from freeflyer_adapters.can.signals import load
 from freeflyer_adapters.device.device import DeviceError
 
 TOMLS = {
-    "an array within an array, and so on": ("x = " + "[" * 20_000, "nested deeper than 40"),
-    "41 tables within each other": ("[" + ".".join("a" * 42) + "]", "nested deeper than 40"),
+    "deeply nested arrays": ("x = " + "[" * 20_000, "nested deeper than 40"),
+    "42 nested tables": ("[" + ".".join("a" * 42) + "]", "nested deeper than 40"),
     "a number of 5000 digits": ("stop_s = " + "9" * 5000, "an integer of more than 64 bits"),
-    "a hexadecimal one": ("stop_s = 0x" + "f" * 20_000, "an integer of more than 64 bits"),
+    "a hexadecimal number": ("stop_s = 0x" + "f" * 20_000, "an integer of more than 64 bits"),
     "one bit too many": ("stop_s = 9223372036854775808", "an integer of more than 64 bits"),
     "a name of 20000 parts": ("a." * 20_000 + "a = 1", "a name of more than 500 parts"),
     "300 KiB": ("#" * (300 << 10), "it has more than 256 KiB"),
@@ -33,7 +33,7 @@ TOMLS = {
 
 @pytest.mark.parametrize("command", ["run", "sweep", "predict", "export"])
 @pytest.mark.parametrize("what", TOMLS)
-def test_toml_that_would_never_be_done_with(
+def test_toml_that_would_take_too_long_to_parse_is_rejected(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, command: str, what: str
 ) -> None:
     text, sentence = TOMLS[what]
@@ -48,7 +48,7 @@ def test_toml_that_would_never_be_done_with(
 
 
 @pytest.mark.parametrize("data", [b"x = '\xff'", b"\xff\xfex\x00", b"x = 1\x00", b"\x00" * 100])
-def test_bytes_that_are_no_toml(
+def test_invalid_toml_is_rejected(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, data: bytes
 ) -> None:
     (tmp_path / "x.toml").write_bytes(data)
@@ -57,7 +57,9 @@ def test_bytes_that_are_no_toml(
 
 
 @pytest.mark.parametrize("command", ["run", "sweep"])
-def test_what_is_no_file(capsys: pytest.CaptureFixture[str], tmp_path: Path, command: str) -> None:
+def test_a_path_that_is_not_a_regular_file_is_rejected(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, command: str
+) -> None:
     os.mkfifo(tmp_path / "fifo.toml")
     (tmp_path / "zero.toml").symlink_to("/dev/zero")
     (tmp_path / "folder.toml").mkdir()
@@ -70,7 +72,7 @@ def test_what_is_no_file(capsys: pytest.CaptureFixture[str], tmp_path: Path, com
     assert run_command(capsys, "run", str(tmp_path / "child.toml"))[0] == 2
 
 
-def test_a_file_that_became_a_fifo_or_a_device_after_it_was_found(tmp_path: Path) -> None:
+def test_a_fifo_or_device_is_rejected_when_it_is_opened(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "fifo.toml")
     for path in (tmp_path / "fifo.toml", Path("/dev/zero")):
         with pytest.raises(OSError, match="it is no regular file"):
@@ -81,7 +83,7 @@ def test_a_file_that_became_a_fifo_or_a_device_after_it_was_found(tmp_path: Path
         bounded_file.content(tmp_path / "long", 10)
 
 
-def test_units_that_a_calculator_would_be_at_for_ever() -> None:
+def test_units_with_expensive_arithmetic_are_rejected() -> None:
     begin = time.process_time()
     for text in (
         "9**9**9**9",
@@ -127,7 +129,7 @@ def test_units_that_a_calculator_would_be_at_for_ever() -> None:
         ("Mode : 7|8@0+", "Mode : -1|8@0+", "starts at bit -1; 0 or more is expected"),
     ],
 )
-def test_dbcs_that_swell_or_make_no_numbers(
+def test_dbcs_with_excessive_sizes_or_invalid_numbers_are_rejected(
     tmp_path: Path, old: str, new: str, sentence: str
 ) -> None:
     path = tmp_path / "own.dbc"
@@ -142,7 +144,7 @@ KCD = '<!DOCTYPE a [<!ENTITY x SYSTEM "file:///etc/hostname">]><NetworkDefinitio
 
 
 @pytest.mark.parametrize("suffix", ["kcd", "arxml", "sym", "cdd", "xml", ""])
-def test_only_a_dbc_is_a_dbc(tmp_path: Path, suffix: str) -> None:
+def test_only_dbc_files_are_accepted(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"own.{suffix}"
     path.write_text(KCD)
     with pytest.raises(DeviceError, match=r"a file whose name ends in \.dbc is expected"):
@@ -152,16 +154,14 @@ def test_only_a_dbc_is_a_dbc(tmp_path: Path, suffix: str) -> None:
         load(tmp_path / "own.dbc")
 
 
-def test_no_dbc_is_taken_from_a_cache_of_pickles(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_pickle_cache_of_a_dbc_is_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CANTOOLS_CACHE_DIR", str(tmp_path / "cache"))
     (tmp_path / "own.dbc").write_text(OWN_DBC)
     load(tmp_path / "own.dbc")
     assert not (tmp_path / "cache").exists()
 
 
-def test_a_dbc_that_is_no_file(tmp_path: Path) -> None:
+def test_a_dbc_that_is_not_a_regular_file_or_too_large_is_rejected(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "fifo.dbc")
     with pytest.raises(DeviceError, match="it is no regular file"):
         load(tmp_path / "fifo.dbc")
@@ -182,7 +182,7 @@ def test_a_dbc_that_is_no_file(tmp_path: Path) -> None:
         pa.table([[0.0], [1.0], [1.0]], names=["time", "a", "a"]),
     ],
 )
-def test_a_table_that_is_no_record(
+def test_a_table_that_is_not_a_record_is_rejected(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, table: pa.Table
 ) -> None:
     parquet.write_table(table, tmp_path / "record.parquet")
@@ -190,10 +190,10 @@ def test_a_table_that_is_no_record(
     assert ("record" in error, code) == (True, 2), error
 
 
-def test_rows_beyond_all_memory_are_refused_unread(
+def test_a_record_with_too_many_rows_is_rejected_before_reading(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Rows that say nothing take hardly any bytes: 1000 to one here, and there is no end to it."""
+    """Rows of nulls are compressed by more than 1000 to 1, without a limit."""
     path = tmp_path / "record.parquet"
     parquet.write_table(pa.table({"time": pa.nulls(5_000_000, pa.float64())}), path)
     assert path.stat().st_size < 5_000_000 * 8 / 1000
@@ -206,10 +206,10 @@ def test_rows_beyond_all_memory_are_refused_unread(
     ) == (True, 2), error
 
 
-def test_only_the_documented_kind_runs_code_of_a_scenario(
+def test_only_the_kind_python_runs_code_of_a_scenario(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """`extends` and `fmu` read files and run none; kind = "python" is what runs one."""
+    """`extends` and `fmu` only read files; kind = "python" runs one."""
     (tmp_path / "evil.py").write_text(
         "from pathlib import Path\nPath(__file__).with_name('ran').touch()\n"
     )

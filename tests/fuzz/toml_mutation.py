@@ -1,4 +1,4 @@
-"""Damage to a TOML document as a document: keys, values, kinds and nesting, rather than its bytes."""
+"""Mutations of the structure of a TOML document: keys, values, types and nesting."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ KEYS = (
 
 
 def places(value: Any) -> list[tuple[Any, Any]]:
-    """Every (container, key or index) below a value."""
+    """Return every (container, key or index) below a value."""
     found: list[tuple[Any, Any]] = []
     stack = [value]
     while stack:
@@ -53,7 +53,7 @@ def places(value: Any) -> list[tuple[Any, Any]]:
     return found
 
 
-def strange(rng: Random) -> Any:
+def unusual(rng: Random) -> Any:
     kind = rng.random()
     if kind < 0.05:
         return nested(rng)
@@ -70,23 +70,23 @@ def nested(rng: Random) -> Any:
 def mutate(rng: Random, table: Table, seeds: Sequence[Table]) -> None:
     every = places(table)
     if not every:
-        table[rng.choice(KEYS)] = strange(rng)
+        table[rng.choice(KEYS)] = unusual(rng)
         return
     container, key = rng.choice(every)
     kind = rng.randrange(9)
     if kind <= 2:
-        container[key] = strange(rng)
+        container[key] = unusual(rng)
     elif kind == 3:
         del container[key]
     elif kind == 4 and isinstance(container, dict):
         container[rng.choice(KEYS)] = container.pop(key)
     elif kind == 5 and isinstance(container, dict):
-        container[rng.choice(KEYS)] = strange(rng)
+        container[rng.choice(KEYS)] = unusual(rng)
     elif kind == 6:
         container[key] = rng.choice(
             ([container[key]], {rng.choice(KEYS): container[key]}, [container[key], container[key]])
         )
-    elif kind == 7:  # two parts change places
+    elif kind == 7:  # swap two parts
         other, there = rng.choice(every)
         container[key], other[there] = copy.deepcopy(other[there]), copy.deepcopy(container[key])
     else:  # a part of another document
@@ -95,7 +95,7 @@ def mutate(rng: Random, table: Table, seeds: Sequence[Table]) -> None:
 
 
 def emit(table: Table) -> str:
-    """TOML, in the form that needs least: one line a key, everything within it inline."""
+    """Return a document as TOML: one line per key, its value inline."""
     return "\n".join(
         f"{json.dumps(key, ensure_ascii=False)} = {inline(value)}" for key, value in table.items()
     )

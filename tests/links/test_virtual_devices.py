@@ -161,7 +161,7 @@ def test_another_controller_is_rejected_until_the_first_one_sends_nothing() -> N
     for _ in range(3):
         arm.begin([command(arm, torque=1.0), command(arm, controller=OTHER, torque=9.0)], STILL)
         assert (arm.torque == 1.0).all()
-    assert arm.strangers == 3
+    assert arm.foreign == 3
     for _ in range(99):
         arm.begin([command(arm, Mode.reset, controller=OTHER)], STILL)
         assert arm.controller == OURS
@@ -293,7 +293,7 @@ def test_only_a_reset_claims(mode: Mode | None) -> None:
     for _ in range(5):
         arm.begin([Command(controller=OURS, mode=mode, answered=arm.cycle, torque=STILL)], STILL)
     assert arm.controller == 0
-    assert arm.strangers == 5
+    assert arm.foreign == 5
     assert arm.life.now is LifeCycle.inactive
 
 
@@ -301,14 +301,14 @@ def test_session_number_zero_claims_nothing() -> None:
     arm = logic()
     arm.begin([command(arm, Mode.reset, controller=0)], STILL)
     assert arm.controller == 0
-    assert arm.strangers == 1
+    assert arm.foreign == 1
 
 
 def test_an_arm_with_a_session_rejects_another_claim() -> None:
     arm = claimed(logic())
     arm.begin([command(arm, Mode.reset, controller=OTHER)], STILL)
     assert arm.controller == OURS
-    assert arm.strangers == 1
+    assert arm.foreign == 1
 
 
 def test_an_arm_that_is_not_braked_yet_can_be_claimed_and_stays_in_safe_stop() -> None:
@@ -416,7 +416,7 @@ def test_an_activation_of_another_session_number_is_ignored() -> None:
     arm = claimed(logic())
     arm.begin([command(arm, Mode.activate, controller=OTHER)], STILL)
     assert arm.life.now is LifeCycle.inactive
-    assert arm.strangers == 1
+    assert arm.foreign == 1
 
 
 def test_an_activation_of_an_active_arm_neither_changes_the_torque_nor_resets_the_watchdog() -> (
@@ -475,7 +475,7 @@ def test_an_implicit_arm_accepts_the_first_controller(mode: Mode) -> None:
     assert arm.controller == OURS
     arm.begin([command(arm, mode, controller=OTHER)], STILL)
     assert arm.controller == OURS
-    assert arm.strangers == 1
+    assert arm.foreign == 1
 
 
 def test_an_implicit_arm_is_activated_by_torque_and_applies_it_immediately() -> None:

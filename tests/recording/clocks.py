@@ -1,4 +1,4 @@
-"""Clocks that a test sets, and a bus whose frames are stamped by them, in place of the machine's."""
+"""Simulated clocks that a test can set, and a bus that stamps frames with them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from freeflyer_adapters.foundation.environment import Environment
 from freeflyer_adapters.recording.header import CanChannel, RecordingHeader
 
 MONOTONIC = 5_000_000_000
-"""[ns] when a test begins."""
+"""Monotonic clock at the start of a test [ns]."""
 
 
 class Clocks(Environment):
@@ -34,11 +34,11 @@ class Clocks(Environment):
 
     @property
     def true(self) -> float:
-        """[s since the epoch] as if the wall clock had not been set."""
+        """True time [s since the epoch], without the steps of the wall clock."""
         return (START + self.passed) * 1e-9
 
-    def come(self, number: int = 0, late: int = 0) -> float:
-        """A frame, stamped `late` [ns] ago; its true time."""
+    def add_frame(self, number: int = 0, late: int = 0) -> float:
+        """Add a frame that was stamped `late` [ns] ago; return its true time."""
         stamp = (self.time_ns() - late) * 1e-9
         self.waiting.append(
             can.Message(
@@ -60,5 +60,5 @@ class FakeBus:
 
 
 def run_head(directory: Path, can_channels: Sequence[CanChannel] = ()) -> RecordingHeader:
-    """Of a run that begins at the clocks' begin."""
+    """Return the header of a run that starts with the clocks."""
     return replace(head(directory), clock_offset=START - MONOTONIC, can=can_channels)

@@ -1,4 +1,7 @@
-"""Each test's own place for rings, short enough for the names of sockets, and in memory as in earnest; and clocks that it sets."""
+"""Fixtures: a separate directory of rings for each test, and simulated clocks.
+
+The directory is in memory, as in normal use, and its path is short enough for socket names.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Loops as processes of their own, whose recorders can be found and hurt; and a small run made of numbers."""
+"""Loops in separate processes whose recorders tests can kill, and a small synthetic run."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ PARTS = {
     "base_robot.base_position": ("m",) * 3,
     "base_robot.base_orientation": ("1",) * 4,
     "base_robot.base_velocity": ("m/s",) * 3 + ("rad/s",) * 3,
-    "hand.position": ("m",) * 3,
-    "hand.orientation": ("1",) * 4,
+    "end_effector.position": ("m",) * 3,
+    "end_effector.orientation": ("1",) * 4,
     "controller.end_effector_wrench": ("N",) * 3 + ("N.m",) * 3,
     "controller.Odd name (2)": (None,),
 }
@@ -47,7 +47,7 @@ def head(directory: Path) -> RecordingHeader:
 
 
 def rows(count: int, width: int, seed: int = 0) -> Rows:
-    """Unit quaternions where a quaternion is; everything else at random."""
+    """Return random rows; the orientations are unit quaternions."""
     generator = np.random.default_rng(seed)
     values = generator.normal(size=(count, width))
     for name, signal in {s.name: s for s in head(Path("/")).signals}.items():
@@ -61,7 +61,7 @@ def rows(count: int, width: int, seed: int = 0) -> Rows:
 def recording(
     count: int, chunk_seconds: float = 0.02, *, finished: bool = True, seed: int = 0
 ) -> bytes:
-    """The bytes of a recording of so many rows."""
+    """Return the bytes of a recording of `count` rows."""
     made, stream = head(Path("/")), BytesIO()
     file = RecordingFile(stream, made, made.signals, chunk_seconds)
     file.add(rows(count, made.width, seed))
@@ -71,12 +71,12 @@ def recording(
 
 
 def alone(runtime: Path) -> dict[str, str]:
-    """An environment in which rings of other tests are not met."""
+    """Return environment variables with a separate directory of rings."""
     return {**os.environ, "XDG_RUNTIME_DIR": str(runtime)}
 
 
 class Loop:
-    """`freeflyer hil facility --simulated`, and its recorder."""
+    """A process `freeflyer hil facility --simulated` with its recorder."""
 
     def __init__(self, out: Path, runtime: Path, *options: str, stop: float = 60.0) -> None:
         command = [
@@ -105,12 +105,12 @@ class Loop:
                     try:
                         self.ring = RingReader(path)
                     except RecordError:
-                        continue  # it is being made
+                        continue  # the ring is not yet complete
             if self.ring is not None and self.ring.written >= count:
                 return self.ring
             assert self.process.poll() is None, self.finish()
             time.sleep(0.005)
-        raise AssertionError("the loop has not begun")
+        raise AssertionError("the loop has not started")
 
     @property
     def recorder(self) -> int:
@@ -125,18 +125,18 @@ class Loop:
         assert len(found) == 1
         return found[0]
 
-    def forget(self) -> None:
-        """Lets go of the ring, which is nobody's then if its loop has died."""
+    def release_ring(self) -> None:
+        """Release the lock of the ring; it is then left behind if its loop has ended."""
         if self.ring is not None:
             self.ring.close()
 
     def finish(self, timeout: float = 60.0) -> str:
-        said, _ = self.process.communicate(timeout=timeout)
-        assert "Traceback" not in said, said
-        return said
+        output, _ = self.process.communicate(timeout=timeout)
+        assert "Traceback" not in output, output
+        return output
 
     def end(self) -> None:
-        self.forget()
+        self.release_ring()
         if self.process.poll() is None:
             self.process.kill()
         self.process.wait()
@@ -154,7 +154,7 @@ def loop(out: Path, runtime: Path, *options: str, stop: float = 60.0) -> Iterato
 
 
 def wait_until_gone(pid: int, timeout: float = 60.0) -> None:
-    """For a process that is nobody's child here any more."""
+    """Wait for the end of a process that is not a child of this process."""
     end = time.monotonic() + timeout
     while time.monotonic() < end:
         try:

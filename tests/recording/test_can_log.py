@@ -1,4 +1,4 @@
-"""The CAN channel's log: every frame, by python-can's own readers, also of a log that nobody has finished."""
+"""CAN log: the readers of python-can find every frame, also in a log that was not finished."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def channel(name: str) -> CanChannel:
 
 
 def sent(i: int) -> can.Message:
-    """Every kind of frame that an arm's channel may have."""
+    """Return frames of all kinds that can occur on the channel of an arm."""
     if i % 3 == 0:
         return can.Message(
             arbitration_id=0x100 + i, is_extended_id=False, data=bytes([i % 256] * 8)
@@ -57,7 +57,7 @@ def test_a_log_has_every_frame_in_order(
             for i in range(first, first + 50):
                 node.send(sent(i))
             log.take()
-    shutil.copy(path, copy)  # what is on disk if the logger dies now
+    shutil.copy(path, copy)  # the file of a logger that is killed now
     log.close()
     frames = list(READERS[form](copy if killed else path))
     assert log.frames == len(frames) == FRAMES
@@ -79,20 +79,21 @@ def test_the_times_of_a_killed_log_are_those_of_the_frames(tmp_path: Path, runti
             node.send(sent(i))
             moments.append((before, time.time()))
         log.take()
-    # The kernel stamps a frame while it is sent; the log keeps whole milliseconds of its start, and the process can be
-    # preempted between its readings of two clocks. Without the start, the times would be off by decades.
+    # The kernel stamps a frame while it is sent. The log stores its start in whole milliseconds,
+    # and the process can be preempted between reading two clocks. Without the start the times
+    # would be wrong by decades.
     for frame, (before, after) in zip(can.BLFReader(path), moments, strict=True):
         assert before - 0.02 <= frame.timestamp <= after + 0.02
     log.close()
 
 
-def test_a_channel_that_cannot_be_opened_is_one_sentence(tmp_path: Path, runtime: Path) -> None:
+def test_a_channel_that_cannot_be_opened_raises_an_error(tmp_path: Path, runtime: Path) -> None:
     with pytest.raises(DeviceError, match="cannot be opened"):
         CanLog(channel("no/such"), tmp_path / "can.blf")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_channels_are_those_of_the_devices_options_each_once() -> None:
+def test_every_channel_of_the_devices_is_logged_once() -> None:
     def device(name: str, options: object) -> Any:
         return SimpleNamespace(name=name, options=options, frames=SimpleNamespace(is_fd=True))
 

@@ -1,4 +1,4 @@
-"""The wall clock is set during a run: a recording's times do not jump, and the step is named."""
+"""The wall clock is set during a run: recorded times do not jump, and the step is reported."""
 
 from __future__ import annotations
 
@@ -24,17 +24,20 @@ from freeflyer_adapters.recording.client import RecordingClient
 from freeflyer_adapters.recording.recorder import Recorder, Written
 from freeflyer_adapters.recording.rescue import rescue
 from freeflyer_adapters.recording.ring import RingReader, RingWriter
-from freeflyer_adapters.recording.wall_clock import MOST_NAMED, WallClock, offset_of
+from freeflyer_adapters.recording.wall_clock import MOST_REPORTED, WallClock, offset_of
 
 SECOND = 1_000_000_000
 COUNT = 400
 
 
 def recorded(out: Path, clocks: Clocks, steps: dict[int, int]) -> tuple[Written, list[str]]:
-    """A run of `COUNT` instants, the clock set by `steps[k]` [ns] before instant k; and what the recorder has said."""
+    """Record `COUNT` instants; the clock is set by `steps[k]` [ns] before instant k.
+
+    Return the result of the recorder and its messages.
+    """
     ring = RingWriter(run_head(out))
-    said: list[str] = []
-    recorder = Recorder(RingReader(ring.path), said.append)
+    messages: list[str] = []
+    recorder = Recorder(RingReader(ring.path), messages.append)
     line = np.zeros(ring.width)
     for k in range(COUNT):
         clocks.set_by += steps.get(k, 0)
@@ -42,21 +45,21 @@ def recorded(out: Path, clocks: Clocks, steps: dict[int, int]) -> tuple[Written,
         if k % 50 == 49:
             recorder.step()
         clocks.passed += TICK
-    ring.say_reason("it was enough")
+    ring.set_reason("it was enough")
     written = recorder.finish()
     ring.close()
-    return written, said
+    return written, messages
 
 
 @pytest.mark.parametrize(
     ("step", "direction"), [(-SECOND, "back by 1.000 s"), (-3600 * SECOND, "back by 3600.000 s"), (2 * SECOND, "forward by 2.000 s")]
 )  # fmt: skip
-def test_a_set_wall_clock_is_named_and_the_times_go_on_by_the_tick(
+def test_a_set_wall_clock_is_reported_and_the_times_continue_by_the_tick(
     step: int, direction: str, tmp_path: Path, runtime: Path, clocks: Clocks
 ) -> None:
-    written, said = recorded(tmp_path, clocks, {220: step})
-    expected = f"this machine's clock was set {direction}, 0.2 s after the start; the recording's times go on from the clock at its start"
-    assert written.clock_steps == said == [expected]
+    written, messages = recorded(tmp_path, clocks, {220: step})
+    expected = f"this machine's clock was set {direction}, 0.2 s after the start; the recording's times continue from the clock at its start"
+    assert written.clock_steps == messages == [expected]
     assert written.flight is not None
     for path in (tmp_path, Path(written.flight)):
         frame = read_recording(path)
@@ -65,7 +68,7 @@ def test_a_set_wall_clock_is_named_and_the_times_go_on_by_the_tick(
         assert frame.attrs["stop"]["clock steps"] == expected
 
 
-def test_each_step_is_named_by_itself(tmp_path: Path, runtime: Path, clocks: Clocks) -> None:
+def test_each_step_is_reported_separately(tmp_path: Path, runtime: Path, clocks: Clocks) -> None:
     written, _ = recorded(tmp_path, clocks, {120: -SECOND, 320: SECOND})
     assert [text.split(";")[0] for text in written.clock_steps] == [
         "this machine's clock was set back by 1.000 s, 0.1 s after the start",
@@ -75,25 +78,25 @@ def test_each_step_is_named_by_itself(tmp_path: Path, runtime: Path, clocks: Clo
 
 
 @pytest.mark.parametrize("steps", [{}, {100: -50_000_000}], ids=["no step", "a step of 0.05 s"])
-def test_what_is_no_step_is_not_named(
+def test_a_small_difference_is_not_reported(
     steps: dict[int, int], tmp_path: Path, runtime: Path, clocks: Clocks
 ) -> None:
-    written, said = recorded(tmp_path, clocks, steps)
-    assert written.clock_steps == said == []
+    written, messages = recorded(tmp_path, clocks, steps)
+    assert written.clock_steps == messages == []
     assert "clock steps" not in read_recording(tmp_path).attrs["stop"]
 
 
-def test_a_clock_that_is_set_all_the_time_does_not_fill_the_result(clocks: Clocks) -> None:
+def test_a_clock_that_is_set_often_does_not_fill_the_result(clocks: Clocks) -> None:
     watched = WallClock.start()
-    for k in range(3 * MOST_NAMED):
+    for k in range(3 * MOST_REPORTED):
         clocks.set_by = k % 2 * SECOND
-        watched.look()
-    assert len(watched.steps) == MOST_NAMED + 1
-    assert watched.steps[-1] == "further steps of this machine's clock are not named"
+        watched.check()
+    assert len(watched.steps) == MOST_REPORTED + 1
+    assert watched.steps[-1] == "further steps of this machine's clock are not reported"
 
 
-def test_a_process_that_is_held_up_between_two_clocks_sees_no_step() -> None:
-    class HeldUp(Clocks):
+def test_a_suspension_between_reading_two_clocks_is_not_a_step() -> None:
+    class Suspended(Clocks):
         reads = 0
 
         def time_ns(self) -> int:
@@ -101,11 +104,11 @@ def test_a_process_that_is_held_up_between_two_clocks_sees_no_step() -> None:
             self.passed += SECOND if self.reads == 2 else 0
             return super().time_ns()
 
-    assert offset_of(HeldUp()) == START - MONOTONIC
+    assert offset_of(Suspended()) == START - MONOTONIC
 
 
-def test_the_recorders_process_names_a_step_in_its_result(tmp_path: Path, runtime: Path) -> None:
-    """A start two seconds ahead of the machine's clock, as if that had been set back since."""
+def test_the_recorder_process_reports_a_step_in_its_result(tmp_path: Path, runtime: Path) -> None:
+    """The start of the run is two seconds in the future, as if the clock had been set back."""
     now = WallClock.start()
     ring = RingWriter(
         replace(
@@ -122,7 +125,7 @@ def test_the_recorders_process_names_a_step_in_its_result(tmp_path: Path, runtim
 
 
 class SetBack(Environment):
-    """This machine's clocks, of which the wall clock is set by `set_by` [ns]."""
+    """The clocks of the machine with a wall clock that is set by `set_by` [ns]."""
 
     set_by = 0
 
@@ -130,7 +133,7 @@ class SetBack(Environment):
         return super().time_ns() + self.set_by
 
 
-def test_with_a_dead_recorder_the_loop_names_the_step(
+def test_with_a_killed_recorder_the_loop_reports_the_step(
     tmp_path: Path, runtime: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     clocks = SetBack()
@@ -144,7 +147,7 @@ def test_with_a_dead_recorder_the_loop_names_the_step(
     ):
         _, recording = run(tmp_path, stop=0.2)
     assert recording["clock_steps"] == [
-        "this machine's clock was set back by 1.000 s, some time during the run; the recording's times go on from the clock at its start"
+        "this machine's clock was set back by 1.000 s, some time during the run; the recording's times continue from the clock at its start"
     ]
     flight = read_recording(recording["flight"])
     assert flight.attrs["stop"]["clock steps"] == recording["clock_steps"][0]
@@ -159,21 +162,21 @@ def test_with_a_dead_recorder_the_loop_names_the_step(
 def test_a_run_whose_clock_is_not_set_has_no_steps(
     other: type[Environment], tmp_path: Path, runtime: Path
 ) -> None:
-    """Nor has one in virtual time, whose recorder has other clocks."""
+    """In virtual time the recorder has other clocks than the loop."""
     with environment.within(other()):
         _, recording = run(tmp_path, stop=0.1, can=False)
     assert recording["clock_steps"] == recording["missing"] == []
     assert len(read_recording(tmp_path / "out")) == 101
 
 
-def test_a_ring_of_an_earlier_version_is_saved_with_the_times_that_it_has(
+def test_a_ring_of_an_earlier_version_is_saved_with_its_own_times(
     tmp_path: Path, runtime: Path
 ) -> None:
     ring = RingWriter(head(tmp_path))
     stamps = [START + k * TICK for k in range(10)]
     for k, stamp in enumerate(stamps):
         ring.write(k, np.zeros(ring.width))
-        ring._words[k, 1] = stamp
+        ring._integers[k, 1] = stamp
     key = b', "clock_offset": null'
     at = ring._memory.find(key)
     assert at > 0

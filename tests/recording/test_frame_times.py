@@ -1,4 +1,4 @@
-"""The CAN log's times when the wall clock, which stamps the frames, is set: those of the recording beside it."""
+"""Times in the CAN log match the recording, although the kernel stamps with the wall clock."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from freeflyer_adapters.recording.ring import RingReader, RingWriter
 from freeflyer_adapters.recording.wall_clock import WallClock
 
 SECOND = 1_000_000_000
-LOOK = 50
-"""Instants between two looks of the recorder."""
+STEP = 50
+"""Instants between two steps of the recorder."""
 
 
 def channel(interface: str) -> CanChannel:
@@ -37,13 +37,16 @@ def times(path: Path) -> list[float]:
 
 
 def logged(clocks: Clocks, log: CanLog, steps: dict[int, int], count: int = 400) -> list[float]:
-    """A frame each instant, the clock set by `steps[k]` [ns] before instant k; their true times [s]."""
+    """Log one frame per instant; the clock is set by `steps[k]` [ns] before instant k.
+
+    Return the true times [s].
+    """
     true = []
     for k in range(count):
         clocks.set_by += steps.get(k, 0)
-        true.append(clocks.come(k))
+        true.append(clocks.add_frame(k))
         clocks.passed += TICK
-        if k % LOOK == LOOK - 1:
+        if k % STEP == STEP - 1:
             log.take()
     log.take()
     log.close()
@@ -72,9 +75,9 @@ def test_the_recorders_log_has_the_times_of_its_rows(
     recorder = Recorder(RingReader(ring.path), print)
     for k in range(200):
         clocks.set_by = -SECOND if k >= 120 else 0
-        clocks.come(k)
+        clocks.add_frame(k)
         clocks.passed += TICK
-        if k % LOOK == LOOK - 1:
+        if k % STEP == STEP - 1:
             recorder.step()
     written = recorder.finish()
     ring.close()
@@ -86,7 +89,7 @@ def test_the_recorders_log_has_the_times_of_its_rows(
 
 
 @pytest.mark.parametrize("step", [-20_000_000, -30 * SECOND])
-def test_a_clock_that_was_set_before_the_log_was_opened_is_seen(
+def test_a_clock_that_was_set_before_the_log_was_opened_is_detected(
     step: int, tmp_path: Path, clocks: Clocks
 ) -> None:
     clocks.passed, clocks.set_by = SECOND, step
@@ -97,17 +100,17 @@ def test_a_clock_that_was_set_before_the_log_was_opened_is_seen(
 
 
 @pytest.mark.parametrize("step", [-5 * SECOND, 5 * SECOND])
-def test_a_clock_that_is_set_and_set_right_between_two_looks_puts_frames_wrong_by_a_look_at_most(
+def test_a_clock_that_is_set_and_reset_between_two_steps_shifts_frames_by_at_most_one_step(
     step: int, tmp_path: Path, clocks: Clocks
 ) -> None:
     path = tmp_path / "can.blf"
     true = logged(clocks, log_of(path), {220: step, 230: -step})
     found = times(path)
     assert found == sorted(found)
-    assert found == pytest.approx(true, abs=LOOK * TICK * 1e-9)
+    assert found == pytest.approx(true, abs=STEP * TICK * 1e-9)
 
 
-def test_differences_of_a_millisecond_leave_the_stamps_as_they_are(
+def test_differences_of_a_millisecond_do_not_change_the_stamps(
     tmp_path: Path, clocks: Clocks
 ) -> None:
     path = tmp_path / "can.blf"
@@ -116,15 +119,15 @@ def test_differences_of_a_millisecond_leave_the_stamps_as_they_are(
     assert late == pytest.approx([0.0] * 220 + [1e-3] * 180, abs=2e-6)
 
 
-def test_a_wall_clock_that_drifts_is_followed(tmp_path: Path, clocks: Clocks) -> None:
+def test_the_drift_of_a_wall_clock_is_corrected(tmp_path: Path, clocks: Clocks) -> None:
     path = tmp_path / "can.blf"
     true = logged(clocks, log_of(path), dict.fromkeys(range(400), -100000))
     found = times(path)
     assert found == sorted(found)
-    assert found == pytest.approx(true, abs=(FOLLOWED + LOOK * 100_000) * 1e-9 + 2e-6)
+    assert found == pytest.approx(true, abs=(FOLLOWED + STEP * 100_000) * 1e-9 + 2e-6)
 
 
-def test_stamps_of_other_interfaces_are_left_alone(tmp_path: Path, clocks: Clocks) -> None:
+def test_stamps_of_other_interfaces_are_not_changed(tmp_path: Path, clocks: Clocks) -> None:
     path = tmp_path / "can.blf"
     true = logged(clocks, log_of(path, "pcan"), {220: SECOND})
     expected = [time + (1.0 if k >= 220 else 0.0) for k, time in enumerate(true)]
@@ -132,47 +135,48 @@ def test_stamps_of_other_interfaces_are_left_alone(tmp_path: Path, clocks: Clock
 
 
 @pytest.mark.parametrize("step", [-SECOND, SECOND])
-def test_a_frame_between_the_last_look_at_the_bus_and_the_one_at_the_clock_keeps_its_time(
+def test_a_frame_between_reading_the_bus_and_reading_the_clock_keeps_its_time(
     step: int, tmp_path: Path, clocks: Clocks
 ) -> None:
     path = tmp_path / "can.blf"
     log = log_of(path)
-    frame, late = clocks.come(), clocks.waiting.pop()
+    frame, late = clocks.add_frame(), clocks.waiting.pop()
     clocks.passed += TICK
     clocks.set_by = step
     log.take()
     clocks.waiting.append(late)
-    clocks.passed += LOOK * TICK
+    clocks.passed += STEP * TICK
     log.take()
     log.close()
     assert times(path) == pytest.approx([frame], abs=2e-6)
 
 
-def test_frames_of_several_senders_are_in_the_order_of_their_times(
-    tmp_path: Path, clocks: Clocks
-) -> None:
-    """A held-up recorder takes them in turn, one that sends rarely long before its time."""
+def test_frames_of_several_senders_are_sorted_by_time(tmp_path: Path, clocks: Clocks) -> None:
+    """A delayed recorder reads the senders alternately, although one of them sends less often."""
     path = tmp_path / "can.blf"
     log = log_of(path)
     clocks.passed = 100 * SECOND
     true = []
     for k in range(100):
-        true += [clocks.come(k, late=(200 - k) * TICK), clocks.come(k, late=(200 - 2 * k) * TICK)]
+        true += [
+            clocks.add_frame(k, late=(200 - k) * TICK),
+            clocks.add_frame(k, late=(200 - 2 * k) * TICK),
+        ]
     log.take()
     log.close()
     assert times(path) == pytest.approx(sorted(true), abs=2e-6)
 
 
 @given(
-    steps=st.dictionaries(st.integers(0, 7), st.tuples(st.integers(0, LOOK - 1), st.integers(-5 * SECOND, 5 * SECOND)), max_size=8)
+    steps=st.dictionaries(st.integers(0, 7), st.tuples(st.integers(0, STEP - 1), st.integers(-5 * SECOND, 5 * SECOND)), max_size=8)
 )  # fmt: skip
-def test_whatever_is_set_once_a_look_frames_are_in_order_and_nearly_at_their_times(
+def test_with_one_clock_step_per_recorder_step_frames_are_sorted_and_times_nearly_exact(
     steps: dict[int, tuple[int, int]], tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     path = tmp_path_factory.mktemp("log") / "can.blf"
     clocks = Clocks()
     with environment.within(clocks):
-        by_instant = {LOOK * look + k: step for look, (k, step) in steps.items()}
+        by_instant = {STEP * i + k: step for i, (k, step) in steps.items()}
         true = logged(clocks, log_of(path), by_instant)
     found = times(path)
     assert found == sorted(found)

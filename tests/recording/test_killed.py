@@ -1,4 +1,4 @@
-"""`kill -9` of the loop, of its recorder, and of both at once, at moments drawn with a seed: what is on disk afterwards."""
+"""Files after `kill -9` of the loop, its recorder or both, at random instants with a seed."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from freeflyer_adapters.recording.rescue import rescue
 
 
 def moment(seed: int) -> int:
-    """An instant to wait for."""
+    """Return the instant of the kill."""
     return random.Random(seed).randrange(200, 900)
 
 
 def last_stamp(made: Loop) -> int:
-    """When the loop wrote its last row [ns of the wall clock]."""
+    """Return the wall time of the last row [ns]."""
     assert made.ring is not None
     return int(made.ring.last(1.0).times[-1, 0])
 
@@ -47,22 +47,24 @@ def test_a_killed_loop_loses_nothing(tmp_path: Path, runtime: Path) -> None:
         map(read_recording, flights(tmp_path)),
     )
     assert frame["instant"].tolist() == list(range(written))
-    assert recover(tmp_path / "recording.mcap").path is None  # whole
+    assert recover(tmp_path / "recording.mcap").path is None  # the file is complete
     assert frame["wall_ns"].iloc[-1] == flight["wall_ns"].iloc[-1] == stamp
-    assert flight.attrs["stop"]["reason"] == "the controllers' process ended without a word"
+    assert (
+        flight.attrs["stop"]["reason"] == "the controllers' process ended without a reported reason"
+    )
     assert list(runtime.rglob("*.ring")) == []
 
 
-def test_a_killed_recorder_costs_the_end_of_the_recording_and_the_loop_writes_its_last_seconds(
+def test_after_a_killed_recorder_the_loop_writes_the_last_seconds_and_the_rest_of_the_ring(
     tmp_path: Path, runtime: Path
 ) -> None:
     with loop(tmp_path, runtime, stop=2.0) as made:
         made.wait_for_rows(moment(3))
         at = time.time_ns()
         os.kill(made.recorder, signal.SIGKILL)
-        said = made.finish()
+        output = made.finish()
     assert made.process.returncode == 0
-    assert "the recorder ended early" in said
+    assert "the recorder ended early" in output
     (flight,) = map(read_recording, flights(tmp_path))
     assert flight["instant"].iloc[-1] == 2000
     assert flight.attrs["stop"]["reason"].startswith("scenario finished")
@@ -70,7 +72,7 @@ def test_a_killed_recorder_costs_the_end_of_the_recording_and_the_loop_writes_it
     assert done.path is not None
     frame = read_recording(done.path)
     assert frame["instant"].tolist() == list(range(len(frame)))
-    # The loop has added what the ring still had, which was all: it is longer than the run.
+    # The ring is longer than this run, so the loop could write all missing rows.
     assert read_recording(tmp_path)["instant"].tolist() == list(range(2001))
     print(f"recorder killed: {(at - int(frame['wall_ns'].iloc[-1])) * 1e-9:.3f} s lost")
     assert list(runtime.rglob("*.ring")) == []
@@ -78,20 +80,20 @@ def test_a_killed_recorder_costs_the_end_of_the_recording_and_the_loop_writes_it
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "held_up", [0.0, 3.0], ids=["at once", "the recorder held up for 3 s before"]
+    "suspended", [0.0, 3.0], ids=["at once", "the recorder suspended for 3 s before"]
 )
 def test_with_both_killed_the_next_start_saves_the_last_seconds_and_nothing_is_lost(
-    held_up: float, tmp_path: Path, runtime: Path
+    suspended: float, tmp_path: Path, runtime: Path
 ) -> None:
-    """What the recorder had not written yet is in the ring, which is memory that outlives them."""
+    """The ring contains the rows that the recorder had not written."""
     lost = []
-    for seed in (5,) if held_up else (6, 7):
+    for seed in (5,) if suspended else (6, 7):
         out = tmp_path / str(seed)
         with loop(out, runtime) as made:
             made.wait_for_rows(moment(seed))
-            if held_up:
+            if suspended:
                 os.kill(made.recorder, signal.SIGSTOP)
-                made.wait_for_rows(moment(seed) + round(held_up * 1000))
+                made.wait_for_rows(moment(seed) + round(suspended * 1000))
             recorder = made.recorder
             for pid in (recorder, made.process.pid):
                 os.kill(pid, signal.SIGKILL)
@@ -112,25 +114,28 @@ def test_with_both_killed_the_next_start_saves_the_last_seconds_and_nothing_is_l
         frame = read_recording(out)
         assert frame["instant"].tolist() == list(range(written))
         assert not frame.isna().any().any()
-        assert frame.attrs["stop"]["reason"] == "the controllers' process ended without a word"
+        assert (
+            frame.attrs["stop"]["reason"]
+            == "the controllers' process ended without a reported reason"
+        )
         instants = [
             one["instant"].dropna()
             for one in (read_recording(done.path or ""), read_recording(out / "recording_2.mcap"))
         ]
-        assert sum(map(len, instants)) == written  # none is twice
+        assert sum(map(len, instants)) == written  # no instant occurs twice
     print(
-        f"both killed: the recorder had not written the last {', '.join(f'{each:.3f}' for each in lost)} s; all were in the ring"
+        f"both killed: the recorder had not written the last {', '.join(f'{each:.3f}' for each in lost)} s; the ring contained all of it"
     )
-    assert min(lost) >= held_up
+    assert min(lost) >= suspended
 
 
 @pytest.mark.slow
-def test_the_command_recovers_a_directory_with_all_that_was_left(
+def test_the_command_recovers_all_files_of_a_directory(
     tmp_path: Path, runtime: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with loop(tmp_path, runtime) as made:
         ring = made.wait_for_rows(400)
-        assert command.call(["recover", str(ring.path)]) == 2  # it is somebody's
+        assert command.call(["recover", str(ring.path)]) == 2  # its loop is running
         assert "is still running" in capsys.readouterr().err
         recorder = made.recorder
         for pid in (recorder, made.process.pid):
@@ -139,21 +144,21 @@ def test_the_command_recovers_a_directory_with_all_that_was_left(
         wait_until_gone(recorder)
     assert len(list(unfinished(tmp_path))) == 2
     assert command.call(["recover", str(tmp_path)]) == 0
-    said = capsys.readouterr().out
-    assert "recording_recovered.mcap: kept" in said
-    assert "recording_2.mcap" in said
+    output = capsys.readouterr().out
+    assert "recording_recovered.mcap: kept" in output
+    assert "recording_2.mcap" in output
     assert len(flights(tmp_path)) == 1
     assert command.call(["recover", str(tmp_path)]) == 0
 
 
 @pytest.mark.slow
-def test_ctrl_c_leaves_both_whole(tmp_path: Path, runtime: Path) -> None:
+def test_after_ctrl_c_both_files_are_complete(tmp_path: Path, runtime: Path) -> None:
     with loop(tmp_path, runtime) as made:
         made.wait_for_rows(300)
-        os.killpg(made.process.pid, signal.SIGINT)  # as a terminal does: the recorder gets it too
-        said = made.finish()
+        os.killpg(made.process.pid, signal.SIGINT)  # as a terminal does: also to the recorder
+        output = made.finish()
     assert made.process.returncode == 3
-    assert "Missing" not in said
+    assert "Missing" not in output
     frame, (flight,) = (
         read_recording(tmp_path / "recording.mcap"),
         map(read_recording, flights(tmp_path)),

@@ -1,4 +1,4 @@
-"""What a recording's messages are, by those who know ROS: rosbags, mcap's own reader and its ROS 2 decoder."""
+"""Messages of a recording, read by rosbags, the mcap reader and its ROS 2 decoder."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_definitions_are_those_of_ros(kind: str) -> None:
         assert fields[1] == theirs[message][1], message
 
 
-def test_every_topic_is_what_its_table_says(path: Path) -> None:
+def test_every_topic_has_the_documented_message_type(path: Path) -> None:
     with path.open("rb") as file:
         summary = make_reader(file).get_summary()
     assert summary is not None
@@ -57,8 +57,8 @@ def test_every_topic_is_what_its_table_says(path: Path) -> None:
         "/arm/joint_states": "sensor_msgs/msg/JointState",
         "/base_robot": "freeflyer_cosim/msg/BaseRobot",
         "/base_robot/base/odometry": "nav_msgs/msg/Odometry",
-        "/hand": "freeflyer_cosim/msg/Hand",
-        "/hand/pose": "geometry_msgs/msg/PoseStamped",
+        "/end_effector": "freeflyer_cosim/msg/EndEffector",
+        "/end_effector/pose": "geometry_msgs/msg/PoseStamped",
         "/controller": "freeflyer_cosim/msg/Controller",
         "/controller/end_effector/wrench": "geometry_msgs/msg/WrenchStamped",
     }
@@ -68,19 +68,19 @@ def test_every_topic_is_what_its_table_says(path: Path) -> None:
     assert summary.statistics.message_end_time == START + (COUNT - 1) * TICK
 
 
-def test_mcaps_own_reader_finds_every_message_and_right_checksums(path: Path) -> None:
+def test_the_mcap_reader_finds_every_message_with_a_correct_checksum(path: Path) -> None:
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
         messages = list(reader.iter_messages())
         assert len(messages) == COUNT * 9
         assert [m.log_time for _, _, m in messages] == sorted(m.log_time for _, _, m in messages)
-        told = {metadata.name: metadata.metadata for metadata in reader.iter_metadata()}
-        assert told["freeflyer.stop"]["reason"] == "it was enough"
-        assert told["freeflyer.run"]["scenario"] == "made"
+        metadata = {record.name: record.metadata for record in reader.iter_metadata()}
+        assert metadata["freeflyer.stop"]["reason"] == "it was enough"
+        assert metadata["freeflyer.run"]["scenario"] == "made"
         assert [a.name for a in reader.iter_attachments()] == ["origin.json"]
 
 
-def test_rosbags_understands_every_message_and_reads_the_numbers_that_were_written(
+def test_rosbags_deserialises_every_message_with_the_written_numbers(
     path: Path,
 ) -> None:
     made = head(path)
@@ -104,17 +104,17 @@ def test_rosbags_understands_every_message_and_reads_the_numbers_that_were_writt
                 case "/base_robot/base/odometry":
                     assert (message.header.frame_id, message.child_frame_id) == ("inertial", "base")
                     q = message.pose.pose.orientation
-                    turn = Rotation.from_quat([q.x, q.y, q.z, q.w])
+                    rotation = Rotation.from_quat([q.x, q.y, q.z, q.w])
                     twist = message.twist.twist
                     for vector, where in (
                         (twist.linear, slice(0, 3)),
                         (twist.angular, slice(3, 6)),
                     ):
-                        in_body = turn.inv().apply(part["base_robot.base_velocity"][i, where])
+                        in_body = rotation.inv().apply(part["base_robot.base_velocity"][i, where])
                         assert [vector.x, vector.y, vector.z] == pytest.approx(in_body, abs=1e-12)
-                case "/hand/pose":
+                case "/end_effector/pose":
                     p = message.pose.position
-                    assert [p.x, p.y, p.z] == part["hand.position"][i].tolist()
+                    assert [p.x, p.y, p.z] == part["end_effector.position"][i].tolist()
                 case "/controller":
                     assert message.odd_name_2 == part["controller.Odd name (2)"][i, 0]
                 case "/controller/end_effector/wrench":
@@ -126,7 +126,7 @@ def test_rosbags_understands_every_message_and_reads_the_numbers_that_were_writt
     assert set(seen.values()) == {COUNT - 1}
 
 
-def test_mcaps_decoder_of_ros_2_understands_every_message(path: Path) -> None:
+def test_the_ros_2_decoder_of_mcap_decodes_every_message(path: Path) -> None:
     values = rows(COUNT, head(path).width).values
     count = 0
     with path.open("rb") as file:
@@ -141,7 +141,7 @@ def test_mcaps_decoder_of_ros_2_understands_every_message(path: Path) -> None:
     assert count == COUNT * 9
 
 
-def test_a_recording_is_one_line_in_pandas_with_every_element_to_the_bit(path: Path) -> None:
+def test_the_pandas_table_of_a_recording_has_every_element_bit_for_bit(path: Path) -> None:
     frame = read_recording(path)
     made = head(path)
     expected = rows(COUNT, made.width)
@@ -154,7 +154,7 @@ def test_a_recording_is_one_line_in_pandas_with_every_element_to_the_bit(path: P
     assert frame.attrs["stop"]["reason"] == "it was enough"
 
 
-def test_names_that_ros_does_not_allow_become_names_that_it_does() -> None:
+def test_invalid_names_are_converted_to_valid_ros_names() -> None:
     assert field_names(["a.b", "a_b", "Header", "1st", "x__y_", "header"]) == [
         "a_b",
         "a_b_2",
@@ -167,7 +167,7 @@ def test_names_that_ros_does_not_allow_become_names_that_it_does() -> None:
     assert message_name("7 arms") == "M7Arms"
 
 
-def test_a_signal_of_the_right_name_and_another_size_or_unit_is_no_message_of_ros(
+def test_a_signal_with_a_matching_name_but_another_unit_has_no_ros_message(
     tmp_path: Path,
 ) -> None:
     made = head(tmp_path)
@@ -179,7 +179,7 @@ def test_a_signal_of_the_right_name_and_another_size_or_unit_is_no_message_of_ro
     assert {f"/{name.split('.')[0]}" for name in PARTS} <= found
 
 
-def test_definitions_come_again_so_that_what_follows_a_damaged_begin_can_be_read() -> None:
+def test_definitions_are_repeated_for_files_with_a_damaged_start() -> None:
     data = recording(6000, 0.5)
     assert data.count(b"freeflyer_cosim/msg/Arm\x07") >= 2
     with BytesIO(data) as stream:

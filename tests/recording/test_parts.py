@@ -1,4 +1,4 @@
-"""Long recordings in parts: bounded memory, nothing lost at a change whoever dies, and no part of another run."""
+"""Long recordings in parts: limited memory, no loss between parts, no part of another run."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def write(out: Path, count: int, started: int = START) -> list[Path]:
     return file.paths
 
 
-def test_parts_are_whole_files_and_together_one_table(tmp_path: Path, short: None) -> None:
+def test_parts_are_complete_files_and_together_one_table(tmp_path: Path, short: None) -> None:
     paths = write(tmp_path, COUNT)
     assert [path.name for path in paths] == [
         "recording.mcap",
@@ -60,7 +60,7 @@ def test_parts_are_whole_files_and_together_one_table(tmp_path: Path, short: Non
     ]
     assert [len(read_recording(path)) for path in paths] == [200, 200, 200, 50]
     for path in paths:
-        assert recover(path).path is None  # whole
+        assert recover(path).path is None  # the file is complete
         with path.open("rb") as file:
             reader = make_reader(file)
             names = [metadata.name for metadata in reader.iter_metadata()]
@@ -78,7 +78,7 @@ def test_parts_are_whole_files_and_together_one_table(tmp_path: Path, short: Non
         )
 
 
-def test_the_result_names_all_parts(tmp_path: Path, runtime: Path, short: None) -> None:
+def test_the_result_lists_all_parts(tmp_path: Path, runtime: Path, short: None) -> None:
     ring = filled(tmp_path)
     recorder = Recorder(RingReader(ring.path), print)
     recorder.step()
@@ -92,9 +92,7 @@ def test_the_result_names_all_parts(tmp_path: Path, runtime: Path, short: None) 
     assert read_recording(tmp_path)["instant"].tolist() == list(range(COUNT))
 
 
-def test_parts_of_a_longer_earlier_run_are_not_taken_for_the_new_ones(
-    tmp_path: Path, short: None
-) -> None:
+def test_parts_of_a_longer_earlier_run_are_removed(tmp_path: Path, short: None) -> None:
     write(tmp_path, COUNT)
     set_aside(tmp_path, [], "blf")
     assert len(write(tmp_path, 250, START + 1)) == 2
@@ -104,15 +102,15 @@ def test_parts_of_a_longer_earlier_run_are_not_taken_for_the_new_ones(
 
 def test_a_part_of_another_run_is_not_read(tmp_path: Path, short: None) -> None:
     write(tmp_path, COUNT)
-    write(tmp_path, 250, START + 1)  # nobody has cleared up
+    write(tmp_path, 250, START + 1)  # without `set_aside` before
     assert len(parts.parts(tmp_path)) == 4
     assert read_recording(tmp_path)["instant"].tolist() == list(range(250))
 
 
-@pytest.mark.parametrize("cut", [0, 5, 8, -20], ids=["empty", "five bytes", "its begin", "no end"])
-def test_all_parts_of_an_unfinished_run_are_set_aside(
-    cut: int, tmp_path: Path, short: None
-) -> None:
+@pytest.mark.parametrize(
+    "cut", [0, 5, 8, -20], ids=["empty", "five bytes", "magic bytes only", "no end"]
+)
+def test_all_parts_of_an_unfinished_run_are_renamed(cut: int, tmp_path: Path, short: None) -> None:
     paths = write(tmp_path, 450)
     whole = [path.read_bytes() for path in paths]
     paths[-1].write_bytes(whole[-1][:cut])
@@ -123,12 +121,12 @@ def test_all_parts_of_an_unfinished_run_are_set_aside(
     )
 
 
-def killed(out: Path, ring: RingWriter, hurt: Callable[[], None]) -> None:
-    """A recorder as a process of its own, killed where `hurt` says; the loop with it."""
+def killed(out: Path, ring: RingWriter, inject_kill: Callable[[], None]) -> None:
+    """Run a recorder in a child process that is killed where `inject_kill` patches it."""
     child = os.fork()
     if not child:
         try:
-            hurt()
+            inject_kill()
             Recorder(RingReader(ring.path), print).step()
         finally:
             os._exit(1)
@@ -168,15 +166,14 @@ def test_a_kill_at_the_change_of_parts_loses_nothing(
     frame = read_recording(tmp_path)
     assert frame["instant"].tolist() == list(range(COUNT))
     assert not frame.isna().any().any()
-    told = [recover(path) for path in unfinished(tmp_path)]
-    assert all(one.kept or one.path for one in told)
-    set_aside(
-        tmp_path, [], "blf"
-    )  # one of them was unfinished, so that the next run does not write over any
+    recovered = [recover(path) for path in unfinished(tmp_path)]
+    assert all(one.kept or one.path for one in recovered)
+    # One part was unfinished, so the next run must not overwrite any.
+    set_aside(tmp_path, [], "blf")
     assert parts.parts(tmp_path) == []
 
 
-def test_no_instant_is_twice_in_what_is_recovered_and_the_rest(
+def test_no_message_occurs_twice_in_the_recovered_file_and_the_rest(
     tmp_path: Path, runtime: Path
 ) -> None:
     ring = filled(tmp_path)
@@ -200,7 +197,7 @@ def test_no_instant_is_twice_in_what_is_recovered_and_the_rest(
     assert {time for topic, time in kept if topic == "/loop"} == set(times)
 
 
-def test_the_rest_of_another_run_does_not_get_among_a_new_ones_parts(
+def test_the_rest_of_an_earlier_run_is_not_a_part_of_the_new_run(
     tmp_path: Path, runtime: Path
 ) -> None:
     ring = filled(tmp_path)
@@ -214,8 +211,8 @@ def test_the_rest_of_another_run_does_not_get_among_a_new_ones_parts(
 
 
 @pytest.mark.slow
-def test_memory_is_bounded_by_a_part(tmp_path: Path) -> None:
-    """Half an hour of a loop, a row for each chunk, as it is the chunks that cost memory."""
+def test_memory_is_limited_by_the_size_of_a_part(tmp_path: Path) -> None:
+    """Half an hour of a loop with one row per chunk, because memory grows with the chunks."""
     made = replace(head(tmp_path), tick=50 * TICK)
     one = rows(100, made.width)
     count = round(PART_SECONDS / 0.05)
@@ -238,5 +235,5 @@ def test_memory_is_bounded_by_a_part(tmp_path: Path) -> None:
 
 
 def resident() -> float:
-    """[MiB]"""
+    """Return the resident memory of this process [MiB]."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20

@@ -1,4 +1,4 @@
-"""`freeflyer recover`: whatever has happened to a file, what comes out was written, is a whole file, and nothing else comes."""
+"""`freeflyer recover`: the result is a complete file that contains only recorded messages."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ Key = tuple[str, int, bytes]
 
 
 def keys(data: bytes) -> Counter[Key]:
-    """By mcap's own reader."""
+    """Return the messages that the mcap reader finds."""
     return Counter(
         (c.topic, m.log_time, m.data)
         for _, c, m in make_reader(BytesIO(data), validate_crcs=True).iter_messages()
@@ -57,7 +57,10 @@ WRITTEN = keys(WHOLE)
 
 
 def ends_of_chunks(data: bytes) -> list[tuple[int, int]]:
-    """Where each chunk of an undamaged file ends, and how many messages there are up to there; by lengths alone."""
+    """Return the end of each chunk of an undamaged file, and the number of messages before it.
+
+    Only the lengths of records are used.
+    """
     found, place, count = [], 8, 0
     while place + 9 <= len(data):
         opcode, length = struct.unpack_from("<BQ", data, place)
@@ -96,7 +99,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 def recovered(folder: Path, data: bytes) -> tuple[Counter[Key], int]:
-    """What is kept, after checking that the new file is whole in the eyes of mcap's own reader."""
+    """Return the kept messages and their number; check the new file with the mcap reader."""
     path, out = folder / "damaged.mcap", folder / "out.mcap"
     path.write_bytes(data)
     out.unlink(missing_ok=True)
@@ -110,13 +113,13 @@ def recovered(folder: Path, data: bytes) -> tuple[Counter[Key], int]:
     return keys(out.read_bytes()), done.kept
 
 
-def test_a_whole_file_comes_out_as_it_went_in(folder: Path) -> None:
+def test_a_complete_file_is_not_changed(folder: Path) -> None:
     assert recovered(folder, WHOLE) == (WRITTEN, len(WRITTEN))
     path = folder / "whole.mcap"
     path.write_bytes(WHOLE)
     done = recover(path)
     assert done.path is None
-    assert "is whole" in done.sentence
+    assert "is complete" in done.sentence
     assert not (folder / "whole_recovered.mcap").exists()
 
 
@@ -125,7 +128,7 @@ def test_a_whole_file_comes_out_as_it_went_in(folder: Path) -> None:
 def test_a_file_cut_anywhere_keeps_every_chunk_before_the_cut(cut: int, folder: Path) -> None:
     expected = max((count for end, count in CHUNKS if end <= cut), default=0)
     if cut < 8:
-        with pytest.raises(CosimError, match="is no MCAP recording"):
+        with pytest.raises(CosimError, match="is not an MCAP recording"):
             recovered(folder, WHOLE[:cut])
         return
     kept, count = recovered(folder, WHOLE[:cut])
@@ -146,7 +149,7 @@ def test_a_file_cut_near_the_end_of_a_record_keeps_what_is_before(
 
 @given(place=st.integers(0, len(WHOLE) - 1), flip=st.integers(1, 255), finished=st.booleans())
 @settings(max_examples=80)
-def test_a_changed_byte_costs_a_chunk_at_most_and_invents_nothing(
+def test_a_changed_byte_loses_at_most_one_chunk_and_adds_no_message(
     place: int, flip: int, finished: bool, folder: Path
 ) -> None:
     data = bytearray(WHOLE if finished else UNFINISHED)
@@ -158,7 +161,7 @@ def test_a_changed_byte_costs_a_chunk_at_most_and_invents_nothing(
         after - before for (_, after), (_, before) in zip(CHUNKS, [(0, 0), *CHUNKS], strict=False)
     )
     begin = CHUNKS[0][0]
-    # A begin whose definitions are damaged is made up for by those at the end, if there is one.
+    # Definitions at the end of a finished file replace damaged ones at the start.
     total = len(WRITTEN) if finished else UNFINISHED_COUNT
     assert count >= total - largest or (place < begin and not finished)
 
@@ -169,7 +172,7 @@ def test_a_changed_byte_costs_a_chunk_at_most_and_invents_nothing(
     garbage=st.binary(max_size=300),
     finished=st.booleans(),
 )
-def test_garbage_in_the_middle_costs_the_chunks_that_it_touches(
+def test_garbage_in_the_middle_loses_only_the_chunks_that_it_overlaps(
     begin: int, size: int, garbage: bytes, finished: bool, folder: Path
 ) -> None:
     data = WHOLE if finished else UNFINISHED
@@ -178,7 +181,7 @@ def test_garbage_in_the_middle_costs_the_chunks_that_it_touches(
     assert count >= max((number for end, number in CHUNKS if end <= begin), default=0)
 
 
-def test_what_follows_a_damaged_place_is_kept_too(folder: Path) -> None:
+def test_chunks_after_a_damaged_place_are_kept(folder: Path) -> None:
     (first, _), (second, count) = CHUNKS[1:3]
     middle = (first + second) // 2
     data = UNFINISHED[:middle] + b"\xff" * 500 + UNFINISHED[middle + 300 :]
@@ -188,7 +191,7 @@ def test_what_follows_a_damaged_place_is_kept_too(folder: Path) -> None:
 
 
 def refusal(call: Callable[[], object]) -> str | None:
-    """The sentence with which a file is refused; anything else than ours goes through."""
+    """Return the message of a CosimError, None without an error; other errors are not caught."""
     try:
         call()
     except CosimError as error:
@@ -200,7 +203,7 @@ def refusal(call: Callable[[], object]) -> str | None:
     data=st.one_of(st.binary(max_size=400), st.binary(max_size=400).map(lambda tail: MAGIC + tail))
 )
 @settings(max_examples=120)
-def test_any_bytes_give_a_whole_file_or_one_sentence(data: bytes, folder: Path) -> None:
+def test_any_bytes_give_a_complete_file_or_an_error_of_one_line(data: bytes, folder: Path) -> None:
     for suffix in (".mcap", ".blf", ".ring", ".txt"):
         path = folder / f"any{suffix}"
         path.write_bytes(data if suffix != ".blf" else b"LOGG" + data)
@@ -241,21 +244,23 @@ def zeros(size: int) -> bytes:
         lambda: bytes(5 * 2**20),
         lambda: (b"\x06" + bytes(8)) * 100_000,
     ],
-    ids=["1 GiB in zeros", "more than it says", "lz4", "long chunk", "long attachment", "attachment of all bytes", "lengths inside", "empty chunks",
-         "damaged chunks", "long text", "zeros", "beginnings of chunks"],
+    ids=["1 GiB of zeros", "more than its stated size", "lz4", "long chunk", "long attachment", "attachment of all bytes", "lengths inside", "empty chunks",
+         "damaged chunks", "long text", "zeros", "starts of chunks"],
 )  # fmt: skip
-def test_files_that_ask_for_too_much_do_not_get_it(data: Callable[[], bytes], folder: Path) -> None:
+def test_files_that_need_too_much_memory_or_time_are_not_read(
+    data: Callable[[], bytes], folder: Path
+) -> None:
     kept = list[int]()
     path = folder / "hostile.mcap"
     path.write_bytes(data())
     begin = time.process_time()
     sentence = refusal(lambda: kept.append(recover(path, folder / "hostile_out.mcap").kept))
-    assert kept == [0] or (sentence is not None and "is no MCAP recording" in sentence)
+    assert kept == [0] or (sentence is not None and "is not an MCAP recording" in sentence)
     assert time.process_time() - begin < 10.0
 
 
-def test_what_chunks_unpack_to_is_limited_by_the_files_size(folder: Path) -> None:
-    """Many chunks, each of which is small enough."""
+def test_the_decompressed_size_is_limited_by_the_file_size(folder: Path) -> None:
+    """The file has many chunks; each chunk is below the limit for a chunk."""
     one = chunk(zeros(LARGEST), "zstd", LARGEST)
     reader = DamagedMcap(BytesIO(MAGIC + one * 100))
     assert list(reader.records()) == []
@@ -263,8 +268,8 @@ def test_what_chunks_unpack_to_is_limited_by_the_files_size(folder: Path) -> Non
     assert UNPACKED + UNPACKED_A_BYTE * len(MAGIC + one * 100) < 100 * LARGEST
 
 
-def test_files_of_others_are_recovered_too(folder: Path) -> None:
-    """Without chunks, and with lz4."""
+def test_third_party_files_are_recovered(folder: Path) -> None:
+    """One file without chunks, one with small chunks."""
     for options in ({"use_chunking": False}, {"chunk_size": 200}):
         stream = BytesIO()
         writer = Writer(stream, **options)
@@ -279,7 +284,7 @@ def test_files_of_others_are_recovered_too(folder: Path) -> None:
         assert recover(path, folder / "foreign_out.mcap").kept >= 40
 
 
-def test_a_recovered_recording_is_one_for_everybody(folder: Path) -> None:
+def test_a_recovered_recording_is_readable_by_rosbags_and_pandas(folder: Path) -> None:
     path = folder / "cut.mcap"
     path.write_bytes(UNFINISHED[:-4000])
     done = recover(path)
@@ -294,7 +299,7 @@ def test_a_recovered_recording_is_one_for_everybody(folder: Path) -> None:
     assert frame.equals(read_recording(path))
 
 
-def test_the_command_says_what_was_kept_and_refuses_what_is_none(
+def test_the_command_reports_the_kept_messages_and_rejects_invalid_arguments(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cut = tmp_path / "cut.mcap"
@@ -306,7 +311,7 @@ def test_the_command_says_what_was_kept_and_refuses_what_is_none(
     for path, sentence in (
         (tmp_path / "absent.mcap", "No such file"),
         (tmp_path, "--out"),
-        (Path(__file__), "neither a recording"),
+        (Path(__file__), "has none of the names of a recording"),
         (cut, "is the damaged file itself"),
     ):
         code, error = run_command(capsys, "recover", str(path), "--out", str(cut))
@@ -315,7 +320,7 @@ def test_the_command_says_what_was_kept_and_refuses_what_is_none(
     (tmp_path / "empty.mcap").write_bytes(b"")
     code, error = run_command(capsys, "recover", str(tmp_path / "empty.mcap"))
     assert code == 2
-    assert "is no MCAP recording" in error
+    assert "is not an MCAP recording" in error
     code, error = run_command(capsys, "recover", str(cut), "--out", str(tmp_path / "no" / "\0"))
     assert code == 2
     (tmp_path / "file").write_text("")
@@ -350,7 +355,7 @@ def blf(folder: Path) -> bytes:
 
 
 @given(cut=st.integers(144, 20_000), place=st.integers(0, 20_000), flip=st.integers(0, 255))
-def test_a_damaged_can_log_keeps_whole_containers_and_invents_no_frame(
+def test_a_damaged_can_log_keeps_intact_containers_and_adds_no_frame(
     cut: int, place: int, flip: int, folder: Path
 ) -> None:
     data = bytearray(blf(folder)[:cut])
@@ -373,8 +378,8 @@ def test_a_damaged_can_log_keeps_whole_containers_and_invents_no_frame(
 
 
 @pytest.mark.parametrize("size", [0, 1, 15])
-def test_an_object_that_claims_to_have_no_size_ends_its_stretch(size: int, folder: Path) -> None:
-    """python-can's reader would read it for ever."""
+def test_an_object_of_size_zero_ends_its_section(size: int, folder: Path) -> None:
+    """The reader of python-can would loop without end."""
     content = struct.pack("<4sHHLL", b"LOBJ", 16, 1, size, 100) + bytes(40)
     container = struct.pack("<4sHHLL", b"LOBJ", 16, 1, 32 + len(content), 10) + struct.pack(
         "<H6xL4x", 0, len(content)
@@ -383,22 +388,23 @@ def test_an_object_that_claims_to_have_no_size_ends_its_stretch(size: int, folde
     path.write_bytes(blf(folder)[:144] + container + content)
     done = recover(path, folder / "out.blf")
     assert done.kept == 0
-    assert "could not be understood" in done.lost
+    assert "could not be decoded" in done.lost
 
 
-def test_a_ring_that_claims_more_rows_than_can_be_is_refused(tmp_path: Path, runtime: Path) -> None:
+def test_a_ring_with_an_impossible_number_of_rows_is_rejected(
+    tmp_path: Path, runtime: Path
+) -> None:
     ring = RingWriter(head(tmp_path))
     ring.write(0, np.zeros(ring.width))
     ring.close()
     data = bytearray(ring.path.read_bytes())
     data[64:72] = b"\xff" * 8
     ring.path.write_bytes(data)
-    with pytest.raises(CosimError, match="nobody has written"):
+    with pytest.raises(CosimError, match="is not a possible number of written rows"):
         recover(ring.path)
 
 
-def test_messages_are_found_by_an_independent_count() -> None:
-    """The reader of damaged files finds in a whole one what mcap's own reader finds, in the same order."""
+def test_an_undamaged_file_gives_the_messages_of_the_mcap_reader_in_the_same_order() -> None:
     ours = [
         (m.channel.topic, m.log_time, m.data)
         for m in DamagedMcap(BytesIO(WHOLE)).records()
@@ -409,7 +415,7 @@ def test_messages_are_found_by_an_independent_count() -> None:
     assert zlib.crc32(WHOLE) == zlib.crc32(recording(120))
 
 
-def test_a_ring_from_elsewhere_does_not_write_where_it_likes(
+def test_a_ring_from_another_directory_is_rejected_and_writes_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in ("runtime", "elsewhere", "target"):
@@ -418,7 +424,7 @@ def test_a_ring_from_elsewhere_does_not_write_where_it_likes(
     writer = RingWriter(head(tmp_path / "target"))
     writer.write(0, np.zeros(writer.width))
     writer.close()
-    strange = writer.path.rename(tmp_path / "elsewhere" / writer.path.name)
-    with pytest.raises(RecordError, match="neither there nor among your own rings"):
-        recover(strange)
+    foreign = writer.path.rename(tmp_path / "elsewhere" / writer.path.name)
+    with pytest.raises(RecordError, match="but is neither in that directory nor in"):
+        recover(foreign)
     assert not list((tmp_path / "target").iterdir())

@@ -1,4 +1,4 @@
-"""The ring: what is taken was written, whole and in order, and what was not taken in time is counted."""
+"""Ring: a reader receives intact rows in order, and counts the overwritten ones."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ sys.stdin.readline()
 for k in range(int(sys.argv[2])):
     line[:] = k
     ring.write(k, line)
-ring.say_reason("all written")
+ring.set_reason("all written")
 """
 
 
-def test_rows_come_back_as_they_were_written(runtime: Path) -> None:
+def test_rows_are_read_as_they_were_written(runtime: Path) -> None:
     ring = RingWriter(head(runtime))
     reader = RingReader(ring.path)
     lines = np.random.default_rng(1).normal(size=(100, ring.width))
@@ -48,7 +48,7 @@ def test_rows_come_back_as_they_were_written(runtime: Path) -> None:
     assert len(reader.take(60)) == reader.lost == 0
     assert reader.head == ring_head(ring)
     assert reader.reason is None
-    ring.say_reason("a limit: 3 N")
+    ring.set_reason("a limit: 3 N")
     assert reader.reason == "a limit: 3 N"
 
 
@@ -60,7 +60,7 @@ def ring_head(ring: RingWriter) -> object:
         again.close()
 
 
-def test_a_reader_that_is_held_up_counts_what_was_written_over(runtime: Path) -> None:
+def test_a_delayed_reader_counts_the_overwritten_rows(runtime: Path) -> None:
     ring = RingWriter(head(runtime))
     reader = RingReader(ring.path)
     line = np.zeros(ring.width)
@@ -69,10 +69,10 @@ def test_a_reader_that_is_held_up_counts_what_was_written_over(runtime: Path) ->
     rows = reader.take(10 * ring.rows)
     assert len(rows) + reader.lost == 3 * ring.rows
     assert rows.times[-1, 2] == 3 * ring.rows - 1
-    assert len(rows) == ring.rows - 1  # all but the one that is written over next
+    assert len(rows) == ring.rows - 1  # all except the row that is overwritten next
 
 
-def test_a_reader_beside_a_writer_that_is_faster_takes_whole_rows_only(runtime: Path) -> None:
+def test_a_reader_of_a_faster_writer_receives_only_intact_rows(runtime: Path) -> None:
     count = 60_000
     environment = {
         **os.environ,
@@ -115,7 +115,7 @@ def test_the_last_seconds_are_those_before_the_newest_row(runtime: Path) -> None
     assert reader.next == 0
 
 
-def test_a_ring_belongs_to_somebody_until_all_have_gone(runtime: Path) -> None:
+def test_a_ring_is_left_behind_only_after_all_users_have_closed_it(runtime: Path) -> None:
     ring = RingWriter(head(runtime))
     reader = RingReader(ring.path)
     assert not is_left_behind(ring.path)
@@ -125,7 +125,7 @@ def test_a_ring_belongs_to_somebody_until_all_have_gone(runtime: Path) -> None:
     assert list(left_behind()) == [ring.path]
 
 
-def test_without_room_there_is_no_ring_and_no_rest_of_one(
+def test_without_enough_memory_no_ring_file_remains(
     runtime: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(*arguments: object) -> None:
@@ -137,7 +137,7 @@ def test_without_room_there_is_no_ring_and_no_rest_of_one(
     assert list(runtime.rglob("*.ring")) == []
 
 
-def test_a_directory_that_others_can_enter_is_not_used(runtime: Path) -> None:
+def test_a_directory_that_is_not_private_is_rejected(runtime: Path) -> None:
     RingWriter(head(runtime)).close()
     next(runtime.iterdir()).chmod(0o755)
     with pytest.raises(RecordError, match="not private"):
@@ -145,7 +145,7 @@ def test_a_directory_that_others_can_enter_is_not_used(runtime: Path) -> None:
 
 
 @given(data=st.data())
-def test_a_damaged_ring_is_refused_in_a_sentence_or_read(
+def test_a_damaged_ring_is_read_or_rejected_with_a_cosim_error(
     data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     folder = tmp_path_factory.mktemp("rings")

@@ -1,4 +1,4 @@
-"""Recordings of loops in real time: complete, and no trouble for the loop whatever happens to disk or recorder."""
+"""Recordings of real-time loops: complete; faults of disk or recorder do not affect the loop."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Any, dict[
     return result, recording, folder / "out"
 
 
-def test_a_recording_has_every_instant_and_the_runs_own_record_to_the_bit(
+def test_a_recording_has_every_instant_and_equals_the_record_of_the_run(
     whole: tuple[Any, dict[str, Any], Path],
 ) -> None:
     result, recording, out = whole
@@ -92,7 +92,7 @@ def test_the_flight_recording_has_the_last_two_seconds_of_every_signal(
     assert flight.attrs["stop"]["rows lost by the recorder"] == "0"
 
 
-def test_messages_of_ros_are_made_of_the_scenarios_signals(
+def test_signals_of_the_scenario_are_recorded_as_ros_messages(
     whole: tuple[Any, dict[str, Any], Path],
 ) -> None:
     _, _, out = whole
@@ -118,7 +118,7 @@ def test_messages_of_ros_are_made_of_the_scenarios_signals(
 
 
 @pytest.mark.slow
-def test_only_the_chosen_signals_are_recorded_but_the_last_seconds_have_all(
+def test_the_recording_has_the_chosen_signals_and_the_flight_recording_has_all(
     tmp_path: Path, runtime: Path
 ) -> None:
     run(tmp_path, '[record]\nsignals = ["satellite.*"]\n', stop=0.2)
@@ -127,13 +127,15 @@ def test_only_the_chosen_signals_are_recorded_but_the_last_seconds_have_all(
         read_recording(tmp_path / "out" / "flight_recording.mcap"),
     )
     assert "satellite.base_acceleration[1]" in chosen
-    assert "base_robot.base_position[1]" in chosen  # an error needs it
+    assert "base_robot.base_position[1]" in chosen  # an error signal needs it
     assert "base_controller.base_wrench[1]" not in chosen
     assert "base_controller.base_wrench[1]" in flight
     assert len(chosen) == len(flight) == 201
 
 
-def test_a_limit_is_in_the_last_row_and_in_the_reason(tmp_path: Path, runtime: Path) -> None:
+def test_the_last_row_and_the_reason_contain_the_exceeded_limit(
+    tmp_path: Path, runtime: Path
+) -> None:
     limit = '[[limits]]\nsignal = "base_controller.base_wrench"\nmaximum = 0.05\ncause = "the force is too large [N]"\n'
     result, recording = run(tmp_path, limit)
     flight = read_recording(recording["flight"])
@@ -148,7 +150,7 @@ def test_a_limit_is_in_the_last_row_and_in_the_reason(tmp_path: Path, runtime: P
     assert flight["time"].iloc[-1] == pytest.approx(result.outcome.simulated)
 
 
-def test_without_a_recording_there_is_still_the_flight_recording(
+def test_without_a_recording_the_flight_recording_is_still_written(
     tmp_path: Path, runtime: Path
 ) -> None:
     _, recording = run(tmp_path, stop=0.2, everything=False)
@@ -158,7 +160,7 @@ def test_without_a_recording_there_is_still_the_flight_recording(
 
 
 @pytest.mark.slow
-def test_an_unfinished_recording_of_an_earlier_run_is_not_written_over(
+def test_an_unfinished_recording_of_an_earlier_run_is_not_overwritten(
     tmp_path: Path, runtime: Path
 ) -> None:
     out = tmp_path / "out"
@@ -167,7 +169,7 @@ def test_an_unfinished_recording_of_an_earlier_run_is_not_written_over(
     run(tmp_path, stop=0.1)
     aside = [path for path in out.iterdir() if path.name.startswith("recording_")]
     assert [path.read_bytes() for path in aside] == [b"\x89MCAP0\r\n and no end"]
-    run(tmp_path, stop=0.1)  # the one before was whole, and is written over as other results are
+    run(tmp_path, stop=0.1)  # the previous one is complete and is overwritten
     assert len([path for path in out.iterdir() if path.name.startswith("recording_")]) == 1
 
 
@@ -196,7 +198,7 @@ def signalled(number: int) -> Callable[[RecordingClient], None]:
 
 
 @pytest.mark.slow
-def test_a_vanished_directory_is_told_and_the_loop_goes_on(
+def test_a_deleted_directory_is_reported_and_the_loop_continues(
     tmp_path: Path,
     runtime: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -206,24 +208,24 @@ def test_a_vanished_directory_is_told_and_the_loop_goes_on(
         result, recording = run(tmp_path, stop=0.8)
     assert result.as_expected
     assert result.outcome.simulated == 0.8
-    assert "the recording is not whole: No such file or directory" in recording["missing"]
-    said = [line for line in capfd.readouterr().err.splitlines() if "the loop goes on" in line]
-    assert len(said) == 1
-    # The directory is made again for the last seconds.
+    assert "the recording is incomplete: No such file or directory" in recording["missing"]
+    lines = capfd.readouterr().err.splitlines()
+    assert sum("the loop continues" in line for line in lines) == 1
+    # The directory is created again for the last seconds.
     assert read_recording(recording["flight"])["instant"].iloc[-1] == 800
 
 
 @pytest.mark.parametrize(
     "for_all", family([False, True]), ids=["for the recorder", "for the loop too"]
 )
-def test_a_full_disk_is_told_once_and_what_was_written_is_kept(
+def test_a_full_disk_is_reported_once_and_the_written_part_is_kept(
     for_all: bool,
     tmp_path: Path,
     runtime: Path,
     monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    """The recorder's files may not grow beyond half a megabyte."""
+    """The files of the recorder are limited to half a megabyte."""
 
     def fill(client: RecordingClient) -> None:
         assert client.recorder is not None
@@ -240,12 +242,10 @@ def test_a_full_disk_is_told_once_and_what_was_written_is_kept(
     assert [
         text
         for text in recording["missing"]
-        if "the recording is not whole: File too large" in text
+        if "the recording is incomplete: File too large" in text
     ]
-    said = [
-        line for line in capfd.readouterr().err.splitlines() if "the recording has stopped" in line
-    ]
-    assert len(said) == 1
+    lines = capfd.readouterr().err.splitlines()
+    assert sum("the recording has stopped" in line for line in lines) == 1
     frame = read_recording(tmp_path / "out" / "recording.mcap")
     assert frame["instant"].tolist() == list(range(len(frame)))
     assert 100 < len(frame) < 1000
@@ -256,7 +256,7 @@ def test_a_full_disk_is_told_once_and_what_was_written_is_kept(
         assert flight.attrs["stop"]["written by"] == "the loop, without its recorder"
         assert rings == []
         return
-    # They wait in memory, and the result says how to save them.
+    # The last seconds remain in the ring, and the result contains the command that saves them.
     assert recording["flight"] is None
     (ring,) = rings
     assert f"`freeflyer recover {ring}`" in " ".join(recording["missing"])
@@ -265,10 +265,10 @@ def test_a_full_disk_is_told_once_and_what_was_written_is_kept(
 
 
 @pytest.mark.slow
-def test_a_recorder_that_is_held_up_loses_nothing_and_holds_nobody_up(
+def test_a_suspended_recorder_loses_nothing_and_does_not_block_the_loop(
     tmp_path: Path, runtime: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It stands still until the loop is nearly over: a loop that waited for it would not come so far."""
+    """The recorder is suspended until near the end, which a blocked loop would not reach."""
     with while_it_runs(
         monkeypatch, {200: signalled(signal.SIGSTOP), 990: signalled(signal.SIGCONT)}
     ):
@@ -281,7 +281,7 @@ def test_a_recorder_that_is_held_up_loses_nothing_and_holds_nobody_up(
 
 
 @pytest.mark.slow
-def test_a_recorder_that_is_held_up_for_longer_than_the_ring_counts_what_it_missed(
+def test_a_recorder_that_is_suspended_longer_than_the_ring_counts_the_lost_rows(
     tmp_path: Path, runtime: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("freeflyer_adapters.recording.ring.SECONDS", 0.3)
@@ -296,7 +296,7 @@ def test_a_recorder_that_is_held_up_for_longer_than_the_ring_counts_what_it_miss
     assert frame.attrs["stop"]["rows lost by the recorder"] == str(recording["rows_lost"])
 
 
-def test_a_recorder_that_cannot_start_is_a_sentence_and_the_loop_writes_its_last_seconds(
+def test_a_recorder_that_cannot_start_is_reported_and_the_loop_writes_its_last_seconds(
     tmp_path: Path, runtime: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("sys.executable", "/bin/false")
@@ -309,7 +309,7 @@ def test_a_recorder_that_cannot_start_is_a_sentence_and_the_loop_writes_its_last
     assert list(runtime.rglob("*.ring")) == []
 
 
-def test_where_the_directory_cannot_be_written_the_last_seconds_go_elsewhere(
+def test_if_the_directory_cannot_be_written_the_last_seconds_go_to_a_temporary_directory(
     tmp_path: Path, runtime: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     elsewhere = tmp_path / "elsewhere"
@@ -319,12 +319,12 @@ def test_where_the_directory_cannot_be_written_the_last_seconds_go_elsewhere(
     ring = RingWriter(head(tmp_path / "file" / "out"))
     for k in range(10):
         ring.write(k, np.zeros(ring.width))
-    said: list[str] = []
-    recorder = Recorder(RingReader(ring.path), said.append)
+    messages: list[str] = []
+    recorder = Recorder(RingReader(ring.path), messages.append)
     recorder.step()
     written = recorder.finish()
     assert written.recording == []
-    assert len(said) == 1
+    assert len(messages) == 1
     assert written.flight is not None
     assert Path(written.flight).is_relative_to(elsewhere)
     assert len(read_recording(written.flight)) == 10

@@ -1,4 +1,4 @@
-"""The reason of a stop comes first, whatever disk, terminal and system log do."""
+"""The reason of a stop is written first, even if disk, terminal or system log fail."""
 
 from __future__ import annotations
 
@@ -41,13 +41,13 @@ GIVES = f"notice.give({REASON!r}, {LEFT!r}, orderly=False)\n"
 
 
 def made(
-    directory: Path | None = None, log_to: str | None = None, said: list[str] | None = None
+    directory: Path | None = None, log_to: str | None = None, printed: list[str] | None = None
 ) -> StopNotice:
     return StopNotice(
         directory=directory,
         log_to=log_to,
         scenario="facility",
-        show=([] if said is None else said).append,
+        show=([] if printed is None else printed).append,
     )
 
 
@@ -65,7 +65,7 @@ def child(directory: Path, text: str, **options: Any) -> subprocess.Popen[bytes]
 
 
 def wait_until_stopped(directory: Path) -> None:
-    """Until stop.json has a reason; at most 30 s."""
+    """Wait until stop.json contains a reason; at most 30 s."""
     end = time.monotonic() + 30.0
     while not ((directory / "stop.json").exists() and read(directory)["stopped"]):
         assert time.monotonic() < end
@@ -96,7 +96,7 @@ def fill(disk: Path) -> None:
 
 @pytest.fixture
 def receiver(tmp_path: Path) -> Iterator[socket.socket]:
-    """A system log's Unix socket."""
+    """The Unix socket of a system log."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as one:
         one.bind(str(tmp_path / "log"))
         one.settimeout(5.0)
@@ -104,12 +104,12 @@ def receiver(tmp_path: Path) -> Iterator[socket.socket]:
 
 
 def test_the_reason_goes_to_standard_output_and_stop_json(tmp_path: Path) -> None:
-    said: list[str] = []
-    with closing(made(tmp_path, said=said)) as notice:
+    printed: list[str] = []
+    with closing(made(tmp_path, printed=printed)) as notice:
         before = read(tmp_path)
         notice.give(REASON, LEFT, orderly=False)
     after = read(tmp_path)
-    assert said == [SENTENCE]
+    assert printed == [SENTENCE]
     assert notice.problems == []
     assert list(before) == list(after)
     assert (before["stopped"], before["orderly"], before["reason"]) == (False, None, None)
@@ -125,7 +125,7 @@ def test_the_reason_goes_to_standard_output_and_stop_json(tmp_path: Path) -> Non
     assert os.listdir(tmp_path) == ["stop.json"]
 
 
-def test_a_full_disk_takes_the_reason(small_disk: Path) -> None:
+def test_the_reason_is_written_to_a_full_disk(small_disk: Path) -> None:
     notice = made(small_disk)
     fill(small_disk)
     notice.give(REASON + " ä" * 4000, LEFT, orderly=False)
@@ -137,7 +137,7 @@ def test_a_full_disk_takes_the_reason(small_disk: Path) -> None:
         (small_disk / "later").write_bytes(b"0" * 4096)
 
 
-def test_a_disk_that_is_full_at_the_start_is_refused_and_an_earlier_stop_json_is_kept(
+def test_a_disk_that_is_full_at_the_start_is_rejected_and_an_earlier_stop_json_is_kept(
     small_disk: Path,
 ) -> None:
     with closing(made(small_disk)) as notice:
@@ -153,13 +153,13 @@ def test_a_disk_that_is_full_at_the_start_is_refused_and_an_earlier_stop_json_is
     assert sorted(os.listdir(small_disk)) == ["filling", "stop.json"]
 
 
-def test_a_disk_that_cannot_be_written_is_refused(small_disk: Path) -> None:
+def test_a_read_only_disk_is_rejected(small_disk: Path) -> None:
     subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True)
     with pytest.raises(OutputError, match="Read-only file system"):
         made(small_disk)
 
 
-def test_a_directory_that_is_none_is_refused(tmp_path: Path) -> None:
+def test_a_path_of_another_type_is_rejected(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     (tmp_path / "stop.json").mkdir()
     for directory in (tmp_path / "file", tmp_path):
@@ -169,18 +169,18 @@ def test_a_directory_that_is_none_is_refused(tmp_path: Path) -> None:
     assert sorted(os.listdir(tmp_path)) == ["file", "stop.json"]
 
 
-def test_a_disk_that_fails_at_the_stop_is_a_problem_and_no_error(
+def test_a_disk_that_fails_at_the_stop_is_reported_as_a_problem(
     tmp_path: Path, receiver: socket.socket
 ) -> None:
-    said: list[str] = []
-    notice = made(tmp_path, f"syslog:{tmp_path}/log", said)
+    printed: list[str] = []
+    notice = made(tmp_path, f"syslog:{tmp_path}/log", printed)
     descriptor = notice._file
     notice._file = os.open("/dev/full", os.O_WRONLY)
     notice.give(REASON, LEFT, orderly=False)
     notice.close()
     assert descriptor is not None
     os.close(descriptor)
-    assert said == [SENTENCE]
+    assert printed == [SENTENCE]
     assert REASON in receiver.recv(SIZE).decode()
     (problem,) = notice.problems
     assert problem.startswith(f"{tmp_path}/stop.json did not take the reason of the stop: ")
@@ -226,9 +226,7 @@ def test_a_long_reason_is_one_datagram_of_whole_characters(
     assert message.decode().endswith("€")
 
 
-def test_a_daemon_that_was_started_anew_gets_the_reason(
-    tmp_path: Path, receiver: socket.socket
-) -> None:
+def test_a_restarted_daemon_receives_the_reason(tmp_path: Path, receiver: socket.socket) -> None:
     notice = made(log_to=f"syslog:{tmp_path}/log")
     receiver.close()
     (tmp_path / "log").unlink()
@@ -245,19 +243,19 @@ def test_a_hung_system_log_does_not_block(tmp_path: Path, receiver: socket.socke
         filling.setblocking(False)
         while True:
             filling.sendto(b"0", receiver.getsockname())
-    said: list[str] = []
-    with closing(made(tmp_path, f"syslog:{tmp_path}/log", said)) as notice:
+    printed: list[str] = []
+    with closing(made(tmp_path, f"syslog:{tmp_path}/log", printed)) as notice:
         begin = time.monotonic()
         notice.give(REASON, LEFT, orderly=False)
         assert time.monotonic() - begin < 1.0
-    assert said == [SENTENCE]
+    assert printed == [SENTENCE]
     assert read(tmp_path)["reason"] == REASON
     assert notice.problems == [
         f"the system log at '{tmp_path}/log' did not take the reason of the stop: Resource temporarily unavailable"
     ]
 
 
-def test_a_daemon_that_is_gone_is_a_problem_and_no_error(
+def test_a_stopped_daemon_is_reported_as_a_problem(
     tmp_path: Path, receiver: socket.socket, capfd: pytest.CaptureFixture[str]
 ) -> None:
     with closing(made(tmp_path, f"syslog:{tmp_path}/log")) as notice:
@@ -270,7 +268,7 @@ def test_a_daemon_that_is_gone_is_a_problem_and_no_error(
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("sysloog", "no log 'sysloog'; .* is expected; did you mean 'syslog'"),
         ("", "no log ''; 'syslog', 'syslog:PATH' or 'syslog:HOST:PORT' is expected$"),
@@ -291,23 +289,23 @@ def test_a_daemon_that_is_gone_is_a_problem_and_no_error(
         ("syslog:/no\nsuch/log", "No such file"),
     ],
 )
-def test_a_log_that_cannot_be_is_refused_in_one_line(tmp_path: Path, text: str, told: str) -> None:
-    for refused in (lambda: check_log_to(text), lambda: made(tmp_path, text)):
-        with pytest.raises(DeviceError, match=told) as caught:
-            refused()
+def test_an_invalid_log_is_rejected_in_one_line(tmp_path: Path, text: str, message: str) -> None:
+    for rejected in (lambda: check_log_to(text), lambda: made(tmp_path, text)):
+        with pytest.raises(DeviceError, match=message) as caught:
+            rejected()
         assert caught.value.exit_code == BAD_INPUT
         assert "\n" not in str(caught.value)
     assert os.listdir(tmp_path) == []
 
 
-def test_the_system_log_of_a_machine_that_has_none_is_refused() -> None:
+def test_a_missing_system_log_is_rejected() -> None:
     if os.path.exists("/dev/log"):
         pytest.skip("there is a /dev/log")
     with pytest.raises(DeviceError, match="'/dev/log': No such file or directory"):
         check_log_to("syslog")
 
 
-def test_a_log_that_takes_streams_only_is_refused(tmp_path: Path) -> None:
+def test_a_log_with_a_stream_socket_is_rejected(tmp_path: Path) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as one:
         one.bind(str(tmp_path / "log"))
         one.listen()
@@ -315,7 +313,7 @@ def test_a_log_that_takes_streams_only_is_refused(tmp_path: Path) -> None:
             check_log_to(f"syslog:{tmp_path}/log")
 
 
-def test_a_full_pipe_gets_the_reason_after_stop_json(tmp_path: Path) -> None:
+def test_the_reason_is_written_to_a_full_pipe_after_stop_json(tmp_path: Path) -> None:
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
     filled = 0
@@ -334,7 +332,7 @@ def test_a_full_pipe_gets_the_reason_after_stop_json(tmp_path: Path) -> None:
     assert process.returncode == 0
 
 
-def test_more_than_a_pipe_has_room_for_comes_after_stop_json(tmp_path: Path) -> None:
+def test_a_reason_longer_than_the_pipe_buffer_is_written_after_stop_json(tmp_path: Path) -> None:
     reading, writing = os.pipe()
     process = child(tmp_path, "notice.give('x' * 100_000, '', orderly=False)", stdout=writing)
     os.close(writing)
@@ -346,7 +344,7 @@ def test_more_than_a_pipe_has_room_for_comes_after_stop_json(tmp_path: Path) -> 
     process.communicate()
 
 
-def test_the_reason_does_not_wait_in_a_buffer(tmp_path: Path) -> None:
+def test_the_reason_is_not_buffered(tmp_path: Path) -> None:
     process = child(tmp_path, GIVES + "time.sleep(60)", stdout=subprocess.PIPE)
     assert process.stdout is not None
     assert process.stdout.readline().decode() == SENTENCE + "\n"
@@ -355,10 +353,10 @@ def test_the_reason_does_not_wait_in_a_buffer(tmp_path: Path) -> None:
     process.communicate()
 
 
-def test_a_pipe_without_a_reader_is_a_problem_and_no_error(tmp_path: Path) -> None:
+def test_a_pipe_without_a_reader_is_reported_as_a_problem(tmp_path: Path) -> None:
     reading, writing = os.pipe()
     os.close(reading)
-    # rich's own console ends the command there.
+    # The console of rich ends the process in this case.
     text = (
         "from rich.console import Console\nnotice._show = Console().print\n"
         + GIVES
@@ -380,24 +378,24 @@ def unknown_character(text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("say", "told"), [(broken_pipe, "Broken pipe"), (unknown_character, "'ascii' codec")]
+    ("write", "message"), [(broken_pipe, "Broken pipe"), (unknown_character, "'ascii' codec")]
 )
-def test_a_terminal_that_fails_is_a_problem_and_no_error(
-    tmp_path: Path, say: Any, told: str
+def test_a_failed_terminal_is_reported_as_a_problem(
+    tmp_path: Path, write: Any, message: str
 ) -> None:
-    notice = StopNotice(directory=tmp_path, log_to=None, scenario="facility", show=say)
+    notice = StopNotice(directory=tmp_path, log_to=None, scenario="facility", show=write)
     notice.give(REASON, LEFT, orderly=False)
     notice.close()
     (problem,) = notice.problems
-    assert problem.startswith(f"standard output did not take the reason of the stop: {told}")
+    assert problem.startswith(f"standard output did not take the reason of the stop: {message}")
     assert read(tmp_path)["reason"] == REASON
 
 
 @pytest.mark.parametrize(
-    ("redirection", "told"), [(">&-", ""), ("> /dev/full", "No space left on device")]
+    ("redirection", "message"), [(">&-", ""), ("> /dev/full", "No space left on device")]
 )
-def test_a_missing_or_full_standard_output_does_not_matter(
-    tmp_path: Path, redirection: str, told: str
+def test_stop_json_is_written_without_or_with_a_full_standard_output(
+    tmp_path: Path, redirection: str, message: str
 ) -> None:
     text = CHILD + GIVES + "print(*notice.problems, file=sys.stderr)"
     command = [
@@ -411,12 +409,12 @@ def test_a_missing_or_full_standard_output_does_not_matter(
         str(tmp_path),
     ]
     error = subprocess.run(command, capture_output=True, text=True, check=False).stderr
-    assert told in error.splitlines()[0]
-    assert bool(error.splitlines()[0]) == bool(told)
+    assert message in error.splitlines()[0]
+    assert bool(error.splitlines()[0]) == bool(message)
     assert read(tmp_path)["reason"] == REASON
 
 
-def test_a_killed_process_leaves_that_it_gave_no_reason(tmp_path: Path) -> None:
+def test_stop_json_of_a_killed_process_has_no_reason(tmp_path: Path) -> None:
     process = child(tmp_path, "print('made', flush=True)\ntime.sleep(60)", stdout=subprocess.PIPE)
     assert process.stdout is not None
     assert process.stdout.readline() == b"made\n"
@@ -426,7 +424,9 @@ def test_a_killed_process_leaves_that_it_gave_no_reason(tmp_path: Path) -> None:
     assert (left["scenario"], left["stopped"], left["reason"]) == ("child", False, None)
 
 
-def test_links_and_fifos_of_those_names_are_replaced_and_not_opened(tmp_path: Path) -> None:
+def test_links_and_fifos_with_the_names_of_stop_files_are_replaced_and_not_opened(
+    tmp_path: Path,
+) -> None:
     other, out = tmp_path / "other", tmp_path / "out"
     other.write_text("untouched")
     out.mkdir()
@@ -445,21 +445,21 @@ def test_links_and_fifos_of_those_names_are_replaced_and_not_opened(tmp_path: Pa
     assert os.listdir(out) == ["stop.json"]
 
 
-def test_an_earlier_runs_stop_json_is_another_file(tmp_path: Path) -> None:
+def test_an_earlier_run_does_not_write_into_the_stop_json_of_a_later_run(tmp_path: Path) -> None:
     with closing(made(tmp_path)) as earlier, closing(made(tmp_path)):
         earlier.give("earlier", LEFT, orderly=True)
         assert read(tmp_path)["stopped"] is False
 
 
 def test_a_second_reason_changes_nothing(tmp_path: Path, receiver: socket.socket) -> None:
-    said: list[str] = []
-    with closing(made(tmp_path, f"syslog:{tmp_path}/log", said)) as notice:
+    printed: list[str] = []
+    with closing(made(tmp_path, f"syslog:{tmp_path}/log", printed)) as notice:
         notice.give(REASON, LEFT, orderly=False)
         before = (tmp_path / "stop.json").read_bytes()
         notice.give("second", "", orderly=True)
     notice.give("third", "", orderly=True)
     assert (tmp_path / "stop.json").read_bytes() == before
-    assert said == [SENTENCE]
+    assert printed == [SENTENCE]
     assert SENTENCE in receiver.recv(SIZE).decode()
     receiver.setblocking(False)
     with pytest.raises(BlockingIOError):
@@ -480,7 +480,7 @@ def test_long_texts_are_cut_between_characters(tmp_path: Path, text: str) -> Non
         assert whole.startswith(cut[:-3])
         assert (
             0 <= LONGEST[name] - len(json.dumps(cut, ensure_ascii=False).encode()) < 8
-        )  # no more is lost than must be
+        )  # the text is as long as possible
 
 
 @given(
@@ -488,14 +488,14 @@ def test_long_texts_are_cut_between_characters(tmp_path: Path, text: str) -> Non
     left=st.text(max_size=400),
     orderly=st.booleans(),
 )
-def test_any_text_is_one_line_and_comes_back(
+def test_any_text_is_printed_in_one_line_and_stored(
     tmp_path: Path, reason: str, left: str, orderly: bool
 ) -> None:
-    said: list[str] = []
-    with closing(made(tmp_path, said=said)) as notice:
+    printed: list[str] = []
+    with closing(made(tmp_path, printed=printed)) as notice:
         notice.give(reason, left, orderly=orderly)
     assert notice.problems == []
-    (sentence,) = said
+    (sentence,) = printed
     assert sentence.isprintable()
     document = read(tmp_path)
     for name, text in (("reason", one_line(reason)), ("left", one_line(left))):
@@ -504,9 +504,9 @@ def test_any_text_is_one_line_and_comes_back(
         assert document["reason"] == reason
 
 
-def test_nothing_but_standard_output_is_asked_for() -> None:
-    said: list[str] = []
-    with closing(made(said=said)) as notice:
+def test_without_directory_and_log_the_reason_is_only_printed() -> None:
+    printed: list[str] = []
+    with closing(made(printed=printed)) as notice:
         notice.give(REASON, "", orderly=True)
-    assert said == [f"Stop: {REASON}; "]
+    assert printed == [f"Stop: {REASON}; "]
     assert notice.problems == []

@@ -22,7 +22,7 @@ IGNORED = frozenset(
     {
         "events",
         "lost",
-        "strangers",
+        "foreign",
         "excessive",
         "ignored",
         "total_lost",

@@ -228,7 +228,7 @@ def _(patch: pytest.MonkeyPatch) -> None:
 
 @guard(ALONE, "an expired number ends no stop")
 def _(patch: pytest.MonkeyPatch) -> None:
-    obey = ArmLogic._obey
+    obey = ArmLogic._handle
 
     def without_used(self: ArmLogic, command: Command) -> None:
         if command.mode is Mode.reset and command.controller == self.controller:
@@ -238,7 +238,7 @@ def _(patch: pytest.MonkeyPatch) -> None:
         else:
             obey(self, command)
 
-    patch.setattr(ArmLogic, "_obey", without_used)
+    patch.setattr(ArmLogic, "_handle", without_used)
 
 
 @guard(ALONE, "a claim does not replace another session")
@@ -252,7 +252,7 @@ def _(patch: pytest.MonkeyPatch) -> None:
 
 @guard(ALONE, "a stop ends only with the brakes engaged")
 def _(patch: pytest.MonkeyPatch) -> None:
-    obey = ArmLogic._obey
+    obey = ArmLogic._handle
 
     def with_brakes(self: ArmLogic, command: Command) -> None:
         if (
@@ -266,20 +266,20 @@ def _(patch: pytest.MonkeyPatch) -> None:
         else:
             obey(self, command)
 
-    patch.setattr(ArmLogic, "_obey", with_brakes)
+    patch.setattr(ArmLogic, "_handle", with_brakes)
     patch.setattr(ArmLogic, "_use_up", lambda self: None)
 
 
 @guard(ALONE, "torque counts in active only")
 def _(patch: pytest.MonkeyPatch) -> None:
-    command_ = ArmLogic._command
+    command_ = ArmLogic._apply_torque
 
     def in_any_state(self: ArmLogic, command: Command) -> None:
         state, self.life.now = self.life.now, LifeCycle.active
         command_(self, command)
         self.life.now = state
 
-    patch.setattr(ArmLogic, "_command", in_any_state)
+    patch.setattr(ArmLogic, "_apply_torque", in_any_state)
 
 
 @guard(ALONE, "torque as old as the watchdog, or older than the last, is not used")
@@ -288,7 +288,7 @@ def _(patch: pytest.MonkeyPatch) -> None:
         if self.life.now is LifeCycle.active:
             self._answered = self.echoed = command.answered
 
-    patch.setattr(ArmLogic, "_command", any_age)
+    patch.setattr(ArmLogic, "_apply_torque", any_age)
 
 
 @guard(ALONE, "the watchdog of the arm")

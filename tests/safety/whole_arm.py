@@ -325,7 +325,9 @@ class Whole:
             before, braked = logic.life.now, logic.braked
             if frame is not None:
                 number, mode, answered = frame if self.ages else (*frame[:2], logic.cycle)
-                logic._obey(Command(controller=number, mode=mode, answered=answered, torque=STILL))
+                logic._handle(
+                    Command(controller=number, mode=mode, answered=answered, torque=STILL)
+                )
             if logic.life.now is LifeCycle.active and before is not LifeCycle.active:
                 self._activated(number)
             elif braked and not logic.braked:

@@ -249,9 +249,9 @@ class Base(VirtualBase):
             found = (candidate, (NOW - passed + late) * PERIOD, NOW - passed, *gaps)
         logic._candidate = found
         # Times of the logic, of the link and of its clock.
-        logic._heard = NOW - min(logic._calls - logic._heard, watchdog + SILENCE)
+        logic._accepted_at = NOW - min(logic._calls - logic._accepted_at, watchdog + SILENCE)
         if not logic.was_active:
-            logic._heard = NOW
+            logic._accepted_at = NOW
         logic._calls = NOW
         logic.events.clear()
         if link._last is not None:
@@ -327,7 +327,10 @@ class BaseAlone:
             )
             self.accepted = publisher
         elif (
-            is_active and sample is not None and logic._heard == NOW and publisher != self.accepted
+            is_active
+            and sample is not None
+            and logic._accepted_at == NOW
+            and publisher != self.accepted
         ):
             self.bad = "a set point of another publisher was accepted"
         if is_active and sample is not None and publisher != self.accepted:
@@ -681,7 +684,7 @@ class Whole:
             attachment = Attachment(NOW - age, (NOW - age) * CYCLE, gid(run))
         base.call(attachment)
         is_active = logic.life.now is LifeCycle.active
-        if is_active and sample is not None and logic._heard == NOW:
+        if is_active and sample is not None and logic._accepted_at == NOW:
             if before is not LifeCycle.active:
                 self.bad = self._bad_activation(run, age)
                 self.activated.add(run)

@@ -59,7 +59,7 @@ TARGET = 1.0
 """Target torque [N m]; not zero, so that the ramp of a stopping drive takes one period."""
 IGNORED = frozenset({
     "subject", "_count", "_recent", "longest_row", "error", "new_error", "syncs", "ramp", "torque", "_controlword", "tick", "watchdog",
-    "sync_period", "host_patience", "_since_host",
+    "sync_period", "heartbeat_timeout", "_since_host",
 })  # fmt: skip
 """Counters and constants."""
 
@@ -339,7 +339,7 @@ class Whole:
             node.nmt(operational=False)
             if node.logic.state is S.fault:
                 for word in (0, FAULT_RESET, 0):
-                    node.logic.obey(word)
+                    node.logic.apply_controlword(word)
             node.nmt(operational=True)
         self.hosts.append(Host(run, self.drives))
 

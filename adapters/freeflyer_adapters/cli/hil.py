@@ -239,7 +239,7 @@ def _facility_beside(
 
 def show_faults(facility: Facility, show: Callable[[str], None]) -> None:
     for fault in facility.settings.faults:
-        show(f"fault: {fault.said()}")
+        show(f"fault: {fault.one_line()}")
 
 
 def _common(parser: argparse.ArgumentParser) -> None:

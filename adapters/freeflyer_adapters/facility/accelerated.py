@@ -1,4 +1,4 @@
-"""A virtual facility in the host's own process and in virtual time."""
+"""A virtual facility in the process of the host and in virtual time."""
 
 from __future__ import annotations
 
@@ -18,20 +18,24 @@ class Accelerated:
     time: VirtualTime
 
 
-def _unheard(text: str) -> None:
+def _discard(text: str) -> None:
     pass
 
 
 @contextmanager
 def accelerated(
-    scenario: Scenario, fmi: int | None = None, say: Callable[[str], None] = _unheard
+    scenario: Scenario, fmi: int | None = None, log: Callable[[str], None] = _discard
 ) -> Iterator[Accelerated]:
-    """What is run meanwhile (`freeflyer_adapters.loop.hil.run` without real time) meets this facility, and its time. Raises CosimError."""
+    """Run a facility in virtual time within the context. Raises CosimError.
+
+    A control loop within the context (`freeflyer_adapters.loop.hil.run` without real time)
+    connects to this facility and uses its time.
+    """
     time = VirtualTime()
     with (
         environment.within(time),
         closing(Facility(scenario, fmi)) as facility,
-        closing(facility.cycles(say)) as cycles,
+        closing(facility.cycles(log)) as cycles,
     ):
         time.play(cycles, facility.period)
         yield Accelerated(facility=facility, time=time)

@@ -1,4 +1,4 @@
-"""What the virtual base robot's own controller decides: whose set points it takes, and what it does when they stop."""
+"""Controller of the virtual base robot: selection of the publisher, life cycle and watchdog."""
 
 from __future__ import annotations
 
@@ -11,15 +11,20 @@ from freeflyer_adapters.device.device import LifeCycle, State
 from freeflyer_adapters.foundation.pose import distance
 
 MOST_USED = 64
-"""Publishers that are remembered as used up."""
+"""Maximum number of stored expired publishers."""
 
 
 class BaseLogic:
-    """Called every `period` [s]; `watchdog` [calls]: how long set points may stay away, and how old one may be; `jump` [m, rad]: how far the
-    first may be from the robot, and each other one from the one before. `used`: publishers (GIDs) that are used up, which outlive this object.
+    """State machine of the base robot's controller; `tick` is called every `period` [s].
 
-    One publisher is one activation: once *active* has ended it is never obeyed again. Its set points activate the robot when they have
-    come for `proof` [calls] as their stamps advance: what was held up on the way, and comes all at once, activates nothing.
+    `watchdog` [calls]: longest time without a set point, and largest age of a set point.
+    `silence` [calls]: time without a set point after which the session has ended.
+    `jump` [m, rad]: largest distance of the first set point from the robot, and between two set
+    points. `used`: expired publishers (GIDs), shared by all sessions.
+
+    A publisher can activate the robot only once. Its set points activate the robot after they
+    have arrived for `proof` [calls] at the rate of their stamps. Delayed set points that arrive
+    in a burst do not activate it.
     """
 
     def __init__(
@@ -33,34 +38,37 @@ class BaseLogic:
         proof: int = 0,
     ) -> None:
         self.proof = proof
-        # A proof must be longer than what it allows for.
+        # The tolerance must be shorter than the proof.
         self.tolerance = min(watchdog, max(1, proof // 2)) if proof else watchdog
         self.period, self.watchdog, self.silence, self.jump = period, watchdog, silence, jump
         self.used: deque[bytes] = deque(maxlen=MOST_USED) if used is None else used
         self.life = State("the virtual base robot")
         self.life.to(LifeCycle.inactive)
         self.publisher = b""
-        """Whose set points are taken while the robot is active."""
+        """GID of the accepted publisher while the robot is active."""
         self.position, self.orientation, self.velocity = (
             np.zeros(3),
             np.array([0.0, 0.0, 0.0, 1.0]),
             np.zeros(6),
         )
-        """The set point that the robot is given (its own frame is I)."""
+        """Set point of the robot, in the inertial frame I."""
         self.refused = 0
         self.was_active = False
         self.events: list[tuple[int, str]] = []
         self._calls = 0
-        self._heard = 0
+        self._accepted_at = 0
+        """Call in which the last set point was accepted."""
         self._candidate = (b"", 0.0, 0, 0)
-        """A publisher that may activate the robot, the stamp of its first set point [s], and the calls in which that and the last came."""
+        """A publisher that may activate the robot: GID, stamp of its first set point [s], and the
+        calls in which its first and its last set point arrived."""
 
     @property
     def session_is_over(self) -> bool:
-        return self.was_active and self._calls - self._heard > self.silence
+        """Whether the robot was active and has accepted no set point for `silence` calls."""
+        return self.was_active and self._calls - self._accepted_at > self.silence
 
     def hold(self, position: Array, orientation: Array) -> None:
-        """Stay at a pose, without velocity."""
+        """Set a pose with zero velocity as the set point."""
         self.position, self.orientation, self.velocity = (
             position.copy(),
             orientation.copy(),
@@ -77,9 +85,12 @@ class BaseLogic:
         delay: float = 0.0,
         stamp: float = 0.0,
     ) -> bool | None:
-        """A set point of this stamp [s], which came `delay` [s] late; `pose` is where the robot is. Whether it is followed; None: not
-        yet, its publisher's have not come for long enough.
+        """Return whether the set point is accepted; None: not yet, the proof is incomplete.
+
+        `pose`: present position and orientation of the robot. `delay` [s]: age of the set point.
+        `stamp` [s]: its time stamp.
         """
+        # Reject invalid values and old set points.
         finite = (
             np.isfinite(position).all()
             and np.isfinite(orientation).all()
@@ -91,6 +102,7 @@ class BaseLogic:
         if delay > self.watchdog * self.period:
             self.refused += 1
             return False
+        # An active robot accepts only its publisher, without jumps.
         if self.life.now is LifeCycle.active:
             step = distance(position, orientation, self.position, self.orientation)
             if publisher != self.publisher or any(
@@ -108,11 +120,11 @@ class BaseLogic:
             orientation.copy(),
             velocity.copy(),
         )
-        self._heard = self._calls
+        self._accepted_at = self._calls
         return True
 
     def refuse(self, publisher: bytes) -> None:
-        """A publisher that has sent while another one was obeyed: it is no new activation when that one ends."""
+        """Reject later activations by a publisher that sent while another one was accepted."""
         if publisher != self.publisher and publisher not in self.used:
             self.used.append(publisher)
 
@@ -130,7 +142,7 @@ class BaseLogic:
         if any(gap > most for gap, most in zip(far, self.jump, strict=True)):
             if not self.refused:
                 self._note(
-                    f"a first set point {far[0]:.4f} m and {far[1]:.4f} rad away was refused"
+                    f"a first set point {far[0]:.4f} m and {far[1]:.4f} rad away was rejected"
                 )
             return False
         if not self._comes_in_time(publisher, stamp):
@@ -142,7 +154,7 @@ class BaseLogic:
         return True
 
     def _comes_in_time(self, publisher: bytes, stamp: float) -> bool:
-        """Whether this publisher's set points have come for long enough as their stamps advance."""
+        """Return whether this publisher's set points have passed the proof."""
         candidate, first, call, last = self._candidate
         passed = self._calls - call
         agrees = abs(stamp - first - passed * self.period) <= self.tolerance * self.period
@@ -152,9 +164,9 @@ class BaseLogic:
         return passed >= self.proof
 
     def tick(self) -> None:
-        """Once every servo cycle, after what came was taken."""
+        """Advance one servo cycle; call it after the received set points were taken."""
         self._calls += 1
-        if self.life.now is LifeCycle.active and self._calls - self._heard > self.watchdog:
+        if self.life.now is LifeCycle.active and self._calls - self._accepted_at > self.watchdog:
             self._to(
                 LifeCycle.safe_stop,
                 f"no set point for {self.watchdog * self.period:g} s; it holds its place",

@@ -1,4 +1,4 @@
-"""Faults on CAN: a bus between a virtual arm and the real one, and what a broken sender's frames look like."""
+"""Faults on CAN: a bus with faults for a virtual arm, and the frames of a faulty sender."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from freeflyer_adapters.facility.link_faults import TAMPERING, LinkFaults, Way
 FAULT_KINDS = ("loss", "delay", "jitter", "duplication", "reordering", "flipped_bits", "wrong_data_id", "stale_stamp",
                "frozen_counter", "out_of_range", "clock_jump", "cut", "bus_off", "hung", "dead", "device_fault")  # fmt: skip
 MOST_FRAMES = 256
-"""Taken from the bus at a time, so that a flood cannot hold a virtual device."""
+"""Maximum number of frames per call, so that a flood cannot block a virtual device."""
 OF_DRIVES = tuple(kind for kind in FAULT_KINDS if kind not in TAMPERING)
 STAMPS = {"to_controller": ("cycle",), "to_device": ("answered_cycle",)}
-"""The roles that say when a frame was made, by way."""
+"""Roles with the cycle number of a frame, by way."""
 EXTREME = {"to_controller": "joint_position", "to_device": "joint_torque_command"}
 
 
 class CanTamper:
-    """See `freeflyer_adapters.facility.link_faults.Tamper`; the frames are command and state (others pass as they are)."""
+    """Tampering with the command and state frames; other frames are unchanged. See `Tamper`."""
 
     def __init__(self, frames: ArmFrames, period: float) -> None:
-        # Frames keep what they packed last: these are the tamperer's own.
+        # A frame object keeps its last packed values, so this class needs separate objects.
         self._frames = {frame.identifier: frame for frame in (frames.command, frames.state)}
         self._cycles, self._period = frames.cycles, period
 
@@ -38,7 +38,7 @@ class CanTamper:
         way: Way,
         packet: can.Message,
         memory: dict[str, Any],
-        lot: random.Random,
+        generator: random.Random,
     ) -> can.Message | None:
         frame = self._frames.get(packet.arbitration_id)
         if frame is None:
@@ -46,19 +46,19 @@ class CanTamper:
         data: bytearray | None
         if fault.kind == "flipped_bits":
             data = bytearray(packet.data)
-            for bit in lot.sample(range(8 * len(data)), min(fault.bits, 8 * len(data))):
+            for bit in generator.sample(range(8 * len(data)), min(fault.bits, 8 * len(data))):
                 data[bit // 8] ^= 1 << bit % 8
         elif fault.kind in ("wrong_data_id", "frozen_counter"):
-            data = self._protected_otherwise(frame, packet, fault, memory)
+            data = self._with_wrong_protection(frame, packet, fault, memory)
         else:
-            data = self._said_otherwise(frame, packet, fault, way, memory)
+            data = self._with_wrong_values(frame, packet, fault, way, memory)
         if data is None:
             return None
         changed = copy.copy(packet)
         changed.data = data
         return changed
 
-    def _protected_otherwise(
+    def _with_wrong_protection(
         self, frame: Frame, packet: can.Message, fault: Fault, memory: dict[str, Any]
     ) -> bytearray | None:
         if frame.data_id is None:
@@ -69,10 +69,10 @@ class CanTamper:
             return _protected(data, frame.data_id, place)
         return _protected(data, frame.data_id ^ 0x0101, place)
 
-    def _said_otherwise(
+    def _with_wrong_values(
         self, frame: Frame, packet: can.Message, fault: Fault, way: Way, memory: dict[str, Any]
     ) -> bytearray | None:
-        """Other values, protected as they should be."""
+        """Return other values with a correct E2E protection."""
         numbers = frame.unpack(packet.data)
         if fault.kind == "out_of_range":
             role = EXTREME[way]
@@ -99,7 +99,7 @@ def _protected(data: bytearray, data_id: int, offset: int) -> bytearray:
 
 
 class Untouched:
-    """A tamper for frames whose content is left alone: classic CAN's own checksum finds what a cable does, and drives have no more."""
+    """No tampering: CiA 402 drives have no protection beyond the CRC of classic CAN."""
 
     def changed(
         self,
@@ -107,23 +107,23 @@ class Untouched:
         way: Way,
         packet: can.Message,
         memory: dict[str, Any],
-        lot: random.Random,
+        generator: random.Random,
     ) -> None:
         return None
 
 
 class FaultyBus:
-    """What a virtual arm's end of the link uses of a bus, with faults in between; `recv` never waits."""
+    """A bus with faults; it has only the methods that virtual devices call. `recv` never waits."""
 
     state = can.BusState.ACTIVE
 
     def __init__(self, bus: can.BusABC, faults: LinkFaults[can.Message]) -> None:
         self.bus, self.faults = bus, faults
         self.silent = False
-        """The device neither sends nor receives; what comes meanwhile is lost."""
+        """The device neither sends nor receives; incoming frames are lost."""
 
     def send(self, message: can.Message) -> None:
-        """CanOperationError while the controller is off the bus."""
+        """Send a frame. Raises CanOperationError in the state bus off."""
         if self.faults.acts("bus_off"):
             raise can.CanOperationError("bus off")
         if not self.silent:
@@ -131,11 +131,12 @@ class FaultyBus:
             self.flush()
 
     def flush(self) -> None:
-        """Send what was held back until now."""
+        """Send the delayed frames that are due."""
         while (message := self.faults.due("to_controller")) is not None:
             self.bus.send(message)
 
     def recv(self, timeout: float = 0.0) -> can.Message | None:
+        """Return the next frame that has passed the faults, or None; `timeout` is ignored."""
         for _ in range(MOST_FRAMES):
             message = self.bus.recv(0.0)
             if message is None:

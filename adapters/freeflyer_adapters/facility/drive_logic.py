@@ -1,6 +1,6 @@
-"""What a virtual CiA 402 drive decides: its state machine, torque, brake and watchdogs; and all drives of an arm together.
+"""Virtual CiA 402 drive: state machine, torque, brake and watchdogs; and the drives of an arm.
 
-No clock is read and nothing is sent here: a tick is a call, at any speed.
+The module reads no clock and sends nothing. One call is one tick.
 """
 
 from __future__ import annotations
@@ -19,54 +19,61 @@ STOPPING = (S.quick_stop_active, S.fault_reaction_active)
 
 
 class DriveLogic:
-    """`tick` [s] is how often `advance` is called; `watchdog`: SYNC periods without SYNC, or without a target, that are one too many.
+    """Controller of one drive; `advance` is called every `tick` [s].
 
-    `torque` [N m] at the joint is what acts: the target in Operation enabled, its own ramp while it stops, else none.
+    `watchdog`: number of SYNC periods without SYNC, or without a target, at which the drive fails.
+    `torque` [N m] at the joint: the target in Operation enabled, the ramp-down while the drive
+    stops, else zero.
     """
 
     def __init__(self, *, tick: float, watchdog: int, ramp: RampDown) -> None:
         self.tick, self.watchdog, self.ramp = tick, watchdog, ramp
-        self.state = S.switch_on_disabled  # transitions 0 and 1: the self-test is passed
+        self.state = S.switch_on_disabled  # after transitions 0 and 1, the self-test
         self.torque = 0.0
         self.error = 0
         self.new_error: int | None = None
-        """An error that nobody was told of yet; 0: all errors are reset."""
+        """Error code for the next EMCY message; 0: all errors are reset. None: no message."""
         self.sync_period = 0.0
-        """[s]; 0 while the host has not written it, and then SYNC is not watched."""
-        self.host_patience = 0.0
-        """Longest time [s] between two heartbeats of the host; 0: not watched."""
+        """[s]; 0: not yet written by the host, and SYNC is not monitored."""
+        self.heartbeat_timeout = 0.0
+        """Longest time [s] between two heartbeats of the host; 0: not monitored."""
         self.syncs = 0
         self._controlword = 0
         self._since_sync = 0
         self._syncs_since_target = 0
         self._since_host = -1
-        """Ticks; -1 before the first heartbeat, as CiA 301 has it."""
+        """Ticks since the last heartbeat; -1 before the first one, as in CiA 301."""
         self._stopping = 0
         self._stopping_torque = 0.0
 
     @property
     def braked(self) -> bool:
-        """The brake holds wherever the drive function is off."""
+        """Whether the brake is engaged: always while the drive function is disabled."""
         return self.state is not S.operation_enabled and self.state not in STOPPING
 
-    def host_is_there(self) -> None:
+    def restart_host_watchdog(self) -> None:
+        """Restart the heartbeat watchdog, after a heartbeat of the host."""
         self._since_host = 0
 
-    def forget_host(self) -> None:
-        """After a reset of communication, or with a new session."""
+    def disarm_host_watchdog(self) -> None:
+        """Disable the watchdog until the next heartbeat, after a reset or for a new session."""
         self._since_host = -1
 
     def synchronise(self, controlword: int | None, target: float) -> None:
-        """A SYNC: what came since the last one acts from now on; None: no RPDO came. `target` [N m] at the joint."""
+        """Handle a SYNC: apply the last controlword and `target` [N m] at the joint.
+
+        `controlword` is None if no RPDO was received since the last SYNC.
+        """
         self.syncs += 1
         self._since_sync = 0
         self._syncs_since_target = 0 if controlword is not None else self._syncs_since_target + 1
         if controlword is not None:
-            self.obey(controlword)
+            self.apply_controlword(controlword)
             if self.state is S.operation_enabled:
                 self.torque = target if np.isfinite(target) else 0.0
 
-    def obey(self, controlword: int) -> None:
+    def apply_controlword(self, controlword: int) -> None:
+        """Make the transition of CiA 402 that the controlword commands, if any."""
         before, self._controlword = self._controlword, controlword
         to = following(self.state, controlword, before)
         if to is self.state:
@@ -82,7 +89,7 @@ class DriveLogic:
         self.state = to
 
     def fail(self, code: int) -> None:
-        """Transition 13: a fault; if torque acts, the drive ramps it down by itself first."""
+        """Go to fault (transition 13); an enabled drive first ramps its torque down."""
         if self.state in (S.fault, S.fault_reaction_active):
             return
         self.error = self.new_error = code
@@ -91,16 +98,16 @@ class DriveLogic:
         self.state = S.fault if self.braked else S.fault_reaction_active
 
     def power_off(self) -> None:
-        """Without power there is no torque, and the brake is engaged."""
+        """Remove the power: zero torque, brake engaged."""
         self.torque, self.state = 0.0, S.switch_on_disabled
 
     def advance(self, velocity: float) -> None:
-        """One tick; `velocity` [rad/s] of the joint."""
+        """Advance one tick; `velocity` [rad/s] of the joint."""
         self._since_sync += 1
         if self._since_host >= 0:
             self._since_host += 1
         if self.state is S.operation_enabled:
-            self._watch()
+            self._check_watchdogs()
         if self.state in STOPPING:
             speed = np.array([velocity])
             elapsed = self._stopping * self.tick
@@ -115,12 +122,12 @@ class DriveLogic:
                     S.fault if self.state is S.fault_reaction_active else S.switch_on_disabled
                 )
 
-    def _watch(self) -> None:
+    def _check_watchdogs(self) -> None:
         if self.sync_period and self._since_sync * self.tick > self.watchdog * self.sync_period:
             self.fail(SYNC_LOST)
         elif self._syncs_since_target >= self.watchdog:
             self.fail(RPDO_LOST)
-        elif self.host_patience and self._since_host * self.tick > self.host_patience:
+        elif self.heartbeat_timeout and self._since_host * self.tick > self.heartbeat_timeout:
             self.fail(HEARTBEAT_LOST)
 
     def _begin_stop(self) -> None:
@@ -129,14 +136,17 @@ class DriveLogic:
 
 
 class DriveGroup:
-    """The drives of one arm, with one circuit for all brakes: they are released while every drive has its function on."""
+    """The drives of one arm with a common brake circuit.
+
+    The brakes are released only while every drive function is enabled.
+    """
 
     def __init__(self, drives: Sequence[DriveLogic], silence: int) -> None:
         self.drives, self.silence = drives, silence
         self.events: list[tuple[int, str]] = []
         self.was_active = False
         self.cycle = 0
-        """Ticks."""
+        """Number of ticks."""
         self._states = [drive.state for drive in drives]
         self._syncs = 0
         self._quiet = 0
@@ -144,39 +154,41 @@ class DriveGroup:
 
     @property
     def braked(self) -> bool:
+        """Whether the common brakes are engaged."""
         return any(drive.braked for drive in self.drives)
 
     @property
     def torque(self) -> Array:
+        """Acting joint torques (n) [N m]."""
         return np.array([drive.torque for drive in self.drives])
 
     @property
     def session_is_over(self) -> bool:
-        """An arm that was enabled, and whose SYNC has gone."""
+        """Whether the arm was enabled and receives no SYNC any more."""
         return self.was_active and not self._has_host
 
     def advance(self, velocity: Array) -> None:
-        """One tick of every drive; `velocity` (n) [rad/s]."""
+        """Advance every drive by one tick; `velocity` (n) [rad/s]."""
         for drive, speed in zip(self.drives, velocity.tolist(), strict=True):
             drive.advance(speed)
         self.cycle += 1
         self.was_active = self.was_active or not self.braked
-        self._listen()
+        self._monitor_sync()
         self._note_changes()
 
-    def _listen(self) -> None:
+    def _monitor_sync(self) -> None:
         syncs = sum(drive.syncs for drive in self.drives)
         self._quiet = 0 if syncs != self._syncs else self._quiet + 1
         if syncs != self._syncs and not self._has_host:
             self._has_host = True
-            self._note("SYNC comes")
+            self._note("SYNC received")
         self._syncs = syncs
         if self._has_host and self._quiet > self.silence:
             self._has_host = False
-            self._note("no SYNC any more")
+            self._note("SYNC lost")
 
     def _note_changes(self) -> None:
-        """One line for all drives that made the same step in the same tick."""
+        """Note one line for all drives with the same transition in the same tick."""
         steps: dict[str, list[int]] = {}
         for j, (drive, before) in enumerate(zip(self.drives, self._states, strict=True)):
             if drive.state is not before:
@@ -184,12 +196,12 @@ class DriveGroup:
                 steps.setdefault(f"{before.value} -> {drive.state.value}{why}", []).append(j + 1)
                 self._states[j] = drive.state
         for step, joints in steps.items():
-            who = (
+            subject = (
                 "all joints"
                 if len(joints) == len(self.drives)
                 else f"joint {', '.join(map(str, joints))}"
             )
-            self._note(f"{who}: {step}")
+            self._note(f"{subject}: {step}")
 
     def _note(self, event: str) -> None:
         self.events.append((self.cycle, event))

@@ -1,7 +1,7 @@
-"""Faults of a virtual facility's links and devices: which there are, and what a scenario says of them.
+"""Kinds of faults of a virtual facility's links and devices, and the scenario tables for them.
 
-`[[facility.faults]]` puts them on schedule, `[facility.random_faults]` draws them with a seed. What a fault does to the packets of a
-link is in `link_faults`; what each transport makes of it, in `can_faults` and `zenoh_faults`.
+`[[facility.faults]]` schedules faults. `[facility.random_faults]` draws them with a seed.
+`link_faults` applies them to packets; `can_faults` and `zenoh_faults` implement each transport.
 """
 
 from __future__ import annotations
@@ -21,7 +21,10 @@ DIRECTIONS: tuple[str, ...] = get_args(Direction)
 
 @dataclass(frozen=True, kw_only=True)
 class Kind:
-    """`takes`: the keys of a fault that mean something to this kind; `whole_device`: it has no direction."""
+    """A kind of fault.
+
+    `takes`: the keys of `Fault` that apply to this kind. `whole_device`: it has no direction.
+    """
 
     description: str
     takes: tuple[str, ...] = ()
@@ -30,48 +33,52 @@ class Kind:
 
 KINDS: Mapping[str, Kind] = {
     "loss": Kind(description="a packet is lost", takes=("probability",)),
-    "delay": Kind(description="every packet comes later by delay_s", takes=("delay_s",)),
-    "jitter": Kind(description="every packet comes later by a random time up to delay_s; the order is kept", takes=("delay_s",)),
-    "duplication": Kind(description="a packet comes twice", takes=("probability",)),
-    "reordering": Kind(description="a packet comes after its successor", takes=("probability",)),
+    "delay": Kind(description="every packet is delayed by delay_s", takes=("delay_s",)),
+    "jitter": Kind(description="every packet is delayed by a random time up to delay_s; the order is kept", takes=("delay_s",)),
+    "duplication": Kind(description="a packet arrives twice", takes=("probability",)),
+    "reordering": Kind(description="a packet arrives after its successor", takes=("probability",)),
     "flipped_bits": Kind(description="bits of a packet are inverted", takes=("probability", "bits")),
-    "wrong_data_id": Kind(description="a packet is somebody else's: another E2E data ID, another publisher's GID", takes=("probability",)),
-    "stale_stamp": Kind(description="cycle number or time stamp stand still, and all else is well"),
-    "frozen_counter": Kind(description="E2E counter or sequence number stands still, and all else is well"),
+    "wrong_data_id": Kind(description="a packet has another sender's ID: another E2E data ID, another publisher's GID", takes=("probability",)),
+    "stale_stamp": Kind(description="cycle number or time stamp does not change; the rest of the packet is correct"),
+    "frozen_counter": Kind(description="E2E counter or sequence number does not change; the rest of the packet is correct"),
     "not_a_number": Kind(description="a packet's values are NaN", takes=("probability",)),
-    "out_of_range": Kind(description="a packet's values are the largest that it can hold", takes=("probability",)),
+    "out_of_range": Kind(description="a packet's values are the largest that its format can represent", takes=("probability",)),
     "clock_jump": Kind(description="the sender's clock (cycle number, or time stamp) jumps by jump_s", takes=("jump_s",)),
-    "cut": Kind(description="the link is cut, and is back after duration_s"),
-    "bus_off": Kind(description="the device's CAN controller is off the bus: it can neither send nor receive", whole_device=True),
-    "hung": Kind(description="the device's own controller stands still: the link is there, what it commanded last acts on", whole_device=True),
-    "dead": Kind(description="the device is without power: brakes, and never a packet again in this session", whole_device=True),
-    "device_fault": Kind(description="the device itself says that it has failed, and brakes", whole_device=True),
+    "cut": Kind(description="the link is interrupted for duration_s"),
+    "bus_off": Kind(description="the device's CAN controller is in the state bus off: it neither sends nor receives", whole_device=True),
+    "hung": Kind(description="the device's own controller hangs: it neither sends nor receives, and its last command continues to act", whole_device=True),
+    "dead": Kind(description="the device has no power: the brakes close, and it sends nothing more in this session", whole_device=True),
+    "device_fault": Kind(description="the device reports a fault of its own and brakes", whole_device=True),
 }  # fmt: skip
 
 MOST = 1000
-"""Random faults of a session."""
+"""Maximum number of random faults in a session."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fault:
-    """One fault of one device; `begin_s` counts from its first activation in a session, None: from the begin, activation included."""
+    """A fault of one device.
+
+    `begin_s` counts from the first activation of the device in a session. None: the fault is
+    active from the start of the session.
+    """
 
     kind: str
     device: str
     direction: Direction = "both"
     begin_s: float | None = None
     duration_s: float = math.inf
-    """Its end; whole cycles."""
+    """Rounded to whole cycles of the facility."""
     probability: float = 1.0
-    """Of every packet."""
+    """Probability for each packet."""
     delay_s: float = 0.01
-    """Whole cycles of the facility, rounded up."""
+    """Rounded up to whole cycles of the facility."""
     bits: int = 1
     jump_s: float = 1.0
     """May be negative."""
 
-    def said(self) -> str:
-        """In one line, as the facility says at its start."""
+    def one_line(self) -> str:
+        """Describe the fault in one line, for the output at the start of the facility."""
         where = "" if KINDS[self.kind].whole_device else f", {self.direction.replace('_', ' ')}"
         when = "always" if self.begin_s is None else f"{self.begin_s:.4g} s after activation"
         lasting = "" if math.isinf(self.duration_s) else f", for {self.duration_s:.4g} s"
@@ -81,14 +88,14 @@ class Fault:
 
 @dataclass(frozen=True, kw_only=True)
 class RandomFaults:
-    """`count` faults that begin within `within_s` of activation and last up to `longest_s`."""
+    """`count` faults that start within `within_s` after activation and last up to `longest_s`."""
 
     seed: int = 1
     count: int = 3
     within_s: float = 5.0
     longest_s: float = 0.3
     kinds: tuple[str, ...] = ()
-    """Empty: all that a device knows."""
+    """Empty: all kinds that a device supports."""
 
 
 ALLOWED = {
@@ -120,7 +127,7 @@ def _fits(key: str, value: Any) -> bool:
 
 
 def read(raw: Any) -> tuple[Fault, ...]:
-    """`[[facility.faults]]`; DeviceError for a key or value that is none."""
+    """Read `[[facility.faults]]`. Raises DeviceError for an invalid key or value."""
     if not isinstance(raw, list) or not all(isinstance(entry, Mapping) for entry in raw):
         raise DeviceError(
             f"[facility] faults is {raw!r}; a list of tables, [[facility.faults]], is expected"
@@ -158,21 +165,21 @@ def _read_one(subject: str, entry: Mapping[str, Any]) -> Fault:
             raise DeviceError(f"{subject}: {key} is {value!r}; {ALLOWED[key]} is expected")
         if key in ALLOWED and key not in (*takes, "begin_s", "duration_s"):
             raise DeviceError(
-                f"{subject}: {key} means nothing to {kind}; it takes {', '.join((*takes, 'begin_s', 'duration_s'))}"
+                f"{subject}: {key} does not apply to {kind}; it takes {', '.join((*takes, 'begin_s', 'duration_s'))}"
             )
     if "duration_s" in entry and "begin_s" not in entry:
         raise DeviceError(
-            f"{subject}: duration_s counts from begin_s, which is missing; without both the fault lasts for ever"
+            f"{subject}: duration_s counts from begin_s, which is missing; without both the fault is permanent"
         )
     if KINDS[kind].whole_device and direction != "both":
         raise DeviceError(
-            f"{subject}: {kind} is of the whole device and has no direction; leave it out"
+            f"{subject}: {kind} affects the whole device and has no direction; remove direction"
         )
     return Fault(**entry)
 
 
 def read_random(raw: Any) -> RandomFaults:
-    """`[facility.random_faults]`; DeviceError for a key or value that is none."""
+    """Read `[facility.random_faults]`. Raises DeviceError for an invalid key or value."""
     if not isinstance(raw, Mapping):
         raise DeviceError(f"[facility] random_faults is {raw!r}; a table is expected")
     known = {f.name: f.default for f in fields(RandomFaults)}
@@ -208,28 +215,32 @@ def read_random(raw: Any) -> RandomFaults:
 
 
 def draw(chosen: RandomFaults, devices: Mapping[str, Sequence[str]]) -> tuple[Fault, ...]:
-    """Faults by lot: the same seed gives the same ones. `devices`: by name, the kinds that each knows."""
-    lot = random.Random(chosen.seed)
+    """Draw random faults; the same seed gives the same faults.
+
+    `devices` maps a device name to its supported kinds. Raises DeviceError if no device supports
+    a chosen kind.
+    """
+    generator = random.Random(chosen.seed)
     offered = [
         (d, k) for d in sorted(devices) for k in devices[d] if not chosen.kinds or k in chosen.kinds
     ]
     if not offered:
         raise DeviceError(
-            "[facility.random_faults] kinds: no device of this facility knows one of them"
+            "[facility.random_faults] kinds: no device of this facility supports any of them"
         )
     drawn = []
     for _ in range(chosen.count):
-        device, kind = lot.choice(offered)
+        device, kind = generator.choice(offered)
         values: dict[str, Any] = {
-            "probability": lot.choice((0.01, 0.05, 0.2, 0.5, 1.0)),
-            "delay_s": lot.choice((0.001, 0.003, 0.01, 0.05)),
-            "bits": lot.choice((1, 2, 3, 8, 64)),
-            "jump_s": lot.choice((-1.0, -0.01, 0.01, 1.0, 3600.0)),
+            "probability": generator.choice((0.01, 0.05, 0.2, 0.5, 1.0)),
+            "delay_s": generator.choice((0.001, 0.003, 0.01, 0.05)),
+            "bits": generator.choice((1, 2, 3, 8, 64)),
+            "jump_s": generator.choice((-1.0, -0.01, 0.01, 1.0, 3600.0)),
         }
-        direction = lot.choice(DIRECTIONS)
-        # Short ones and long ones alike: even on a logarithmic scale.
-        duration = 1e-3 * (chosen.longest_s / 1e-3) ** lot.random()
-        begin = lot.uniform(0.0, chosen.within_s)
+        direction = generator.choice(DIRECTIONS)
+        # Uniform on a logarithmic scale, so that short and long durations are equally frequent.
+        duration = 1e-3 * (chosen.longest_s / 1e-3) ** generator.random()
+        begin = generator.uniform(0.0, chosen.within_s)
         drawn.append(
             Fault(
                 kind=kind,
@@ -244,17 +255,17 @@ def draw(chosen: RandomFaults, devices: Mapping[str, Sequence[str]]) -> tuple[Fa
 
 
 def check(faults: Sequence[Fault], devices: Mapping[str, Sequence[str]]) -> None:
-    """Whether every fault's device is there and knows its kind; DeviceError if not."""
+    """Check devices and kinds. Raises DeviceError for an unknown device or unsupported kind."""
     for fault in faults:
         if fault.device not in devices:
             hint = (
                 did_you_mean(fault.device, devices) or f"; one of {', '.join(devices)} is expected"
             )
             raise DeviceError(
-                f"[[facility.faults]]: device {fault.device!r} is not played here{hint}"
+                f"[[facility.faults]]: device {fault.device!r} is not simulated by this facility{hint}"
             )
         if fault.kind not in devices[fault.device]:
             known = ", ".join(devices[fault.device]) or "none"
             raise DeviceError(
-                f"[[facility.faults]]: {fault.device} has no fault {fault.kind!r}; it knows {known}"
+                f"[[facility.faults]]: {fault.device} does not support the fault {fault.kind!r}; it supports {known}"
             )

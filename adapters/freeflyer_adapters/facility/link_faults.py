@@ -1,4 +1,7 @@
-"""What faults do to the packets of one device's link, whatever the transport: counted in the facility's cycles, without a clock."""
+"""Faults on the packets of a device's link, independent of the transport.
+
+Times are counted in cycles of the facility; the module reads no clock.
+"""
 
 from __future__ import annotations
 
@@ -15,12 +18,15 @@ Way = Literal["to_controller", "to_device"]
 
 
 class Tamper(Protocol[P]):
-    """How a transport's packets are changed. Each call gives a new packet, or None if these packets have nothing of the kind."""
+    """Tampering with the packets of a transport."""
 
     def changed(
-        self, fault: Fault, way: Way, packet: P, memory: dict[str, Any], lot: random.Random
+        self, fault: Fault, way: Way, packet: P, memory: dict[str, Any], generator: random.Random
     ) -> P | None:
-        """`memory` is the fault's own, and empty when it begins."""
+        """Return the changed packet; None if the fault does not apply to this packet.
+
+        `memory` belongs to the fault and is empty when the fault starts.
+        """
 
 
 TAMPERING = (
@@ -36,17 +42,18 @@ TAMPERING = (
 
 @dataclass
 class _Fault:
-    """A fault with its own random numbers, so that one more fault does not change what the others do."""
+    """A fault with separate random numbers, so that faults do not influence each other."""
 
     fault: Fault
     begin: int | None
-    """[cycles since activation]; None: always."""
+    """[cycles since activation]; None: always active."""
     end: float
-    lot: random.Random
+    generator: random.Random
     memory: dict[str, Any]
     acts: bool = False
 
     def move(self, since_active: int | None) -> None:
+        """Update `acts` for a new cycle; clear the memory when the fault starts."""
         acted = self.acts
         if self.begin is None:
             self.acts = True
@@ -57,10 +64,10 @@ class _Fault:
 
 
 class LinkFaults(Generic[P]):
-    """The faults of one device on both ways of its link.
+    """The faults of one device in both directions of its link.
 
-    `begin_cycle` first; then every packet goes through `pass_on`, and what is `due` is what arrives now. `tampered` keeps (way, as
-    it was, as it became) for tests that compare, if `keeps` is set.
+    In every cycle call `begin_cycle`, then `pass_on` for every sent packet, then `due` for the
+    arriving packets. If `keeps` is set, `tampered` stores (way, original, changed) for tests.
     """
 
     def __init__(
@@ -69,12 +76,12 @@ class LinkFaults(Generic[P]):
         self._all = []
         for i, fault in enumerate(faults):
             begin = None if fault.begin_s is None else round(fault.begin_s / period)
-            # One that is shorter than a cycle acts for one.
+            # A fault shorter than a cycle is active for one cycle.
             end = (begin or 0) + max(1.0, fault.duration_s / period)
             self._all.append(
                 _Fault(fault, begin, end, random.Random(f"{seed}/{i}/{fault.kind}"), {})
             )
-        # What a sender gets wrong comes before what happens on the way: nobody protects what a cable has changed.
+        # Flipped bits come last: the cable changes a packet after its sender has protected it.
         self._all.sort(key=lambda one: one.fault.kind == "flipped_bits")
         self.period, self._tamper = period, tamper
         self._queues: dict[Way, deque[tuple[int, P]]] = {
@@ -84,22 +91,22 @@ class LinkFaults(Generic[P]):
         self._overtaken: dict[Way, list[P]] = {"to_controller": [], "to_device": []}
         self._cycle = 0
         self.acted: Counter[str] = Counter()
-        """How many packets each kind has met."""
+        """Number of packets changed by each kind."""
         self.keeps = False
         self.tampered: list[tuple[Way, P, P]] = []
 
     def begin_cycle(self, since_active: int | None) -> None:
-        """`since_active`: cycles since the device became active for the first time in this session."""
+        """Start a cycle; `since_active`: cycles since the first activation in this session."""
         self._cycle += 1
         for one in self._all:
             one.move(since_active)
 
     def acts(self, kind: str) -> bool:
-        """Whether a fault of the whole device acts now."""
+        """Return whether a fault of the whole device is active now."""
         return any(one.acts and one.fault.kind == kind for one in self._all)
 
     def reset(self) -> None:
-        """A new session: nothing is under way."""
+        """Discard all queued packets, for a new session."""
         for way in self._queues:
             self._queues[way].clear()
             self._overtaken[way].clear()
@@ -107,19 +114,23 @@ class LinkFaults(Generic[P]):
             one.acts = False
 
     def pass_on(self, way: Way, packet: P) -> None:
-        """A packet is sent into the link."""
+        """Send a packet into the link."""
+        # Every active fault changes, drops, copies or delays the packet.
         queue, copies, delay, held_back = self._queues[way], 1, 0, False
         for one in self._all:
             fault = one.fault
             if not one.acts or fault.direction not in (way, "both"):
                 continue
-            if "probability" in KINDS[fault.kind].takes and one.lot.random() >= fault.probability:
+            if (
+                "probability" in KINDS[fault.kind].takes
+                and one.generator.random() >= fault.probability
+            ):
                 continue
             if fault.kind in ("loss", "cut"):
                 self.acted[fault.kind] += 1
                 return
             if fault.kind in TAMPERING:
-                changed = self._tamper.changed(fault, way, packet, one.memory, one.lot)
+                changed = self._tamper.changed(fault, way, packet, one.memory, one.generator)
                 if changed is None:
                     continue
                 if self.keeps:
@@ -130,13 +141,13 @@ class LinkFaults(Generic[P]):
             elif fault.kind == "delay":
                 delay += self._cycles(fault.delay_s)
             elif fault.kind == "jitter":
-                delay += self._cycles(one.lot.uniform(0.0, fault.delay_s))
+                delay += self._cycles(one.generator.uniform(0.0, fault.delay_s))
             elif fault.kind == "reordering":
                 held_back = True
             else:
                 continue
             self.acted[fault.kind] += 1
-        # In order: nobody is overtaken on a queue.
+        # Except for reordering, a packet never overtakes an earlier one.
         due = self._cycle + delay
         if queue:
             due = max(due, queue[-1][0])
@@ -149,7 +160,7 @@ class LinkFaults(Generic[P]):
         overtaken.clear()
 
     def due(self, way: Way) -> P | None:
-        """The next packet that arrives now; it is handed out once."""
+        """Remove and return the next packet that arrives now."""
         queue = self._queues[way]
         if queue and queue[0][0] <= self._cycle:
             return queue.popleft()[1]

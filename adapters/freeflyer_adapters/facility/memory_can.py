@@ -1,4 +1,4 @@
-"""A CAN bus within one process, in virtual time: who waits for a frame lets the time pass until there is one."""
+"""A CAN bus in memory and in virtual time; waiting for a frame advances the time."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import can
 
 LONGEST = 10_000
-"""Frames that a node holds unread; then it loses new ones, as a controller does."""
+"""Maximum number of unread frames of a node; further frames are lost, as on a CAN controller."""
 
 
 class Time(Protocol):
@@ -20,7 +20,7 @@ class Time(Protocol):
 
 
 class MemoryBus(can.BusABC):
-    """One node; `nodes` are all of its channel. Frames come at the instant at which they were sent, in order."""
+    """A node of a channel; `nodes` are all its nodes. Frames arrive without delay, in order."""
 
     def __init__(
         self, channel: str, nodes: list[MemoryBus], time: Time, can_filters: Any = None
@@ -39,7 +39,7 @@ class MemoryBus(can.BusABC):
                 node._queue.append(frame)
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
-        """`timeout` [s] of virtual time; None is no time at all."""
+        """Return the next frame or None; `timeout` [s] of virtual time, None means no wait."""
         if not self._queue and timeout:
             self._time.pass_until(timeout, lambda: bool(self._queue))
         return self._queue.popleft() if self._queue else None

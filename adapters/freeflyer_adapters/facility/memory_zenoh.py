@@ -1,4 +1,4 @@
-"""Zenoh sessions within one process, in virtual time: what the links use of a session, and no more."""
+"""Zenoh sessions in memory and in virtual time, with only the methods that the links use."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _numbers = itertools.count(1)
 
 
 class Net:
-    """Everybody's subscribers and tokens."""
+    """Subscribers and liveliness tokens of all sessions."""
 
     def __init__(self) -> None:
         self.subscribers: list[_Subscriber] = []
@@ -43,20 +43,20 @@ class _Reply:
 
 
 class _Subscriber:
-    """The freshest sample only, as RingChannel(1) has it."""
+    """A subscriber that keeps only the latest sample, as RingChannel(1)."""
 
-    def __init__(self, everybody: list[_Subscriber], key: str) -> None:
-        self.key, self._everybody = key, everybody
+    def __init__(self, subscribers: list[_Subscriber], key: str) -> None:
+        self.key, self._subscribers = key, subscribers
         self.sample: _Sample | None = None
-        everybody.append(self)
+        subscribers.append(self)
 
     def try_recv(self) -> _Sample | None:
         sample, self.sample = self.sample, None
         return sample
 
     def undeclare(self) -> None:
-        if self in self._everybody:
-            self._everybody.remove(self)
+        if self in self._subscribers:
+            self._subscribers.remove(self)
 
 
 class _Publisher:
@@ -76,13 +76,13 @@ class _Token:
     def __init__(self, net: Net, key: str) -> None:
         self._net, self._number, self._key = net, next(_numbers), key
         net.tokens[self._number] = key
-        self._tell(zenoh.SampleKind.PUT)
+        self._notify(zenoh.SampleKind.PUT)
 
     def undeclare(self) -> None:
         if self._net.tokens.pop(self._number, None):
-            self._tell(zenoh.SampleKind.DELETE)
+            self._notify(zenoh.SampleKind.DELETE)
 
-    def _tell(self, kind: zenoh.SampleKind) -> None:
+    def _notify(self, kind: zenoh.SampleKind) -> None:
         for subscriber in self._net.token_subscribers:
             if zenoh.KeyExpr(subscriber.key).intersects(zenoh.KeyExpr(self._key)):
                 subscriber.sample = _Sample(self._key, _Bytes(b""), None, kind)
@@ -106,7 +106,7 @@ class _Liveliness:
 
 
 class MemorySession:
-    """See `zenoh.Session`; endpoints mean nothing here: everybody meets everybody of the same `Net`."""
+    """A session like `zenoh.Session`; all sessions of a `Net` are connected, without endpoints."""
 
     def __init__(self, net: Net) -> None:
         self._net, self._number = net, next(_numbers)
@@ -116,7 +116,7 @@ class MemorySession:
         return self
 
     def peers_zid(self) -> list[str]:
-        """Everybody is in this process."""
+        """Return one peer, because all peers are in this process."""
         return ["here"]
 
     def routers_zid(self) -> list[str]:

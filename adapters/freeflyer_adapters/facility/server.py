@@ -1,7 +1,8 @@
-"""The virtual facility: the scenario's device models behind the devices' own protocols, in a process of its own.
+"""Virtual facility: the device models of a scenario, connected by the protocols of the devices.
 
-Which models, with which parameters, and how they act on each other is the scenario's; what joins them to the controllers goes over
-the wire. Its time is its own cycle count: a process that was held up goes on where it was, so that what is lost, is lost on a link.
+The facility runs in a separate process. The scenario defines the models, their parameters and the
+connections between them. All connections to the controllers are links. Time is the number of
+cycles: a delayed process skips no cycle, so that data is lost only on a link.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from freeflyer_adapters.facility.virtual_device import VirtualDevice
 from freeflyer_adapters.foundation.pacing import Pacer
 
 LONGEST = 7 * 24 * 3600 * SECOND
-"""A session's end at the latest [ns]."""
+"""Longest session [ns]."""
 
 
 Factory = Callable[[str, Mapping[str, Any], Path, FacilitySettings, float], VirtualDevice[Any]]
@@ -56,16 +57,16 @@ class _Outgoing(PythonComponent):
 
 
 class _SessionEnd:
-    """An instant hook: reports what the devices' own controllers decided, and ends a session."""
+    """An instant hook that reports the events of the devices and ends a session."""
 
-    def __init__(self, devices: list[VirtualDevice[Any]], say: Callable[[str], None]) -> None:
-        self.devices, self.say = devices, say
-        self._told = [0] * len(devices)
+    def __init__(self, devices: list[VirtualDevice[Any]], log: Callable[[str], None]) -> None:
+        self.devices, self.log = devices, log
+        self._reported = [0] * len(devices)
 
     def before(self, k: int) -> str | None:
         if k % 10 == 0:
-            self.tell()
-            # Every device that took part must have lost its controller; one that did not take part does not hold the others up.
+            self.report()
+            # A session ends when every device that was active has lost its controller.
             moved = [device for device in self.devices if not device.is_idle]
             if moved and all(device.session_is_over for device in moved):
                 return "session over"
@@ -74,12 +75,12 @@ class _SessionEnd:
     def after(self, k: int) -> None:
         pass
 
-    def tell(self) -> None:
+    def report(self) -> None:
         for i, device in enumerate(self.devices):
             events = device.events
-            for cycle, event in events[self._told[i] :]:
-                self.say(f"{device.name}, cycle {cycle}: {event}")
-            self._told[i] = len(events)
+            for cycle, event in events[self._reported[i] :]:
+                self.log(f"{device.name}, cycle {cycle}: {event}")
+            self._reported[i] = len(events)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,14 +93,18 @@ class Prepared:
 
 
 class Facility:
-    """Opens the links; `run` serves one session after another until it is interrupted."""
+    """A facility with open links; `run` serves one session after another until interrupted.
+
+    Raises DeviceError if the scenario or its table [facility] does not fit. Call `close` at the
+    end.
+    """
 
     def __init__(self, scenario: Scenario, fmi: int | None = None) -> None:
-        # A simulated device is played by the host itself.
+        # The host itself simulates the devices of kind "simulated".
         played = [spec for spec in scenario.devices if spec.kind != SIMULATED]
         if not played:
             raise DeviceError(
-                f"scenario {scenario.name} has no [devices.NAME]: there is nothing for a virtual facility to play"
+                f"scenario {scenario.name} has no [devices.NAME]: there is nothing for a virtual facility to simulate"
             )
         self.scenario, self.fmi = scenario, fmi
         self.settings = facility_settings.read(scenario.facility)
@@ -108,7 +113,7 @@ class Facility:
         self.devices: list[VirtualDevice[Any]] = []
         self.history: list[dict[str, Any]] = []
         self.outcome: Outcome | None = None
-        """Of the last session."""
+        """Outcome of the last session."""
         self._prepared: Prepared | None = None
         factories = {spec.name: _factory(spec.name, spec.kind) for spec in played}
         self.settings = _with_drawn_faults(self.settings, factories)
@@ -124,44 +129,50 @@ class Facility:
                         seconds(self.period),
                     )
                 )
-            # What cannot be put together is refused now, and not when somebody connects.
+            # Build the models now, so that errors are raised before a controller connects.
             self._prepared = self._prepare()
         except BaseException:
             self.close()
             raise
 
-    def run(self, say: Callable[[str], None]) -> Outcome:
-        """In real time, until Ctrl-C or SIGTERM, or until a model fails; the last session's outcome."""
-        with interrupts() as asked:
-            for _ in self.cycles(say, asked):
+    def run(self, log: Callable[[str], None]) -> Outcome:
+        """Run in real time until Ctrl-C, SIGTERM or the failure of a model.
+
+        Return the outcome of the last session. `log` receives one line per event.
+        """
+        with interrupts() as received:
+            for _ in self.cycles(log, received):
                 self.pacer.wait()
         assert self.outcome is not None
         return self.outcome
 
     def cycles(
-        self, say: Callable[[str], None], asked: Sequence[float] = ()
+        self, log: Callable[[str], None], interruptions: Sequence[float] = ()
     ) -> Generator[None, None, None]:
-        """One cycle after another, session after session, for who has the time in hand; until something is in `asked`."""
+        """Run all sessions and yield after every cycle; the caller controls the time.
+
+        The facility ends when `interruptions` is not empty, or when a model fails.
+        """
         while True:
-            outcome = self.outcome = yield from self._session(say, asked)
+            outcome = self.outcome = yield from self._session(log, interruptions)
             if outcome.failed or outcome.diverged:
-                say(f"the model failed: {outcome.cause}")
+                log(f"the model failed: {outcome.cause}")
             if outcome.interrupted or outcome.failed or outcome.diverged:
                 return
-            say("the controller has gone; the robots return to their start poses")
+            log("the controller has disconnected; the robots return to their start poses")
 
     def _session(
-        self, say: Callable[[str], None], asked: Sequence[float]
+        self, log: Callable[[str], None], interruptions: Sequence[float]
     ) -> Generator[None, None, Outcome]:
         prepared, self._prepared = self._prepared or self._prepare(), None
         with prepared.stack:
             master, values = prepared.master, prepared.values
             for device in self.devices:
                 device.begin_session(values[device.name])
-            end = _SessionEnd(self.devices, say)
+            end = _SessionEnd(self.devices, log)
             outcome = master.outcome()
-            yield from master.instants(outcome, asked, hooks=[end])
-            end.tell()
+            yield from master.instants(outcome, interruptions, hooks=[end])
+            end.report()
             self.history.append({
                 "ended": outcome.cause or "interrupted",
                 "cycles": outcome.steps[f"{self.devices[0].name}_outgoing"],
@@ -176,7 +187,7 @@ class Facility:
 
     @contextmanager
     def _models(self) -> Iterator[tuple[Master, dict[str, dict[str, Array]]]]:
-        """A master over the device models with their ends of the wires, and every model's parameters."""
+        """Yield a master with the device models and link ends, and the parameters of each model."""
         scenario, names = self.scenario, [device.name for device in self.devices]
         everything: dict[str, Component] = {}
         try:
@@ -184,12 +195,14 @@ class Facility:
                 everything[spec.name] = assemble.make(spec, scenario.directory, self.fmi)
             values = parameters.resolve(scenario, everything)
             models = {name: everything[name] for name in names}
+            # Order of a cycle: receive commands, step the models, send measurements.
             components: dict[str, Component] = {}
             for device in self.devices:
                 components[f"{device.name}_incoming"] = _Incoming(device)
             components |= models
             for device in self.devices:
                 components[f"{device.name}_outgoing"] = _Outgoing(device)
+            # A link end has the period of the facility.
             steps = parameters.steps(scenario, everything, values)
             plan = schedule.build(
                 {name: steps.get(name, self.period) for name in components},
@@ -199,6 +212,7 @@ class Facility:
             )
             master = Master(graph.build(components, self._connections()), plan)
             master.initialise({name: values[name] for name in names})
+            # A device needs every parameter, those with default values included.
             full = {
                 name: {
                     p.name: parameters.current(everything, values, name, p.name)
@@ -215,7 +229,7 @@ class Facility:
 
     def _connections(self) -> list[Connection]:
         names = {device.name for device in self.devices}
-        # What joins two devices is physics, and stays; all else that they are given or give goes over the wire.
+        # Connections between two device models are physics; all other connections are links.
         joined = [
             c
             for c in self.scenario.connections
@@ -237,12 +251,13 @@ class Facility:
         return joined
 
     def report(self) -> dict[str, Any]:
+        """Return faults, sessions, counters and times for the result file."""
         histograms = {
             name: h.summary() for device in self.devices for name, h in device.histograms().items()
         }
         return {
             "scenario": self.scenario.name,
-            "faults": [fault.said() for fault in self.settings.faults],
+            "faults": [fault.one_line() for fault in self.settings.faults],
             "sessions": self.history,
             "own_overruns": self.pacer.overruns,
             "devices": {device.name: dict(device.report()) for device in self.devices},
@@ -250,6 +265,7 @@ class Facility:
         }
 
     def close(self) -> None:
+        """Close the models and all links."""
         if self._prepared is not None:
             self._prepared.stack.close()
         for device in self.devices:
@@ -258,7 +274,7 @@ class Facility:
 
 
 def _cycle(scenario: Scenario) -> int:
-    """The device models' smallest step [ns]."""
+    """Return the smallest step of the device models [ns]."""
     names = {spec.name for spec in scenario.devices}
     steps = [
         spec.step
@@ -267,7 +283,7 @@ def _cycle(scenario: Scenario) -> int:
     ]
     if not steps:
         raise DeviceError(
-            f"scenario {scenario.name}: the step of its device models must be a number, to be the facility's cycle"
+            f"scenario {scenario.name}: at least one device model needs a number as its step; the smallest one is the facility's cycle"
         )
     return min(steps)
 
@@ -276,7 +292,7 @@ def _factory(name: str, kind: str) -> Factory:
     points = plugins("freeflyer.virtual_devices")
     if kind not in points:
         raise DeviceError(
-            f"device {name}: no virtual device plays the kind {kind!r}{did_you_mean(kind, points)}"
+            f"device {name}: no virtual device for the kind {kind!r}{did_you_mean(kind, points)}"
         )
     found: Factory = load(points[kind])
     return found
@@ -285,7 +301,7 @@ def _factory(name: str, kind: str) -> Factory:
 def _with_drawn_faults(
     settings: FacilitySettings, factories: Mapping[str, Factory]
 ) -> FacilitySettings:
-    """Scheduled and random faults in one list, checked against what the devices can play."""
+    """Return settings with scheduled and random faults, checked against the device kinds."""
     kinds: dict[str, tuple[str, ...]] = {
         name: getattr(factory, "fault_kinds", ()) for name, factory in factories.items()
     }

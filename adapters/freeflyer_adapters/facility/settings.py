@@ -1,4 +1,4 @@
-"""The scenario's table `[facility]`: how the virtual devices' own controllers behave."""
+"""Scenario table `[facility]`: settings of the controllers of the virtual devices."""
 
 from __future__ import annotations
 
@@ -16,42 +16,45 @@ WATCHDOG_CYCLES, WATCHDOG = (
     ("watchdog_cycles", "arm_watchdog_cycles"),
     ("watchdog", "base_watchdog_s"),
 )
-"""The controllers' parameter, and the key of [facility]."""
+"""Parameter of a device, and key of [facility]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FacilitySettings:
-    """Defaults are this project's; no real facility's are known."""
+    """Settings of a virtual facility. The default values do not describe a real facility."""
 
     arm_watchdog_cycles: int = 4
-    """Age of the last command at which the arm goes to safe stop, so that it is safe within five cycles."""
+    """Age of the last command at which the arm goes to safe stop; a stop within five cycles."""
     base_watchdog_s: float = 0.02
-    """Without a set point for so long the base holds its place."""
+    """Time without a set point after which the base holds its position."""
     forget_after_s: float = 1.0
-    """Silence after which a controller is forgotten; then the robots return to their start poses."""
+    """Time without a message after which a session ends and the robots return to their start
+    poses."""
     base_jump_m: float = 0.01
     base_jump_rad: float = 0.02
-    """How far from the robot a first set point may be."""
+    """Largest distance and angle between the robot and a first set point."""
     measure_every: int = 4
-    """Base measurements are published every so many arm cycles."""
+    """Arm cycles between two measurements of the base."""
     describe_every: int = 100
-    """The arm describes itself every so many cycles while it is not active."""
+    """Cycles between two description frames of an arm that is not active."""
     ramp_down_time_s: float = 0.25
     ramp_down_damping: float = 5.0
     """[N m s/rad]"""
     seed: int = 1
-    """Of everything random in the faults."""
+    """Seed of all random numbers of the faults."""
     faults: tuple[Fault, ...] = ()
     random_faults: RandomFaults | None = None
 
     def faults_of(self, device: str) -> tuple[Fault, ...]:
+        """Return the faults of a device."""
         return tuple(fault for fault in self.faults if fault.device == device)
 
 
 def with_watchdogs(scenario: Scenario) -> Scenario:
-    """The controllers' side of a scenario whose [facility] names the devices' watchdogs: the fact is stated once, for both ends.
+    """Return the scenario with the watchdogs of [facility] as device parameters.
 
-    A device's own parameter `watchdog_cycles` (arm) or `watchdog` (base) comes before it. DeviceError for a wrong table.
+    The controllers then use the same watchdogs as the facility. A parameter `watchdog_cycles`
+    (arm) or `watchdog` (base) of a device has priority. Raises DeviceError for an invalid table.
     """
     settings = read(scenario.facility)
     known = {"can_arm": WATCHDOG_CYCLES, "cia402_arm": WATCHDOG_CYCLES, "zenoh_base": WATCHDOG}
@@ -67,7 +70,7 @@ def with_watchdogs(scenario: Scenario) -> Scenario:
 
 
 def read(raw: Mapping[str, Any]) -> FacilitySettings:
-    """DeviceError for a key or value that is none."""
+    """Read the table [facility]. Raises DeviceError for an invalid key or value."""
     known = {f.name: f for f in fields(FacilitySettings)}
     readers: Mapping[str, Callable[[Any], Any]] = {
         "faults": faults.read,

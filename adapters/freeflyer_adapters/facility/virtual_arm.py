@@ -1,4 +1,7 @@
-"""The arm's end of the CAN link, in front of an arm model: the same frames, protection and watchdog as a real arm's."""
+"""Virtual arm: the device end of the CAN link, connected to an arm model.
+
+Frames, E2E protection and watchdog are those of a real arm.
+"""
 
 from __future__ import annotations
 
@@ -25,12 +28,12 @@ from freeflyer_adapters.foundation import environment
 from freeflyer_adapters.foundation.histogram import Histogram
 
 MOST_FRAMES = 256
-"""Taken in a cycle."""
+"""Maximum number of frames per cycle."""
 SENSED = ("joint_position", "joint_velocity", "joint_torque")
 
 
 class VirtualArm(VirtualDevice[ArmLogic]):
-    """`receive` at the begin of a cycle, then the model's step, then `send`."""
+    """A virtual arm with one CAN command frame and one state frame per cycle."""
 
     fault_kinds = FAULT_KINDS
 
@@ -50,9 +53,10 @@ class VirtualArm(VirtualDevice[ArmLogic]):
         self.frames.check_activation(name, self.options.implicit)
         if settings.arm_watchdog_cycles >= self.frames.cycles // 2:
             raise DeviceError(
-                f"[facility] arm_watchdog_cycles is {settings.arm_watchdog_cycles}, but cycle numbers of {name} count to {self.frames.cycles} "
-                f"only; less than half of that is expected"
+                f"[facility] arm_watchdog_cycles is {settings.arm_watchdog_cycles}; less than half of the {self.frames.cycles} cycle numbers "
+                f"of {name} is expected"
             )
+        # Ports towards the model.
         self.commands = (
             Port(
                 name="joint_torque_command",
@@ -70,11 +74,12 @@ class VirtualArm(VirtualDevice[ArmLogic]):
             Port(name=s, size=n, causality="input", units=(units[s],) * n) for s in SENSED
         )
         self.round_trip = Histogram()
-        """From sending a state frame until its answer was taken by the system."""
+        """Time from sending a state frame to the receive time stamp of its answer."""
         self._before: dict[str, float] = {}
         self._velocity = np.zeros(n)
         self._limits: dict[str, list[float]] = {}
         self._sent_at = 0.0
+        # The link, with faults between bus and device.
         self.logic = self._first_logic()
         seen = [self.frames.command]
         self.faults = LinkFaults(
@@ -107,7 +112,7 @@ class VirtualArm(VirtualDevice[ArmLogic]):
         )
 
     def begin_session(self, parameters: Mapping[str, Array]) -> None:
-        """The model's parameters, in which its limits are; the cycle number runs on."""
+        """Start a session with the limits of the model; the cycle number continues."""
         self._limits = {
             role: list(map(float, parameters[role])) for role in LIMIT_ROLES if role in parameters
         }
@@ -132,7 +137,7 @@ class VirtualArm(VirtualDevice[ArmLogic]):
         self.logic.fail("a drive has failed")
 
     def _commands(self) -> list[Command]:
-        """What came since the last state frame, as far as a cycle has time for it."""
+        """Return the commands since the last state frame, at most `MOST_FRAMES`."""
         commands = []
         for _ in range(MOST_FRAMES):
             message = self._next()
@@ -201,12 +206,12 @@ class VirtualArm(VirtualDevice[ArmLogic]):
         }
 
     def _totals(self) -> dict[str, float]:
-        """Over all sessions."""
+        """Return the counters over all sessions."""
         return {
             "commands_late_or_lost": self._before.get("commands_late_or_lost", 0.0)
             + self.logic.total_lost,
             "commands_of_strangers": self._before.get("commands_of_strangers", 0.0)
-            + self.logic.strangers,
+            + self.logic.foreign,
             "commands_beyond_limits": self._before.get("commands_beyond_limits", 0.0)
             + self.logic.excessive,
             "commands_outside_active": self._before.get("commands_outside_active", 0.0)

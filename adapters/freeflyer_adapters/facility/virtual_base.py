@@ -1,4 +1,4 @@
-"""The base robot's end of the Zenoh link, in front of a base-robot model."""
+"""Virtual base robot: the device end of the Zenoh link, connected to a base-robot model."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from freeflyer_adapters.facility.zenoh_faults import FAULT_KINDS, FaultyOdometry
 from freeflyer_adapters.foundation.pose import twist_rotated
 
 PROOF = 0.04
-"""[s] in which set points must have come as their stamps advance before the first is followed."""
+"""[s] for which set points must arrive at the rate of their stamps before one is accepted."""
 
 
 class VirtualBase(VirtualDevice[BaseLogic]):
-    """`receive` at the begin of a cycle, then the model's step, then `send`. It listens where the host connects to."""
+    """A virtual base robot. It listens on the endpoints to which the host connects."""
 
     fault_kinds = FAULT_KINDS
 
@@ -42,6 +42,7 @@ class VirtualBase(VirtualDevice[BaseLogic]):
     ) -> None:
         self.name, self.settings, self.period = name, settings, period
         self.options = o = link_options.options_from(name, raw, directory)
+        # Ports towards the model.
         self.commands = (
             Port(
                 name="position_setpoint", size=3, causality="output", units=("m",) * 3, sampled=True
@@ -67,8 +68,9 @@ class VirtualBase(VirtualDevice[BaseLogic]):
             ),
             Port(name="base_velocity", size=6, causality="input", units=TWIST),
         )
+        # The controller, then the session with the link and its faults.
         self._used: deque[bytes] = deque(maxlen=MOST_USED)
-        """Publishers that are used up, in all sessions."""
+        """Expired publishers of all sessions."""
         self.logic = self._new_logic()
         self._pose = (np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))
         self._calls = 0
@@ -90,7 +92,7 @@ class VirtualBase(VirtualDevice[BaseLogic]):
         )
 
     def begin_session(self, parameters: Mapping[str, Array]) -> None:
-        """The model's start pose, which is held until set points come."""
+        """Start a session; the robot holds the model's start pose until set points arrive."""
         self.logic = self._new_logic()
         self.begin_faults(self.faults, self._link)
         self._link.reset_source()
@@ -117,7 +119,7 @@ class VirtualBase(VirtualDevice[BaseLogic]):
         self.logic.hold(*self._pose)
 
     def _take(self, received: Received) -> bool | None:
-        """Only a publisher whose set point is followed is listened to."""
+        """Return whether the set point is accepted; None: not yet. See `BaseLogic.take`."""
         odometry = received.odometry
         if not is_usable(odometry):
             return False

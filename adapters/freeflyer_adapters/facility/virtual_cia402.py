@@ -1,8 +1,9 @@
-"""Virtual CiA 402 drives, one CANopen node a joint on one bus, in front of an arm model.
+"""Virtual CiA 402 drives, connected to an arm model: one bus, one CANopen node per joint.
 
-canopen's LocalNode gives the SDO server, the object dictionary and the NMT slave. It sends no PDO on SYNC, and its heartbeat is a
-thread: both are done here, by the facility's own cycle. Within a cycle every frame that came is taken in its order; a SYNC latches
-the measurements of the last cycle into the TPDOs, which go out at once, and the targets that came before it act from then on.
+LocalNode of canopen provides the SDO server, the object dictionary and the NMT slave. It sends no
+PDO on SYNC, and its heartbeat is a thread. This module therefore sends PDOs and heartbeats in the
+cycle of the facility. In a cycle all received frames are handled in their order. A SYNC sends the
+measurements of the last cycle as TPDOs and applies the targets that were received before it.
 """
 
 from __future__ import annotations
@@ -34,14 +35,14 @@ from freeflyer_adapters.foundation.histogram import Histogram
 
 INITIALISING, PRE_OPERATIONAL, OPERATIONAL = 0, 127, 5
 MOST_TORQUE = 3000
-"""6072h: peak over rated torque [per mille], usual for servo motors."""
+"""6072h: peak torque as a fraction of the rated torque [per mille], typical for servo motors."""
 VALUE_RANGE, WRONG_STATE = 0x06090030, 0x08000022
 """SDO abort codes."""
 MEASURED = (objects.POSITION.index, objects.VELOCITY.index, objects.ACTUAL_TORQUE.index)
 
 
 class VirtualDrive:
-    """One node: canopen's local node around a `DriveLogic`."""
+    """A CANopen node: a `DriveLogic` with the local node of canopen."""
 
     def __init__(
         self,
@@ -61,7 +62,7 @@ class VirtualDrive:
         network.add_node(self.node)
         self._network = network
         self._pending: dict[int, int] = {}
-        """Objects of the RPDO that came since the last SYNC."""
+        """Objects of the RPDOs since the last SYNC."""
         self._since_heartbeat = 0.0
         self._was_operational = False
         for maps in (self.node.rpdo, self.node.tpdo):
@@ -70,7 +71,7 @@ class VirtualDrive:
         self._power_on()
 
     def _power_on(self) -> None:
-        """Objects as the drive's nameplate and defaults have them; a boot-up message is due."""
+        """Set the objects to nameplate and default values; a boot-up message follows."""
         m = self.motor
         self.node.data_store.clear()
         for entry, value in (
@@ -85,7 +86,7 @@ class VirtualDrive:
         self.node.nmt._state = INITIALISING
 
     def set(self, entry: Entry, value: int) -> None:
-        """An object's value, past access rights: the drive's own."""
+        """Set an object from inside the drive, without a check of access rights."""
         variable = self.node.object_dictionary.get_variable(entry.index, entry.sub)
         assert variable is not None
         self.node.data_store.setdefault(entry.index, {})[entry.sub] = variable.encode_raw(value)
@@ -107,7 +108,7 @@ class VirtualDrive:
         return self.raw.get(index)
 
     def _written(self, *, index: int, subindex: int, od: Any, data: bytes) -> None:
-        """What a host writes by SDO, before it is stored; an abort refuses it."""
+        """Check an SDO download before canopen stores it. Raises SdoAbortedError to reject it."""
         value = int.from_bytes(
             data, "little", signed=index in (objects.MODE.index, objects.QUICK_STOP.index)
         )
@@ -118,12 +119,12 @@ class VirtualDrive:
         if 0x1400 <= index < 0x1C00 and self.node.nmt._state == OPERATIONAL:
             raise SdoAbortedError(WRONG_STATE)
         if index == objects.CONTROLWORD.index:
-            self.logic.obey(value)
+            self.logic.apply_controlword(value)
 
     # Frames
 
     def _take(self, pdo: Any) -> None:
-        """An RPDO came: its objects act with the next SYNC, or now if it is not of the synchronous kind."""
+        """Store the objects of an RPDO for the next SYNC; apply an asynchronous RPDO now."""
         if (
             self.node.nmt._state != OPERATIONAL
             or pdo not in self.node.rpdo.values()
@@ -135,6 +136,7 @@ class VirtualDrive:
             self._apply()
 
     def on_sync(self) -> None:
+        """Send the synchronous TPDOs, then apply the last RPDO."""
         if self.node.nmt._state != OPERATIONAL:
             return
         for pdo in self.node.tpdo.values():
@@ -156,29 +158,30 @@ class VirtualDrive:
         return self.logic.error if index == objects.ERROR_CODE.index else 0
 
     def _apply(self) -> None:
-        word, raw = (
+        controlword, raw = (
             self._pending.get(objects.CONTROLWORD.index),
             self._pending.get(objects.TARGET_TORQUE.index, 0),
         )
         most = self.get(objects.MAX_TORQUE)
         has_mode = self.get(objects.MODE) == objects.CYCLIC_SYNCHRONOUS_TORQUE
         target = min(max(raw, -most), most) * self.motor.torque_step if has_mode else 0.0
-        self.logic.synchronise(word, target)
+        self.logic.synchronise(controlword, target)
         self._pending.clear()
 
     def on_host_heartbeat(self, can_id: int) -> None:
+        """Restart the watchdog if the heartbeat is that of the host in object 1016h."""
         watched = self.get(objects.CONSUMER_HEARTBEAT)
-        self.logic.host_patience = 1e-3 * (watched & 0xFFFF)
+        self.logic.heartbeat_timeout = 1e-3 * (watched & 0xFFFF)
         if can_id == process_data.HEARTBEAT + (watched >> 16 & 0x7F):
-            self.logic.host_is_there()
+            self.logic.restart_host_watchdog()
 
     def advance(self) -> None:
-        """Once a tick: NMT, heartbeat, EMCY."""
+        """Handle NMT, heartbeat and EMCY; called once per tick."""
         nmt = self.node.nmt
         if nmt._state == INITIALISING:
             self._power_on()
-            self.logic.forget_host()
-            nmt.send_command(0x81)  # of a slave: its boot-up message
+            self.logic.disarm_host_watchdog()
+            nmt.send_command(0x81)  # a slave sends its boot-up message
             nmt.state = "PRE-OPERATIONAL"
         if (nmt._state == OPERATIONAL) != self._was_operational:
             self._was_operational = nmt._state == OPERATIONAL
@@ -193,7 +196,7 @@ class VirtualDrive:
             self.logic.new_error = None
 
     def _start(self) -> None:
-        """NMT start: PDOs as they were mapped (canopen reads its own dictionary)."""
+        """Read the PDO mapping from the local dictionary at NMT start."""
         for maps in (self.node.rpdo, self.node.tpdo):
             for pdo in maps.values():
                 try:
@@ -204,13 +207,13 @@ class VirtualDrive:
         self.logic.sync_period = 1e-6 * self.get(objects.SYNC_PERIOD)
 
     def _leave(self) -> None:
-        """Out of NMT state operational PDOs are dead: a drive with torque on stops by itself."""
+        """Stop an enabled drive, because outside NMT state operational it receives no PDO."""
         if not self.logic.braked:
             self.logic.fail(objects.SYNC_LOST)
 
 
 class VirtualCia402(VirtualDevice[DriveGroup]):
-    """`receive` at the begin of a cycle, then the model's step, then `send`."""
+    """A virtual arm of CiA 402 drives."""
 
     fault_kinds = OF_DRIVES
 
@@ -227,6 +230,7 @@ class VirtualCia402(VirtualDevice[DriveGroup]):
         self.options = o = options_from(name, raw, directory)
         n = o.joints
         self.scaling = Scaling(o.motors)
+        # Ports towards the model.
         self.commands = (
             Port(
                 name="joint_torque_command",
@@ -245,7 +249,8 @@ class VirtualCia402(VirtualDevice[DriveGroup]):
         )
         self.syncs = 0
         self.answers = Histogram()
-        """From the kernel's stamp on a SYNC until all TPDOs were handed over."""
+        """Time from the kernel's time stamp of a SYNC to the sending of the last TPDO."""
+        # The bus with faults, and one node per joint on it.
         self._velocity = np.zeros(n)
         self.logic = self._new_logic()
         self.faults = LinkFaults(settings.faults_of(name), period, settings.seed, Untouched())
@@ -263,6 +268,7 @@ class VirtualCia402(VirtualDevice[DriveGroup]):
         except BaseException:
             network.disconnect()
             raise
+        # A heartbeat of any other node may be that of the host.
         network.subscribe(process_data.SYNC, self._on_sync)
         for node in range(1, 128):
             if node not in o.node_ids:
@@ -278,7 +284,7 @@ class VirtualCia402(VirtualDevice[DriveGroup]):
         return DriveGroup(drives, round(s.forget_after_s / self.period))
 
     def begin_session(self, parameters: Mapping[str, Array]) -> None:
-        """The robot is back at its start pose, and the drives are switched off and on: they boot."""
+        """Start a session: the robot is at its start pose, and the drives restart."""
         self.logic = self._new_logic()
         self.begin_faults(self.faults, self._bus)
         self._velocity[:] = 0.0
@@ -287,7 +293,7 @@ class VirtualCia402(VirtualDevice[DriveGroup]):
             drive.node.nmt._state = INITIALISING
 
     def fail(self, joint: int = 1, code: int = 0x2310) -> None:
-        """A fault on demand: joint from 1, error code of CiA 402."""
+        """Cause a fault: joint from 1, error code of CiA 402."""
         self.logic.drives[joint - 1].fail(code)
 
     def power_off(self) -> None:

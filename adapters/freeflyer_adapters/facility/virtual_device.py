@@ -1,4 +1,4 @@
-"""What the virtual facility asks of a device's end of a link."""
+"""Interface of a virtual device: the device end of a link."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from freeflyer_adapters.foundation.histogram import Histogram
 
 
 class Logic(Protocol):
-    """What the device's own controller decides, as far as a session needs it."""
+    """Controller of a virtual device."""
 
     events: list[tuple[int, str]]
-    """Cycle and what happened."""
+    """Cycle and event."""
     was_active: bool
 
     @property
@@ -31,21 +31,25 @@ L = TypeVar("L", bound=Logic)
 
 
 class VirtualDevice(ABC, Generic[L]):
-    """`receive` at the begin of a cycle, then the model's step, then `send`; `begin_session` before the first."""
+    """A virtual device.
+
+    The facility calls `begin_session` first. Every cycle is `receive`, the step of the model, and
+    `send`.
+    """
 
     name: str
     fault_kinds: ClassVar[tuple[str, ...]] = ()
-    """Those of `freeflyer_adapters.facility.faults.KINDS` that it can play."""
+    """Supported kinds of `freeflyer_adapters.facility.faults.KINDS`."""
     logic: L
     commands: tuple[Port, ...]
-    """What comes over the wire for the model's inputs."""
+    """Received values for inputs of the model."""
     measurements: tuple[Port, ...]
-    """What goes over the wire of the model's outputs."""
+    """Sent values from outputs of the model."""
 
     # Faults of the whole device
 
     def begin_faults(self, faults: LinkFaults[Any], end: LinkEnd) -> None:
-        """With a session: none acts yet, and `end`, the device's end of the link, is open."""
+        """Deactivate all faults for a new session; `end` is the device end of the link."""
         self._faults, self._end = faults, end
         self._cycles = 0
         self._active_since: int | None = None
@@ -53,7 +57,10 @@ class VirtualDevice(ABC, Generic[L]):
         end.silent = False
 
     def begin_cycle(self) -> bool:
-        """First in a cycle; whether the device's own controller works in it."""
+        """Apply faults of the whole device; call it first in a cycle.
+
+        Return whether the controller of the device runs in this cycle.
+        """
         faults = self._faults
         self._cycles += 1
         if self._active_since is None and self.logic.was_active:
@@ -70,29 +77,29 @@ class VirtualDevice(ABC, Generic[L]):
         return not hung
 
     def power_off(self) -> None:
-        """What remains of a device without power: its brakes."""
+        """Remove the power; only the brakes act."""
 
     def fail(self) -> None:
-        """The device finds a fault in itself."""
+        """Cause a fault of the device itself."""
 
     @abstractmethod
     def begin_session(self, parameters: Mapping[str, Array]) -> None:
-        """The robots are back at their start poses; `parameters` are the model's."""
+        """Start a session with the robots at their start poses; `parameters` of the model."""
 
     @abstractmethod
     def receive(self, values: Mapping[str, Array]) -> None:
-        """Fill `commands` with what acts until the next cycle."""
+        """Write the `commands` for this cycle into `values`."""
 
     @abstractmethod
     def send(self, values: Mapping[str, Array]) -> None:
-        """Send `measurements`."""
+        """Send the `measurements` of `values`."""
 
     @abstractmethod
     def report(self) -> Mapping[str, float]:
-        """Counters by name."""
+        """Return counters by name."""
 
     def histograms(self) -> Mapping[str, Histogram]:
-        """Times by name."""
+        """Return histograms of times by name."""
         return {}
 
     @abstractmethod

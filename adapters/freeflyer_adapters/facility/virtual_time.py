@@ -1,9 +1,9 @@
-"""Both ends of a facility's links in one process, on one virtual time: as fast as it can be computed, and the same every time.
+"""Virtual time for a facility and its host in one process: fast and reproducible.
 
-The host's devices, limits, quality monitors and state machines are those that run in real time, to the line; the frames and samples
-are the same bytes. What is different: buses and sessions are memory, no time passes while somebody computes, and the facility's
-next cycle comes when the host waits for something. So a fault's reaction comes at an exact instant, and 10,000 schedules of faults
-take minutes.
+The code of the host and the bytes of frames and samples are the same as in real time. There are
+three differences. Buses and Zenoh sessions are in memory. Computation takes no time. The facility
+runs its next cycle when the host waits. Reactions to faults are therefore exact in time, and
+10,000 schedules of faults take minutes.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from freeflyer_adapters.facility.memory_zenoh import MemorySession, Net
 from freeflyer_adapters.foundation.environment import Environment
 
 START = 1_000_000_000
-"""[ns] of both clocks, so that nothing is taken for a time that was never set."""
+"""Start [ns] of both clocks; not zero, because zero may mean that a time is not set."""
 
 
 class VirtualTime(Environment):
-    """`facility` is what happens every `period` [ns]; it is stepped while somebody waits, and never within itself."""
+    """An environment whose time advances only while the host waits."""
 
     def __init__(self) -> None:
         self._now = START
@@ -34,7 +34,7 @@ class VirtualTime(Environment):
         self._net = Net()
 
     def play(self, facility: Iterator[None], period: int) -> None:
-        """From now on, a cycle each `period` [ns]."""
+        """Run one cycle of `facility` every `period` [ns] from now on."""
         self._facility, self._period = facility, period
         self._next = self._now + period
 
@@ -56,12 +56,15 @@ class VirtualTime(Environment):
         return MemorySession(self._net)
 
     def pass_until(self, duration: float, happened: Callable[[], bool]) -> bool:
-        """Let `duration` [s] pass, or less if something has `happened`."""
+        """Advance by `duration` [s], or until `happened` returns True; return its last value.
+
+        Raises RuntimeError if the facility itself waits.
+        """
         if self._is_stepping:
             raise RuntimeError(
-                "the facility itself waits for something in virtual time; it would wait for ever"
+                "the facility itself waits in virtual time; this wait would never end"
             )
-        # At least something, or who waits for a remainder would wait for ever.
+        # At least 1 ns: a caller that waits for a rounded remainder must not loop without end.
         end = self._now + max(1, round(duration * 1e9))
         while self._facility is not None and self._next <= end:
             self._now = self._next

@@ -1,4 +1,4 @@
-"""Faults on Zenoh: a base robot's end of the link whose samples are lost, late, doubled or wrong."""
+"""Faults on Zenoh: a base robot's link whose samples are lost, delayed, duplicated or wrong."""
 
 from __future__ import annotations
 
@@ -21,15 +21,20 @@ Sample = tuple[bytes, bytes]
 
 
 class ZenohTamper:
-    """See `freeflyer_adapters.facility.link_faults.Tamper`; what a sender itself gets wrong is sealed as its samples are."""
+    """Tampering with samples; see `Tamper`. A sample with a sender fault has a valid checksum."""
 
     def changed(
-        self, fault: Fault, way: Way, packet: Sample, memory: dict[str, Any], lot: random.Random
+        self,
+        fault: Fault,
+        way: Way,
+        packet: Sample,
+        memory: dict[str, Any],
+        generator: random.Random,
     ) -> Sample | None:
         payload, raw = packet
         if fault.kind == "flipped_bits":
             both = bytearray(payload + raw)
-            for bit in lot.sample(range(8 * len(both)), fault.bits):
+            for bit in generator.sample(range(8 * len(both)), fault.bits):
                 both[bit // 8] ^= 1 << bit % 8
             return bytes(both[: len(payload)]), bytes(both[len(payload) :])
         try:
@@ -43,7 +48,7 @@ class ZenohTamper:
                 attachment, sequence=memory.setdefault("sequence", attachment.sequence)
             )
         elif fault.kind == "stale_stamp":
-            # One that stands still is as good as new as long as its samples are numbered on; one of the past is not.
+            # The receiver accepts a repeated stamp with a new sequence number, but no older stamp.
             attachment = replace(attachment, stamp=memory.setdefault("stamp", attachment.stamp - 1))
         elif fault.kind == "clock_jump":
             attachment = replace(attachment, stamp=attachment.stamp + round(fault.jump_s * 1e9))
@@ -54,18 +59,21 @@ class ZenohTamper:
 
 
 def _with_numbers(payload: bytes, value: float) -> bytes:
-    """The position's three numbers replaced; the message's end is padded by less than eight bytes."""
+    """Replace the three numbers of the position.
+
+    The message ends with less than eight bytes of padding.
+    """
     place = 4 + (len(payload) - 4 - 8 * NUMBERS) // 8 * 8
     order = "<" if payload[1] else ">"
     return payload[:place] + struct.pack(order + "3d", value, value, value) + payload[place + 24 :]
 
 
 class FaultyOdometryLink(OdometryLink):
-    """As `OdometryLink`, with faults between it and the session."""
+    """An `OdometryLink` with faults between the link and the session."""
 
     faults: LinkFaults[Sample]
     silent = False
-    """The device neither sends nor receives; what comes meanwhile is lost."""
+    """The device neither sends nor receives; incoming samples are lost."""
 
     def put(self, payload: bytes, attachment: bytes) -> None:
         if not self.silent:
@@ -73,7 +81,7 @@ class FaultyOdometryLink(OdometryLink):
             self.flush()
 
     def flush(self) -> None:
-        """Send what was held back until now."""
+        """Send the delayed samples that are due."""
         while (sample := self.faults.due("to_controller")) is not None:
             super().put(*sample)
 
@@ -81,7 +89,7 @@ class FaultyOdometryLink(OdometryLink):
         while (sample := super().take()) is not None:
             if not self.silent:
                 self.faults.pass_on("to_device", sample)
-        freshest = None
+        latest = None
         while (sample := self.faults.due("to_device")) is not None:
-            freshest = sample  # as the session's own RingChannel(1) has it
-        return freshest
+            latest = sample  # as RingChannel(1) of a session
+        return latest

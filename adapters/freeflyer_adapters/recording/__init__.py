@@ -1,1 +1,1 @@
-"""What a loop in real time leaves behind: its recording, its CAN log, and its last seconds before a stop."""
+"""Recordings of a real-time loop: MCAP recording, CAN log and flight recording."""

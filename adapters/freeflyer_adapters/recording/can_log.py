@@ -1,4 +1,7 @@
-"""The frames on the loop's CAN channels, as one more listener hears them, in python-can's own formats."""
+"""Log of the frames on the CAN channels of a loop, in file formats of python-can.
+
+The recorder receives the frames as an additional node on the channel.
+"""
 
 from __future__ import annotations
 
@@ -15,18 +18,21 @@ from freeflyer_adapters.recording.wall_clock import WallClock
 
 FORMATS = ("blf", "asc")
 COMPRESSION = 1
-"""The fastest: 2000 frames a second are to be a small part of a core."""
+"""Fastest level: 2000 frames per second must need only a small part of a core."""
 BUFFER = 2**20
 MOST = 5000
-"""Frames at a time: a channel that is busier than this process is fast must not keep it."""
+"""Maximum number of frames per call, so that a busy channel cannot block the recorder."""
 
 
 class WholeBlfWriter(can.BLFWriter):
-    """python-can writes a container when 128 KiB are there, and the header, which has the time that all frames count from, at the
-    end: of a logger that is killed, seconds are lost, and of what is left the date. Here both are written with every `save`.
+    """A BLF writer that writes the open container and the file header with every `save`.
+
+    The base class writes a container only after 128 KiB, and the header, with the start time of
+    all frames, only at the end. A killed logger would lose seconds of frames, and the date.
     """
 
     def save(self) -> None:
+        """Write the open container and the file header to disk."""
         self._flush()
         size = self.file.tell()
         self.file.seek(0)
@@ -36,10 +42,13 @@ class WholeBlfWriter(can.BLFWriter):
 
 
 class CanLog:
-    """One channel's log. Raises OSError of the file, DeviceError if the bus cannot be opened."""
+    """The log of one channel.
+
+    Raises OSError if the file cannot be written, DeviceError if the bus cannot be opened.
+    """
 
     def __init__(self, channel: CanChannel, path: Path, clock: WallClock | None = None) -> None:
-        """Without `clock`, times are the interface's own in any case."""
+        """Open the bus and the file; without `clock`, times are those of the interface."""
         self.path = path
         self.frames = 0
         self._times: FrameTimes | None = None
@@ -60,14 +69,14 @@ class CanLog:
             raise
 
     def take(self) -> None:
-        """Everything that has come; then to the system, where it outlives this process."""
+        """Write all received frames and flush them, so that they survive this process."""
         frames: list[can.Message] = []
         while len(frames) < MOST and (frame := self._received()) is not None:
             frames.append(frame)
         if self._times is not None:
-            frames = self._times.put_right(frames, is_all=len(frames) < MOST)
+            frames = self._times.corrected(frames, is_all=len(frames) < MOST)
         for frame in frames:
-            # Every format counts channels from one and takes a number only.
+            # python-can adds one to the channel, and needs a number.
             frame.channel = 0
             self._writer.on_message_received(frame)
             self.frames += 1
@@ -81,11 +90,12 @@ class CanLog:
             return None
 
     def close(self) -> None:
+        """Finish the file and close the bus."""
         try:
             self._writer.stop()
         finally:
-            self.leave()
+            self.close_bus()
 
-    def leave(self) -> None:
-        """The bus alone: who does not listen must not be sent frames."""
+    def close_bus(self) -> None:
+        """Close only the bus, so that no more frames are queued for this log."""
         self._bus.shutdown()

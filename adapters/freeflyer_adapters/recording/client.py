@@ -112,7 +112,7 @@ class RecordingClient:
             title=scenario.title,
             tick=master.schedule.tick,
             started=self._clock.started,
-            clock_offset=self._clock.offset if self._clock.is_the_machines else None,
+            clock_offset=self._clock.offset if self._clock.is_system_clock else None,
             directory=str(wanted.directory.absolute()),
             signals=signals,
             chosen=frozenset(master.record.signals),
@@ -194,9 +194,9 @@ class RecordingClient:
             for i, device in enumerate(self._devices):
                 self._states[i] = device.state.now
             self._ring.write(k, self._line)
-        self._ring.say_reason(reason)
+        self._ring.set_reason(reason)
         # The recorder reports clock steps with times. The total step is used if it reports none.
-        written = self._written(self._clock.whole_step())
+        written = self._written(self._clock.total_step())
         self._ring.close()
         return {**asdict(written), "missing": [*self._missing, *written.missing]}
 

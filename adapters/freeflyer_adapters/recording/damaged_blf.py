@@ -1,4 +1,7 @@
-"""Reads CAN logs in BLF that end anywhere, or are damaged or hostile: whole containers go to python-can's reader, and nothing else."""
+"""Reader for truncated, damaged or untrusted CAN logs in BLF.
+
+Only intact containers are passed to the reader of python-can.
+"""
 
 from __future__ import annotations
 
@@ -24,39 +27,43 @@ from freeflyer.foundation.errors import RecordError
 
 SIGNATURE, OBJECT = b"LOGG", b"LOBJ"
 LARGEST = 16 * 2**20
-"""Bytes of a container, packed or not; writers use 128 KiB."""
+"""Maximum size of a container [bytes], compressed or not; writers use 128 KiB."""
 UNPACKED, UNPACKED_A_BYTE = 4 * 2**20, 200
+"""Decompression limit of a file [bytes]: a constant, plus a factor per byte of the file."""
 WINDOW = 2**20
 TRIES = 100
 LATEST = 253_402_300_799.0
-"""The end of the year 9999 [s since 1970]."""
+"""End of the year 9999 [s since 1970]."""
 
 
 def copy_frames(
     path: Path, file: BinaryIO, output: BinaryIO | None
 ) -> tuple[int, int | None, int | None, str, bool]:
-    """Every frame of whole containers into a new log; without `output`, only looked at.
+    """Copy all frames of intact containers to a new log; without `output`, only check the file.
 
-    Gives how many, the first and last time [ns since the epoch], what was lost, and whether the file was whole.
+    Return the number of frames, their first and last time [ns since the epoch], a message about
+    lost data, and whether the file is complete. Raises RecordError if it is not a BLF file.
     """
+    # The reader needs the true size of the file header; other sizes come from other versions.
     file.seek(0)
     head = file.read(FILE_HEADER_SIZE)
     if len(head) < FILE_HEADER_SIZE or head[:4] != SIGNATURE:
         raise RecordError(
-            f"{path} is no CAN log in BLF: it begins with {head[:4]!r}, {SIGNATURE!r} and a whole head are expected"
+            f"{path} is not a CAN log in BLF: it starts with {head[:4]!r}; {SIGNATURE!r} and a complete header are expected"
         )
     size = FILE_HEADER_STRUCT.unpack_from(head)[10]
     head = head[:4] + struct.pack("<L", FILE_HEADER_SIZE) + head[8:]
     log = _Log(file)
+    # Copy frame by frame; an invalid object ends its section.
     kept, begin, end, broken = 0, None, None, 0
     writer = None if output is None else can.BLFWriter(output)
     try:
-        for stretch in log.stretches(head):
-            frames = _frames(stretch)
+        for section in log.sections(head):
+            frames = _frames(section)
             try:
                 for message in frames:
                     if not 0.0 <= message.timestamp < LATEST:
-                        raise BlfError("a time that is no date")  # python-can could not write it
+                        raise BlfError("time out of range")  # python-can could not write it
                     if writer is not None:
                         writer.on_message_received(message)
                     stamp = round(message.timestamp * 1e9)
@@ -68,24 +75,25 @@ def copy_frames(
     finally:
         if writer is not None:
             writer.stop()
+    # Describe the losses.
     parts = []
     if log.skipped:
         parts.append(
             f"{log.skipped} bytes in {log.places} place{'s' * (log.places > 1)} could not be read"
         )
     if broken:
-        parts.append(f"what followed in {broken} place{'s' * (broken > 1)} could not be understood")
+        parts.append(f"the data after {broken} place{'s' * (broken > 1)} could not be decoded")
     if size != log.length and not parts:
         parts.append("the end was missing")
     return kept, begin, end, ", ".join(parts), not parts
 
 
 class BlfError(Exception):
-    """What is inside a whole container may still be nonsense, which python-can's reader believes, and fails in its own ways."""
+    """Invalid content of an intact container, which python-can does not check."""
 
 
 class _Log:
-    """`stretches` once; what was skipped is known afterwards."""
+    """The containers of a file. Call `sections` once; then `skipped` and `places` are complete."""
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
@@ -94,11 +102,12 @@ class _Log:
         self._allowance = UNPACKED + UNPACKED_A_BYTE * self.length
         self._work = UNPACKED + 8 * self.length
 
-    def stretches(self, head: bytes) -> Iterator[BinaryIO]:
-        """Whole containers that follow each other without a damaged place, each time as a log of its own: an object may go on in
-        the next container, but not beyond a gap.
+    def sections(self, head: bytes) -> Iterator[BinaryIO]:
+        """Yield each sequence of intact containers as a separate log with the header `head`.
+
+        An object may continue in the next container, but not after a damaged place.
         """
-        place, stretch, after_gap = FILE_HEADER_SIZE, _begun(head), False
+        place, section, after_gap = FILE_HEADER_SIZE, _new_section(head), False
         while place < self.length:
             container = self._container(place)
             if container is not None:
@@ -106,9 +115,9 @@ class _Log:
                 if after_gap:
                     begin = _first_object(content)
                     content = content[begin:]
-                    stretch.write(_plain(content))
+                    section.write(_uncompressed_container(content))
                 else:
-                    stretch.write(base + data + bytes(len(base + data) % 4))
+                    section.write(base + data + bytes(len(base + data) % 4))
                 after_gap = False
                 place += len(base + data) + len(base + data) % 4
                 continue
@@ -121,14 +130,14 @@ class _Log:
                 following,
             )
             if not after_gap:
-                stretch.seek(0)
-                yield stretch
-                stretch, after_gap = _begun(head), True
-        stretch.seek(0)
-        yield stretch
+                section.seek(0)
+                yield section
+                section, after_gap = _new_section(head), True
+        section.seek(0)
+        yield section
 
     def _container(self, place: int) -> tuple[bytes, bytes, bytes] | None:
-        """Head, packed and unpacked contents; None if there is no whole one."""
+        """Return header, compressed and decompressed content; None for no intact container."""
         self._file.seek(place)
         base = self._file.read(OBJ_HEADER_BASE_STRUCT.size)
         if len(base) < OBJ_HEADER_BASE_STRUCT.size:
@@ -156,14 +165,13 @@ class _Log:
         return self.length
 
 
-def _begun(head: bytes) -> BinaryIO:
-    stretch = tempfile.SpooledTemporaryFile(WINDOW)  # noqa: SIM115 (who reads it closes it)
-    stretch.write(head)
-    return stretch  # type: ignore[return-value]
+def _new_section(head: bytes) -> BinaryIO:
+    section = tempfile.SpooledTemporaryFile(WINDOW)  # noqa: SIM115 (`_frames` closes it)
+    section.write(head)
+    return section  # type: ignore[return-value]
 
 
-def _plain(content: bytes) -> bytes:
-    """A container around unpacked contents."""
+def _uncompressed_container(content: bytes) -> bytes:
     size = OBJ_HEADER_BASE_STRUCT.size + LOG_CONTAINER_STRUCT.size + len(content)
     base = OBJ_HEADER_BASE_STRUCT.pack(OBJECT, OBJ_HEADER_BASE_STRUCT.size, 1, size, LOG_CONTAINER)
     return (
@@ -172,7 +180,10 @@ def _plain(content: bytes) -> bytes:
 
 
 def _first_object(content: bytes) -> int:
-    """Where the first object begins from which one follows the other up to the end: before it is the rest of one that is lost."""
+    """Return the offset of the first object from which a chain of objects reaches the end.
+
+    The bytes before it belong to an object whose start is lost.
+    """
     begin = content.find(OBJECT)
     for _ in range(TRIES):
         if begin < 0:
@@ -192,7 +203,7 @@ def _first_object(content: bytes) -> int:
 
 
 def _unpacked(data: bytes, allowance: int) -> bytes | None:
-    """What a container has inside; None if it is not whole."""
+    """Return the decompressed content of a container; None if it is damaged or too large."""
     method, size = LOG_CONTAINER_STRUCT.unpack_from(data)
     packed = data[LOG_CONTAINER_STRUCT.size :]
     if size > min(LARGEST, allowance):
@@ -206,12 +217,12 @@ def _unpacked(data: bytes, allowance: int) -> bytes | None:
         found = unpacker.decompress(packed, size + 1)
     except zlib.error:
         return None
-    # At the end of the stream zlib has compared its checksum.
+    # zlib checks its checksum at the end of the stream.
     return found if len(found) == size and unpacker.eof else None
 
 
 class _Reader(can.BLFReader):
-    """python-can goes from object to object by their sizes, and on the spot for ever where one claims to have none."""
+    """A reader that rejects objects of size zero, for which python-can loops without end."""
 
     def _parse_container(self, data: bytes) -> Iterator[can.Message]:
         whole, place = self._tail + data, 0
@@ -225,10 +236,10 @@ class _Reader(can.BLFReader):
         yield from super()._parse_container(data)
 
 
-def _frames(stretch: BinaryIO) -> Iterator[can.Message]:
-    with stretch:
+def _frames(section: BinaryIO) -> Iterator[can.Message]:
+    with section:
         try:
-            yield from _Reader(stretch)
+            yield from _Reader(section)
         except GeneratorExit:
             raise
         except Exception as error:

@@ -1,8 +1,9 @@
-"""Reads MCAP files that end anywhere, or are damaged in between, or hostile: whole records are handed on, and nothing else.
+"""Reader for truncated, damaged or untrusted MCAP files; it returns only intact records.
 
-Messages come from chunks whose checksum is right. A message outside of chunks has no checksum, and is only taken from a file that
-has no chunk. After a damaged place the next whole chunk is looked for. Memory is bounded by the largest chunk, time by the file's
-size: what chunks unpack to, and what is read in vain, have allowances.
+Messages are read from chunks with a correct checksum. A message outside chunks has no checksum and
+is read only if the file has no chunk. After a damaged place the reader searches for the next chunk.
+Memory is limited by the largest chunk. Time is limited by the file size: decompressed data and
+repeated reading have limits.
 """
 
 from __future__ import annotations
@@ -25,20 +26,21 @@ from mcap.records import Attachment, Channel, Metadata, Schema, Statistics
 MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")
 CHUNK = struct.Struct("<QQQII")
-"""Begin, end, unpacked size, checksum, and the length of the compression's name."""
+"""Start, end, decompressed size, checksum, and the length of the name of the compression."""
 MESSAGE = struct.Struct("<HIQQ")
 FOOTER_SIZE = 20
 LARGEST = 16 * 2**20
-"""Bytes of a record, or of what a chunk unpacks to."""
+"""Maximum size of a record, and of a decompressed chunk [bytes]."""
 UNPACKED, UNPACKED_A_BYTE = 4 * 2**20, 200
-"""Allowance of bytes that a file's chunks may unpack to together: so many, and so many for each byte of the file."""
+"""Decompression limit of all chunks [bytes]: a constant, plus a factor per byte of the file."""
 MOST_DEFINITIONS = 2**16 - 1
-"""Schemas, and channels: a writer counts them from one, in two bytes."""
+"""Maximum number of schemas, and of channels; their IDs have two bytes and start at one."""
 MOST_OTHERS = 100_000
-"""Metadata and attachments together, whose index a writer keeps in memory."""
+"""Maximum number of metadata records and attachments, whose index a writer keeps in memory."""
 WORK, WORK_A_BYTE = 4 * 2**20, 8
+"""Limit of bytes that are read: a constant, plus a factor for each byte of the file."""
 DEFINITIONS = 64 * 2**20
-"""Bytes of all schemas and channels."""
+"""Maximum size of all schemas and channels [bytes]."""
 NEXT_CHUNK = re.compile(rb"\x06[\s\S]{4}\x00{4}")
 FIRST_WINDOW, WINDOW = 2**12, 2**20
 BROKEN = (
@@ -57,6 +59,8 @@ R = TypeVar("R", Schema, Channel, Metadata, Attachment, Statistics)
 
 @dataclass(frozen=True)
 class WholeMessage:
+    """An intact message with its definitions; times in ns since the epoch."""
+
     channel: Channel
     schema: Schema | None
     sequence: int
@@ -70,29 +74,33 @@ Whole = WholeMessage | Metadata | Attachment
 
 @dataclass(kw_only=True)
 class Damage:
-    """`is_whole`: the file ends as it should, and nothing was skipped. `expected`: messages by the file's own statistics."""
+    """Damage of a file.
+
+    `is_whole`: the file has a correct end, and nothing was skipped. `expected`: number of messages
+    in the file's statistics.
+    """
 
     is_whole: bool = False
     places: int = 0
     skipped: int = 0
     """Bytes."""
     undefined: int = 0
-    """Messages whose channel or schema is nowhere in the file."""
+    """Number of messages whose channel or schema is missing in the file."""
     expected: int | None = None
     exhausted: bool = False
-    """Whether reading was given up because the file asks for too much."""
+    """Whether reading was aborted because the file exceeds a limit."""
 
 
 @dataclass
 class DamagedMcap:
-    """`records` once; `damage` is complete afterwards."""
+    """A damaged file. Call `records` once; `damage` is complete afterwards."""
 
     file: BinaryIO
     damage: Damage = field(default_factory=Damage)
 
     def __post_init__(self) -> None:
         self.size = self.file.seek(0, 2)
-        self.begins_well = self._read(0, len(MAGIC)) == MAGIC
+        self.has_magic = self._read(0, len(MAGIC)) == MAGIC
         self._unpack_left = UNPACKED + UNPACKED_A_BYTE * self.size
         self._work_left = WORK + WORK_A_BYTE * self.size
         self._schemas: dict[int, Schema] = {}
@@ -104,12 +112,17 @@ class DamagedMcap:
         self._chunks = 0
 
     def records(self, tail: int | None = None) -> Iterator[Whole]:
-        """`tail`: from the first chunk on, only what is in so many last bytes; the damage says nothing then."""
+        """Yield all intact records.
+
+        With `tail`, skip chunks before the last `tail` bytes; `damage` is then not meaningful.
+        """
+        # Definitions at the end of the file replace damaged ones at the start.
         self._take_summary()
-        damage, place = self.damage, len(MAGIC) if self.begins_well else 0
-        if not self.begins_well:
+        damage, place = self.damage, len(MAGIC) if self.has_magic else 0
+        if not self.has_magic:
             place = self._skip(0, 0)
-        loose_begin = place
+        # Read record by record; skip what is not intact.
+        first_record = place
         while place < self.size and not self._ended:
             length = self._length(place)
             if tail is not None and length is not None and self._read(place, 1)[0] == Opcode.CHUNK:
@@ -126,10 +139,10 @@ class DamagedMcap:
             yield from taken
             place += HEAD.size + (length or 0)
         damage.is_whole = (
-            self.begins_well and self._ended and not damage.places and not damage.undefined
+            self.has_magic and self._ended and not damage.places and not damage.undefined
         )
         if not self._chunks:
-            yield from self._outside_chunks(loose_begin)
+            yield from self._outside_chunks(first_record)
 
     # One record
 
@@ -138,7 +151,7 @@ class DamagedMcap:
         return self.file.read(size)
 
     def _length(self, place: int) -> int | None:
-        """Of a record that may begin there; None if none can."""
+        """Return the length of the record at `place`; None if no record can start there."""
         head = self._read(place, HEAD.size)
         if len(head) < HEAD.size:
             return None
@@ -152,7 +165,7 @@ class DamagedMcap:
         return int(length)
 
     def _is_chunk(self, place: int, length: int) -> bool:
-        """Whether the lengths inside a chunk's head agree with its own."""
+        """Return whether the lengths in the chunk header match the length of the record."""
         body = self._read(place + HEAD.size, CHUNK.size + 12)
         if len(body) < CHUNK.size + 8:
             return False
@@ -163,11 +176,13 @@ class DamagedMcap:
         return bool(length == CHUNK.size + name + 8 + data)
 
     def _taken(self, place: int, length: int) -> list[Whole] | Iterator[Whole] | None:
-        """What is to be handed on; None for a record that is not whole."""
+        """Return the records to yield; None if the record at `place` is damaged."""
+        # Every read counts against the limit.
         self._work_left -= length
         if self._work_left < 0:
             self.damage.exhausted = True
             return None
+        # Records without content for the caller.
         opcode = self._read(place, 1)[0]
         if (
             opcode
@@ -188,6 +203,7 @@ class DamagedMcap:
             if self._others > MOST_OTHERS:
                 self.damage.exhausted = True
                 return None
+        # Records whose content is parsed.
         body = self._read(place + HEAD.size, length)
         match opcode:
             case Opcode.CHUNK:
@@ -223,7 +239,10 @@ class DamagedMcap:
         )
 
     def _define(self, opcode: int, body: bytes, *, checked: bool = False) -> bool:
-        """The first of a number counts, as the format knows no second one; but one under a checksum is believed before others."""
+        """Store a schema or channel; return whether it is valid.
+
+        The first definition of an ID is kept, but one with a checksum replaces one without.
+        """
         schema = _parsed(Schema, body) if opcode == Opcode.SCHEMA else None
         channel = _parsed(Channel, body) if opcode == Opcode.CHANNEL else None
         for record, known in ((schema, self._schemas), (channel, self._channels)):
@@ -285,7 +304,7 @@ class DamagedMcap:
         return WholeMessage(channel, schema, sequence, log_time, publish_time, body[MESSAGE.size :])
 
     def _outside_chunks(self, place: int) -> Iterator[Whole]:
-        """Messages of a file that was written without chunks, up to its first damaged place."""
+        """Yield messages of a file without chunks, up to its first damaged place."""
         while place < self.size:
             length = self._length(place)
             if length is None:
@@ -299,7 +318,10 @@ class DamagedMcap:
     # Damaged places
 
     def _skip(self, place: int, length: int | None) -> int:
-        """Behind what cannot be read: the next record if the length was right, else the next whole chunk's head, or the end."""
+        """Return where reading continues after a damaged place.
+
+        This is the next record if the length is correct, else the next chunk, else the end.
+        """
         self.damage.places += 1
         following = self.size
         if not self.damage.exhausted:
@@ -317,7 +339,7 @@ class DamagedMcap:
         return following
 
     def _next_chunk(self, place: int) -> int:
-        size = FIRST_WINDOW  # small at first: many damaged places may follow each other closely
+        size = FIRST_WINDOW  # small at first, because damaged places may be close to each other
         while place < self.size:
             window = self._read(place, size + HEAD.size - 1)
             for found in NEXT_CHUNK.finditer(window):
@@ -328,7 +350,7 @@ class DamagedMcap:
         return self.size
 
     def _take_summary(self) -> None:
-        """Schemas and channels that a whole file repeats at its end, in case the first ones are damaged."""
+        """Store the schemas and channels that a complete file repeats at its end."""
         footer = self._read(
             max(0, self.size - len(MAGIC) - FOOTER_SIZE - HEAD.size), HEAD.size + FOOTER_SIZE
         )
@@ -345,7 +367,7 @@ class DamagedMcap:
 
 
 def _inside(data: bytes) -> Iterator[tuple[int, int, int]]:
-    """Opcode, begin and end of the records' bodies, as long as they are whole."""
+    """Yield opcode, start and end of the record bodies, up to the first incomplete record."""
     place, size = 0, len(data)
     while place + HEAD.size <= size:
         opcode, length = HEAD.unpack_from(data, place)
@@ -357,7 +379,7 @@ def _inside(data: bytes) -> Iterator[tuple[int, int, int]]:
 
 
 def _unpacked(compression: bytes, packed: bytes, size: int) -> bytes:
-    """At most one byte more than `size`, whatever the packed data claim."""
+    """Decompress a chunk to at most `size` + 1 bytes, whatever size the data claims."""
     if compression == b"":
         return packed
     if compression == b"lz4":
@@ -370,7 +392,10 @@ def _unpacked(compression: bytes, packed: bytes, size: int) -> bytes:
 
 
 def _parsed(kind: type[R], body: bytes) -> R | None:
-    """A record by mcap's own reader, if it would write the same bytes again; fields of later versions may follow."""
+    """Parse a record with mcap; return None if mcap would not write the same bytes.
+
+    Fields of later versions may follow.
+    """
     try:
         record: R = kind.read(ReadDataStream(BytesIO(body)))
         builder = RecordBuilder()

@@ -1,4 +1,4 @@
-"""A recording as a pandas table in one line, with the columns of a run's record.parquet."""
+"""Recordings as pandas tables, with the columns of record.parquet."""
 
 from __future__ import annotations
 
@@ -20,45 +20,45 @@ from freeflyer_adapters.recording.recording_file import RUN, STARTED, STOP
 from freeflyer_adapters.recording.topics import COLUMNS, LOOP
 
 FIRST = 20
-"""Where the numbers of a message begin whose header has an empty frame: encapsulation, stamp, text, alignment."""
+"""Offset of the numbers in a message with an empty frame ID: after encapsulation, stamp, text and
+alignment."""
 LOOP_NUMBERS = ("monotonic_ns", "instant", "time")
-"""What the loop's message has before its states and counters: two integers and the time of the scenario."""
+"""First numbers of the loop's message: two integers and the time of the scenario."""
 
 Found = dict[tuple[str, str], tuple[str, str, list[int], list[bytes]]]
-"""By topic and columns: both, times and messages."""
+"""Topic, columns, times and messages, by topic and columns."""
 
 
 def read_recording(path: str | Path) -> pandas.DataFrame:
-    """A file, or all parts of the recording in a run's directory.
+    """Read a file, or all parts of the recording in the directory of a run.
 
-    One row for each instant, one column for each element: `time` [s], the signals, the loop's states and counters, and the
-    clocks. `.attrs` has `units`, `run` and `stop` (empty where the file does not tell).
-
-    Files that were not finished, or are damaged, are read as far as they are whole. RecordError for a file that is no recording
-    of a loop.
+    The table has one row per instant and one column per element: `time` [s], the signals, the
+    states and counters of the loop, and the clocks. `.attrs` contains `units`, `run` and `stop`;
+    the last two are empty if the file lacks them. The intact data of unfinished or damaged files
+    is read. Raises RecordError if the file is not a recording of a loop.
     """
     path = Path(path)
     found: Found = {}
-    told: dict[str, dict[str, str]] = {RUN: {}, STOP: {}}
+    metadata: dict[str, dict[str, str]] = {RUN: {}, STOP: {}}
     try:
         files = parts(path) if path.is_dir() else [path]
         if not files:
             raise RecordError(f"{path} has no recording.mcap")
         for file in files:
-            _take(file, found, told)
+            _take(file, found, metadata)
     except OSError as error:
         raise RecordError(f"{path} cannot be read: {error.strerror}") from error
     try:
-        return _joined(found, told)
+        return _joined(found, metadata)
     except (ValueError, TypeError, KeyError, RecursionError, OverflowError, MemoryError) as error:
         text = " ".join(str(error).split())[:200]
         raise RecordError(
-            f"{path}: its messages are not what a recording of a loop has: {text}"
+            f"{path}: its messages are not those of a recording of a loop: {text}"
         ) from error
 
 
-def _take(path: Path, found: Found, told: dict[str, dict[str, str]]) -> None:
-    """A file's messages; none of one that is another run's."""
+def _take(path: Path, found: Found, metadata: dict[str, dict[str, str]]) -> None:
+    """Add messages and metadata of a file; stop if the file belongs to another run."""
     with path.open("rb") as file:
         for record in DamagedMcap(file).records():
             if isinstance(record, WholeMessage):
@@ -70,16 +70,16 @@ def _take(path: Path, found: Found, told: dict[str, dict[str, str]]) -> None:
                     )
                     times.append(record.log_time)
                     data.append(record.data)
-            elif isinstance(record, Metadata) and record.name in told:
-                metadata = dict(record.metadata)
-                if record.name == RUN and told[RUN].get(
-                    STARTED, metadata.get(STARTED)
-                ) != metadata.get(STARTED):
+            elif isinstance(record, Metadata) and record.name in metadata:
+                entries = dict(record.metadata)
+                if record.name == RUN and metadata[RUN].get(
+                    STARTED, entries.get(STARTED)
+                ) != entries.get(STARTED):
                     return
-                told[record.name] = metadata
+                metadata[record.name] = entries
 
 
-def _joined(found: Found, told: dict[str, dict[str, str]]) -> pandas.DataFrame:
+def _joined(found: Found, metadata: dict[str, dict[str, str]]) -> pandas.DataFrame:
     tables, units = [], {"time": "s"}
     for topic, columns, times, data in sorted(found.values(), key=lambda part: part[0] == LOOP):
         table, its_units = _table(topic, columns, times, data)
@@ -87,7 +87,7 @@ def _joined(found: Found, told: dict[str, dict[str, str]]) -> pandas.DataFrame:
         units.update(its_units)
     if not tables:
         raise ValueError(
-            "there is no whole one; a recording.mcap or flight_recording.mcap is expected"
+            "no intact message found; a recording.mcap or flight_recording.mcap is expected"
         )
     frame = pandas.concat(tables, axis=1).sort_index()
     frame = frame.loc[:, ~frame.columns.duplicated()]
@@ -98,8 +98,8 @@ def _joined(found: Found, told: dict[str, dict[str, str]]) -> pandas.DataFrame:
     frame = frame[[*(name for name in frame.columns if name != "wall_ns"), "wall_ns"]]
     frame.attrs = {
         "units": {name: units.get(name, "ns") for name in frame.columns},
-        "run": told[RUN],
-        "stop": told[STOP],
+        "run": metadata[RUN],
+        "stop": metadata[STOP],
     }
     return frame
 
@@ -116,7 +116,7 @@ def _table(
         any(s.size < 1 or len(s.units) != s.size for s in signals)
         or sum(s.size for s in signals) > WIDEST
     ):
-        raise ValueError("its columns do not fit")
+        raise ValueError("sizes and units of its columns do not match, or it has too many columns")
     names = [column for signal in signals for column in signal.columns]
     units = dict(
         zip(names, (unit or "" for signal in signals for unit in signal.units), strict=True)
@@ -124,14 +124,15 @@ def _table(
     before = LOOP_NUMBERS if topic == LOOP else ()
     width = len(before) + len(names)
     if any(len(message) != FIRST + 8 * width for message in data):
-        raise ValueError("a message has another length than its columns")
-    words = np.frombuffer(b"".join(message[FIRST:] for message in data), dtype="<i8").reshape(
+        raise ValueError("the length of a message does not match its columns")
+    integers = np.frombuffer(b"".join(message[FIRST:] for message in data), dtype="<i8").reshape(
         len(data), width
     )
-    numbers: Array = words.view("<f8")
+    numbers: Array = integers.view("<f8")
     found: dict[str, Any] = {}
     for i, name in enumerate((*before, *names)):
-        found[name] = words[:, i] if name in LOOP_NUMBERS[:2] and i < len(before) else numbers[:, i]
+        is_integer = name in LOOP_NUMBERS[:2] and i < len(before)
+        found[name] = integers[:, i] if is_integer else numbers[:, i]
     if topic == LOOP:
         units.update(dict.fromkeys(LOOP_NUMBERS[:1], "ns") | {"instant": "", "time": "s"})
     table = pandas.DataFrame(found, index=pandas.Index(np.array(times, dtype=np.uint64)))

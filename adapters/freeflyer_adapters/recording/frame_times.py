@@ -1,8 +1,9 @@
-"""A CAN log's times, on the time scale of the recording beside it.
+"""Conversion of frame times in a CAN log to the time scale of the recording.
 
-The kernel stamps a frame with the wall clock of its arrival. By how much that has been set since the start is known at every look at
-the bus, and frames come between two looks; so a frame near a step is before it or after it, whichever goes on from the frames
-before, and is not in the future.
+The kernel stamps a frame with the wall clock at its arrival. The step of the wall clock since the
+start is measured when the bus is read, but frames arrive between two readings. A frame near a step
+may be stamped before or after it. The conversion chooses the time that continues the previous
+frames and is not in the future.
 """
 
 from __future__ import annotations
@@ -14,24 +15,24 @@ import can
 from freeflyer_adapters.recording.wall_clock import WallClock
 
 STAMPED_BY_THE_WALL_CLOCK = ("local", "socketcan")
-"""Interfaces whose stamps are the kernel's CLOCK_REALTIME. The others' stamps have epochs of their own."""
+"""Interfaces with stamps of the kernel's CLOCK_REALTIME; other interfaces have other epochs."""
 FOLLOWED = 5_000_000
-"""[ns] A smaller difference may come from the reading of the clocks, and leaves stamps as they are."""
+"""Smallest step that is corrected [ns]; smaller ones may be errors of reading the clocks."""
 
 
 class FrameTimes:
-    """To be made before the bus is opened."""
+    """Converter of frame times; create it before the bus is opened."""
 
     def __init__(self, clock: WallClock) -> None:
         self._clock = clock
         self._steps = [_followed(clock.step(), 0)]
-        """[ns] What the wall clock may have been set by when the frames to come were stamped."""
+        """Possible steps of the wall clock at the stamping of the next frames [ns]."""
         self._last = self._from = clock.now() * 1e-9
 
-    def put_right(self, frames: Sequence[can.Message], is_all: bool) -> list[can.Message]:
-        """The frames in the order of their times, which are changed to those of the recording.
+    def corrected(self, frames: Sequence[can.Message], is_all: bool) -> list[can.Message]:
+        """Change the times of the frames to those of the recording and return the sorted frames.
 
-        `frames`: what has come since the last call, in the order in which it came; `is_all`: nothing is left on the bus.
+        `frames`: received since the last call, in order. `is_all`: the bus has no further frame.
         """
         self._steps.append(_followed(self._clock.step(), self._steps[-1]))
         now = self._clock.now() * 1e-9
@@ -39,17 +40,17 @@ class FrameTimes:
         for frame in frames:
             frame.timestamp = latest = self._time(frame.timestamp, latest, now)
         if is_all:
-            # The step before is kept: a frame may have come between the last look at the bus and that at the clock.
+            # Keep the previous step: a frame may arrive between reading the bus and the clock.
             del self._steps[:-2]
             self._from = now
-        # Several senders of a `local` channel are read in turn, not in the order of their frames.
+        # The senders of a `local` channel are read one after another, so frames may be unordered.
         ordered = sorted(frames, key=lambda frame: frame.timestamp)
         for frame in ordered:
             frame.timestamp = self._last = max(frame.timestamp, self._last)
         return ordered
 
     def _time(self, stamp: float, latest: float, now: float) -> float:
-        """[s] `latest`: of the frame before."""
+        """Return the time of a frame [s]; `latest` is the time of the previous frame."""
         slack = FOLLOWED * 1e-9
         possible = [
             time
@@ -62,5 +63,5 @@ class FrameTimes:
 
 
 def _followed(step: int, before: int) -> int:
-    """[ns]"""
+    """Return `step` if it differs from `before` by at least `FOLLOWED`, else `before` [ns]."""
     return step if abs(step - before) >= FOLLOWED else before

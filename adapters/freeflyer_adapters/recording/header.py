@@ -1,4 +1,7 @@
-"""What a recording is about, as JSON at the head of its ring, so that the ring can be read when everybody who knew has died."""
+"""Recording header: description of a recording as JSON at the start of its ring.
+
+With the header a ring can be read after all processes of its run have ended.
+"""
 
 from __future__ import annotations
 
@@ -11,12 +14,12 @@ from freeflyer.foundation.errors import RecordError
 from freeflyer.master.record import Signal
 
 WIDEST = 100_000
-"""Columns of a row; a ring's head that claims more is no head of ours."""
+"""Maximum number of columns of a row; a header with more is rejected."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CanChannel:
-    """A CAN channel that is logged, as python-can names it."""
+    """A logged CAN channel, with the interface and channel names of python-can."""
 
     name: str
     interface: str
@@ -27,32 +30,38 @@ class CanChannel:
 
 @dataclass(frozen=True, kw_only=True)
 class RecordingHeader:
-    """`tick` [ns]: from one instant to the next. `loop`: the loop's columns after the signals: states, then counters."""
+    """The header of a recording.
+
+    `tick`: time between two instants [ns]. `loop`: columns of the loop after the signals, states
+    first, then counters.
+    """
 
     scenario: str
     title: str
     tick: int
     started: int
-    """When the run began [ns since the epoch]."""
+    """Start of the run [ns since the epoch]."""
     directory: str
-    """Where the run's results go."""
+    """Directory of the run's results."""
     signals: Sequence[Signal]
-    """Every output of the system, in the order of a row."""
+    """All outputs of the system, in the order of a row."""
     chosen: frozenset[str]
-    """Names of the signals that `[record]` chooses."""
+    """Names of the signals that `[record]` selects."""
     loop: Sequence[str]
     origin: Mapping[str, Any]
     """See freeflyer.master.provenance.Provenance."""
     versions: Mapping[str, str]
     records: bool = True
-    """Whether the whole run is recorded, or its last seconds only."""
+    """Whether the whole run is recorded, or only its last seconds."""
     can: Sequence[CanChannel] = ()
     can_format: str = "blf"
     clock_offset: int | None = None
-    """Wall clock minus monotonic clock at the start [ns]; None where the recorder has other clocks, and in rings of earlier versions."""
+    """Wall clock minus monotonic clock at the start [ns]; None if the recorder has other clocks,
+    and in rings of earlier versions."""
 
     @property
     def width(self) -> int:
+        """Number of columns of a row."""
         return sum(signal.size for signal in self.signals) + len(self.loop)
 
     def to_json(self) -> bytes:
@@ -61,8 +70,9 @@ class RecordingHeader:
 
     @classmethod
     def from_json(cls, text: bytes) -> RecordingHeader:
-        """RecordError for anything that `to_json` has not written."""
+        """Parse the JSON of `to_json`. Raises RecordError for any other text."""
         try:
+            # Signals must be contiguous in a row.
             raw = json.loads(text)
             signals = [
                 Signal(**{**signal, "units": tuple(signal["units"])}) for signal in raw["signals"]
@@ -74,8 +84,9 @@ class RecordingHeader:
                     or signal.first != first
                     or len(signal.units) != signal.size
                 ):
-                    raise ValueError(f"signal {signal.name} does not fit")
+                    raise ValueError(f"size, place or units of signal {signal.name} are invalid")
                 first += signal.size
+            # The dataclass rejects unknown and missing keys, but does not check types.
             head = cls(**{
                 **raw,
                 "signals": signals,
@@ -93,16 +104,16 @@ class RecordingHeader:
             if not all(isinstance(text, str) for text in texts) or not isinstance(
                 head.origin, dict
             ):
-                raise ValueError("a text is none")
+                raise ValueError("a text has another type")
             if (
                 type(head.tick) is not int
                 or head.tick <= 0
                 or type(head.started) is not int
                 or not 0 < head.width <= WIDEST
             ):
-                raise ValueError("its numbers do not fit")
+                raise ValueError("a number has another type or is out of range")
             if head.clock_offset is not None and type(head.clock_offset) is not int:
-                raise ValueError("its numbers do not fit")
+                raise ValueError("a number has another type or is out of range")
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
-            raise RecordError(f"the head of a ring does not say what is in it: {error}") from error
+            raise RecordError(f"the header of a ring is invalid: {error}") from error
         return head

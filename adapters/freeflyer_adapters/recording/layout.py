@@ -1,4 +1,7 @@
-"""Messages in CDR (XCDR1, little-endian), many at once: all but the numbers is laid out once, as a template of fixed length."""
+"""Serialisation of many messages in CDR (XCDR1, little-endian).
+
+A template of fixed length contains all fields except the numbers.
+"""
 
 from __future__ import annotations
 
@@ -13,43 +16,50 @@ from freeflyer_adapters.recording.ring import Rows
 
 ENCAPSULATION = b"\x00\x01\x00\x00"
 Numbers = Callable[[Rows], NDArray[np.float64] | NDArray[np.int64]]
-"""(rows, n): what goes into a message's n numbers of eight bytes."""
+"""Function of `Rows` that returns n numbers of eight bytes for each message, shape (rows, n)."""
 
 
 @dataclass(frozen=True)
 class Place:
+    """Numbers in a message: offset [bytes], count and source."""
+
     offset: int
     size: int
     numbers: Numbers
 
 
 class Layout:
-    """Built field by field in the order of the message's definition; `bytes_of` makes messages of rows."""
+    """The layout of a message.
+
+    Add the fields in the order of the message definition; `bytes_of` then serialises rows.
+    """
 
     def __init__(self, frame: str) -> None:
-        """Every message begins with a std_msgs/Header."""
+        """Start the message with a std_msgs/Header with the frame ID `frame`."""
         self._template = bytearray(ENCAPSULATION + bytes(8))
         self._places: list[Place] = []
         self.text(frame)
 
     def text(self, text: str) -> None:
+        """Add a string with constant content."""
         self._align(4)
         data = text.encode() + b"\0"
         self._template += struct.pack("<I", len(data)) + data
 
     def length(self, count: int) -> None:
-        """Of a sequence whose elements follow."""
+        """Add the length of a sequence whose elements follow."""
         self._align(4)
         self._template += struct.pack("<I", count)
 
     def numbers(self, size: int, numbers: Numbers) -> None:
-        """`size` numbers of eight bytes."""
+        """Add `size` numbers of eight bytes."""
         if size:
             self._align(8)
             self._places.append(Place(len(self._template), size, numbers))
             self._template += bytes(8 * size)
 
     def zeros(self, size: int) -> None:
+        """Add `size` zeros of eight bytes."""
         self._align(8)
         self._template += bytes(8 * size)
 
@@ -59,7 +69,7 @@ class Layout:
             self.text(text)
 
     def _align(self, size: int) -> None:
-        """Alignment counts from the end of the encapsulation header."""
+        """Pad to a multiple of `size`, counted from the end of the encapsulation header."""
         self._template += bytes(-(len(self._template) - len(ENCAPSULATION)) % size)
 
     @property
@@ -67,7 +77,7 @@ class Layout:
         return len(self._template)
 
     def bytes_of(self, rows: Rows) -> list[bytes]:
-        """One message for each row, stamped with the row's wall time."""
+        """Return one message per row, stamped with the wall time of the row."""
         block = np.tile(np.frombuffer(bytes(self._template), dtype=np.uint8), (len(rows), 1))
         stamps = np.stack(np.divmod(rows.times[:, 0], 1_000_000_000), axis=1).astype("<i4")
         block[:, 4:12].view("<i4")[...] = stamps

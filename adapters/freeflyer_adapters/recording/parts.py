@@ -1,6 +1,7 @@
-"""A long recording's parts: `recording.mcap`, `recording_2.mcap`, ..., each a whole file.
+"""Parts of a long recording: `recording.mcap`, `recording_2.mcap`, ..., each a complete file.
 
-mcap's writer keeps the index of every chunk until its file is finished, and readers want that index; so a file ends before it is large.
+The mcap writer keeps the index of all chunks in memory until the end of the file. A new part
+therefore starts before a file is large.
 """
 
 from __future__ import annotations
@@ -32,20 +33,21 @@ from freeflyer_adapters.recording.ring import RingReader, Rows
 from freeflyer_adapters.recording.topics import topics
 
 PART_SECONDS = 300.0
-"""Of a loop in time: the index grows by some MiB a minute, and at the end of a part it is written in 0.08 to 0.15 s (26 topics), in
-which nobody listens to the CAN channels, whose sockets hold 0.3 s at 1 kHz."""
+"""Length of a part in real time. The index grows by some MiB per minute. Writing it takes 0.08 to
+0.15 s (26 topics); in this time no CAN frame is read, and the sockets buffer 0.3 s at 1 kHz."""
 NEXT = "freeflyer.next"
-"""Metadata at the end of a part that is not the last: which one follows."""
+"""Metadata with the name of the next part, at the end of every part except the last."""
 PART = re.compile(rf"{Path(RECORDING).stem}_([1-9][0-9]{{0,5}})\.mcap")
 
 
 def part(directory: Path, number: int) -> Path:
+    """Return the path of part `number`, counted from 1."""
     first = directory / RECORDING
     return first if number == 1 else first.with_name(f"{first.stem}_{number}{first.suffix}")
 
 
 def parts(directory: Path) -> list[Path]:
-    """What is there of a recording, in order."""
+    """Return the existing parts of a recording, in order."""
     found = {}
     for path in directory.iterdir():
         matched = PART.fullmatch(path.name)
@@ -55,7 +57,7 @@ def parts(directory: Path) -> list[Path]:
 
 
 class PartedRecording:
-    """Rows go in, whole parts come out. Whatever the disk raises goes through."""
+    """Writer of a recording in parts. All methods raise the OSError of the disk."""
 
     def __init__(self, head: RecordingHeader) -> None:
         self._head, self._signals = head, chosen(head)
@@ -75,6 +77,7 @@ class PartedRecording:
         return file
 
     def add(self, rows: Rows) -> None:
+        """Add rows; start the next part when the present one is full."""
         while len(rows):
             if not self._left:
                 self._change()
@@ -83,25 +86,32 @@ class PartedRecording:
             self._left -= len(now)
 
     def _change(self) -> None:
-        """The next part is there before the one before is whole, so that a run that is killed in between is seen to be unfinished."""
+        """Start the next part, then finish the previous one.
+
+        In this order a run that is killed in between has an unfinished part.
+        """
         with self._stream:
             before, self._file = self._file, self._next()
             before.end({"file": self.paths[-1].name}, NEXT)
 
     def flush(self) -> None:
-        """Whole chunks to the system. OSError too if the file's name has gone: such a file takes everything and keeps nothing."""
+        """Flush complete chunks.
+
+        Raises OSError also if the file was deleted or replaced, because its data would be lost.
+        """
         self._file.flush()
         found = os.stat(self.paths[-1])
         if (found.st_dev, found.st_ino) != (self._identity.st_dev, self._identity.st_ino):
-            raise OSError(0, f"{self.paths[-1]} has been replaced by somebody")
+            raise OSError(0, f"{self.paths[-1]} has been replaced by another file")
 
     def finish(self, stop: Mapping[str, str]) -> None:
+        """Finish the last part with the reason of the stop."""
         with self._stream:
             self._file.finish(stop)
 
 
 def started(path: Path) -> str | None:
-    """When the run of a part began, as it says itself; None if it does not."""
+    """Return the start of the run from the metadata of a part; None if it is missing."""
     try:
         with path.open("rb") as file:
             for record in DamagedMcap(file).records():
@@ -115,9 +125,10 @@ def started(path: Path) -> str | None:
 
 
 def save_rest(ring: RingReader, recorder: str, clock_steps: Sequence[str] = ()) -> Path | None:
-    """What a ring has and the recording has not, as a further part; None if nothing is missing, or nothing was to be recorded.
+    """Write the rows that are in the ring but not in the recording as a further part.
 
-    OutputError if it cannot be written.
+    Return its path; None if nothing is missing, or if the run is not recorded. Raises OutputError
+    if the part cannot be written.
     """
     head = ring.head
     rows = ring.everything()
@@ -126,8 +137,9 @@ def save_rest(ring: RingReader, recorder: str, clock_steps: Sequence[str] = ()) 
     directory = Path(head.directory)
     there = parts(directory) if directory.is_dir() else []
     ours = [path for path in there if started(path) == str(head.started)]
+    # Find the topics that the last two parts lack at each instant of the ring.
     made = topics(head, chosen(head))
-    # Packed, so many rows are never more.
+    # Upper limit of the size of these rows; compression makes them smaller.
     enough = (len(rows) + 1000) * sum(topic.layout.size + MESSAGE_OVERHEAD for topic in made)
     has = _recorded(ours[-2:], set(rows.times[:, 0].tolist()), enough)
     every = {topic.name for topic in made}
@@ -141,22 +153,24 @@ def save_rest(ring: RingReader, recorder: str, clock_steps: Sequence[str] = ()) 
         for i in np.flatnonzero([bool(names) and names != every for names in absent]):
             file.add(
                 rows.where(np.arange(len(rows)) == i), absent[i]
-            )  # an instant in the middle of which a chunk ended
+            )  # a chunk ended in the middle of this instant
         file.add(rows.where(whole))
         file.finish(stop_of(ring, recorder, clock_steps))
 
+    # Parts of another run are not continued; the rows then go to a file of another name.
     if len(ours) == len(there):
         return save(part(directory, number_of(there[-1]) + 1 if there else 1), write)
     return save(directory / f"{Path(RECORDING).stem}_of_{head.started}_rest.mcap", write)
 
 
 def number_of(path: Path) -> int:
+    """Return the number of a part."""
     matched = PART.fullmatch(path.name)
     return 1 if matched is None else int(matched[1])
 
 
 def _recorded(paths: list[Path], times: set[int], tail: int) -> dict[int, set[str]]:
-    """Which topics the ends of some parts have at these times [ns since the epoch]."""
+    """Return the topics at the end of the parts, by time [ns since the epoch]."""
     found: dict[int, set[str]] = defaultdict(set)
     for path in paths:
         with path.open("rb") as file:

@@ -1,8 +1,8 @@
-"""The recorder: a process of its own that follows a loop's ring and writes what is in it.
+"""Recorder: a separate process that reads the ring of a loop and writes the recording.
 
-It outlives the loop: when the loop has said why it ended, or has died (either closes the pipe between them), it writes what is left,
-index, summary and the flight recording, says in one line of JSON what it has written, and removes the ring. Nothing that goes wrong
-here reaches the loop.
+The recorder survives the loop. The end of the loop, or its crash, closes the pipe between them.
+The recorder then writes the remaining rows, index, summary and the flight recording. It reports
+the written files in one line of JSON and removes the ring. Its errors do not affect the loop.
 """
 
 from __future__ import annotations
@@ -27,20 +27,22 @@ from freeflyer_adapters.recording.ring import RingReader
 from freeflyer_adapters.recording.wall_clock import WallClock
 
 PERIOD = 0.05
-"""Between two looks at the ring [s]."""
+"""Time between two reads of the ring [s]."""
 NICE = -10
-"""Among ordinary processes, where permitted."""
+"""Nice value, where permitted."""
 BATCH = 1000
-"""Rows at a time."""
+"""Rows per read."""
 READY = "ready"
 GOODBYE = b"."
-"""What the loop sends when it ends in order."""
+"""Sent by the loop at its regular end."""
 
 
 @dataclass(kw_only=True)
 class Written:
-    """What a recorder leaves behind. `missing`: sentences about what could not be written. `recording`: its parts. `clock_steps`:
-    sentences about steps of this machine's wall clock.
+    """The result of a recorder.
+
+    `recording`: paths of the parts. `missing`: messages about data that could not be written.
+    `clock_steps`: messages about steps of the wall clock.
     """
 
     recording: list[str] = field(default_factory=list)
@@ -53,7 +55,10 @@ class Written:
 
 
 class Recorder:
-    """`step` as long as the loop lives, then `finish`. Never raises for what the disk or a bus does."""
+    """The recorder of a loop. Call `step` while the loop runs, then `finish`.
+
+    Errors of the disk or a bus are reported, never raised.
+    """
 
     def __init__(self, ring: RingReader, complain: Callable[[str], None]) -> None:
         self.ring, self._complain = ring, complain
@@ -79,22 +84,22 @@ class Recorder:
 
     @contextlib.contextmanager
     def _watched(self, subject: str) -> Iterator[None]:
-        """What goes wrong is said once and noted for the result; the rest goes on."""
+        """Report an error once and add it to the result; the other outputs continue."""
         try:
             yield
         except (OSError, CosimError, DeviceError) as error:
             text = getattr(error, "strerror", None) or " ".join(str(error).split())
-            self.written.missing.append(f"{subject} is not whole: {text}")
-            self._complain(f"{subject} has stopped: {text}; the loop goes on")
+            self.written.missing.append(f"{subject} is incomplete: {text}")
+            self._complain(f"{subject} has stopped: {text}; the loop continues")
 
     def step(self) -> None:
-        """What has come since the last look."""
-        self._take_frames()  # first: their buffers are the smaller ones
-        self._look_at_the_clock()
+        """Write all frames and rows since the last call."""
+        self._take_frames()  # first, because frame buffers are smaller than the ring
+        self._check_clock()
         behind = True
         while behind:
             rows = self.ring.take(BATCH)
-            # A loop that is followed to the last row is followed for ever.
+            # Stop at an incomplete batch; new rows might otherwise keep this loop running.
             behind = len(rows) == BATCH
             if self._file is not None:
                 file, self._file = self._file, None
@@ -107,10 +112,10 @@ class Recorder:
         self._take_frames()
         self.written.rows_lost = self.ring.lost
 
-    def _look_at_the_clock(self) -> None:
+    def _check_clock(self) -> None:
         if self._clock is None:
             return
-        step = self._clock.look()
+        step = self._clock.check()
         if step is not None:
             self.written.clock_steps.append(step)
             self._complain(step)
@@ -122,13 +127,13 @@ class Recorder:
                 log.take()
                 self._logs.append(log)
                 continue
-            log.leave()
+            log.close_bus()
 
     def _name_parts(self) -> None:
         self.written.recording = [str(path) for path in self._parts]
 
     def finish(self) -> Written:
-        """The loop has ended."""
+        """Finish all files after the end of the loop."""
         self.step()
         if self._file is not None:
             with self._watched("the recording"):
@@ -144,28 +149,30 @@ class Recorder:
 
 
 def follow(recorder: Recorder, pipe: int, loop: int) -> None:
-    """Until the loop says goodbye, or has gone."""
+    """Record until the loop sends `GOODBYE` or closes the pipe; `loop` is its process ID."""
     waiting = select.poll()
     waiting.register(pipe, select.POLLIN | select.POLLHUP)
-    before_ordinary_ones = False
+    has_priority = False
     while not waiting.poll(PERIOD * 1e3):
         recorder.step()
-        if recorder.written.rows and not before_ordinary_ones:
-            before_ordinary_ones = True
-            # Beside a loop in real time, which comes first anyhow: a busy machine must not cost frames, which wait nowhere for long.
+        if recorder.written.rows and not has_priority:
+            has_priority = True
+            # CAN frames are lost on a busy machine; a loop under SCHED_FIFO still runs first.
             with contextlib.suppress(OSError, AttributeError):
                 if os.sched_getscheduler(loop) == os.SCHED_FIFO:
                     os.nice(NICE)
 
 
 def main(path: str) -> int:
-    """Signals of the terminal are the loop's; it tells, by closing the pipe, when it has ended."""
+    """Run the recorder for the ring at `path`.
+
+    Signals from the terminal are ignored, because the loop handles them and then closes the pipe.
+    """
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     if hasattr(signal, "SIGXFSZ"):
-        signal.signal(
-            signal.SIGXFSZ, signal.SIG_IGN
-        )  # a file that is too long is an error to be told of
+        # A file that exceeds the limit then raises OSError, which is reported.
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     pacing.leave_real_time()
 
     def complain(sentence: str) -> None:
@@ -179,7 +186,7 @@ def main(path: str) -> int:
     follow(recorder, sys.stdin.fileno(), os.getppid())
     written = recorder.finish()
     if written.flight is not None or ring.written == 0:
-        ring.remove()  # else it is all that there is
+        ring.remove()  # otherwise the ring is the only copy of the data
     with contextlib.suppress(OSError):
         print(json.dumps(asdict(written)), flush=True)
     with contextlib.suppress(OSError):

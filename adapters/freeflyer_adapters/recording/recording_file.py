@@ -1,4 +1,4 @@
-"""A run's rows as an MCAP file, and the last seconds before a stop as another one."""
+"""MCAP files of a run: the recording, and the flight recording of the last seconds."""
 
 from __future__ import annotations
 
@@ -25,30 +25,30 @@ from freeflyer_adapters.recording.ring import RingReader, Rows
 from freeflyer_adapters.recording.topics import topics
 
 CHUNK_SECONDS = 0.05
-"""Of a loop in time: a chunk that is not whole is lost with its writer."""
+"""Length of a chunk in real time; an incomplete chunk is lost if its writer is killed."""
 DEFINITIONS_EVERY = 5.0
-"""Schemas and channels once more after so long [s], so that what follows a damaged place can be read."""
+"""Time after which schemas and channels are repeated [s], for reading after a damaged place."""
 FLIGHT_SECONDS = 2.0
 RECORDING, FLIGHT = "recording.mcap", "flight_recording.mcap"
 RUN, STOP = "freeflyer.run", "freeflyer.stop"
-"""Metadata of a file: what was run, from the begin on; why and how it stopped, at the end."""
+"""Metadata of a file: the run, at the start; the reason of the stop, at the end."""
 STARTED = "started_ns"
 CLOCK_STEPS = "clock steps"
-"""Of the metadata at the end, if there were any: a line for each."""
+"""Key of the metadata at the end: one line for each step of the wall clock, if any."""
 ORIGIN = "origin.json"
 MESSAGE_OVERHEAD = 31
-"""Bytes of a message's record beside its data."""
-SILENT = "the controllers' process ended without a word"
+"""Bytes of a message record in addition to its data."""
+SILENT = "the controllers' process ended without a reported reason"
 
 
 @cache
 def library() -> str:
-    """What has written a file."""
+    """Return name and version of the writing software."""
     return f"freeflyer-cosim {version('freeflyer-cosim')}; mcap {version('mcap')}"
 
 
 class RecordingFile:
-    """Rows go in, whole chunks come out. Whatever the stream raises goes through."""
+    """Writer of an MCAP file. All methods raise the errors of the stream."""
 
     def __init__(
         self,
@@ -60,10 +60,11 @@ class RecordingFile:
         self._topics = topics(head, signals)
         a_row = sum(topic.layout.size + MESSAGE_OVERHEAD for topic in self._topics)
         rows = max(1, round(chunk_seconds * 1e9 / head.tick))
-        # mcap's writer ends a chunk by its size; every row has the same.
+        # The mcap writer ends a chunk by its size; all rows have the same size.
         self._writer = Writer(stream, chunk_size=a_row * rows - 1, compression=CompressionType.ZSTD)
         self._stream, self._number, self._repeated = stream, 0, -1
         self._writer.start(profile="ros2", library=library())
+        # Metadata and attachment at the start of the file.
         run = {
             "scenario": head.scenario,
             "title": head.title,
@@ -75,6 +76,7 @@ class RecordingFile:
         )
         origin = json.dumps(head.origin).encode()
         self._writer.add_attachment(head.started, head.started, ORIGIN, "application/json", origin)
+        # Register all topics, and keep their definitions for repetition.
         self._channels = []
         schemas: dict[str, int] = {}
         definitions = RecordBuilder()
@@ -97,15 +99,16 @@ class RecordingFile:
                 schema_id=schemas[name],
             ).write(definitions)
         self._definitions = definitions.end()  # type: ignore[no-untyped-call]
-        self._again = max(1, round(DEFINITIONS_EVERY * 1e9 / head.tick))
+        self._repeat_rows = max(1, round(DEFINITIONS_EVERY * 1e9 / head.tick))
 
     def add(self, rows: Rows, only: Collection[str] | None = None) -> None:
-        """Every row's messages, or those of some topics, with the row's wall time for theirs."""
+        """Add the messages of all rows, or only of the topics `only`, with the rows' wall time."""
         if not len(rows):
             return
-        if self._number // self._again > self._repeated:
-            # mcap's writer has nothing on its way to the stream between two calls, and asks the stream where it is.
-            self._repeated = self._number // self._again
+        if self._number // self._repeat_rows > self._repeated:
+            # The mcap writer buffers no bytes between calls and reads its position from the
+            # stream, so this direct write is safe.
+            self._repeated = self._number // self._repeat_rows
             self._stream.write(self._definitions)
         messages = [
             (channel, topic.layout.bytes_of(rows))
@@ -118,25 +121,27 @@ class RecordingFile:
             self._number += 1
 
     def flush(self) -> None:
-        """Whole chunks to the system, where they outlive this process."""
+        """Flush complete chunks, so that they survive this process."""
         self._stream.flush()
 
     def finish(self, stop: Mapping[str, str]) -> None:
-        """Why it stopped, index and summary."""
+        """Write the reason of the stop, index and summary."""
         self.end(stop, STOP)
 
     def end(self, last: Mapping[str, str], name: str) -> None:
+        """Write the metadata `last` with this name, index and summary."""
         self._writer.add_metadata(name, dict(last))
         self._writer.finish()  # type: ignore[no-untyped-call]
         self._stream.flush()
 
 
 def chosen(head: RecordingHeader) -> list[Signal]:
+    """Return the signals that `[record]` selects."""
     return [signal for signal in head.signals if signal.name in head.chosen]
 
 
 def stop_of(ring: RingReader, recorder: str, clock_steps: Sequence[str] = ()) -> dict[str, str]:
-    """`clock_steps`: sentences about steps of the wall clock during the run."""
+    """Return the metadata `STOP`; `clock_steps`: messages about steps of the wall clock."""
     stop = {
         "reason": ring.reason or SILENT,
         "rows written by the loop": str(ring.written),
@@ -149,10 +154,9 @@ def stop_of(ring: RingReader, recorder: str, clock_steps: Sequence[str] = ()) ->
 def save_flight(
     ring: RingReader, recorder: str, name: str = FLIGHT, clock_steps: Sequence[str] = ()
 ) -> Path | None:
-    """The last seconds before the stop, every signal at every instant; None if there was no instant.
+    """Write all signals of the last seconds before the stop; return the path of the file.
 
-    Where the run's directory cannot be written, a private one under the temporary directory takes it. OutputError if that cannot
-    either.
+    Return None if the ring has no row. See `save` for another directory and errors.
     """
     rows = ring.last(FLIGHT_SECONDS)
     if not len(rows):
@@ -171,14 +175,17 @@ def write_rows(
     recorder: str,
     clock_steps: Sequence[str] = (),
 ) -> None:
-    """A whole file of rows that a ring has."""
+    """Write a complete file with rows of a ring."""
     file = RecordingFile(stream, ring.head, signals, FLIGHT_SECONDS / 4)
     file.add(rows)
     file.finish(stop_of(ring, recorder, clock_steps))
 
 
 def save(path: Path, write: Callable[[BinaryIO], object]) -> Path:
-    """Where it was written: there, or in a private directory if that cannot be. OutputError if neither can."""
+    """Write a file to `path`; if that fails, to a private temporary directory.
+
+    Return the path of the file. Raises OutputError if both fail.
+    """
 
     def write_partial(partial: Path) -> None:
         with partial.open("wb") as stream:
@@ -196,6 +203,10 @@ def save(path: Path, write: Callable[[BinaryIO], object]) -> Path:
 
 
 def fallback() -> Path:
+    """Return a private directory for files of runs whose directory cannot be written.
+
+    Raises OutputError if it cannot be created.
+    """
     path = Path(tempfile.gettempdir()) / f"freeflyer-recordings-{os.getuid()}"
     if refused := private_directory.made(path):
         raise OutputError(refused)

@@ -1,4 +1,7 @@
-"""Makes whole files of what a killed recorder, a full disk or a bad disk has left: beside the original, which is not touched."""
+"""Recovery of damaged or unfinished recordings, CAN logs and rings.
+
+The result is a new file. The original is not changed.
+"""
 
 from __future__ import annotations
 
@@ -26,12 +29,16 @@ SUFFIXES = (".mcap", ".blf", ".ring")
 CHUNK = 256 * 1024
 EARLIEST, LATEST = 0, 2**63
 Progress = Callable[[int, int], None]
-"""Called with the bytes done, and all of them."""
+"""Called with the processed bytes and the total bytes."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Recovered:
-    """`kept`: messages or frames from `begin` to `end` [ns since the epoch]; `path` is None where nothing had to be written."""
+    """The result of a recovery.
+
+    `kept`: number of messages or frames from `begin` to `end` [ns since the epoch]. `path`: the
+    new file; None if none was necessary.
+    """
 
     source: Path
     path: Path | None
@@ -40,14 +47,15 @@ class Recovered:
     end: int | None
     lost: str
     rest: Path | None = None
-    """The further part of a recording that was made of a ring."""
+    """Further part of a recording, written from a ring."""
 
     @property
     def sentence(self) -> str:
+        """Message about the result in one line."""
         if self.rest is not None:
-            return f"{self.path}: kept {self._kept}; the end of the recording was in memory still, and is in {self.rest}"
+            return f"{self.path}: kept {self._kept}; the end of the recording was still in memory and is now in {self.rest}"
         if self.path is None:
-            return f"{self.source} is whole: {self._kept}; nothing was written"
+            return f"{self.source} is complete: {self._kept}; nothing was written"
         return f"{self.path}: kept {self._kept}; {self.lost or 'nothing was lost'}"
 
     @property
@@ -60,23 +68,28 @@ class Recovered:
 
 
 def recover(path: Path, out: Path | None = None, progress: Progress | None = None) -> Recovered:
-    """A recording, a CAN log or a ring. RecordError for a file that is none, OutputError if the result cannot be written."""
+    """Recover a recording, a CAN log or a ring.
+
+    Raises RecordError if the file is none of them, OutputError if the result cannot be written.
+    """
+    # A ring becomes files in the directory of its run.
     suffix = path.suffix.lower()
     if suffix == ".ring":
         if out is not None:
-            raise RecordError(f"--out {out}: a ring goes into the directory of its run")
-        _refuse_a_strangers(path)
+            raise RecordError(f"--out {out}: a ring is always written to the directory of its run")
+        _reject_foreign_ring(path)
         saved = save_ring(path)
-        return _told(path, saved)
+        return _ring_result(path, saved)
     if suffix not in SUFFIXES:
         raise RecordError(
-            f"{path} is neither a recording (.mcap) nor a CAN log (.blf) nor a ring (.ring), by its name"
+            f"{path} has none of the names of a recording (.mcap), a CAN log (.blf) or a ring (.ring)"
         )
+    # A file is copied only if a first pass finds damage, or if `out` is given.
     target = out or path.with_name(f"{path.stem}_recovered{path.suffix}")
     with _opened(path) as file:
         if target.exists() and os.path.samefile(target, path):
             raise RecordError(
-                f"--out {target} is the damaged file itself, which is not touched; another name is expected"
+                f"--out {target} is the damaged file itself, which is not changed; another name is expected"
             )
         found: list[Recovered] = []
         if out is None:
@@ -87,7 +100,7 @@ def recover(path: Path, out: Path | None = None, progress: Progress | None = Non
         def write(partial: Path) -> None:
             with partial.open("wb") as stream:
                 found.append(copy_whole(path, file, stream, progress))
-                if not stream.closed:  # python-can closes what it has written
+                if not stream.closed:  # python-can closes the stream
                     os.fsync(stream.fileno())
 
         write_whole(target, write)
@@ -97,25 +110,28 @@ def recover(path: Path, out: Path | None = None, progress: Progress | None = Non
     )
 
 
-def _refuse_a_strangers(path: Path) -> None:
-    """A ring says itself where its files go: somebody else's would write where he likes."""
+def _reject_foreign_ring(path: Path) -> None:
+    """Raise RecordError for an untrusted ring, because its header chooses the output directory."""
     if path.absolute().parent not in (folder().absolute(), _directory_of(path)):
         raise RecordError(
-            f"ring {path} writes into {_directory_of(path)}, and lies neither there nor among your own rings; move it into {folder()} if you "
-            f"trust it"
+            f"ring {path} would write into {_directory_of(path)}, but is neither in that directory nor in {folder()}; move it to {folder()} "
+            f"if you trust it"
         )
 
 
 def copy_whole(
     path: Path, file: BinaryIO, output: BinaryIO | None, progress: Progress | None = None
 ) -> Recovered:
-    """What is whole in a recording or, by the name, a CAN log, into `output`; without it, only looked at."""
+    """Copy the intact data of a CAN log (.blf) or recording; without `output`, only check it."""
     copy = _copy_frames if path.suffix.lower() == ".blf" else _copy_messages
     return copy(path, file, output, progress)
 
 
 def unfinished(directory: Path) -> Iterator[Path]:
-    """What `recover` can do something for in a run's directory, and rings of that run that were left behind."""
+    """Yield the files in the directory of a run that `recover` accepts, and the run's old rings.
+
+    Raises RecordError if the directory cannot be read.
+    """
     try:
         names = sorted(path for path in directory.iterdir() if path.suffix.lower() in SUFFIXES)
     except OSError as error:
@@ -125,7 +141,7 @@ def unfinished(directory: Path) -> Iterator[Path]:
 
 
 def rings_of(directory: Path) -> Iterator[Path]:
-    """Of a run there whose loop and recorder have both died."""
+    """Yield the rings of runs in this directory whose loop and recorder have both ended."""
     for path in sorted(folder().glob("*.ring")):
         try:
             if is_left_behind(path) and _directory_of(path) == directory.absolute():
@@ -140,7 +156,7 @@ def _directory_of(path: Path) -> Path:
     return Path(ring.head.directory)
 
 
-def _told(ring: Path, saved: Saved) -> Recovered:
+def _ring_result(ring: Path, saved: Saved) -> Recovered:
     if saved.flight is None:
         return Recovered(source=ring, path=None, kept=0, begin=None, end=None, lost="")
     with _opened(saved.flight) as file:
@@ -161,7 +177,7 @@ def _opened(path: Path) -> Iterator[BinaryIO]:
     try:
         with path.open("rb") as file:
             if not path.is_file():
-                raise RecordError(f"{path} is no ordinary file")
+                raise RecordError(f"{path} is not a regular file")
             yield file
     except OSError as error:
         raise RecordError(f"{path} cannot be read: {error.strerror or error}") from error
@@ -170,7 +186,7 @@ def _opened(path: Path) -> Iterator[BinaryIO]:
 def _copy_messages(
     path: Path, file: BinaryIO, stream: BinaryIO | None, progress: Progress | None
 ) -> Recovered:
-    """Every whole message, record by record, into a new file; without `stream`, only looked at."""
+    """Copy all intact messages to a new file; without `stream`, only check the file."""
     source = DamagedMcap(file)
     kept, begin, end, others = 0, LATEST, EARLIEST, 0
     output = None if stream is None else _Output(stream)
@@ -185,9 +201,9 @@ def _copy_messages(
         if output is not None:
             output.add(record)
     damage = source.damage
-    if not kept and not others and not source.begins_well:
+    if not kept and not others and not source.has_magic:
         raise RecordError(
-            f"{path} is no MCAP recording: it does not begin as one, and has no whole chunk"
+            f"{path} is not an MCAP recording: it has neither the magic bytes at its start nor an intact chunk"
         )
     lost = _lost(damage, kept)
     if output is not None:
@@ -208,17 +224,19 @@ def _lost(damage: Damage, kept: int) -> str:
             f"{damage.skipped} bytes in {damage.places} place{'s' * (damage.places > 1)} could not be read"
         )
     if damage.undefined:
-        parts.append(f"{damage.undefined} messages lost whose definition is nowhere in the file")
+        parts.append(f"{damage.undefined} messages lost because the file lacks their definition")
     if damage.exhausted:
         parts.append(
-            "reading was given up: the file asks for more memory or time than one of its size may"
+            "reading was aborted: the file needs more memory or time than the limits for its size"
         )
     if not parts and not damage.is_whole:
-        parts.append("the end was missing: index and summary are new")
+        parts.append("the end was missing; index and summary are new")
     return ", ".join(parts)
 
 
 class _Output:
+    """An MCAP file with definitions copied from the damaged file."""
+
     def __init__(self, stream: BinaryIO) -> None:
         self._stream = stream
         self._writer = Writer(self._stream, chunk_size=CHUNK, compression=CompressionType.ZSTD)

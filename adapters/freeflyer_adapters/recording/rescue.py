@@ -1,4 +1,4 @@
-"""What earlier runs have left: rings whose loop and recorder have both died, and recordings that nobody has finished."""
+"""Rescue of data of earlier runs: rings without loop and recorder, and unfinished recordings."""
 
 from __future__ import annotations
 
@@ -19,14 +19,18 @@ from freeflyer_adapters.recording.ring import RingReader, is_left_behind, left_b
 
 @dataclass(frozen=True, kw_only=True)
 class Saved:
-    """`flight`: the last seconds; None if the run had no instant. `rest`: the end of its recording, if that was missing."""
+    """Files that were written from a ring.
+
+    `flight`: the flight recording; None if the ring has no row. `rest`: the missing end of the
+    recording; None if nothing was missing.
+    """
 
     flight: Path | None
     rest: Path | None
 
 
 def rescue(directory: Path | None = None) -> Iterator[str]:
-    """Saves the last seconds of runs that died without a word; a sentence for each."""
+    """Save the last seconds of runs that were killed; yield a message for each."""
     for path in left_behind(directory):
         try:
             saved = save_ring(path)
@@ -37,23 +41,25 @@ def rescue(directory: Path | None = None) -> Iterator[str]:
                 rest = (
                     f", the end of its recording in {saved.rest}" if saved.rest is not None else ""
                 )
-                yield f"an earlier run died without a word; its last seconds are in {saved.flight}{rest}"
+                yield f"an earlier run ended without a reported reason; its last seconds are in {saved.flight}{rest}"
 
 
 def save_ring(path: Path) -> Saved:
-    """Of a ring that was left behind: the flight recording, and what the recording lacks, beside the run's other files; the ring is
-    gone then. RecordError if somebody still works on it, or it is none.
+    """Write the flight recording and the missing end of the recording; then remove the ring.
+
+    The files are in the directory of the run. Raises RecordError if the file is not a ring or is in
+    use, OutputError if a file cannot be written.
     """
     if not is_left_behind(path):
         raise RecordError(
-            f"the loop of ring {path} is still running, and saves its last seconds itself when it ends"
+            f"the loop of ring {path} is still running; its last seconds are saved when it ends"
         )
     ring = RingReader(path)
     try:
         started = time.strftime("%Y%m%dT%H%M%S", time.localtime(ring.head.started * 1e-9))
-        flight = save_flight(ring, "somebody after the run", f"{Path(FLIGHT).stem}_{started}.mcap")
+        flight = save_flight(ring, "recovery after the run", f"{Path(FLIGHT).stem}_{started}.mcap")
         try:
-            rest = save_rest(ring, "somebody after the run")
+            rest = save_rest(ring, "recovery after the run")
         except OSError as error:
             raise OutputError(
                 f"the end of the recording in {ring.head.directory} cannot be written: {error.strerror}"
@@ -65,9 +71,10 @@ def save_ring(path: Path) -> Saved:
 
 
 def set_aside(directory: Path, channels: Sequence[CanChannel], can_format: str) -> None:
-    """An unfinished recording of an earlier run in the same directory is renamed, all its parts and its CAN log, and not written over.
+    """Prepare the directory of a run for a new recording.
 
-    Of a finished one, which is, the further parts are removed, so that nobody takes them for the new run's.
+    An unfinished recording of an earlier run is renamed: all its parts and its CAN log. The parts
+    of a finished one are removed, so that they cannot be confused with parts of the new run.
     """
     with contextlib.suppress(OSError):
         found = parts(directory)
@@ -90,7 +97,7 @@ def set_aside(directory: Path, channels: Sequence[CanChannel], can_format: str) 
 
 
 def _is_finished(path: Path) -> bool:
-    """Whether its end is there, which looks like its begin."""
+    """Return whether the file ends with the magic bytes of MCAP."""
     with path.open("rb") as file:
         size = file.seek(0, os.SEEK_END)
         file.seek(max(0, size - len(MAGIC)))

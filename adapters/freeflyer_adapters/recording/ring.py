@@ -1,14 +1,17 @@
-"""The last seconds of a loop in memory that outlives it: one row for every instant, in a file of the user's runtime directory or /dev/shm.
+"""Ring buffer in shared memory with the last seconds of a loop: one row for every instant.
 
-The loop only copies numbers; there is no lock, no system call and nothing that grows. The file is a page with the numbers below, the
-run's head as JSON, and the rows. A row is [number + 1, wall time (ns), monotonic clock (ns), instant k], the values, and once more
-number + 1: zero while the row is being written, so that nobody takes a torn one. (Stores are seen in order on x86; on other
-processors the second number narrows the gap but does not close it.) The wall time is the monotonic clock and one
-offset, the head's `clock_offset` if it has one, so that it does not jump when the wall clock is set; in rings of earlier versions it is
-the wall clock of that moment.
+The buffer is a file in the user's runtime directory or /dev/shm and survives the loop. A write only
+copies numbers, without lock, system call or allocation. The file contains a page with the numbers
+below, the recording header as JSON, and the rows. A row is [number + 1, wall time (ns), monotonic
+clock (ns), instant k], the values, and number + 1 again. Both copies are zero while the row is
+written, so that a reader can reject a torn row. (On x86 stores are visible in order. On other
+processors the second copy makes a torn row unlikely, but not impossible.)
 
-Everybody who works on a ring holds a shared lock on its file, which goes with its process, however that ends: a ring whose lock is
-free has been left behind.
+The wall time is the monotonic clock plus a constant offset, `clock_offset` of the header. It does
+not jump when the wall clock is set. Rings of earlier versions contain the wall clock itself.
+
+Every process that uses a ring holds a shared lock on its file. The lock ends with the process. A
+ring without a lock was left behind by processes that have ended.
 """
 
 from __future__ import annotations
@@ -34,23 +37,26 @@ from freeflyer_adapters.recording.wall_clock import offset_of
 
 MAGIC = b"FFRING1\n"
 FIXED = struct.Struct("<8sQQQQ")
-"""Magic, rows, values of a row, bytes of the JSON head, where the first row begins."""
+"""Magic bytes, number of rows, values per row, size of the JSON header, offset of the first row."""
 WRITTEN = struct.Struct("<Q")
-"""How many rows were ever written, in a place of its own; behind it, the number of bytes of the reason to stop, then the reason."""
+"""Total number of written rows; the size and the text of the reason of the stop follow."""
 WRITTEN_AT, REASON_AT, LONGEST_REASON = 64, 72, 2000
 PAGE = 4096
 TIMES = 4
-"""Words before a row's values; one more follows them."""
+"""64-bit numbers before the values of a row; one more follows the values."""
 SECONDS = 8.0
 LARGEST = 256 * 2**20
-"""Bytes of all rows."""
+"""Maximum size of all rows [bytes]."""
 MOST_WRITTEN = 2**60
-"""Rows: some million years at 1 kHz; the numbers of rows stay within 64 bits with a sign."""
+"""Maximum number of written rows, so that row numbers fit into signed 64-bit integers."""
 
 
 @dataclass(frozen=True)
 class Rows:
-    """`times` (rows, 3): wall time, monotonic clock [ns], instant; `values` (rows, width)."""
+    """Rows of a ring.
+
+    `times` (rows, 3): wall time [ns], monotonic clock [ns], instant. `values` (rows, width).
+    """
 
     times: NDArray[np.int64]
     values: Array
@@ -59,21 +65,23 @@ class Rows:
         return len(self.times)
 
     def where(self, chosen: NDArray[np.bool_]) -> Rows:
+        """Return the rows that a mask (rows) selects."""
         return Rows(self.times[chosen], self.values[chosen])
 
     def split(self, count: int) -> tuple[Rows, Rows]:
-        """The first ones, and the others."""
+        """Return the first `count` rows and the others."""
         return Rows(self.times[:count], self.values[:count]), Rows(
             self.times[count:], self.values[count:]
         )
 
     @staticmethod
     def none(width: int) -> Rows:
+        """Return no rows."""
         return Rows(np.zeros((0, 3), dtype=np.int64), np.zeros((0, width)))
 
 
 def folder() -> Path:
-    """Where rings are: private to the user. RecordError if that cannot be had."""
+    """Return the user's private directory of rings. Raises RecordError if it cannot be created."""
     chosen = os.environ.get("XDG_RUNTIME_DIR") or (
         "/dev/shm" if os.access("/dev/shm", os.W_OK) else tempfile.gettempdir()
     )
@@ -84,16 +92,21 @@ def folder() -> Path:
 
 
 class RingWriter:
-    """The loop's side."""
+    """Writer of a ring, for the loop."""
 
     def __init__(self, head: RecordingHeader, directory: Path | None = None) -> None:
-        """RecordError if there is no room: the memory is all there from the begin, so that no write can fail."""
+        """Allocate the whole ring, so that no later write can fail.
+
+        Raises RecordError if there is not enough memory.
+        """
+        # Sizes: the header fills whole pages, the rows at most `LARGEST` bytes.
         text = head.to_json()
         self.width = head.width
         row_bytes = 8 * (TIMES + self.width + 1)
         self.rows = max(64, min(round(SECONDS * 1e9 / head.tick), LARGEST // row_bytes))
         first = PAGE + -(-len(text) // PAGE) * PAGE
         size = first + self.rows * row_bytes
+        # Lock the file before its memory is reserved, so that no other process removes it.
         handle, name = tempfile.mkstemp(
             prefix=f"{os.getpid()}-", suffix=".ring", dir=directory or folder()
         )
@@ -112,25 +125,26 @@ class RingWriter:
             os.close(handle)
             self.path.unlink(missing_ok=True)
             raise RecordError(
-                f"the ring of {size / 2**20:.1f} MiB for the recording cannot be made in {self.path.parent}: {error.strerror}"
+                f"the ring of {size / 2**20:.1f} MiB for the recording cannot be created in {self.path.parent}: {error.strerror}"
             ) from error
+        # Views of the rows as integers and as floats.
         self._lock = handle
         self._memory[PAGE : PAGE + len(text)] = text
-        words = np.frombuffer(self._memory, dtype="<i8", offset=first).reshape(self.rows, -1)
-        self._words, self._values = words, words.view("<f8")[:, TIMES:-1]
+        integers = np.frombuffer(self._memory, dtype="<i8", offset=first).reshape(self.rows, -1)
+        self._integers, self._values = integers, integers.view("<f8")[:, TIMES:-1]
         self._written = np.frombuffer(self._memory, dtype="<u8", count=1, offset=WRITTEN_AT)
         self._count = 0
         self._environment = environment.present()
         self._offset = (
             offset_of(self._environment) if head.clock_offset is None else head.clock_offset
         )
-        # The magic last: a file without it is no ring yet.
+        # Write the magic bytes last; without them the file is not yet a valid ring.
         self._memory[: FIXED.size] = FIXED.pack(MAGIC, self.rows, self.width, len(text), first)
 
     def write(self, k: int, line: Array) -> None:
-        """`line` (width) at instant k, stamped with this moment."""
+        """Write `line` (width) at instant k with the present time."""
         count = self._count
-        row = self._words[count % self.rows]
+        row = self._integers[count % self.rows]
         row[0] = row[-1] = 0
         row[2] = now = self._environment.monotonic_ns()
         row[1] = now + self._offset
@@ -142,25 +156,25 @@ class RingWriter:
 
     @property
     def last_instant(self) -> int:
-        """-1 before the first row."""
-        return int(self._words[(self._count - 1) % self.rows][3]) if self._count else -1
+        """Instant of the last row; -1 before the first row."""
+        return int(self._integers[(self._count - 1) % self.rows][3]) if self._count else -1
 
-    def say_reason(self, reason: str) -> None:
-        """Why the loop has ended; rows that follow are not expected."""
+    def set_reason(self, reason: str) -> None:
+        """Store the reason of the stop; no row is written afterwards."""
         text = reason.encode(errors="replace")[:LONGEST_REASON]
         self._memory[REASON_AT + 8 : REASON_AT + 8 + len(text)] = text
         self._memory[REASON_AT : REASON_AT + 8] = WRITTEN.pack(len(text))
 
     def close(self) -> None:
-        """Lets go of the ring; its file stays."""
+        """Release the lock; the file remains."""
         if self._lock >= 0:
-            fcntl.flock(self._lock, fcntl.LOCK_UN)  # the memory map has a descriptor of its own
+            fcntl.flock(self._lock, fcntl.LOCK_UN)  # needed: the memory map has another descriptor
             os.close(self._lock)
             self._lock = -1
 
 
 class RingReader:
-    """Whoever follows a ring, or saves one that was left behind. RecordError for a file that is no ring."""
+    """Reader of a ring. Raises RecordError if the file is not a valid ring."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -177,11 +191,15 @@ class RingReader:
 
     def _open(self, size: int) -> None:
         if size < PAGE:
-            raise RecordError(f"{self.path} is no ring of a loop: it has {size} bytes")
+            raise RecordError(
+                f"{self.path} is not a ring of a loop: it has {size} bytes, at least {PAGE} are expected"
+            )
         self._memory = mmap.mmap(self._lock, size, access=mmap.ACCESS_READ)
         magic, rows, width, length, first = FIXED.unpack_from(self._memory, 0)
         if magic != MAGIC:
-            raise RecordError(f"{self.path} is no ring of a loop: it begins with {magic!r}")
+            raise RecordError(
+                f"{self.path} is not a ring of a loop: it starts with {magic!r}, {MAGIC!r} is expected"
+            )
         fits = (
             PAGE + length <= first
             and first % 8 == 0
@@ -195,29 +213,30 @@ class RingReader:
         self.head = RecordingHeader.from_json(self._memory[PAGE : PAGE + length])
         if self.head.width != width:
             raise RecordError(
-                f"{self.path} is a damaged ring: its rows have {width} values, its head {self.head.width}"
+                f"{self.path} is a damaged ring: its rows have {width} values, its header {self.head.width}"
             )
         if self.written > MOST_WRITTEN:
             raise RecordError(
-                f"{self.path} is a damaged ring: nobody has written {self.written} rows"
+                f"{self.path} is a damaged ring: {self.written} is not a possible number of written rows"
             )
         self.rows = rows
-        words = np.frombuffer(
+        integers = np.frombuffer(
             self._memory, dtype="<i8", offset=first, count=rows * (TIMES + width + 1)
         )
-        self._words = words.reshape(rows, -1)
+        self._integers = integers.reshape(rows, -1)
         self.next = 0
-        """The number of the first row not taken yet."""
+        """Number of the next row to read."""
         self.lost = 0
-        """Rows that were written over before they were taken."""
+        """Number of rows that were overwritten before they were read."""
 
     @property
     def written(self) -> int:
+        """Total number of rows that the loop has written."""
         return int(WRITTEN.unpack_from(self._memory, WRITTEN_AT)[0])
 
     @property
     def reason(self) -> str | None:
-        """Why the loop ended, in its own words; None if it has said nothing."""
+        """Reason of the stop, stored by the loop; None if there is none."""
         (length,) = WRITTEN.unpack_from(self._memory, REASON_AT)
         place = REASON_AT + 8
         return (
@@ -227,9 +246,9 @@ class RingReader:
         )
 
     def take(self, most: int) -> Rows:
-        """The next whole rows, oldest first; what was written over meanwhile is counted."""
+        """Return the next intact rows, at most `most`, oldest first; count the overwritten ones."""
         written = self.written
-        # Keep away from the row that is written over next.
+        # Skip the row that is overwritten next.
         oldest = max(0, written - self.rows + 1)
         if self.next < oldest:
             self.lost += oldest - self.next
@@ -238,8 +257,8 @@ class RingReader:
         if self.next >= last:
             return Rows.none(self.head.width)
         numbers = np.arange(self.next, last)
-        taken = self._words[numbers % self.rows]  # a copy
-        again = self._words[numbers % self.rows, 0]
+        taken = self._integers[numbers % self.rows]  # a copy
+        again = self._integers[numbers % self.rows, 0]
         whole = (
             (taken[:, 0] == numbers + 1) & (taken[:, -1] == numbers + 1) & (again == numbers + 1)
         )
@@ -250,14 +269,14 @@ class RingReader:
         return Rows(taken[:, 1:TIMES], taken[:, TIMES:-1].view("<f8"))
 
     def last(self, seconds: float) -> Rows:
-        """Every whole row of the last seconds before the newest one [s of the monotonic clock]."""
+        """Return the intact rows of the last seconds before the newest row [s, monotonic clock]."""
         rows = self.everything()
         if not len(rows):
             return rows
         return rows.where(rows.times[:, 1] >= rows.times[-1, 1] - round(seconds * 1e9))
 
     def everything(self) -> Rows:
-        """Every whole row that is there, taken before or not."""
+        """Return all intact rows in the ring, read before or not."""
         at, lost = self.next, self.lost
         self.next = max(0, self.written - self.rows + 1)
         rows = self.take(self.rows)
@@ -265,18 +284,20 @@ class RingReader:
         return rows
 
     def close(self) -> None:
+        """Release the lock; the file remains."""
         if self._lock >= 0:
-            fcntl.flock(self._lock, fcntl.LOCK_UN)  # the memory map has a descriptor of its own
+            fcntl.flock(self._lock, fcntl.LOCK_UN)  # needed: the memory map has another descriptor
             os.close(self._lock)
             self._lock = -1
 
     def remove(self) -> None:
+        """Delete the file and release the lock."""
         self.path.unlink(missing_ok=True)
         self.close()
 
 
 def is_left_behind(path: Path) -> bool:
-    """Whether nobody works on the ring any more."""
+    """Return whether no process uses the ring any more."""
     try:
         handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
     except OSError:
@@ -291,7 +312,7 @@ def is_left_behind(path: Path) -> bool:
 
 
 def left_behind(directory: Path | None = None) -> Iterator[Path]:
-    """Rings of loops that have died together with their recorders."""
+    """Yield the rings of runs whose loop and recorder have both ended."""
     with contextlib.suppress(RecordError):
         for path in sorted((directory or folder()).glob("*.ring")):
             if is_left_behind(path):

@@ -1,6 +1,7 @@
-"""Message definitions of ROS 2 as a recording carries them (schema encoding ros2msg): a message's own text, then those it is made of.
+"""Message definitions of ROS 2 for the schemas of a recording (encoding ros2msg).
 
-Comments of the originals are left out; fields and their order are what counts, and are tested against rosbags' own definitions.
+A schema contains the definition of a message, then the definitions of its field types. Comments
+are omitted. Fields and their order are tested against the definitions of rosbags.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ import re
 from collections.abc import Sequence
 
 PACKAGE = "freeflyer_cosim"
-"""Of the messages that are made from a scenario."""
+"""Package of the messages that are generated from a scenario."""
 SEPARATOR = "=" * 80
 PLAIN = frozenset({"float64", "int64", "uint64", "int32", "uint32", "string"})
 
@@ -40,7 +41,7 @@ DEFINITIONS = {
 
 
 def full_text(definition: str) -> str:
-    """A definition with all those it is made of, each once."""
+    """Return a definition followed by the definitions of all its field types, each once."""
     found: dict[str, str] = {}
     waiting = [definition]
     while waiting:
@@ -58,15 +59,15 @@ def full_text(definition: str) -> str:
 
 
 def message_name(text: str) -> str:
-    """A component's name as ROS names messages: ArmDrive of arm_drive."""
-    words = re.findall(r"[A-Za-z0-9]+", text)
-    return "M" * (not words or not words[0][0].isalpha()) + "".join(
-        word[0].upper() + word[1:] for word in words
+    """Return a component name as a ROS message name: ArmDrive for arm_drive."""
+    parts = re.findall(r"[A-Za-z0-9]+", text)
+    return "M" * (not parts or not parts[0][0].isalpha()) + "".join(
+        part[0].upper() + part[1:] for part in parts
     )
 
 
 def field_names(texts: Sequence[str]) -> list[str]:
-    """Names as ROS allows them for fields, all different, in the order of `texts`."""
+    """Return valid and unique ROS field names for `texts`, in the same order."""
     found: list[str] = []
     for text in texts:
         name = "_".join(re.findall(r"[a-z0-9]+", text.lower()))

@@ -1,7 +1,8 @@
-"""This machine's wall clock beside the monotonic one.
+"""Detection of steps of the wall clock during a recording.
 
-A recording's times are the monotonic clock's, with one offset that is read at the start of the run. NTP that slews changes the rate of
-both clocks alike, so that their difference is constant until the wall clock is set; such a step is named, and changes no time.
+The times of a recording are those of the monotonic clock plus an offset, which is measured at the
+start of the run. Slewing by NTP changes the rate of both clocks, so their difference is constant
+until the wall clock is set. Such a step is reported and does not change the times.
 """
 
 from __future__ import annotations
@@ -9,15 +10,18 @@ from __future__ import annotations
 from freeflyer_adapters.foundation import environment
 from freeflyer_adapters.foundation.environment import Environment
 
-NAMED = 100_000_000
-"""[ns] The smallest step that is named."""
-MOST_NAMED = 100
-"""A clock that is set all the time must not fill the result."""
+SMALLEST_REPORTED = 100_000_000
+"""Smallest step that is reported [ns]."""
+MOST_REPORTED = 100
+"""Maximum number of reported steps, so that a clock that is set often cannot fill the result."""
 READINGS = 3
 
 
 def offset_of(clocks: Environment) -> int:
-    """Wall clock minus monotonic clock [ns], of several readings the one that took least: a process may be held up in between."""
+    """Return wall clock minus monotonic clock [ns].
+
+    The fastest of several readings is used, because the process may be suspended during a reading.
+    """
     readings = []
     for _ in range(READINGS):
         before, wall, after = clocks.monotonic_ns(), clocks.time_ns(), clocks.monotonic_ns()
@@ -26,61 +30,65 @@ def offset_of(clocks: Environment) -> int:
 
 
 def sentence(step: int, when: str) -> str:
-    """`step` [ns], positive where the wall clock was set forward."""
+    """Return the message about a step [ns]; it is positive if the wall clock was set forward."""
     direction = "back" if step < 0 else "forward"
     size = f"{abs(step) * 1e-9:.3f} s"
-    return f"this machine's clock was set {direction} by {size}, {when}; the recording's times go on from the clock at its start"
+    return f"this machine's clock was set {direction} by {size}, {when}; the recording's times continue from the clock at its start"
 
 
 class WallClock:
-    """`offset` [ns]: wall clock minus monotonic clock at the start; `started` [ns since the epoch]."""
+    """Monitor of the wall clock.
+
+    `offset` [ns]: wall clock minus monotonic clock at the start. `started` [ns since the epoch].
+    """
 
     def __init__(self, offset: int, started: int) -> None:
         self.offset, self.started = offset, started
         self.steps: list[str] = []
-        """A sentence for every step of `NAMED` or more that `look` has found."""
+        """Messages about all steps that `check` has found."""
         self._environment = environment.present()
         self._known = 0
 
     @classmethod
     def start(cls) -> WallClock:
-        """At the start of a run, which is now."""
+        """Return a monitor for a run that starts now."""
         clocks = environment.present()
         offset = offset_of(clocks)
         return cls(offset, clocks.monotonic_ns() + offset)
 
     @property
-    def is_the_machines(self) -> bool:
-        """Virtual time is one process's own; another one, as the recorder, has other clocks."""
+    def is_system_clock(self) -> bool:
+        """Whether other processes have the same clocks; False in virtual time."""
         return type(self._environment) is Environment
 
     def now(self) -> int:
-        """As the recording's times have it [ns since the epoch]: no step changes it."""
+        """Return the time of the recording [ns since the epoch], which has no steps."""
         return self._environment.monotonic_ns() + self.offset
 
     def step(self) -> int:
-        """By how much the wall clock has been set since the start [ns]; positive: forward."""
+        """Return the total step of the wall clock since the start [ns]; positive: forward."""
         return offset_of(self._environment) - self.offset
 
-    def look(self) -> str | None:
-        """The sentence about a step since the last look, if there was one."""
+    def check(self) -> str | None:
+        """Return a message if the wall clock was set since the last call, else None."""
         step = self.step()
         new = step - self._known
-        if abs(new) < NAMED:
+        if abs(new) < SMALLEST_REPORTED:
             return None
         self._known = step
-        if len(self.steps) > MOST_NAMED:
+        if len(self.steps) > MOST_REPORTED:
             return None
         after = f"{(self.now() - self.started) * 1e-9:.1f} s after the start"
-        named = (
+        message = (
             sentence(new, after)
-            if len(self.steps) < MOST_NAMED
-            else "further steps of this machine's clock are not named"
+            if len(self.steps) < MOST_REPORTED
+            else "further steps of this machine's clock are not reported"
         )
-        self.steps.append(named)
-        return named
+        self.steps.append(message)
+        return message
 
-    def whole_step(self) -> list[str]:
-        """For a run in which nothing has looked: a sentence about start and end, if they differ by a step."""
+    def total_step(self) -> list[str]:
+        """Return a message about the total step, for a run in which `check` was never called."""
         step = self.step()
-        return [sentence(step, "some time during the run")] if abs(step) >= NAMED else []
+        is_reported = abs(step) >= SMALLEST_REPORTED
+        return [sentence(step, "some time during the run")] if is_reported else []

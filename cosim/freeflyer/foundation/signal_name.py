@@ -1,4 +1,4 @@
-"""Names of signals, COMPONENT.VARIABLE, and texts that connect them, in scenarios and their results."""
+"""Names of signals, COMPONENT.VARIABLE, and texts that connect them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Random schedules of faults: never an illegal state, never a command beyond its limits, never NaN (`fault_bench.assert_safe`)."""
+"""Random schedules of faults: no illegal state, no command beyond its limits, no NaN.
+
+The checks are in `fault_bench.assert_safe`.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +22,8 @@ SEEDS = 100
 MANY = 10_000
 
 
-def told(seen: Observed) -> tuple[object, ...]:
-    """All that happened, but for the controller's number, which is drawn anew for every one."""
+def summary(seen: Observed) -> tuple[object, ...]:
+    """Return all observations except the controller's number, which differs in every run."""
     events = {
         name: [re.sub(r"controller \d+", "controller", event) for event in of]
         for name, of in seen.events.items()
@@ -31,20 +34,20 @@ def told(seen: Observed) -> tuple[object, ...]:
 
 
 @pytest.mark.parametrize("seed", family(range(1, SEEDS + 1), 12))
-def test_whatever_the_faults_the_arm_ends_braked_and_nothing_was_beyond_its_limits(
+def test_random_faults_end_with_a_braked_arm_and_commands_within_limits(
     seed: int,
 ) -> None:
     assert "otherwise" not in ending(schedule(seed))
 
 
 def test_a_seed_gives_the_same_run_every_time() -> None:
-    first, second = (told(schedule(11)) for _ in range(2))
+    first, second = (summary(schedule(11)) for _ in range(2))
     assert first == second
 
 
 @pytest.mark.benchmark
 def test_ten_thousand_schedules() -> None:
-    """Two processes; some 40 minutes."""
+    """Two processes, about 40 minutes."""
     script = Path(__file__).with_name("schedules.py")
     half = MANY // 2
     running = [
