@@ -1,6 +1,6 @@
 """Find words that stand for persons, where a component, process or file is meant.
 
-Usage: python .ci/language.py [PATH ...]    (default: product code, documents, and the names of tests)
+Usage: python .ci/language.py [PATH ...]    (default: code, documents, and names of tests)
 
 A phrase of language_exceptions.txt is allowed. So is a line with the marker `language: person`.
 The exit code is 1 if a word is found.

@@ -20,7 +20,7 @@ ARM = "arm_drive"
 
 
 def run_example(containing: str, folder: Path) -> tuple[tuple[Fault, ...], bool, LoopReport]:
-    """Run the TOML example in virtual time; return its faults, whether it reached its end, and the report."""
+    """Run the TOML example in virtual time; return its faults, whether it ended, and the report."""
     examples = re.findall(r"```toml\n(.*?)```", TEXT, re.DOTALL)
     file = folder / "example.toml"
     file.write_text(next(toml for toml in examples if containing in toml), encoding="utf-8")
