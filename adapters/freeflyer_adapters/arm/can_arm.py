@@ -107,16 +107,8 @@ class CanArm:
         all_settings.check(self.name, all_settings.ARM, v)
         self.cycle = self.step
         self.limits = ArmLimits(v, self.cycle)
-        self.monitor = QualityMonitor(
-            f"state frames of {self.name}",
-            consecutive=int(v["lost_consecutive"][0]),
-            within=int(v["lost_in_window"][0]),
-            window=round(float(v["window"][0]) / self.cycle),
-            cycle=self.cycle,
-        )
-        self.ramp = RampDown(
-            time=float(v["ramp_down_time"][0]), damping=float(v["ramp_down_damping"][0])
-        )
+        self.monitor = QualityMonitor.of(f"state frames of {self.name}", v, self.cycle)
+        self.ramp = RampDown.of(v)
         self._age_limit = float(v["state_age_limit"][0])
         # The signals of the DBC must hold the range of every command and measurement.
         effort = v["joint_effort_limit"]
@@ -217,14 +209,8 @@ class CanArm:
 
     def check_start(self) -> None:
         self._observe(1)
-        gap = np.abs(self.values["joint_position"] - self.values["start_joint_position"])
-        tolerance = float(self.values["start_tolerance"][0])
-        if not (gap <= tolerance).all():
-            j = int(np.argmax(gap))
-            raise DeviceError(
-                f"{self._where}: joint {j + 1} is at {self.values['joint_position'][j]:.4f} rad, the scenario starts at "
-                f"{self.values['start_joint_position'][j]:.4f} rad, and {tolerance:g} rad is the largest distance allowed: move the arm there"
-            )
+        if reason := self.limits.start(self.values):
+            raise DeviceError(f"{self._where}: {reason}")
 
     def prepare(self) -> None:
         """Claim a session number, which takes the arm from safe stop or fault to inactive.
@@ -424,8 +410,7 @@ class CanArm:
             "commands_sent": self._sender.sent,
             "commands_late_or_lost": self.late_commands,
         }
-        acted = {f"{name}_acted": count for name, count in self.limits.acted.items()}
-        return {name: float(count) for name, count in {**counts, **acted}.items()}
+        return {name: float(count) for name, count in {**counts, **self.limits.report()}.items()}
 
     def histograms(self) -> Mapping[str, Histogram]:
         return {

@@ -112,13 +112,7 @@ class ZenohBase:
                 f"{self.name}.watchdog is {v['watchdog'][0]:g} s; at least two cycles of set points are expected, {2.0 * cycle:g} s"
             )
         self.limits = BaseLimits(v)
-        self.monitor = QualityMonitor(
-            f"measurements of {self.name}",
-            consecutive=int(v["lost_consecutive"][0]),
-            within=int(v["lost_in_window"][0]),
-            window=round(float(v["window"][0]) / cycle),
-            cycle=cycle,
-        )
+        self.monitor = QualityMonitor.of(f"measurements of {self.name}", v, cycle)
         self._late = round(PATIENCE * cycle * 1e9)
         self._age_limit = round(float(v["age_limit"][0]) * 1e9)
         # No publisher yet: the link must not disturb another controller.

@@ -130,16 +130,8 @@ class Cia402Arm:
             measured_velocity=o.measured_velocity,
         )
         self.limits = ArmLimits(v, self.cycle)
-        self.monitor = QualityMonitor(
-            f"TPDOs of {self.name}",
-            consecutive=int(v["lost_consecutive"][0]),
-            within=int(v["lost_in_window"][0]),
-            window=round(float(v["window"][0]) / self.cycle),
-            cycle=self.cycle,
-        )
-        self.ramp = RampDown(
-            time=float(v["ramp_down_time"][0]), damping=float(v["ramp_down_damping"][0])
-        )
+        self.monitor = QualityMonitor.of(f"TPDOs of {self.name}", v, self.cycle)
+        self.ramp = RampDown.of(v)
         objects.dictionary(o.eds, o.node_ids[0])  # report errors in the EDS before the bus is open
         # Open the bus, and check for another controller before the first transmission.
         timeout = float(v["configure_timeout"][0])
@@ -222,14 +214,8 @@ class Cia402Arm:
         self._network.drain()
         self._check_single_controller()
         self._measure()
-        gap = np.abs(self.values["joint_position"] - self.values["start_joint_position"])
-        tolerance = float(self.values["start_tolerance"][0])
-        if not (gap <= tolerance).all():
-            j = int(np.argmax(gap))
-            raise DeviceError(
-                f"{self._where}: joint {j + 1} is at {self.values['joint_position'][j]:.4f} rad, the scenario starts at "
-                f"{self.values['start_joint_position'][j]:.4f} rad, and {tolerance:g} rad is the largest distance allowed: move the arm there"
-            )
+        if reason := self.limits.start(self.values):
+            raise DeviceError(f"{self._where}: {reason}")
 
     def prepare(self) -> None:
         """Configure every drive, reset faults, then start NMT state operational.
@@ -507,8 +493,7 @@ class Cia402Arm:
             "emergencies": sum(drive.emergencies for drive in self.drives),
             "bus_load_percent": round(100 * self.bus_load),
         }
-        acted = {f"{name}_acted": count for name, count in self.limits.acted.items()}
-        return {name: float(count) for name, count in {**counts, **acted}.items()}
+        return {name: float(count) for name, count in {**counts, **self.limits.report()}.items()}
 
     def histograms(self) -> Mapping[str, Histogram]:
         return {

@@ -66,6 +66,23 @@ class ArmLimits:
             return f"joint {joint + 1} is at {position[joint]:.4g} rad, its range is {self.lower[joint]:.4g} to {self.upper[joint]:.4g} rad"
         return None
 
+    def start(self, values: Mapping[str, Array]) -> str | None:
+        """Return why the arm is too far from the scenario's start for an activation, or None."""
+        position, start = values["joint_position"], values["start_joint_position"]
+        tolerance = float(values["start_tolerance"][0])
+        gap = np.abs(position - start)
+        if (gap <= tolerance).all():
+            return None
+        j = int(np.argmax(gap))
+        return (
+            f"joint {j + 1} is at {position[j]:.4f} rad, the scenario starts at {start[j]:.4f} rad, and {tolerance:g} rad "
+            f"is the largest distance allowed: move the arm there"
+        )
+
+    def report(self) -> dict[str, float]:
+        """Return how often each limit has clamped a command."""
+        return {f"{name}_acted": float(count) for name, count in self.acted.items()}
+
 
 class BaseLimits:
     """Limits of one base robot; `settings` as in `freeflyer_adapters.device.settings.BASE`."""

@@ -6,6 +6,9 @@ The monitor counts cycles and reads no clock. It works in real time and at any s
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Mapping
+
+from freeflyer.fmi.component import Array
 
 
 class QualityMonitor:
@@ -18,18 +21,24 @@ class QualityMonitor:
     def __init__(
         self, subject: str, *, consecutive: int, within: int = 0, window: int = 0, cycle: float
     ) -> None:
-        self.subject, self.consecutive, self.within, self.window, self.cycle = (
-            subject,
-            consecutive,
-            within,
-            window,
-            cycle,
-        )
+        self.subject, self.cycle = subject, cycle
+        self.consecutive, self.within, self.window = consecutive, within, window
         self._row = 0
         self._recent: deque[int] = deque(maxlen=max(within, 1))
         self._count = 0
         self.lost = 0
         self.longest_row = 0
+
+    @classmethod
+    def of(cls, subject: str, settings: Mapping[str, Array], cycle: float) -> QualityMonitor:
+        """Create the monitor from a device's settings; see `freeflyer_adapters.device.settings`."""
+        return cls(
+            subject,
+            consecutive=int(settings["lost_consecutive"][0]),
+            within=int(settings["lost_in_window"][0]),
+            window=round(float(settings["window"][0]) / cycle),
+            cycle=cycle,
+        )
 
     def lose(self, count: int) -> str | None:
         """Count `count` lost cycles. Return the first reason to stop, or None."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,12 @@ class RampDown:
 
     time: float
     damping: float
+
+    @classmethod
+    def of(cls, settings: Mapping[str, Array]) -> RampDown:
+        """Create the ramp-down from an arm's settings."""
+        time, damping = (float(settings[f"ramp_down_{key}"][0]) for key in ("time", "damping"))
+        return cls(time=time, damping=damping)
 
     def torque(self, last: Array, velocity: Array, elapsed: float) -> Array:
         """Return the torque (n) [N m] at `elapsed` [s] after the start.

@@ -95,9 +95,7 @@ class SimulatedDevice:
             self.base_limits = BaseLimits(v)
         if self.is_arm:
             self.limits = ArmLimits(v, self.step)
-            self.ramp = RampDown(
-                time=float(v["ramp_down_time"][0]), damping=float(v["ramp_down_damping"][0])
-            )
+            self.ramp = RampDown.of(v)
         self.state.to(LifeCycle.inactive)
 
     def check_start(self) -> None:
@@ -189,11 +187,7 @@ class SimulatedDevice:
         self.model.close()
 
     def report(self) -> Mapping[str, float]:
-        return (
-            {f"{name}_acted": float(count) for name, count in self.limits.acted.items()}
-            if self.is_arm
-            else {}
-        )
+        return self.limits.report() if self.is_arm else {}
 
     def histograms(self) -> Mapping[str, Histogram]:
         return {}

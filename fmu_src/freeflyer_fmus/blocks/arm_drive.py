@@ -42,93 +42,40 @@ def arm_drive(robot: Robot) -> Block:
         "Torque-controlled arm on a moving base in 1 g, with friction, ripple, noise and quantisation",
     )
     # Model parameters. The paper gives no drive data: the defaults of the drives are assumptions.
+    # fmt: off
     T = block.sampled_every("period", 1e-3, "Cycle of the arm")
     mechanism = mass_parameters(block, robot)
     gravity, compensation = gravity_parameters(block)
     coulomb = block.parameter(
-        "coulomb_friction",
-        [0.1] * n,
-        torque_unit,
-        "Coulomb friction left by the drive (assumed)",
-        minimum=0.0,
+        "coulomb_friction", [0.1] * n, torque_unit, "Coulomb friction left by the drive (assumed)", minimum=0.0
     )
     viscous = block.parameter(
-        "viscous_friction",
-        [0.2] * n,
-        "1",
-        "Viscous friction left by the drive [SI] (assumed)",
-        minimum=0.0,
+        "viscous_friction", [0.2] * n, "1", "Viscous friction left by the drive [SI] (assumed)", minimum=0.0
     )
-    ripple = block.parameter(
-        "torque_ripple",
-        [0.05] * n,
-        torque_unit,
-        "Amplitude of the torque ripple (assumed)",
-        minimum=0.0,
-    )
-    waves = block.parameter(
-        "ripple_periods",
-        160.0,
-        "1",
-        "Ripple periods per radian (the gear ratio; assumed)",
-        minimum=0.0,
-    )
-    step = block.parameter(
-        "encoder_step",
-        1e-5,
-        "rad",
-        "Resolution of the position sensors (assumed; 0: exact)",
-        minimum=0.0,
-    )
+    ripple = block.parameter("torque_ripple", [0.05] * n, torque_unit, "Amplitude of the torque ripple (assumed)", minimum=0.0)
+    waves = block.parameter("ripple_periods", 160.0, "1", "Ripple periods per radian (the gear ratio; assumed)", minimum=0.0)
+    step = block.parameter("encoder_step", 1e-5, "rad", "Resolution of the position sensors (assumed; 0: exact)", minimum=0.0)
     speed_noise = block.parameter(
-        "velocity_noise",
-        1e-4,
-        "rad/s",
-        "Standard deviation of measured speeds (assumed)",
-        minimum=0.0,
+        "velocity_noise", 1e-4, "rad/s", "Standard deviation of measured speeds (assumed)", minimum=0.0
     )
-    torque_noise = block.parameter(
-        "torque_noise", 0.02, "N.m", "Standard deviation of measured torques (assumed)", minimum=0.0
-    )
+    torque_noise = block.parameter("torque_noise", 0.02, "N.m", "Standard deviation of measured torques (assumed)", minimum=0.0)
     seed = block.parameter("seed", 1.0, "1", "Seed of the noise")
     limits = joint_limits(block, robot)
 
     # Delayed inputs: command, brake and base motion since the last cycle.
-    command = block.input(
-        "joint_torque_command",
-        np.zeros(n),
-        torque_unit,
-        "Commanded torque since the last cycle (delayed)",
-    )
-    brake = block.input(
-        "brake",
-        0.0,
-        "1",
-        "Brakes since the last cycle: 0 released, 1 holding every joint (delayed)",
-    )
-    R_b = block.input(
-        "base_orientation",
-        IDENTITY,
-        "1",
-        "Orientation of the base robot at the last cycle (delayed)",
-    )
-    v_b = block.input(
-        "base_velocity",
-        np.zeros(6),
-        TWIST,
-        "Velocity of the base robot at the last cycle, in I (delayed)",
-    )
+    command = block.input("joint_torque_command", np.zeros(n), torque_unit, "Commanded torque since the last cycle (delayed)")
+    brake = block.input("brake", 0.0, "1", "Brakes since the last cycle: 0 released, 1 holding every joint (delayed)")
+    R_b = block.input("base_orientation", IDENTITY, "1", "Orientation of the base robot at the last cycle (delayed)")
+    v_b = block.input("base_velocity", np.zeros(6), TWIST, "Velocity of the base robot at the last cycle, in I (delayed)")
     a_b = block.input(
-        "base_acceleration",
-        np.zeros(6),
-        ACCELERATION,
-        "Acceleration of the base robot since then, in I (delayed)",
+        "base_acceleration", np.zeros(6), ACCELERATION, "Acceleration of the base robot since then, in I (delayed)"
     )
     q = block.state("true_joint_position", robot.posture, rad, "True joint positions")
     qd = block.state("true_joint_velocity", np.zeros(n), rad_s, "True joint velocities")
     random = block.state("random", 1.0, "1", "State of the noise generator", local=True)
     begun = block.state("begun", 0.0, "1", "1 after the first cycle", local=True)
     block.initial("random", noise.first_state(seed))
+    # fmt: on
 
     drive = ca.fmin(ca.fmax(command, -limits.effort), limits.effort)
 

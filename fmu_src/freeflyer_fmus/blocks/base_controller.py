@@ -38,41 +38,22 @@ def base_controller(robot: Robot) -> Block:
     require_full_jacobian(robot, "base_controller")
     block = Block("base_controller", "Regulation of the base with its passivity controller")
     # Parameters. The manipulator gains enter J_b^T F'_m of the matched law.
+    # fmt: off
     T_b = block.sampled_every("period", 0.3, "T_b: sampling time of this controller")
     mechanism = mass_parameters(block, robot)
     K_P, K_D = gains(block, BASE)
     K_Pm, K_Dm = gains(block, MANIPULATOR, "manipulator_")
-    discretisation = block.choice(
-        "discretisation", Discretisation, Discretisation.emulated, "How the law is sampled"
-    )
-    bookkeeping = block.choice(
-        "bookkeeping", Bookkeeping, Bookkeeping.applied, "As in the manipulator's controller"
-    )
+    discretisation = block.choice("discretisation", Discretisation, Discretisation.emulated, "How the law is sampled")
+    bookkeeping = block.choice("bookkeeping", Bookkeeping, Bookkeeping.applied, "As in the manipulator's controller")
     share = block.parameter(
-        "damper_bound",
-        0.5,
-        "1",
-        "c in beta <= c M~ / T_b - K_D (0: no bound), as applied",
-        tunable=True,
-        minimum=0.0,
+        "damper_bound", 0.5, "1", "c in beta <= c M~ / T_b - K_D (0: no bound), as applied", tunable=True, minimum=0.0
     )
     least_sigma = block.parameter(
-        "singularity_threshold",
-        SINGULARITY_THRESHOLD,
-        "1",
-        "Least singular value of J_m allowed",
-        tunable=True,
-        minimum=0.0,
+        "singularity_threshold", SINGULARITY_THRESHOLD, "1", "Least singular value of J_m allowed", tunable=True, minimum=0.0
     )
-    p_bd = block.parameter(
-        "position_setpoint", np.zeros(3), "m", "x_bd: base position to hold, in I", tunable=True
-    )
+    p_bd = block.parameter("position_setpoint", np.zeros(3), "m", "x_bd: base position to hold, in I", tunable=True)
     R_bd = block.parameter(
-        "orientation_setpoint",
-        IDENTITY,
-        "1",
-        "Base orientation to hold, quaternion x, y, z, w",
-        tunable=True,
+        "orientation_setpoint", IDENTITY, "1", "Base orientation to hold, quaternion x, y, z, w", tunable=True
     )
 
     # Inputs: measurements, reference, and the values of the manipulator controller at this instant.
@@ -81,6 +62,7 @@ def base_controller(robot: Robot) -> Block:
     v_d, a_d = desired_motion(block)
     F_m = block.input("end_effector_wrench", np.zeros(6), WRENCH, "F'_m of the same instant, in I")
     beta_b = block.input("base_damping", np.zeros(6), DAMPING, "beta_b from the passivity observer")
+    # fmt: on
 
     # M~ of B in I: the base inertia without a wrench at the end-effector.
     M = (
@@ -119,21 +101,15 @@ def base_controller(robot: Robot) -> Block:
         "F'_b: total wrench on the base, passivity controller included, in I",
     )
     at_port = wrench - base_jacobian_transposed_times(star.p_be, F_m)
-    block.output(
-        "port_wrench", at_port, WRENCH, "F'_B(k_b) = F'_b - J_b^T F'_m at this sample, in I"
-    )
-    block.output(
-        "passivity_wrench", F_pcb, WRENCH, "F_pcb: wrench of the passivity controller, (25), in I"
-    )
-    require_quaternions(
-        block, {"base_orientation": state.orientation, "orientation_setpoint": R_bd}
-    )
+    # fmt: off
+    block.output("port_wrench", at_port, WRENCH, "F'_B(k_b) = F'_b - J_b^T F'_m at this sample, in I")
+    block.output("passivity_wrench", F_pcb, WRENCH, "F_pcb: wrench of the passivity controller, (25), in I")
+    require_quaternions(block, {"base_orientation": state.orientation, "orientation_setpoint": R_bd})
     require_regular_jacobian(block, star.sigma_min, least_sigma)
     block.terminal("base", "base_position", "base_orientation", "base_velocity", "base_wrench")
     block.terminal("arm", "joint_position", "joint_velocity")
     block.terminal("reference", velocity="desired_velocity", acceleration="desired_acceleration")
     block.terminal("ports", "end_effector_wrench", "base_damping")
-    block.terminal(
-        "applied", "base_wrench", "port_wrench", base_passivity_wrench="passivity_wrench"
-    )
+    block.terminal("applied", "base_wrench", "port_wrench", base_passivity_wrench="passivity_wrench")
+    # fmt: on
     return block

@@ -26,75 +26,41 @@ def base_robot(robot: Robot) -> Block:
         "Position-controlled robot: delay, tracking bandwidth, limits of speed and acceleration",
     )
     # Parameters. The paper gives no robot data: all marked defaults are assumptions.
+    # fmt: off
     T = block.sampled_every("period", 1e-3, "Servo period; also the output period of the motion")
-    cycle = block.parameter(
-        "cycle", 0.004, "s", "Cycle in which set points are accepted", above=0.0
-    )
-    delay = block.parameter(
-        "delay_cycles",
-        2.0,
-        "1",
-        f"Pure delay in cycles, 0 to {LONGEST_DELAY - 1} (assumed)",
-        minimum=0.0,
-    )
+    cycle = block.parameter("cycle", 0.004, "s", "Cycle in which set points are accepted", above=0.0)
+    delay = block.parameter("delay_cycles", 2.0, "1", f"Pure delay in cycles, 0 to {LONGEST_DELAY - 1} (assumed)", minimum=0.0)
     block.require(
         LONGEST_DELAY - 1 - delay,
         0.0,
         "free space in the delay buffer (parameter delay_cycles)",
         f"choose at most {LONGEST_DELAY - 1} cycles",
     )
-    bandwidth = block.parameter(
-        "bandwidth", 10.0, "Hz", "Natural frequency of the tracking (assumed)", above=0.0
-    )
-    v_max = block.parameter(
-        "velocity_limit", [1.5, 2.0], ("m/s", "rad/s"), "Largest speeds (assumed)", above=0.0
-    )
+    bandwidth = block.parameter("bandwidth", 10.0, "Hz", "Natural frequency of the tracking (assumed)", above=0.0)
+    v_max = block.parameter("velocity_limit", [1.5, 2.0], ("m/s", "rad/s"), "Largest speeds (assumed)", above=0.0)
     a_max = block.parameter(
-        "acceleration_limit",
-        [10.0, 20.0],
-        ("m/s2", "rad/s2"),
-        "Largest accelerations (assumed)",
-        above=0.0,
+        "acceleration_limit", [10.0, 20.0], ("m/s2", "rad/s2"), "Largest accelerations (assumed)", above=0.0
     )
     position_noise = block.parameter(
-        "position_noise",
-        1e-5,
-        "m",
-        "Standard deviation of the measured position (assumed)",
-        minimum=0.0,
+        "position_noise", 1e-5, "m", "Standard deviation of the measured position (assumed)", minimum=0.0
     )
     orientation_noise = block.parameter(
-        "orientation_noise",
-        1e-5,
-        "rad",
-        "Standard deviation of the measured orientation (assumed)",
-        minimum=0.0,
+        "orientation_noise", 1e-5, "rad", "Standard deviation of the measured orientation (assumed)", minimum=0.0
     )
     seed = block.parameter("seed", 2.0, "1", "Seed of the noise")
 
     p_set = block.input("position_setpoint", np.zeros(3), "m", "Commanded position, in I (delayed)")
-    R_set = block.input(
-        "orientation_setpoint",
-        IDENTITY,
-        "1",
-        "Commanded orientation, quaternion x, y, z, w (delayed)",
-    )
-    v_set = block.input(
-        "velocity_setpoint", np.zeros(6), TWIST, "Commanded velocity, in I (delayed)"
-    )
+    R_set = block.input("orientation_setpoint", IDENTITY, "1", "Commanded orientation, quaternion x, y, z, w (delayed)")
+    v_set = block.input("velocity_setpoint", np.zeros(6), TWIST, "Commanded velocity, in I (delayed)")
 
     p = block.state("true_position", np.zeros(3), "m", "True position, in I")
     R = block.state("true_orientation", IDENTITY, "1", "True orientation, quaternion x, y, z, w")
     v = block.state("true_velocity", np.zeros(6), TWIST, "True velocity, in I")
-    a = block.state(
-        "base_acceleration",
-        np.zeros(6),
-        ACCELERATION,
-        "Acceleration until the next sample, in I",
-    )
+    a = block.state("base_acceleration", np.zeros(6), ACCELERATION, "Acceleration until the next sample, in I")
     age = block.state("age", 0.0, "1", "Samples since the last accepted set point", local=True)
     random = block.state("random", 1.0, "1", "State of the noise generator", local=True)
     begun = block.state("begun", 0.0, "1", "1 after the first sample", local=True)
+    # fmt: on
     entry = 13
     memory = [
         block.state(

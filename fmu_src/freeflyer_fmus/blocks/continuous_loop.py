@@ -47,50 +47,30 @@ def continuous_loop(robot: Robot) -> Block:
         "continuous_loop", "Free-flyer, reference and both control laws in continuous time"
     )
     # Parameters of plant, control laws and reference.
+    # fmt: off
     mechanism = mass_parameters(block, robot)
     K_Pm, K_Dm = gains(block, MANIPULATOR, "manipulator_")
     K_Pb, K_Db = gains(block, BASE, "base_")
-    p_bd = block.parameter(
-        "position_setpoint", np.zeros(3), "m", "x_bd: base position to hold, in I", tunable=True
-    )
+    p_bd = block.parameter("position_setpoint", np.zeros(3), "m", "x_bd: base position to hold, in I", tunable=True)
     R_bd = block.parameter(
-        "orientation_setpoint",
-        IDENTITY,
-        "1",
-        "Base orientation to hold, quaternion x, y, z, w",
-        tunable=True,
+        "orientation_setpoint", IDENTITY, "1", "Base orientation to hold, quaternion x, y, z, w", tunable=True
     )
     least_sigma = block.parameter(
-        "singularity_threshold",
-        SINGULARITY_THRESHOLD,
-        "1",
-        "Least singular value of J_m allowed",
-        tunable=True,
-        minimum=0.0,
+        "singularity_threshold", SINGULARITY_THRESHOLD, "1", "Least singular value of J_m allowed", tunable=True, minimum=0.0
     )
     null_damping = null_space_damping(block, robot)
     desired = reference_motion(block, robot)
 
     # States of the plant.
     p_b = block.state("base_position", np.zeros(3), "m", "Position of B in I")
-    R_b = block.state(
-        "base_orientation", IDENTITY, "1", "Orientation of B in I, quaternion x, y, z, w"
-    )
-    v_b = block.state(
-        "base_velocity",
-        np.zeros(6),
-        TWIST,
-        "x_b': velocity of B's origin and angular velocity, in I",
-    )
-    q = block.state(
-        "joint_position", robot.posture, joint_units(robot, "rad", "m"), "q: joint positions"
-    )
-    qd = block.state(
-        "joint_velocity", np.zeros(n), joint_units(robot, "rad/s", "m/s"), "q': joint velocities"
-    )
+    R_b = block.state("base_orientation", IDENTITY, "1", "Orientation of B in I, quaternion x, y, z, w")
+    v_b = block.state("base_velocity", np.zeros(6), TWIST, "x_b': velocity of B's origin and angular velocity, in I")
+    q = block.state("joint_position", robot.posture, joint_units(robot, "rad", "m"), "q: joint positions")
+    qd = block.state("joint_velocity", np.zeros(n), joint_units(robot, "rad/s", "m/s"), "q': joint velocities")
     block.initial("base_orientation", rotation.normalised(R_b))
     require_quaternions(block, {"base_orientation": R_b}, initially=True)
     require_quaternions(block, {"orientation_setpoint": R_bd})
+    # fmt: on
     state = State(R_b, v_b[:3], v_b[3:], q, qd)
 
     # Errors and feed-forward.

@@ -23,32 +23,19 @@ def free_flyer(robot: Robot) -> Block:
     block = Block(
         "free_flyer", f"Free-flying robot {robot.name}: rigid base and {n} joints, no gravity"
     )
+    # fmt: off
     mechanism = mass_parameters(block, robot)
     # Inputs.
-    base_wrench = block.input(
-        "base_wrench", np.zeros(6), WRENCH, "F_b: force on the base and torque about B, in I"
-    )
-    torque = block.input(
-        "joint_torque", np.zeros(n), joint_units(robot, "N.m", "N"), "tau: joint torques (forces)"
-    )
+    base_wrench = block.input("base_wrench", np.zeros(6), WRENCH, "F_b: force on the base and torque about B, in I")
+    torque = block.input("joint_torque", np.zeros(n), joint_units(robot, "N.m", "N"), "tau: joint torques (forces)")
 
     # States.
     position = block.state("base_position", np.zeros(3), "m", "Position of B in I")
-    orientation = block.state(
-        "base_orientation", IDENTITY, "1", "Orientation of B in I, quaternion x, y, z, w"
-    )
-    velocity = block.state(
-        "base_velocity",
-        np.zeros(6),
-        TWIST,
-        "x_b': velocity of B's origin and angular velocity, in I",
-    )
-    q = block.state(
-        "joint_position", robot.posture, joint_units(robot, "rad", "m"), "q: joint positions"
-    )
-    qd = block.state(
-        "joint_velocity", np.zeros(n), joint_units(robot, "rad/s", "m/s"), "q': joint velocities"
-    )
+    orientation = block.state("base_orientation", IDENTITY, "1", "Orientation of B in I, quaternion x, y, z, w")
+    velocity = block.state("base_velocity", np.zeros(6), TWIST, "x_b': velocity of B's origin and angular velocity, in I")
+    q = block.state("joint_position", robot.posture, joint_units(robot, "rad", "m"), "q: joint positions")
+    qd = block.state("joint_velocity", np.zeros(n), joint_units(robot, "rad/s", "m/s"), "q': joint velocities")
+    # fmt: on
     state = State(orientation, velocity[:3], velocity[3:], q, qd)
 
     # Equation (1).
@@ -63,22 +50,12 @@ def free_flyer(robot: Robot) -> Block:
 
     # Outputs: end-effector motion, energy and momentum.
     p_e, R_e = end_effector_pose(mechanism, position, orientation, q)
+    # fmt: off
     block.output("end_effector_position", p_e, "m", "Position of E in I")
-    block.output(
-        "end_effector_orientation", R_e, "1", "Orientation of E in I, quaternion x, y, z, w"
-    )
-    block.output(
-        "end_effector_velocity",
-        end_effector_velocity(mechanism, state),
-        TWIST,
-        "x_m': velocity of E, in I",
-    )
-    block.output(
-        "kinetic_energy",
-        dynamics.kinetic_energy(mechanism, state),
-        "J",
-        "Kinetic energy of the whole robot",
-    )
+    block.output("end_effector_orientation", R_e, "1", "Orientation of E in I, quaternion x, y, z, w")
+    block.output("end_effector_velocity", end_effector_velocity(mechanism, state), TWIST, "x_m': velocity of E, in I")
+    block.output("kinetic_energy", dynamics.kinetic_energy(mechanism, state), "J", "Kinetic energy of the whole robot")
+    # fmt: on
     linear, angular = dynamics.momentum(mechanism, position, state)
     block.output("linear_momentum", linear, "kg.m/s", "Linear momentum, in I")
     block.output(

@@ -19,23 +19,14 @@ def linear_trajectory(robot: Robot) -> Block:
         "Desired end-effector motion: a straight line from the start posture, then rest",
     )
     # The start pose is computed from base pose and posture, so that it has a single source.
+    # fmt: off
     p_b = block.parameter("start_base_position", np.zeros(3), "m", "Position of B at t = 0, in I")
-    R_b = block.parameter(
-        "start_base_orientation", IDENTITY, "1", "Orientation of B at t = 0, quaternion x, y, z, w"
-    )
-    q = block.parameter(
-        "start_joint_position",
-        robot.posture,
-        joint_units(robot, "rad", "m"),
-        "Joint positions at t = 0",
-    )
-    displacement = block.parameter(
-        "displacement", [0.0, 0.0, -0.2], "m", "Displacement of E, in I (paper, Sec. VI)"
-    )
-    duration = block.parameter(
-        "duration", 10.0, "s", "Duration of the motion (paper, Sec. VI)", above=0.0
-    )
+    R_b = block.parameter("start_base_orientation", IDENTITY, "1", "Orientation of B at t = 0, quaternion x, y, z, w")
+    q = block.parameter("start_joint_position", robot.posture, joint_units(robot, "rad", "m"), "Joint positions at t = 0")
+    displacement = block.parameter("displacement", [0.0, 0.0, -0.2], "m", "Displacement of E, in I (paper, Sec. VI)")
+    duration = block.parameter("duration", 10.0, "s", "Duration of the motion (paper, Sec. VI)", above=0.0)
     require_quaternions(block, {"start_base_orientation": R_b})
+    # fmt: on
     p_0, R_0 = end_effector_pose(constant_mechanism(robot), p_b, R_b, q)
     motion = straight_line(block.time, p_0, R_0, displacement, duration)
     block.output("position", motion.position, "m", "x_md: desired position of E in I")

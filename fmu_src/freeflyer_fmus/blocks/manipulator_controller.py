@@ -50,58 +50,24 @@ def manipulator_controller(robot: Robot) -> Block:
         "Tracking control of the end-effector with both passivity observers",
     )
     # Parameters of the law, of the observers and of both passivity controllers.
+    # fmt: off
     T_m = block.sampled_every("period", 1e-3, "T_m: sampling time of this controller")
-    T_b = block.parameter(
-        "base_period", 0.3, "s", "T_b: sampling time of the base controller", above=0.0
-    )
+    T_b = block.parameter("base_period", 0.3, "s", "T_b: sampling time of the base controller", above=0.0)
     mechanism = mass_parameters(block, robot)
     K_P, K_D = gains(block, MANIPULATOR)
-    discretisation = block.choice(
-        "discretisation", Discretisation, Discretisation.emulated, "How the law is sampled"
-    )
-    observer = block.choice(
-        "observer", Observer, Observer.port, "Power that the passivity observers integrate"
-    )
-    bookkeeping = block.choice(
-        "bookkeeping", Bookkeeping, Bookkeeping.applied, "How the observers book energy"
-    )
-    arm_on = block.switch(
-        "manipulator_passivity_control", True, "Passivity controller of port M on"
-    )
+    discretisation = block.choice("discretisation", Discretisation, Discretisation.emulated, "How the law is sampled")
+    observer = block.choice("observer", Observer, Observer.port, "Power that the passivity observers integrate")
+    bookkeeping = block.choice("bookkeeping", Bookkeeping, Bookkeeping.applied, "How the observers book energy")
+    arm_on = block.switch("manipulator_passivity_control", True, "Passivity controller of port M on")
     base_on = block.switch("base_passivity_control", True, "Passivity controller of port B on")
-    E_m0 = block.parameter(
-        "manipulator_initial_energy",
-        [0.05] * 6,
-        "J",
-        "E_m(0) per degree of freedom (assumed)",
-        minimum=0.0,
-    )
-    E_b0 = block.parameter(
-        "base_initial_energy", [0.0] * 6, "J", "E_b(0) per degree of freedom (assumed)", minimum=0.0
-    )
-    floor = block.parameter(
-        "velocity_floor",
-        1e-8,
-        "1",
-        "Lower bound of v^2 T in beta of (24) [SI]",
-        tunable=True,
-        above=0.0,
-    )
+    E_m0 = block.parameter("manipulator_initial_energy", [0.05] * 6, "J", "E_m(0) per degree of freedom (assumed)", minimum=0.0)
+    E_b0 = block.parameter("base_initial_energy", [0.0] * 6, "J", "E_b(0) per degree of freedom (assumed)", minimum=0.0)
+    floor = block.parameter("velocity_floor", 1e-8, "1", "Lower bound of v^2 T in beta of (24) [SI]", tunable=True, above=0.0)
     share = block.parameter(
-        "damper_bound",
-        0.5,
-        "1",
-        "c in beta <= c M~ / T - K_D (0: no bound), as applied",
-        tunable=True,
-        minimum=0.0,
+        "damper_bound", 0.5, "1", "c in beta <= c M~ / T - K_D (0: no bound), as applied", tunable=True, minimum=0.0
     )
     least_sigma = block.parameter(
-        "singularity_threshold",
-        SINGULARITY_THRESHOLD,
-        "1",
-        "Least singular value of J_m allowed",
-        tunable=True,
-        minimum=0.0,
+        "singularity_threshold", SINGULARITY_THRESHOLD, "1", "Least singular value of J_m allowed", tunable=True, minimum=0.0
     )
     null_damping = null_space_damping(block, robot)
     null_stiffness, null_posture = null_space_spring(block, robot)
@@ -109,56 +75,30 @@ def manipulator_controller(robot: Robot) -> Block:
 
     # Inputs: measurements and reference.
     state = measured_state(block, robot)
+    # fmt: on
     p_start, R_start = start_pose(robot)
+    # fmt: off
     p_e = block.input("end_effector_position", p_start, "m", "Measured position of E in I")
-    R_e = block.input(
-        "end_effector_orientation",
-        R_start,
-        "1",
-        "Measured orientation of E in I, quaternion x, y, z, w",
-    )
+    R_e = block.input("end_effector_orientation", R_start, "1", "Measured orientation of E in I, quaternion x, y, z, w")
     v_m = block.input("end_effector_velocity", np.zeros(6), TWIST, "Measured x_m', in I")
     p_d = block.input("desired_position", p_start, "m", "Desired position of E in I")
-    R_d = block.input(
-        "desired_orientation", R_start, "1", "Desired orientation of E in I, quaternion x, y, z, w"
-    )
+    R_d = block.input("desired_orientation", R_start, "1", "Desired orientation of E in I, quaternion x, y, z, w")
     v_d, a_d = desired_motion(block)
     # Delayed inputs: wrenches applied since the previous sample. They do not affect the step order.
-    F_b_applied = block.input(
-        "applied_base_wrench",
-        np.zeros(6),
-        WRENCH,
-        "F'_b that acted since the previous sample (delayed)",
-    )
-    F_B_held = block.input(
-        "held_port_wrench", np.zeros(6), WRENCH, "F'_B(k_b) held since the base's sample (delayed)"
-    )
-    F_pcb_held = block.input(
-        "base_passivity_wrench",
-        np.zeros(6),
-        WRENCH,
-        "F_pcb of the base's passivity controller (delayed)",
-    )
+    F_b_applied = block.input("applied_base_wrench", np.zeros(6), WRENCH, "F'_b that acted since the previous sample (delayed)")
+    F_B_held = block.input("held_port_wrench", np.zeros(6), WRENCH, "F'_B(k_b) held since the base's sample (delayed)")
+    F_pcb_held = block.input("base_passivity_wrench", np.zeros(6), WRENCH, "F_pcb of the base's passivity controller (delayed)")
 
     # States: observed energies, damping, and the previous sample's values.
-    E_m = block.state(
-        "manipulator_observed_energy",
-        np.zeros(6),
-        "J",
-        "E_obs,m + E_m(0): passive while not negative",
-    )
-    E_b = block.state(
-        "base_observed_energy", np.zeros(6), "J", "E_obs,b + E_b(0): passive while not negative"
-    )
+    E_m = block.state("manipulator_observed_energy", np.zeros(6), "J", "E_obs,m + E_m(0): passive while not negative")
+    E_b = block.state("base_observed_energy", np.zeros(6), "J", "E_obs,b + E_b(0): passive while not negative")
     block.initial("manipulator_observed_energy", E_m0)
     block.initial("base_observed_energy", E_b0)
     beta_m_1 = block.state("end_effector_damping", np.zeros(6), DAMPING, "beta_m: damper of port M")
     beta_b_1 = block.state(
-        "base_damping",
-        np.zeros(6),
-        DAMPING,
-        "beta_b: damping requested from the base's passivity controller",
+        "base_damping", np.zeros(6), DAMPING, "beta_b: damping requested from the base's passivity controller"
     )
+    # fmt: on
 
     def previous(name: str, unit: tuple[str, ...]) -> SX:
         return block.state(
@@ -246,22 +186,12 @@ def manipulator_controller(robot: Robot) -> Block:
     if star.null_space:
         tau += null_space_torque(star.null_space, state, null_damping, null_stiffness, null_posture)
         meaning += ", plus the null-space torque"
+    # fmt: off
     block.output("joint_torque", tau, joint_units(robot, "N.m", "N"), meaning)
-    block.output(
-        "end_effector_wrench",
-        F_m_total,
-        WRENCH,
-        "F'_m: Cartesian wrench at the end-effector, (22), in I",
-    )
-    block.output(
-        "passivity_wrench", F_pcm, WRENCH, "F_pcm: wrench of the passivity controller, (21), in I"
-    )
-    block.output(
-        "jacobian_sigma_min",
-        star.sigma_min,
-        "1",
-        "Lower bound of the smallest singular value of J_m",
-    )
+    block.output("end_effector_wrench", F_m_total, WRENCH, "F'_m: Cartesian wrench at the end-effector, (22), in I")
+    block.output("passivity_wrench", F_pcm, WRENCH, "F_pcm: wrench of the passivity controller, (21), in I")
+    block.output("jacobian_sigma_min", star.sigma_min, "1", "Lower bound of the smallest singular value of J_m")
+    # fmt: on
     margin = ca.fmin(state.q - limits.lower, limits.upper - state.q)
     block.output(
         "joint_limit_margin",

@@ -16,13 +16,9 @@ SX = ca.SX
 def reference_motion(block: Block, robot: Robot) -> Motion:
     """Declare the trajectory's parameters; return the motion at the block's time."""
     position, orientation = start_pose(robot)
+    # fmt: off
     p_0 = block.parameter("initial_position", position, "m", "End-effector position at t = 0, in I")
-    R_0 = block.parameter(
-        "initial_orientation",
-        orientation,
-        "1",
-        "End-effector orientation at t = 0, quaternion x, y, z, w",
-    )
+    R_0 = block.parameter("initial_orientation", orientation, "1", "End-effector orientation at t = 0, quaternion x, y, z, w")
     translation = block.parameter(
         "translation_amplitude",
         [0.15, 0.0, 0.0],
@@ -30,18 +26,12 @@ def reference_motion(block: Block, robot: Robot) -> Motion:
         "Amplitude of the translation, in I (assumed; the paper does not give it)",
     )
     rotation_vector = block.parameter(
-        "rotation_amplitude",
-        [0.0, 0.2, 0.0],
-        "rad",
-        "Amplitude of the rotation about this fixed axis, in I (assumed)",
+        "rotation_amplitude", [0.0, 0.2, 0.0], "rad", "Amplitude of the rotation about this fixed axis, in I (assumed)"
     )
-    frequency = block.parameter(
-        "frequency", 0.1, "Hz", "Frequency of the sine (assumed)", minimum=0.0
-    )
-    ramp_time = block.parameter(
-        "ramp_time", 5.0, "s", "Duration of the quintic ramp of the amplitude (assumed)", above=0.0
-    )
+    frequency = block.parameter("frequency", 0.1, "Hz", "Frequency of the sine (assumed)", minimum=0.0)
+    ramp_time = block.parameter("ramp_time", 5.0, "s", "Duration of the quintic ramp of the amplitude (assumed)", above=0.0)
     require_quaternions(block, {"initial_orientation": R_0})
+    # fmt: on
     return ramped_sine(block.time, p_0, R_0, translation, rotation_vector, frequency, ramp_time)
 
 

@@ -23,40 +23,23 @@ def satellite(robot: Robot) -> Block:
         "satellite",
         "Base dynamics in free flight from the measured arm and the commanded base wrench",
     )
+    # fmt: off
     mechanism = mass_parameters(block, robot)
     gravity, knowledge = gravity_parameters(block)
     # Inputs: commanded base wrench and measurements of arm and base robot.
-    F_b = block.input(
-        "base_wrench", np.zeros(6), WRENCH, "F_b: force on the base and torque about B, in I"
-    )
-    q = block.input(
-        "joint_position", robot.posture, joint_units(robot, "rad", "m"), "Measured joint positions"
-    )
-    qd = block.input(
-        "joint_velocity",
-        np.zeros(n),
-        joint_units(robot, "rad/s", "m/s"),
-        "Measured joint velocities",
-    )
+    F_b = block.input("base_wrench", np.zeros(6), WRENCH, "F_b: force on the base and torque about B, in I")
+    q = block.input("joint_position", robot.posture, joint_units(robot, "rad", "m"), "Measured joint positions")
+    qd = block.input("joint_velocity", np.zeros(n), joint_units(robot, "rad/s", "m/s"), "Measured joint velocities")
     measured = block.input(
-        "joint_torque",
-        np.zeros(n),
-        joint_units(robot, "N.m", "N"),
-        "Measured joint torques, gravity included",
+        "joint_torque", np.zeros(n), joint_units(robot, "N.m", "N"), "Measured joint torques, gravity included"
     )
-    R_robot = block.input(
-        "measured_base_orientation",
-        IDENTITY,
-        "1",
-        "Orientation of the base robot, for the gravity torque",
-    )
+    R_robot = block.input("measured_base_orientation", IDENTITY, "1", "Orientation of the base robot, for the gravity torque")
 
     # States: the set point of the base robot.
     block.state("base_position", np.zeros(3), "m", "Position of B in I: the base robot's set point")
-    R = block.state(
-        "base_orientation", IDENTITY, "1", "Orientation of B in I, quaternion x, y, z, w: set point"
-    )
+    R = block.state("base_orientation", IDENTITY, "1", "Orientation of B in I, quaternion x, y, z, w: set point")
     v = block.state("base_velocity", np.zeros(6), TWIST, "Velocity of B, in I: set point")
+    # fmt: on
     state = State(R, v[:3], v[3:], q, qd)
     # The measured torque includes gravity, which does not act on the satellite. The modelled
     # gravity torque is subtracted; its accuracy is a parameter.
