@@ -22,8 +22,8 @@ from freeflyer_adapters.foundation import environment
 from freeflyer_adapters.foundation.environment import Environment
 from freeflyer_adapters.recording.client import RecordingClient
 from freeflyer_adapters.recording.recorder import Recorder, Written
-from freeflyer_adapters.recording.rescue import rescue
 from freeflyer_adapters.recording.ring import RingReader, RingWriter
+from freeflyer_adapters.recording.ring_recovery import rescue
 from freeflyer_adapters.recording.wall_clock import MOST_REPORTED, WallClock, offset_of
 
 SECOND = 1_000_000_000

@@ -14,7 +14,7 @@ from loops import Loop, loop, wait_until_gone
 from freeflyer.cli import main as command
 from freeflyer_adapters import read_recording
 from freeflyer_adapters.recording.recover import recover, unfinished
-from freeflyer_adapters.recording.rescue import rescue
+from freeflyer_adapters.recording.ring_recovery import rescue
 
 
 def moment(seed: int) -> int:

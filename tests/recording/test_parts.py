@@ -17,12 +17,13 @@ from rosbags.highlevel import AnyReader
 from freeflyer_adapters import read_recording
 from freeflyer_adapters.cli.hil import recording_lines
 from freeflyer_adapters.recording import parts
+from freeflyer_adapters.recording.earlier_recordings import set_aside
 from freeflyer_adapters.recording.parts import PART_SECONDS, PartedRecording
 from freeflyer_adapters.recording.recorder import Recorder
 from freeflyer_adapters.recording.recording_file import STOP, RecordingFile
 from freeflyer_adapters.recording.recover import recover, unfinished
-from freeflyer_adapters.recording.rescue import rescue, set_aside
 from freeflyer_adapters.recording.ring import RingReader, RingWriter, Rows
+from freeflyer_adapters.recording.ring_recovery import rescue
 
 COUNT = 650
 A_PART = 0.2

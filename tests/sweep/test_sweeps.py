@@ -8,7 +8,6 @@ from pathlib import Path
 import pandas
 import pytest
 
-from freeflyer.analysis.sweep import verdict
 from freeflyer.cli import main as command
 
 SWEEP = """
@@ -118,7 +117,7 @@ def test_the_verdict_follows_from_the_row(swept: Path) -> None:
             column.removesuffix("_max") for column in frame.columns if column.endswith("_max")
         ):
             allowed = max(
-                verdict.GROWTH * row[f"{name}_earlier"], verdict.FLOORS[name.rpartition("_")[2]]
+                stability.GROWTH * row[f"{name}_earlier"], stability.FLOORS[name.rpartition("_")[2]]
             )
             bounded = bounded and row[f"{name}_last_10_s"] <= allowed
         assert row["stable"] == bounded

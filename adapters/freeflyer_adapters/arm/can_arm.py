@@ -13,7 +13,7 @@ from freeflyer_adapters.arm.description import compare
 from freeflyer_adapters.arm.frames import ArmFrames, Mode
 from freeflyer_adapters.arm.options import ArmOptions
 from freeflyer_adapters.arm.session import STOPPED, ArmSession, Phase
-from freeflyer_adapters.arm.state_frames import Numbers, StateFrames
+from freeflyer_adapters.arm.state_receiver import Numbers, StateFrames
 from freeflyer_adapters.can.link import Receiver, Sender, flush, open_bus
 from freeflyer_adapters.can.second_sender import LISTEN
 from freeflyer_adapters.device import settings as all_settings

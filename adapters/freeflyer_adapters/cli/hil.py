@@ -13,12 +13,13 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from freeflyer.cli.run import result_table, verdict
+from freeflyer.cli.run import result_table
 from freeflyer.foundation.errors import BAD_INPUT, DONE, STOPPED, report_error
 from freeflyer.foundation.interrupts import interrupts
 from freeflyer.foundation.output_file import check_writable, folder, write_text
 from freeflyer.scenario import experiment, scenario
 from freeflyer.scenario.scenario import Scenario
+from freeflyer.scenario.verdict import verdict
 from freeflyer_adapters.base.notices import notices
 from freeflyer_adapters.facility import settings as facility_settings
 from freeflyer_adapters.facility.accelerated import accelerated
@@ -29,7 +30,7 @@ from freeflyer_adapters.loop.graded_stop import NOTHING_ACTIVE
 from freeflyer_adapters.loop.stop_notice import StopNotice, check_log_to
 from freeflyer_adapters.recording.can_log import FORMATS
 from freeflyer_adapters.recording.client import Recording
-from freeflyer_adapters.recording.rescue import rescue
+from freeflyer_adapters.recording.ring_recovery import rescue
 
 AFTERWARDS = 1.0
 """Virtual time in which the devices come to rest after the controllers have ended [s]."""
@@ -134,7 +135,7 @@ class HilCommand:
         )
         for sentence in (*report.remarks, *recording_lines(report.recording or {})):
             console.print(sentence, soft_wrap=True)
-        return verdict(result)
+        return verdict(result.scenario, result.outcome)
 
 
 class FacilityCommand:

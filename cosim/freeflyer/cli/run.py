@@ -12,11 +12,12 @@ from typing import get_args
 from rich.console import Console
 from rich.table import Table
 
-from freeflyer.foundation.errors import DONE, STOPPED, ScenarioError, report_error
+from freeflyer.foundation.errors import ScenarioError
 from freeflyer.foundation.output_file import check_writable, folder
 from freeflyer.scenario import experiment, scenario
 from freeflyer.scenario.experiment import Result
 from freeflyer.scenario.scenario import Scenario
+from freeflyer.scenario.verdict import verdict
 
 # A subcommand imports its own dependencies: a run loads neither SSP files nor figures.
 
@@ -95,7 +96,7 @@ class RunCommand:
         experiment.write(result, directory)
         console.print(result_table(result))
         console.print(f"Results in {directory}: record.parquet, summary.json", soft_wrap=True)
-        return verdict(result)
+        return verdict(result.scenario, result.outcome)
 
 
 def result_table(result: Result) -> Table:
@@ -122,27 +123,3 @@ def result_table(result: Result) -> Table:
 
 def shown(value: float | None) -> str:
     return "not finite" if value is None else f"{value:.3g}"
-
-
-def verdict(result: Result) -> int:
-    """Report an end of the run that is not a plain completion; return the exit code."""
-    outcome = result.outcome
-    if outcome.interrupted:
-        return report_error(
-            f"interrupted at {outcome.simulated:g} s; the results up to then are saved", STOPPED
-        )
-    if outcome.failed:
-        return report_error(
-            f"the run stopped at {outcome.simulated:g} s: {outcome.cause}; the results up to then are saved",
-            STOPPED,
-        )
-    if outcome.diverged and result.as_expected:
-        print(f"Diverged at {outcome.simulated:g} s, as this scenario expects ({outcome.cause})")
-    elif outcome.diverged:
-        return report_error(
-            f"the run diverged at {outcome.simulated:g} s and stopped: {outcome.cause}; the results up to then are saved",
-            STOPPED,
-        )
-    elif not result.as_expected:
-        return report_error("this scenario expects to diverge, but the run completed", STOPPED)
-    return DONE

@@ -25,9 +25,9 @@ from freeflyer.foundation.clock import seconds
 from freeflyer.foundation.errors import ComponentError, CosimError, StepFailed
 from freeflyer.foundation.interrupts import interrupts
 from freeflyer.foundation.plugins import renamed
-from freeflyer.master import limits as watched
+from freeflyer.master import divergence as watched
+from freeflyer.master.divergence import Limit, Watch
 from freeflyer.master.graph import Graph
-from freeflyer.master.limits import Limit, Watch
 from freeflyer.master.record import Record
 from freeflyer.master.schedule import Schedule
 from freeflyer.master.slaves import Slave, Slaves

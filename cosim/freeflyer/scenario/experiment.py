@@ -24,6 +24,7 @@ from freeflyer.scenario import metrics
 from freeflyer.scenario.assemble import assembled
 from freeflyer.scenario.parameters import Values, current
 from freeflyer.scenario.scenario import Scenario
+from freeflyer.scenario.verdict import as_expected
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,9 +39,7 @@ class Result:
     @property
     def as_expected(self) -> bool:
         """Whether the run completed or diverged, as the scenario expects."""
-        return not (self.outcome.interrupted or self.outcome.failed) and self.outcome.diverged == (
-            self.scenario.expect == "diverges"
-        )
+        return as_expected(self.scenario, self.outcome)
 
 
 Engine = Literal["core", "python"]

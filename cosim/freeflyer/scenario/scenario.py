@@ -24,9 +24,10 @@ from freeflyer.foundation.errors import ScenarioError
 from freeflyer.foundation.signal_name import component_of, split, split_connection
 from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer.foundation.units import converted, factor
+from freeflyer.master.divergence import Limit
 from freeflyer.master.graph import Connection, Exchange
-from freeflyer.master.limits import Limit
-from freeflyer.scenario.raw_scenario import Raw, merged, override
+from freeflyer.scenario.inheritance import Raw, merged
+from freeflyer.scenario.overrides import override
 from freeflyer.scenario.signal_roles import ROLES, SEVERAL, SignalRoles
 
 SHIPPED = Path(__file__).parent.parent / "paper" / "scenarios"

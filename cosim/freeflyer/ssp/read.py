@@ -23,7 +23,8 @@ from freeflyer.fmi.fmu_description import describe_fmu, ports_of
 from freeflyer.foundation import toml_file
 from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer.foundation.units import DIMENSIONLESS, same
-from freeflyer.scenario.raw_scenario import Raw, override
+from freeflyer.scenario.inheritance import Raw
+from freeflyer.scenario.overrides import override
 from freeflyer.scenario.scenario import Scenario, from_tables
 from freeflyer.ssp.names import (
     ANNOTATION,

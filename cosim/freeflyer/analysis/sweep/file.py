@@ -11,7 +11,8 @@ from freeflyer.analysis.sweep.designs import Axis, Designs, Interval, Levels, Me
 from freeflyer.foundation import toml_file
 from freeflyer.foundation.errors import ScenarioError
 from freeflyer.foundation.suggestions import did_you_mean
-from freeflyer.scenario.raw_scenario import Raw, parse_value
+from freeflyer.scenario.inheritance import Raw
+from freeflyer.scenario.overrides import parse_value
 
 SHIPPED = Path(__file__).parents[2] / "paper" / "sweeps"
 ONE_CASE = "scenario"

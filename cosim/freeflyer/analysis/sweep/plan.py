@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from freeflyer.analysis.sweep import verdict
+from freeflyer.analysis.sweep import stability
 from freeflyer.analysis.sweep.designs import Axis, Levels, Target
 from freeflyer.analysis.sweep.file import ONE_CASE, Sweep
 from freeflyer.fmi.component import Array, Port
@@ -22,7 +22,8 @@ from freeflyer.foundation.units import DIMENSIONLESS, converted, factor
 from freeflyer.master import schedule
 from freeflyer.scenario import assemble, metrics, parameters, scenario
 from freeflyer.scenario.assemble import System
-from freeflyer.scenario.raw_scenario import Raw, assign
+from freeflyer.scenario.inheritance import Raw
+from freeflyer.scenario.overrides import assign
 from freeflyer.scenario.scenario import ComponentSpec, Scenario
 
 Assignments = tuple[tuple[str, Any], ...]
@@ -116,7 +117,7 @@ class Plan:
             "designs": {"count": len(self.designs), "sha256": values.hexdigest()},
             "fmi": self.setup.fmi,
             "files": dict(self.setup.files),
-            "criterion": verdict.criterion(),
+            "criterion": stability.criterion(),
             "package": metrics.versions()["freeflyer-cosim"],
         }
         result: dict[str, Any] = json.loads(json.dumps(content, default=str))

@@ -17,7 +17,7 @@ import pyarrow as pa
 import pyarrow.compute as compute
 import pyarrow.parquet as parquet
 
-from freeflyer.analysis.sweep import verdict
+from freeflyer.analysis.sweep import stability
 from freeflyer.analysis.sweep.designs import Levels
 from freeflyer.analysis.sweep.plan import Plan
 from freeflyer.analysis.sweep.task import Row
@@ -148,7 +148,7 @@ def schema(plan: Plan) -> pa.Schema:
         unit = name.rpartition("_")[2]
         fields += [
             (f"{name}_{which}", pa.float64(), unit)
-            for which in ("max", verdict.LAST, verdict.EARLIER)
+            for which in ("max", stability.LAST, stability.EARLIER)
         ]
     fields += [(f"{name}_observed_energy_min_j", pa.float64(), "J") for name in plan.energies]
     fields += [(name, pa.float64(), "s") for name in ("wall_s", "run_s")]

@@ -12,7 +12,7 @@ from typing import Any
 
 from distributed import get_worker
 
-from freeflyer.analysis.sweep import verdict
+from freeflyer.analysis.sweep import stability
 from freeflyer.analysis.sweep.plan import Run, Setup, files
 from freeflyer.fmi import unpacked
 from freeflyer.foundation.errors import CosimError, ScenarioError
@@ -59,7 +59,7 @@ def measured(result: Result) -> Row:
     """Return a run's results: values of summary.json, earlier maxima of the errors, the verdict."""
     summary, record = result.summary, result.outcome.record
     before = {
-        name: verdict.earlier(record.time, error, result.outcome.simulated)
+        name: stability.earlier(record.time, error, result.outcome.simulated)
         for name, error in result.errors.items()
     }
     found: Row = {
@@ -68,11 +68,11 @@ def measured(result: Result) -> Row:
     }
     for name, most in before.items():
         found[f"{name}_max"] = summary[name]["max"]
-        found[f"{name}_{verdict.LAST}"] = summary[name][verdict.LAST]
-        found[f"{name}_{verdict.EARLIER}"] = most
+        found[f"{name}_{stability.LAST}"] = summary[name][stability.LAST]
+        found[f"{name}_{stability.EARLIER}"] = most
     for name, energy in summary["observed_energy_j"].items():
         found[f"{name}_observed_energy_min_j"] = energy["min"]
-    return {"stable": verdict.stable(summary, before), **found}
+    return {"stable": stability.stable(summary, before), **found}
 
 
 def failure(cause: str) -> Row:

@@ -1,19 +1,15 @@
-"""Rescue of data of earlier runs: rings without loop and recorder, and unfinished recordings."""
+"""Recovery of rings in shared memory that killed loops have left."""
 
 from __future__ import annotations
 
-import contextlib
-import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from freeflyer.foundation.errors import CosimError, OutputError, RecordError
-from freeflyer_adapters.recording.damaged_mcap import MAGIC
-from freeflyer_adapters.recording.header import CanChannel
-from freeflyer_adapters.recording.parts import number_of, parts, save_rest
-from freeflyer_adapters.recording.recording_file import FLIGHT, RECORDING, save_flight
+from freeflyer_adapters.recording.parts import save_rest
+from freeflyer_adapters.recording.recording_file import FLIGHT, save_flight
 from freeflyer_adapters.recording.ring import RingReader, is_left_behind, left_behind
 
 
@@ -68,37 +64,3 @@ def save_ring(path: Path) -> Saved:
         return Saved(flight=flight, rest=rest)
     finally:
         ring.close()
-
-
-def set_aside(directory: Path, channels: Sequence[CanChannel], can_format: str) -> None:
-    """Prepare the directory of a run for a new recording.
-
-    An unfinished recording of an earlier run is renamed: all its parts and its CAN log. The parts
-    of a finished one are removed, so that they cannot be confused with parts of the new run.
-    """
-    with contextlib.suppress(OSError):
-        found = parts(directory)
-        if all(_is_finished(path) for path in found):
-            for path in found:
-                path.unlink()
-            return
-        stamp = time.strftime("%Y%m%dT%H%M%S", time.localtime(found[-1].stat().st_mtime))
-        first = directory / RECORDING
-        for path in found:
-            number = "" if path == first else f"_{number_of(path)}"
-            path.rename(first.with_name(f"{first.stem}_{stamp}{number}{first.suffix}"))
-        for name in (
-            f"can.{can_format}",
-            *(f"can_{channel.name}.{can_format}" for channel in channels),
-        ):
-            path = directory / name
-            if path.exists():
-                path.rename(path.with_name(f"{path.stem}_{stamp}{path.suffix}"))
-
-
-def _is_finished(path: Path) -> bool:
-    """Return whether the file ends with the magic bytes of MCAP."""
-    with path.open("rb") as file:
-        size = file.seek(0, os.SEEK_END)
-        file.seek(max(0, size - len(MAGIC)))
-        return size > len(MAGIC) and file.read() == MAGIC

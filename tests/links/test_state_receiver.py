@@ -10,7 +10,7 @@ import can
 import pytest
 
 from freeflyer_adapters.arm.frames import ArmFrames, FrameMapping, Mode
-from freeflyer_adapters.arm.state_frames import FOREIGN, MOST_FRAMES, WITHIN, Numbers, StateFrames
+from freeflyer_adapters.arm.state_receiver import FOREIGN, MOST_FRAMES, WITHIN, Numbers, StateFrames
 from freeflyer_adapters.can.link import Sender
 from freeflyer_adapters.foundation import environment
 from freeflyer_adapters.foundation.environment import Environment

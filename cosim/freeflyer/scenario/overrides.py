@@ -1,0 +1,88 @@
+"""Overrides of a scenario's tables: `--set COMPONENT.PARAMETER=VALUE`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from freeflyer.foundation import toml_file
+from freeflyer.foundation.errors import ScenarioError
+from freeflyer.foundation.signal_name import split
+from freeflyer.foundation.suggestions import did_you_mean
+from freeflyer.scenario.inheritance import Raw
+
+
+def override(raw: Raw, text: str) -> None:
+    """Apply an override COMPONENT.PARAMETER=VALUE to `raw`. Raises ScenarioError.
+
+    VALUE is TOML, an unquoted string, or a number with a unit ("300 ms").
+    """
+    target, equals, value = text.partition("=")
+    assign(raw, target.strip(), parse_value(value.strip()) if equals else None, f"--set {text}")
+
+
+def assign(raw: Raw, target: str, value: Any, where: str) -> None:
+    """Set `target` of `--set` to `value`; None if the value is missing.
+
+    `where` is the prefix of error messages. Raises ScenarioError.
+    """
+    component, parameter = split(target)
+    components = _inner(raw, "components", where)
+    if value is not None and component in ("devices", "facility", "record"):
+        _assign_in_table(raw, where, target.split("."), value)
+        return
+    if value is not None and target in ("stop_s", "exchange"):
+        raw[target] = value
+        return
+    if value is None or not component or not parameter:
+        raise ScenarioError(
+            f"{where}: COMPONENT.PARAMETER=VALUE is expected, for example base_controller.period=0.1"
+        )
+    if component == "robot" and component not in components:
+        _assign_in_table(raw, where, [component, parameter], value)
+        return
+    if component not in components:
+        raise ScenarioError(
+            f"{where}: there is no component {component!r}{did_you_mean(component, components)}"
+        )
+    table = _inner(components, component, where)
+    if parameter == "step_s":
+        table["step_s"] = value
+    else:
+        _inner(table, "parameters", where)[parameter] = value
+
+
+def _inner(table: Raw, key: str, where: str) -> Raw:
+    found = table.setdefault(key, {})
+    if not isinstance(found, dict):
+        raise ScenarioError(f"{where}: {key!r} is not a table; its keys cannot be set")
+    return found
+
+
+def _assign_in_table(raw: Raw, where: str, keys: Sequence[str], value: Any) -> None:
+    """Set a key of a table, for example devices.NAME.KEY or facility.KEY; KEY may be dotted."""
+    devices = raw.get("devices", {})
+    if keys[0] == "devices" and (
+        len(keys) < 3 or not isinstance(devices, dict) or keys[1] not in devices
+    ):
+        names = ", ".join(devices) if isinstance(devices, dict) and devices else "(none)"
+        raise ScenarioError(f"{where}: devices.NAME.KEY=VALUE is expected, NAME one of: {names}")
+    if not all(keys) or not 2 <= len(keys) <= toml_file.DEEPEST:
+        raise ScenarioError(f"{where}: {keys[0]}.KEY=VALUE is expected")
+    table = raw
+    for key in keys[:-1]:
+        table = _inner(table, key, where)
+    table[keys[-1]] = value
+
+
+def parse_value(text: str) -> Any:
+    """Return the value of an override: TOML, a table for "NUMBER UNIT", or else the text."""
+    try:
+        return toml_file.parsed(f"value = {text}")["value"]
+    except ValueError:
+        pass
+    number, _, unit = text.partition(" ")
+    try:
+        return {"value": float(number), "unit": unit.strip()} if unit else text
+    except ValueError:
+        return text

@@ -1,0 +1,38 @@
+"""Verdict of a run: whether it ended as the scenario expects, and the exit code of the command."""
+
+from __future__ import annotations
+
+from freeflyer.foundation.errors import DONE, STOPPED, report_error
+from freeflyer.master.master import Outcome
+from freeflyer.scenario.scenario import Scenario
+
+
+def as_expected(scenario: Scenario, outcome: Outcome) -> bool:
+    """Return whether the run completed or diverged, as the scenario expects."""
+    if outcome.interrupted or outcome.failed:
+        return False
+    return outcome.diverged == (scenario.expect == "diverges")
+
+
+def verdict(scenario: Scenario, outcome: Outcome) -> int:
+    """Report an end of the run that is not a plain completion; return the exit code."""
+    expected = as_expected(scenario, outcome)
+    if outcome.interrupted:
+        return report_error(
+            f"interrupted at {outcome.simulated:g} s; the results up to then are saved", STOPPED
+        )
+    if outcome.failed:
+        return report_error(
+            f"the run stopped at {outcome.simulated:g} s: {outcome.cause}; the results up to then are saved",
+            STOPPED,
+        )
+    if outcome.diverged and expected:
+        print(f"Diverged at {outcome.simulated:g} s, as this scenario expects ({outcome.cause})")
+    elif outcome.diverged:
+        return report_error(
+            f"the run diverged at {outcome.simulated:g} s and stopped: {outcome.cause}; the results up to then are saved",
+            STOPPED,
+        )
+    elif not expected:
+        return report_error("this scenario expects to diverge, but the run completed", STOPPED)
+    return DONE
