@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pandas
 
-from freeflyer.analysis.sweep import file, verdict
+from freeflyer.analysis.sweep import file, stability
 from freeflyer.analysis.sweep.plan import Plan
 from freeflyer.scenario import experiment
 
@@ -51,10 +51,10 @@ def main(sweep: str, directory: str, *cases: str) -> None:
         result = experiment.run(scenario)
         record = result.outcome.record
         before = {
-            name: verdict.earlier(record.time, error, result.outcome.simulated)
+            name: stability.earlier(record.time, error, result.outcome.simulated)
             for name, error in result.errors.items()
         }
-        stable = verdict.stable(result.summary, before)
+        stable = stability.stable(result.summary, before)
         settled[run.case] += stable is True
         # The natural frequency that is nearest to the trajectory's.
         given = dict(run.assignments)

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from marked_sweeps import MarkedSweep, until
 from schedulers import scheduler, worker
 
-from freeflyer.analysis.sweep import cluster, verdict
+from freeflyer.analysis.sweep import cluster, stability
 
 P = '"base_controller.period"'
 
@@ -325,13 +325,13 @@ def test_decreasing_errors_are_stable_and_errors_that_grow_above_the_floor_are_u
         "simulated_s": 60.0,
         f"x_error_{unit}": {"last_10_s": last},
     }
-    found = verdict.stable(summary, {f"x_error_{unit}": before})
-    if last <= before or last <= verdict.FLOORS[unit]:
+    found = stability.stable(summary, {f"x_error_{unit}": before})
+    if last <= before or last <= stability.FLOORS[unit]:
         assert found is True
-    if last > verdict.FLOORS[unit] and last > 1.06 * before:
+    if last > stability.FLOORS[unit] and last > 1.06 * before:
         assert found is False
-    assert verdict.stable(summary | {"diverged": True}, {f"x_error_{unit}": before}) is False
-    assert verdict.stable(summary | {"simulated_s": 19.0}, {f"x_error_{unit}": before}) is None
+    assert stability.stable(summary | {"diverged": True}, {f"x_error_{unit}": before}) is False
+    assert stability.stable(summary | {"simulated_s": 19.0}, {f"x_error_{unit}": before}) is None
 
 
 def test_a_varied_parameter_cannot_be_set_by_an_option(capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import pandas
 import pytest
 
+from freeflyer.analysis.sweep import stability
 from freeflyer.cli import main as command
 
 SWEEP = """
