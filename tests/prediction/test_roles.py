@@ -79,7 +79,22 @@ def test_the_error_names_a_missing_role(folder: Path, left_out: str, expected: s
     [
         ('base_positon = "chaser.r_b"', r"unknown key 'base_positon' in \[roles\]; did you mean"),
         ('base_position = "chaser.r_c"', r"roles.base_position: .* no variable 'r_c'"),
-        ('base_position = "chasr.r_b"', r"roles.base_position is .*; did you mean 'chaser'"),
+        (
+            'base_position = "chasr.r_b"',
+            r"roles.base_position: there is no component 'chasr'; did you mean 'chaser'",
+        ),
+        ('base_velocity = "chaser.kinetic_energy"', "has 1 elements; 6 are expected"),
+        ('orientations = ["chaser.r_b"]', "has 3 elements; 4 are expected"),
+        ('end_effector_velocity = "chaser.twist"\nbase_velocity = "chaser.twist"', "has two roles"),
+        ('base_wrench = "chaser.end_effector_velocity"', "has two roles"),
+        (
+            'base_position = "reference_trajectory.position"',
+            "is reference_trajectory.position; a variable of chaser is expected",
+        ),
+        (
+            'passivity_control = ["base_controller.stiffness"]',
+            "base_controller.stiffness is not a Boolean parameter",
+        ),
         ("base_position = 1", r"roles.base_position is 1; COMPONENT.VARIABLE is expected"),
         ('orientations = ["a", 1]', r"a list of COMPONENT.VARIABLE is expected"),
     ],

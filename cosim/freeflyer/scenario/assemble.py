@@ -146,13 +146,6 @@ def _check_inputs(wiring: graph.Graph, values: Values) -> None:
             )
 
 
-def check_roles(scenario: Scenario, components: Mapping[str, Component]) -> None:
-    """Raise GraphError if a signal of `[roles]` does not exist."""
-    for role, signals in scenario.roles.declared.items():
-        for signal in signals:
-            graph.port(components, signal, f"roles.{role}")
-
-
 def _recorded(scenario: Scenario, components: Mapping[str, Component]) -> Callable[[str], bool]:
     """Return a predicate for recorded signals. Raises ScenarioError if a pattern matches none."""
     outputs = {
@@ -208,7 +201,6 @@ def loaded(scenario: Scenario, fmi: int | None = None) -> Iterator[System]:
         ]
         wiring = graph.build(components, connections, samples, scenario.exchange)
         _check_inputs(wiring, values)
-        check_roles(scenario, components)
         steps = parameters.steps(scenario, components, values)
         yield System(components=components, values=values, steps=steps, wiring=wiring)
     finally:

@@ -74,7 +74,17 @@ def _without_components(base: Raw, names: Any) -> Raw:
     for key in ("connections", "delayed"):
         if isinstance(base.get(key), list):
             result[key] = [kept for text in base[key] for kept in _disconnected(str(text), names)]
+    if isinstance(base.get("roles"), dict):
+        roles = {role: _signals_without(value, names) for role, value in base["roles"].items()}
+        result["roles"] = {role: value for role, value in roles.items() if value}
     return result
+
+
+def _signals_without(value: Any, names: Sequence[str]) -> Any:
+    """Return a role's signal or list of signals without those of the components in `names`."""
+    if isinstance(value, list):
+        return [signal for signal in value if component_of(str(signal)) not in names]
+    return None if component_of(str(value)) in names else value
 
 
 def _disconnected(text: str, names: Sequence[str]) -> list[str]:

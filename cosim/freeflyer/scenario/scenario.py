@@ -21,7 +21,7 @@ from typing import Any, Literal, get_args
 from freeflyer.foundation import toml_file
 from freeflyer.foundation.clock import nanoseconds
 from freeflyer.foundation.errors import ScenarioError
-from freeflyer.foundation.signal_name import component_of, split, split_connection
+from freeflyer.foundation.signal_name import split, split_connection
 from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer.foundation.units import converted, factor
 from freeflyer.master.divergence import Limit
@@ -431,11 +431,15 @@ class _Reader:
         for role, value in given.items():
             signals = value if isinstance(value, list) and role in SEVERAL else [value]
             for signal in signals:
-                component = component_of(signal) if isinstance(signal, str) else ""
-                if component not in raw["components"] or not split(signal)[1]:
+                component, variable = split(signal) if isinstance(signal, str) else ("", "")
+                if not component or not variable:
                     several = "a list of " if role in SEVERAL else ""
                     raise self.fail(
                         f"roles.{role} is {value!r}; {several}COMPONENT.VARIABLE is expected"
+                    )
+                if component not in raw["components"]:
+                    raise self.fail(
+                        f"roles.{role}: there is no component {component!r}"
                         f"{did_you_mean(component, raw['components'])}"
                     )
             declared[role] = tuple(signals)

@@ -11,18 +11,21 @@ from dataclasses import dataclass, field
 
 from freeflyer.foundation.signal_name import component_of, split
 
-SINGLE = (
-    "base_position",
-    "base_orientation",
-    "base_velocity",
-    "base_wrench",
-    "end_effector_position",
-    "end_effector_orientation",
-    "end_effector_velocity",
-    "joint_velocity",
-    "joint_torque",
-)
-"""Roles of one variable of the plant. Positions [m] and quaternions [x, y, z, w] are in I."""
+SINGLE: Mapping[str, int | None] = {
+    "base_position": 3,
+    "base_orientation": 4,
+    "base_velocity": 6,
+    "base_wrench": 6,
+    "end_effector_position": 3,
+    "end_effector_orientation": 4,
+    "end_effector_velocity": 6,
+    "joint_velocity": None,
+    "joint_torque": None,
+}
+"""Roles of one variable of the plant, with the number of elements (None: one for each joint).
+
+Positions [m], quaternions [x, y, z, w], velocities and wrenches are in I.
+"""
 SEVERAL: Mapping[str, tuple[str, ...]] = {
     "orientations": (),
     "passivity_control": ("manipulator_passivity_control", "base_passivity_control"),

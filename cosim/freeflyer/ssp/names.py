@@ -13,7 +13,17 @@ STEP_ANNOTATION = "com.opensimulationplatform"
 libcosim and ecos read them from there.
 """
 FMU_TYPE = "application/x-fmu-sharedlibrary"
-SETTINGS = ("title", "paper", "expect", "exchange", "record", "limits", "errors", "observed_energy")
+SETTINGS = (
+    "title",
+    "paper",
+    "expect",
+    "exchange",
+    "record",
+    "limits",
+    "errors",
+    "observed_energy",
+    "roles",
+)
 """Scenario keys that describe the experiment, not the system; an annotation has them as TOML."""
 
 # libcosim and ecos compare prefixes instead of namespaces, so these prefixes must not change.

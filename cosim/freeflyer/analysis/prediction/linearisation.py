@@ -14,7 +14,7 @@ import numpy as np
 
 from freeflyer.analysis.prediction import lifting, tangent
 from freeflyer.analysis.prediction.lifting import Indices, Inputs, Law, Loop, Plant
-from freeflyer.analysis.prediction.loop_roles import Roles, roles_of
+from freeflyer.analysis.prediction.loop_roles import Roles, check_signals, roles_of
 from freeflyer.analysis.prediction.sensitivity import DifferentiableFmu
 from freeflyer.fmi.component import Array
 from freeflyer.foundation.clock import seconds
@@ -24,7 +24,7 @@ from freeflyer.master import graph, schedule
 from freeflyer.master.graph import Connection
 from freeflyer.master.master import Master
 from freeflyer.scenario import parameters
-from freeflyer.scenario.assemble import System, check_roles, find_fmu
+from freeflyer.scenario.assemble import System, find_fmu
 from freeflyer.scenario.parameters import Values
 from freeflyer.scenario.scenario import ComponentSpec, Scenario
 from freeflyer.scenario.signal_roles import SignalRoles
@@ -46,6 +46,7 @@ class LoopModel:
         """Bind the derivatives of all FMUs. Raises CosimError if the loop cannot be linearised."""
         self.scenario, self.system, self.fmus = scenario, system, fmus
         self.roles = roles_of(scenario, system, fmus, scanned)
+        check_signals(scenario.roles, self.roles.plant, fmus)
         self.quaternions = scenario.roles.quaternions(self.roles.plant)
         self._linked = self._linked_parameters()
 
@@ -275,7 +276,6 @@ def opened(scenario: Scenario, scanned: str | None = None) -> Iterator[LoopModel
                 _without_passivity_control(spec, fmus[spec.name], scenario.roles) for spec in specs
             ),
         )
-        check_roles(scenario, fmus)
         samples = {spec.name: spec.samples for spec in specs if spec.samples is not None}
         values = parameters.resolve(quiet, fmus)
         wiring = graph.build(fmus, quiet.connections, samples, quiet.exchange)
@@ -310,6 +310,11 @@ def _without_passivity_control(
     spec: ComponentSpec, fmu: DifferentiableFmu, roles: SignalRoles
 ) -> ComponentSpec:
     switches = [n for n in roles.variables("passivity_control", spec.name) if n in fmu.ports]
+    for name in switches:
+        if not (fmu.ports[name].boolean and fmu.ports[name].settable):
+            raise ScenarioError(
+                f"roles.passivity_control: {spec.name}.{name} is not a Boolean parameter"
+            )
     return replace(spec, parameters={**spec.parameters, **dict.fromkeys(switches, False)})
 
 

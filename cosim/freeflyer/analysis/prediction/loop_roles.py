@@ -11,9 +11,12 @@ from dataclasses import dataclass
 from freeflyer.analysis.prediction.sensitivity import DifferentiableFmu
 from freeflyer.foundation.clock import shown
 from freeflyer.foundation.errors import ScenarioError
+from freeflyer.foundation.signal_name import component_of
 from freeflyer.foundation.suggestions import did_you_mean
+from freeflyer.master.graph import port
 from freeflyer.scenario.assemble import System
 from freeflyer.scenario.scenario import Scenario
+from freeflyer.scenario.signal_roles import SINGLE, SignalRoles
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,3 +105,32 @@ def roles_of(
         period=system.steps[chosen],
         tick=tick,
     )
+
+
+def check_signals(
+    roles: SignalRoles, plant: str, components: Mapping[str, DifferentiableFmu]
+) -> None:
+    """Check the signals that a scenario declares in `[roles]`.
+
+    Raises ScenarioError if a signal does not exist or does not have the size of its role, if it is
+    not a variable of the plant, or if one variable has two roles.
+    """
+    used: dict[str, str] = {}
+    for role, signals in roles.declared.items():
+        for signal in signals:
+            if role != "passivity_control" and component_of(signal) != plant:
+                raise ScenarioError(f"roles.{role} is {signal}; a variable of {plant} is expected")
+            found = port(components, signal, f"roles.{role}")
+            size = 4 if role == "orientations" else SINGLE.get(role)
+            if size is not None and found.size != size:
+                raise ScenarioError(
+                    f"roles.{role}: {signal} has {found.size} elements; {size} are expected"
+                )
+            if signal in used:
+                raise ScenarioError(f"{signal} has two roles: {used[signal]} and {role}")
+            used[signal] = role
+    # A role that is not declared has the variable of its own name.
+    for role in SINGLE:
+        other = used.get(f"{plant}.{role}", role)
+        if role not in roles.declared and other != role:
+            raise ScenarioError(f"{plant}.{role} has two roles: {role} and {other}")
