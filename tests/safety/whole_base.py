@@ -588,7 +588,7 @@ class Whole:
 
     def restart(self) -> None:
         """Switch the base robot off and on: it loses the expired publishers, and has a new one."""
-        whom = self.base._link._told
+        whom = self.base._link._reported
         if whom not in ("", NO_PUBLISHER):
             self.news.append((whom, False))
         self.base = Base(self.watchdog, self.proof)
