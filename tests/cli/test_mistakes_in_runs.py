@@ -44,7 +44,7 @@ def scenario_file(directory: Path, text: str, base: str | None = "multirate_pass
         ("base_controller.period=-1", "is -1.0 s; a positive whole number of nanoseconds"),
         (
             "base_controller.period=0.0025",
-            "step of 0.0025 s is no multiple of the smallest step, 0.001 s; 0.002 s or 0.003 s would fit",
+            "step of 0.0025 s is not a multiple of the smallest step, 0.001 s; 0.002 s or 0.003 s would fit",
         ),
         (
             "base_controller.stiffness=[1,2,3]",
@@ -162,7 +162,7 @@ def test_a_singular_jacobian_stops_the_run_and_keeps_the_record(
             "[components.free_flyer]\nstep_s = { value = true, unit = 's' }\n",
             "step_s is {'value': True, 'unit': 's'}",
         ),
-        ("[record]\nevery_s = 0.0015\n", "the recording interval of 0.0015 s is no multiple"),
+        ("[record]\nevery_s = 0.0015\n", "the recording interval of 0.0015 s is not a multiple"),
         ("stop_s = \n", "is not valid TOML"),
         (
             "[[limits]]\nsignal = 'free_flyer.base_speed'\nmaximum = 1.0\n",
@@ -383,7 +383,7 @@ def fmu_with(tmp_path: Path, fmus: Path, change: object) -> Path:
         ),
         (
             lambda n, d: (n.replace("linux64", "win64"), d),
-            "has no binary for this platform (linux64); it has win64",
+            "has no binary for this platform (linux64); it has binaries for win64",
         ),
         (
             lambda n, d: (n, d.replace(b'fmiVersion="2.0"', b'fmiVersion="1.0"')),
@@ -428,7 +428,7 @@ def test_a_file_that_is_no_archive_is_rejected(
     code, error = run_command(
         capsys, "run", scenario_file(tmp_path, "[components.extra]\nfmu='x.fmu'\nstep_s=0.001\n")
     )
-    assert (code, "it is no zip archive" in error) == (2, True)
+    assert (code, "it is not a zip archive" in error) == (2, True)
 
 
 def test_an_output_directory_that_cannot_be_created_is_rejected(

@@ -76,7 +76,10 @@ def add_zeros(file: zipfile.ZipFile) -> None:
         (named("a", "a"), "its entries 'a' and 'a' would be one file"),
         (named("a/b", "A/B"), "its entries 'a/b' and 'A/B' would be one file"),
         (named("caf\u00e9", "cafe\u0301"), "would be one file"),
-        (named("a", "a/b"), "its entry 'a' is a file, and a folder of 'a/b'"),
+        (
+            named("a", "a/b"),
+            "its entry 'a' is a file, but its entry 'a/b' needs a folder of that name",
+        ),
         (of_kind(stat.S_IFLNK), "its entry 'resources/x' is a symbolic link"),
         (of_kind(stat.S_IFIFO), "its entry 'resources/x' is neither a file nor a folder"),
         (of_kind(stat.S_IFBLK), "its entry 'resources/x' is neither a file nor a folder"),
@@ -157,7 +160,7 @@ def test_an_entry_larger_than_its_stated_size_is_rejected(
         tmp_path,
         temporary,
         path,
-        "it is no usable zip archive (Bad CRC-32 for file 'resources/zeros')",
+        "it is not a usable zip archive (Bad CRC-32 for file 'resources/zeros')",
     )
 
 
@@ -185,7 +188,7 @@ def test_a_truncated_archive_is_rejected(
 ) -> None:
     path = fmu(tmp_path / "some.fmu", x=b"y" * 5000)
     path.write_bytes(path.read_bytes()[: int(share * path.stat().st_size)])
-    rejected(capsys, tmp_path, temporary, path, "it is no zip archive")
+    rejected(capsys, tmp_path, temporary, path, "it is not a zip archive")
 
 
 def test_too_many_entries_or_a_too_large_directory_are_rejected(
@@ -281,7 +284,7 @@ def test_xml_with_too_many_or_too_deep_elements_is_rejected(
         tmp_path,
         temporary,
         fmu(tmp_path / "deep.fmu", deep),
-        "or more than 200 within each other",
+        "or more than 200 nested elements",
     )
     monkeypatch.setattr(archive, "MOST_ELEMENTS", 1000)
     wide = SUFFIX.replace(b"<CoSimulation", b"<a/>" * 1000 + b"<CoSimulation")

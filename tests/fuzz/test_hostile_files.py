@@ -75,7 +75,7 @@ def test_a_path_that_is_not_a_regular_file_is_rejected(
 def test_a_fifo_or_device_is_rejected_when_it_is_opened(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "fifo.toml")
     for path in (tmp_path / "fifo.toml", Path("/dev/zero")):
-        with pytest.raises(OSError, match="it is no regular file"):
+        with pytest.raises(OSError, match="it is not a regular file"):
             toml_file.read(path)
     (tmp_path / "long").write_bytes(b"x" * 11)
     assert len(bounded_file.content(tmp_path / "long", 11)) == 11
@@ -163,7 +163,7 @@ def test_no_pickle_cache_of_a_dbc_is_used(tmp_path: Path, monkeypatch: pytest.Mo
 
 def test_a_dbc_that_is_not_a_regular_file_or_too_large_is_rejected(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "fifo.dbc")
-    with pytest.raises(DeviceError, match="it is no regular file"):
+    with pytest.raises(DeviceError, match="it is not a regular file"):
         load(tmp_path / "fifo.dbc")
     (tmp_path / "long.dbc").write_bytes(b" " * (5 << 20))
     with pytest.raises(DeviceError, match="it has more than 4 MiB"):
@@ -201,7 +201,7 @@ def test_a_record_with_too_many_rows_is_rejected_before_reading(
     monkeypatch.setattr(parquet.ParquetFile, "read", lambda _: pytest.fail("it was read"))
     code, error = run_command(capsys, "audit", str(path))
     assert (
-        "it has 5000000 rows of 1 columns; 4999999 numbers at most are expected" in error,
+        "it has 5000000 rows of 1 columns; at most 4999999 numbers are expected" in error,
         code,
     ) == (True, 2), error
 

@@ -313,12 +313,12 @@ FMI_2 = """<?xml version="1.0" encoding="UTF-8"?>
         (
             FMI_2.replace("KIND", "ModelExchange"),
             (),
-            "of component x offers no co-simulation; only such FMUs can be stepped",
+            "of component x offers no co-simulation; an FMU with co-simulation is expected",
         ),
         (
             FMI_2.replace("KIND", "CoSimulation"),
             ("amiga/some.so",),
-            r"has no binary for this platform \(.*\); it has amiga: build it",
+            r"has no binary for this platform \(.*\); it has binaries for amiga; build the FMU",
         ),
         (
             FMI_2.replace("KIND", "CoSimulation").replace('"2.0"', "'2.0'"),

@@ -172,10 +172,10 @@ def test_equivalent_units_may_be_connected() -> None:
 def test_a_step_that_is_no_multiple_is_rejected_with_steps_that_would_fit() -> None:
     with pytest.raises(
         GraphError,
-        match=r"component b: its step of 0.0025 s is no multiple of the smallest step, 0.001 s; 0.002 s or 0.003 s would fit",
+        match=r"component b: its step of 0.0025 s is not a multiple of the smallest step, 0.001 s; 0.002 s or 0.003 s would fit",
     ):
         schedule.build({"a": MS, "b": 2_500_000}, 100 * MS, MS, {"a": True, "b": True})
-    with pytest.raises(GraphError, match=r"the stop time of 0.0105 s is no multiple"):
+    with pytest.raises(GraphError, match=r"the stop time of 0.0105 s is not a multiple"):
         schedule.build({"a": MS}, 10_500_000, MS, {"a": True})
     with pytest.raises(
         GraphError, match=r"component b cannot shorten its last step.*0.009 s would fit"
@@ -253,7 +253,7 @@ def test_a_minimum_is_also_a_limit() -> None:
     plant.values["u"][:] = -1.0
     limit = Limit(signal="plant.x", bound=-0.025, is_minimum=True, cause="too low")
     outcome = ready({"plant": plant}, [], {"plant": 10 * MS}, 100 * MS, limits=[limit]).run()
-    assert outcome.cause == "too low: plant.x is -0.03, the least allowed is -0.025"
+    assert outcome.cause == "too low: plant.x is -0.03, the smallest allowed value is -0.025"
 
 
 def test_a_limit_on_missing_elements_is_rejected() -> None:

@@ -166,7 +166,7 @@ WRONG = [
     ("<ssd:System ", "<", "is not well-formed XML"),
     ('stopTime="0.6"', 'stopTime="soon"', "the stop time is 'soon'; a number is expected"),
     ('stopTime="0.6"', 'stopTime="inf"', "the stop time is 'inf'; a number is expected"),
-    (' stopTime="0.6"', "", "it has no stop time: give one with --set stop_s=SECONDS"),
+    (' stopTime="0.6"', "", "it has no stop time: set it with --set stop_s=SECONDS"),
     ('startTime="0.0"', 'startTime="10"', "only runs that start at 0 are supported"),
     (
         'StepSizeHint value="0.001"',
@@ -268,7 +268,7 @@ def test_an_archive_with_an_outside_path_or_a_decompression_bomb_is_rejected(
 
     assert "it does not exist" in refusal(tmp_path / "none.ssp")
     (tmp_path / "no.ssp").write_bytes(b"nonsense")
-    assert "it is no usable zip archive" in refusal(tmp_path / "no.ssp")
+    assert "it is not a usable zip archive" in refusal(tmp_path / "no.ssp")
     for name in ("../evil", "/evil", "a\\..\\..\\evil"):
         with zipfile.ZipFile(tmp_path / "slip.ssp", "w") as archive:
             archive.writestr(name, b"x")

@@ -55,7 +55,7 @@ def error_of(capsys: pytest.CaptureFixture[str], directory: Path, text: str, *op
         ),
         (
             f"[grid]\n{P} = [0.1, 0.0025, 0.2]",
-            "step of 0.0025 s is no multiple of the smallest step, 0.001 s",
+            "step of 0.0025 s is not a multiple of the smallest step, 0.001 s",
         ),
         (f"[grid]\n{P} = {{ first = 0.1, last = 0.2, count = 4 }}", "whole number of nanoseconds"),
         (

@@ -1,11 +1,16 @@
 """Reader for untrusted zip archives (FMUs, SSP files).
 
-The whole archive is checked before any entry is used; nothing in it is executed. Rejected are:
-- names that leave the target folder or that collide on another operating system;
-- entries that are neither a regular file nor a folder;
-- encryption and compression methods other than those of FMI (FMI 3.0, 2.5: deflate or none);
-- decompression bombs;
-- XML with a document type, so that no external entity is fetched or expanded.
+The whole archive is checked before any entry is used. Nothing in the archive is executed.
+An archive is rejected if it contains:
+- an entry with a name that points outside the target folder;
+- entries that another operating system would store in one file;
+- an entry that is neither a regular file nor a folder;
+- an encrypted entry;
+- an entry with a compression method that FMI does not allow (FMI 3.0, 2.5: deflate or none);
+- a decompression bomb: a small archive that unpacks to a very large size.
+
+XML with a document type is rejected as well. Otherwise the parser could fetch or expand external
+entities.
 """
 
 from __future__ import annotations
@@ -29,25 +34,34 @@ from freeflyer.foundation.bounded_file import size
 
 MOST_ENTRIES = 50_000
 LARGEST = 8 << 30
-"""Unpacked bytes allowed for the archive and for each entry; see LARGEST_VARIABLE."""
+"""Largest allowed unpacked size of an archive [bytes]. The limit also applies to each entry."""
 LARGEST_RATIO, FREE_OF_RATIO = 200, 256 << 20
-"""Larger of two limits on the unpacked size: times the packed size, and bytes."""
+"""Two limits of the unpacked size. An archive that exceeds both limits is rejected.
+
+The first limit is a multiple of the packed size. The second limit is in bytes.
+"""
 LARGEST_XML, MOST_ELEMENTS, DEEPEST_ELEMENT = 64 << 20, 2_000_000, 200
 LARGEST_VARIABLE = "FREEFLYER_LARGEST_ARCHIVE"
-"""Environment variable for a trusted archive: replaces LARGEST [GiB], disables the ratio check."""
+"""Environment variable for trusted archives.
+
+If it is set, its value [GiB] replaces LARGEST, and LARGEST_RATIO is not checked.
+"""
 LARGEST_DIRECTORY = 32 << 20
-"""Bytes of the archive's central directory."""
+"""Largest allowed size of the central directory of an archive [bytes]."""
 LONGEST_NAME = 1024
 
 Element = ElementTree.Element
 
 
 class ArchiveError(ValueError):
-    """The reason why an archive is rejected; the caller adds the subject."""
+    """An archive is rejected. The message is the reason. The caller adds the archive's name."""
 
 
 class _Bounded(io.BufferedReader):
-    """A file whose reads are bounded: `zipfile` reads the whole central directory in one call."""
+    """A file that limits the size of a single read.
+
+    The limit is needed because `zipfile` reads the whole central directory with one read.
+    """
 
     def read(self, count: int | None = -1) -> bytes:
         if count is not None and count > LARGEST_DIRECTORY:
@@ -59,8 +73,8 @@ class _Bounded(io.BufferedReader):
 def opened(path: Path) -> Iterator[Archive]:
     """Open and check an archive.
 
-    Raises ArchiveError if the archive is invalid, here or while it is read. Raises OSError if it
-    does not exist or there is no disk space.
+    Raises ArchiveError if the archive is invalid. This exception can also occur later, while the
+    archive is read. Raises OSError if the archive does not exist or the disk is full.
     """
     with _Bounded(io.FileIO(path)) as file:
         try:
@@ -72,11 +86,11 @@ def opened(path: Path) -> Iterator[Archive]:
             if error.errno != errno.EINVAL or error.filename is not None:
                 raise
             raise ArchiveError(
-                "it is no usable zip archive (an entry lies outside of it)"
+                "it is not a usable zip archive (an entry lies outside the archive)"
             ) from error
         except _DAMAGE as error:
             raise ArchiveError(
-                f"it is no usable zip archive ({' '.join(str(error).split()) or type(error).__name__})"
+                f"it is not a usable zip archive ({' '.join(str(error).split()) or type(error).__name__})"
             ) from error
 
 
@@ -92,7 +106,7 @@ _DAMAGE = (
 
 
 class Archive:
-    """A checked archive; `names` are the names of all entries."""
+    """A checked archive. `names` contains the names of all entries."""
 
     def __init__(self, archive: zipfile.ZipFile, packed: int) -> None:
         self._archive = archive
@@ -103,18 +117,21 @@ class Archive:
         return self._archive.namelist()
 
     def read(self, name: str, largest: int) -> bytes:
-        """Read an entry of at most `largest` bytes. Raises KeyError if it does not exist."""
+        """Return the content of an entry of at most `largest` bytes.
+
+        Raises KeyError if the entry does not exist, ArchiveError if the entry is larger.
+        """
         entry = self._archive.getinfo(name)
         if entry.file_size > largest:
             raise ArchiveError(
                 f"its entry {name!r} has {size(entry.file_size)}; {size(largest)} are allowed"
             )
-        return self._archive.read(entry)  # never more than file_size bytes
+        return self._archive.read(entry)  # returns at most file_size bytes
 
     def xml(self, name: str) -> tuple[Element, bytes]:
-        """Parse an entry as XML; return its root and its text in UTF-8.
+        """Parse an entry as XML. Return the root element and the text in UTF-8.
 
-        Raises KeyError if it does not exist, ArchiveError if it is invalid.
+        Raises KeyError if the entry does not exist, ArchiveError if the entry is invalid.
         """
         data = self.read(name, LARGEST_XML)
         encoding = _check_xml(name, data)
@@ -128,7 +145,7 @@ class Archive:
         return root, data
 
     def extract(self, name: str, target: Path) -> None:
-        """Write one entry to a file."""
+        """Write the content of one entry to the file `target`."""
         with self._archive.open(name) as packed, target.open("wb") as file:
             left = self._archive.getinfo(name).file_size
             while chunk := packed.read(1 << 20):
@@ -137,7 +154,7 @@ class Archive:
                     break
                 file.write(chunk)
         if left != 0:
-            raise ArchiveError(f"its entry {name!r} has another size than its header states")
+            raise ArchiveError(f"its entry {name!r} does not have the size that its header states")
 
     def extract_all(self, folder: Path) -> None:
         """Write every entry into `folder`, which must be empty."""
@@ -153,7 +170,10 @@ class Archive:
 def _checked(
     entries: list[zipfile.ZipInfo], packed: int
 ) -> Mapping[tuple[str, ...], zipfile.ZipInfo]:
-    """Return the entries by the parts of their names. Raises ArchiveError if one is unsafe."""
+    """Check all entries. Return the entries by the parts of their names.
+
+    Raises ArchiveError if an entry is unsafe, or if the archive exceeds a limit.
+    """
     if len(entries) > MOST_ENTRIES:
         raise ArchiveError(f"it has {len(entries)} entries; {MOST_ENTRIES} are allowed")
     trusted = os.environ.get(LARGEST_VARIABLE)
@@ -171,7 +191,8 @@ def _checked(
     spelled: dict[tuple[str, ...], str] = {}
     for entry in entries:
         place = _place(entry)
-        # File systems without case, or with another Unicode normal form, would merge these names.
+        # Some file systems ignore case or normalize Unicode. Such a file system would store these
+        # entries in one file.
         alike = tuple(unicodedata.normalize("NFC", part).casefold() for part in place)
         if alike in spelled:
             raise ArchiveError(
@@ -183,7 +204,9 @@ def _checked(
         for length in range(1, len(alike)):
             above = spelled.get(alike[:length])
             if above is not None and not above.endswith("/"):
-                raise ArchiveError(f"its entry {above!r} is a file, and a folder of {name!r}")
+                raise ArchiveError(
+                    f"its entry {above!r} is a file, but its entry {name!r} needs a folder of that name"
+                )
     return found
 
 
@@ -200,7 +223,7 @@ def _trusted(text: str) -> int:
 
 
 def _place(entry: zipfile.ZipInfo) -> tuple[str, ...]:
-    """Return the parts of an entry's name. Raises ArchiveError unless it is safe."""
+    """Return the parts of an entry's name. Raises ArchiveError if the entry is unsafe."""
     name = entry.filename
     path = PurePosixPath(name.replace("\\", "/"))
     if path.is_absolute() or ".." in path.parts or (len(name) > 1 and name[1] == ":"):
@@ -228,9 +251,9 @@ def _place(entry: zipfile.ZipInfo) -> tuple[str, ...]:
 
 
 def _check_xml(name: str, data: bytes) -> str:
-    """Check XML before it is parsed; return its encoding in lower case.
+    """Check XML before it is parsed. Return the encoding of the XML in lower case.
 
-    Raises ArchiveError if it is not well-formed, has a document type, or exceeds a limit.
+    Raises ArchiveError if the XML is not well-formed, has a document type, or exceeds a limit.
     """
     parser = expat.ParserCreate()
     encoding, elements, depth = "utf-8", 0, 0
@@ -247,7 +270,7 @@ def _check_xml(name: str, data: bytes) -> str:
         elements, depth = elements + 1, depth + 1
         if elements > MOST_ELEMENTS or depth > DEEPEST_ELEMENT:
             raise ArchiveError(
-                f"its {name} is refused: it has more than {MOST_ELEMENTS} elements, or more than {DEEPEST_ELEMENT} within each other"
+                f"its {name} is refused: it has more than {MOST_ELEMENTS} elements, or more than {DEEPEST_ELEMENT} nested elements"
             )
 
     def end(_: str) -> None:

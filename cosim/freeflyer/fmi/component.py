@@ -1,4 +1,7 @@
-"""Components that the master steps: the protocol of FMUs, Python components and devices."""
+"""Protocol of the components that the master steps.
+
+FMUs, Python components and devices implement this protocol.
+"""
 
 from __future__ import annotations
 
@@ -19,11 +22,12 @@ Array = NDArray[np.float64]
 class Port:
     """A variable of a component.
 
-    `units` has one entry per element, or None where no unit is declared. `settable` is true for
-    parameters and for start values of states. `choices` are the names of an enumeration. Only
-    `real` ports can be connected and recorded. `direct` names the inputs that an output depends on
-    at the same instant. `sampled` outputs are computed at the start of a step, even if they depend
-    on no inputs.
+    `units`: one entry per element. The entry is None if the element has no declared unit.
+    `settable`: True for parameters and for start values of states.
+    `choices`: names of the items of an enumeration.
+    `real`: True for real variables. Only real variables can be connected and recorded.
+    `direct`: names of the inputs on which an output depends at the same instant.
+    `sampled`: True if an output is computed at the start of a step, even without `direct` inputs.
     """
 
     name: str
@@ -62,21 +66,24 @@ class Port:
 
     @property
     def prompt(self) -> bool:
-        """Whether the output at an instant is computed by the step that starts at this instant."""
+        """Whether the step that starts at an instant computes the output at this instant."""
         return bool(self.direct) or self.sampled
 
 
 class Component(Protocol):
-    """A component that the master steps. The master calls it in this order:
+    """A component that the master steps.
 
-    1. `enter_initialization`, input writers, `exit_initialization`, output readers;
-    2. for every step: input writers, `step`, output readers;
-    3. `close`, which is allowed at any time.
+    `bind_inputs` returns an input writer, and `bind_outputs` returns an output reader. The master
+    calls the methods and these functions in this order:
+
+    1. At the start: `enter_initialization`, input writers, `exit_initialization`, output readers.
+    2. For every step: input writers, `step`, output readers.
+    3. At the end: `close`. A call of `close` is allowed at any time.
     """
 
     name: str
     variable_step: bool
-    """Whether the last step may be shorter than the others."""
+    """Whether the last step may be shorter than the other steps."""
 
     @property
     def ports(self) -> Mapping[str, Port]: ...
@@ -88,46 +95,54 @@ class Component(Protocol):
         """
 
     def exit_initialization(self) -> None:
-        """Compute the outputs at the start.
+        """Compute the outputs at the start time.
 
-        Raises ComponentError if the component cannot start from its values.
+        Raises ComponentError if the component cannot start from its start values.
         """
 
     def bind_inputs(self, names: Sequence[str], buffer: Array) -> Callable[[], None]:
         """Return a function that writes `buffer` to the named inputs.
 
-        `buffer` is one-dimensional and holds the inputs in the order of `names`.
+        `buffer` is one-dimensional and contains the inputs in the order of `names`.
         """
 
     def bind_outputs(self, names: Sequence[str], buffer: Array) -> Callable[[], None]:
-        """Return a function that reads the named outputs into `buffer`, in the order of `names`."""
+        """Return a function that reads the named outputs into `buffer`.
+
+        `buffer` is one-dimensional and contains the outputs in the order of `names`.
+        """
 
     def step(self, time: float, size: float) -> None:
-        """Step from `time` to `time + size` [s]. Raises StepFailed."""
+        """Step from `time` to `time + size` [s]. Raises StepFailed if the step fails."""
 
     def close(self) -> None:
         """Release all resources."""
 
 
 class _FixedArrays(dict[str, Array]):
-    """Arrays with fixed memory, which the master refers to: assignment copies into the array."""
+    """Arrays with fixed memory, by name.
+
+    The master keeps references to this memory. Therefore an assignment copies the value into the
+    existing array.
+    """
 
     def __setitem__(self, name: str, value: Array) -> None:
         self[name][:] = value
 
 
 def memory(ports: Iterable[Port]) -> dict[str, Array]:
-    """Return one array per port by name, filled with the start value or zeros."""
+    """Return one array for each port, by name. It contains the port's start value, or zeros."""
     starts = ((port.name, port.start or (0.0,) * port.size) for port in ports)
     return _FixedArrays((name, np.array(start, dtype=float)) for name, start in starts)
 
 
 class PythonComponent:
-    """Base class of components in Python: declare ports, then override `advance`.
+    """Base class of components that are written in Python.
 
-    `values` holds every variable as an array by its name. Outputs with `direct` or `sampled` ports,
-    as of a controller, are those at the start of a step. Other outputs, as of a plant, are those at
-    its end.
+    A subclass declares ports and overrides `advance`. `values` contains each variable as an array,
+    by name. If the port of an output has `direct` or `sampled`, the output is a value at the start
+    of a step. This is the case for controllers. Any other output is a value at the end of a step.
+    This is the case for plants.
     """
 
     variable_step = True
@@ -135,9 +150,10 @@ class PythonComponent:
     def __init__(
         self, name: str, ports: Sequence[Port], values: dict[str, Array] | None = None
     ) -> None:
-        """Allocate the variables, unless `values` is the `memory` of these ports.
+        """Allocate the variables, unless `values` is given.
 
-        Raises ComponentError if a unit is unknown.
+        `values` must be the result of `memory` for these ports. Raises ComponentError if a unit is
+        unknown.
         """
         self.name = name
         self._ports = {port.name: port for port in ports}

@@ -1,4 +1,7 @@
-"""An FMU as a component (FMI 2.0 and 3.0 co-simulation); FMPy loads, checks and calls it."""
+"""Component for a co-simulation FMU of FMI 2.0 or FMI 3.0.
+
+FMPy loads, checks and calls the FMU.
+"""
 
 from __future__ import annotations
 
@@ -41,13 +44,14 @@ CALLS = {
     2: ("fmi2SetReal", "fmi2DoStep", "fmi2GetReal"),
     3: ("fmi3SetFloat64", "fmi3DoStep", "fmi3GetFloat64"),
 }
-"""The FMI calls of a step, by FMI version: write inputs, step, read outputs."""
+"""FMI functions that write inputs, make a step and read outputs, by FMI version."""
 REQUIREMENT = "logRequirement"
-"""Log category in which our FMUs report that their equations left their range of validity."""
+"""Log category of our FMUs for the report that the equations left their range of validity."""
 
 
-# FMPy's proxy formats the variable arguments of FMI 2.0 messages and has one logger per process,
-# `_route`. The environment pointer identifies the component that sent a message.
+# An FMI 2.0 message is a format string with a variable number of arguments. FMPy's proxy formats
+# such messages, but the proxy supports only one logger per process. This logger is `_route`. The
+# environment pointer identifies the component that sent a message.
 _listeners: dict[int, FmuComponent] = {}
 _numbers = itertools.count(1)
 
@@ -71,8 +75,8 @@ _LOGGER = fmi2.fmi2CallbackLoggerTYPE(_route)
 def _remove_modules(directory: Path) -> None:
     """Remove the modules of an FMU from `sys.modules`.
 
-    Python inside an FMU is imported by our own interpreter. Another FMU may have modules of the
-    same names, which must not be resolved to these.
+    Python modules inside an FMU are imported by our own interpreter. Another FMU may contain other
+    modules with the same names. Imports in that FMU must not find the modules of the first FMU.
     """
     inside = _inside(directory)
     for name, module in list(sys.modules.items()):
@@ -91,7 +95,7 @@ def _inside(directory: Path) -> Callable[[object], bool]:
 
 
 class FmuComponent:
-    """One co-simulation instance of an FMU, stepped through FMPy's FMU2Slave or FMU3Slave."""
+    """One co-simulation instance of an FMU. FMPy's class FMU2Slave or FMU3Slave calls the FMU."""
 
     _classes: tuple[Any, Any] = (fmi2.FMU2Slave, fmi3.FMU3Slave)
 
@@ -137,7 +141,7 @@ class FmuComponent:
         interface = self.description.coSimulation
         if interface is None:
             raise ComponentError(
-                f"FMU {self.path} of component {self.name} offers no co-simulation; only such FMUs can be stepped"
+                f"FMU {self.path} of component {self.name} offers no co-simulation; an FMU with co-simulation is expected"
             )
         return interface
 
@@ -159,7 +163,7 @@ class FmuComponent:
                     f"FMU {self.path} has no library {identifier}{fmpy.sharedLibraryExtension} in binaries/{folder}"
                 )
             raise ComponentError(
-                f"FMU {self.path} has no binary for this platform ({folder}); it has {', '.join(found) or 'none'}: build it for {folder}"
+                f"FMU {self.path} has no binary for this platform ({folder}); it has binaries for {', '.join(found) or 'no platform'}; build the FMU for {folder}"
             )
 
     def _unpack(self) -> Path:
@@ -196,7 +200,8 @@ class FmuComponent:
         return slave
 
     def _remove_python_modules(self) -> None:
-        # Our own FMUs contain no Python, and the search through all modules takes 1 ms.
+        # The search through all modules takes 1 ms. Our own FMUs contain no Python, so that the
+        # search is not needed for them.
         if self.description.generationTool != OWN_TOOL:
             _remove_modules(self._directory)
 
@@ -206,7 +211,8 @@ class FmuComponent:
         callbacks.componentEnvironment = self._listener = _listen(self)
         callbacks.allocateMemory = fmi2.defaultCallbacks.allocateMemory
         callbacks.freeMemory = fmi2.defaultCallbacks.freeMemory
-        # PythonFMU passes log texts as the format string: the proxy would expand a "%" in them.
+        # PythonFMU passes a log text as the format string. The proxy would therefore interpret a
+        # "%" in this text.
         if not (self.description.generationTool or "").startswith("PythonFMU"):
             addLoggerProxy(ctypes.byref(callbacks))
         return callbacks
@@ -217,7 +223,10 @@ class FmuComponent:
         self.note(category, message)
 
     def note(self, category: object, message: bytes | None) -> None:
-        """Keep the last log messages of the FMU until a failure is reported or a step succeeds."""
+        """Store a log message of the FMU.
+
+        The last messages are kept until a failure is reported or a step succeeds.
+        """
         if message:
             if self._moment() != self._noted_at:
                 self._messages.clear()
@@ -230,7 +239,7 @@ class FmuComponent:
         return StepFailed(self.name, self._reason(error), left_validity=left)
 
     def _reason(self, error: Exception) -> str:
-        """Return the log messages of the FMU, or else the message of FMPy."""
+        """Return the log messages of the FMU. Without such messages, return the message of FMPy."""
         self._fatal |= getattr(error, "status", None) == FATAL
         messages = "; ".join(" ".join(message.split()) for message in self._messages)
         self._messages.clear()
@@ -280,7 +289,7 @@ class FmuComponent:
                 f"component {self.name}: variable {name} is of type {kind}, which cannot be set here"
             )
 
-    # Called from C (cosim/freeflyer/master/native.py)
+    # Used by the C core through cosim/freeflyer/master/native.py
 
     @property
     def instance(self) -> int:
@@ -294,25 +303,28 @@ class FmuComponent:
     def references(self, names: Sequence[str]) -> NDArray[np.uint32]:
         """Return the value references of variables as uint32.
 
-        There is one per value in FMI 2.0 and one per variable in FMI 3.0. Raises ComponentError if
-        a variable is not real.
+        The array contains one reference per value in FMI 2.0, and one reference per variable in
+        FMI 3.0. Raises ComponentError if a variable is not real.
         """
         variables = self._reals(names)
         return np.array([variable.valueReference for variable in variables], dtype=np.uint32)
 
     def count_moments_by(self, moment: Callable[[], int]) -> None:
-        """Set a counter of instants; a message of a new instant discards those of earlier ones."""
+        """Set a function that returns the number of the present instant.
+
+        The first log message at a new instant discards the messages of earlier instants.
+        """
         self._moment = moment
 
     def failure(self, call: str, status: int) -> StepFailed:
-        """Return the failure for a status that the FMI function `call` returned to the C core."""
+        """Convert a status that the FMI function `call` returned to the C core to StepFailed."""
         if self._noted_at != self._moment():
             self._messages.clear()
         if call == "fmi2DoStep" and status == DISCARD and self._terminate_requested():
             return StepFailed(self.name, TERMINATE_REQUESTED)
         return self._failed(FMICallException(call, status))
 
-    # Called from Python
+    # Used by the Python master
 
     def _reals(self, names: Sequence[str]) -> list[ModelVariable]:
         variables = [variable for name in names for variable in self._variables[name]]
@@ -324,7 +336,10 @@ class FmuComponent:
         return variables
 
     def _bound(self, names: Sequence[str], buffer: Array) -> tuple[Any, int, Any, int]:
-        """Return the references and a pointer to the buffer; both live as long as the component."""
+        """Return the value references and a pointer to the buffer, each with its length.
+
+        The component keeps the memory of the references and of the buffer.
+        """
         variables = self._reals(names)
         references = (ctypes.c_uint32 * len(variables))(
             *(variable.valueReference for variable in variables)
@@ -384,7 +399,8 @@ class FmuComponent:
     def close(self) -> None:
         slave, self._slave = self._slave, None
         if slave is not None:
-            # A failed instance may reject terminate() and is freed anyway; FATAL forbids both.
+            # A failed instance may reject terminate(), but it must still be freed. After the status
+            # FATAL, neither terminate() nor freeInstance() may be called.
             if not self._fatal:
                 with contextlib.suppress(FMICallException, OSError):
                     slave.terminate()

@@ -1,6 +1,7 @@
-"""Model description, ports and terminals of an FMU. An unusable file raises one clear error.
+"""Reader for the model description, the ports and the terminals of an FMU.
 
-FMI 2.0 arrays (`name[1]` ... `name[n]`) appear as one port, as in FMI 3.0.
+An unusable file raises ComponentError with a clear message. The variables `name[1]` ... `name[n]`
+of an FMI 2.0 array are combined into one port. An FMI 3.0 array is one port as well.
 """
 
 from __future__ import annotations
@@ -24,25 +25,25 @@ from freeflyer.foundation.errors import ComponentError
 
 DESCRIPTION = "modelDescription.xml"
 MOST_NUMBERS = 1 << 22
-"""Elements of all variables of an FMU."""
+"""Largest allowed number of elements of all variables of an FMU."""
 ELEMENT = re.compile(r"^(?P<name>.+)\[(?P<index>\d+)\]$")
 REAL = ("Real", "Float64")
 UNITS_ANNOTATION = "org.freeflyer-cosim.units"
 OWN_TOOL = "freeflyer-cosim"
-"""Generation tool of our FMUs, which are known to keep no state outside their instances."""
+"""Name of the generation tool in our FMUs. Our FMUs keep no state outside their instances."""
 Read = TypeVar("Read")
 
 
 def same_file(path: Path) -> tuple[int, ...]:
-    """Return values that change when the file changes. Raises OSError if it does not exist."""
+    """Return values that change when a file changes. Raises OSError if the file does not exist."""
     status = path.stat()
     return status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns
 
 
 def _cached_per_file(read: Callable[[Path], Read]) -> Callable[[Path], Read]:
-    """Cache a reader's result until the file changes. Callers must not modify the result.
+    """Cache the result of a reader until the file changes. Callers must not modify the result.
 
-    Without the cache, a sweep would spend half of each run on reading XML.
+    Without the cache, each run of a sweep would need half of its time for reading XML.
     """
     kept: dict[Path, tuple[tuple[int, ...], Read]] = {}
 
@@ -51,7 +52,7 @@ def _cached_per_file(read: Callable[[Path], Read]) -> Callable[[Path], Read]:
         try:
             state = same_file(path)
         except (OSError, ValueError):
-            return read(path)  # raises the appropriate error
+            return read(path)  # this call raises the appropriate exception
         if path not in kept or kept[path][0] != state:
             kept[path] = (state, read(path))
         return kept[path][1]
@@ -61,13 +62,17 @@ def _cached_per_file(read: Callable[[Path], Read]) -> Callable[[Path], Read]:
 
 @contextmanager
 def opened(path: Path) -> Iterator[Archive]:
-    """Open and check an FMU's archive. Raises ComponentError, here or while the archive is read."""
+    """Open and check an FMU's archive.
+
+    Raises ComponentError if the archive is invalid. This exception can also occur later, while the
+    archive is read.
+    """
     if not path.is_file():
         raise ComponentError(
             f"FMU {path} " + ("is not a file" if path.exists() else "does not exist")
         )
     if not zipfile.is_zipfile(path):
-        raise ComponentError(f"{path} is not an FMU: it is no zip archive")
+        raise ComponentError(f"{path} is not an FMU: it is not a zip archive")
     try:
         with archive.opened(path) as found:
             if DESCRIPTION not in found.names:
@@ -81,8 +86,8 @@ def opened(path: Path) -> Iterator[Archive]:
 def describe_fmu(path: Path) -> ModelDescription:
     """Read the model description of an FMU. Raises ComponentError if the file is unusable.
 
-    Nothing in the FMU is executed. FMPy receives only the checked text, because its XML parser
-    leaves entities and document types to lxml.
+    Nothing in the FMU is executed. FMPy parses XML with lxml and does not reject entities and
+    document types. Therefore FMPy receives only text that has been checked here.
     """
     try:
         with opened(path) as found:
@@ -104,7 +109,7 @@ def describe_fmu(path: Path) -> ModelDescription:
 
 
 def _alone(text: bytes) -> io.BytesIO:
-    """Return an archive that contains only the description, for FMPy."""
+    """Return a zip archive for FMPy. It contains only the model description."""
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w") as made:
         made.writestr(DESCRIPTION, text)
@@ -113,9 +118,9 @@ def _alone(text: bytes) -> io.BytesIO:
 
 @_cached_per_file
 def annotated_units(path: Path) -> dict[str, tuple[str, ...]]:
-    """Read the units per element from the annotation in our FMI 3.0 FMUs.
+    """Read the unit of each array element from the annotation in our FMI 3.0 FMUs.
 
-    FMI 3.0 itself has one unit per array.
+    The annotation is needed because FMI 3.0 allows only one unit per array.
     """
     with opened(path) as found:
         root, _ = found.xml(DESCRIPTION)
@@ -129,9 +134,10 @@ def annotated_units(path: Path) -> dict[str, tuple[str, ...]]:
 
 @_cached_per_file
 def terminals_of(path: Path) -> dict[str, dict[str, str]]:
-    """Read the terminals: terminal -> member -> variable.
+    """Read the terminals of an FMU.
 
-    FMI 3.0 has them in terminalsAndIcons.xml, our FMI 2.0 FMUs in an annotation.
+    The result contains the members of each terminal, and the variable of each member. FMI 3.0 FMUs
+    declare terminals in terminalsAndIcons.xml. Our FMI 2.0 FMUs declare terminals in an annotation.
     """
     with opened(path) as found:
         inside = "terminalsAndIcons/terminalsAndIcons.xml"
@@ -147,7 +153,10 @@ def terminals_of(path: Path) -> dict[str, dict[str, str]]:
 
 @_cached_per_file
 def ports_in(path: Path) -> tuple[dict[str, Port], dict[str, list[ModelVariable]]]:
-    """Return `ports_of` an FMU file, with its annotated units. Raises ComponentError."""
+    """Return the result of `ports_of` for an FMU file, with the annotated units.
+
+    Raises ComponentError if the model description is invalid.
+    """
     try:
         return ports_of(describe_fmu(path), annotated_units(path))
     except (ValueError, OverflowError) as error:
@@ -163,16 +172,17 @@ def ports_of(
 
     Raises ValueError for an invalid number or for more than MOST_NUMBERS elements.
     """
-    # The limit is checked before anything of this size is allocated.
+    # Check the limit before memory for the elements is allocated.
     numbers = sum(map(_size, description.modelVariables))
     if numbers > MOST_NUMBERS:
         raise ValueError(f"its variables have {numbers} elements; {MOST_NUMBERS} are allowed")
-    # The elements of an FMI 2.0 array are one port.
+    # Combine the elements of an FMI 2.0 array into one port.
     groups: dict[str, list[ModelVariable]] = {}
     for variable in description.modelVariables:
         match = ELEMENT.match(variable.name)
         groups.setdefault(match["name"] if match else variable.name, []).append(variable)
-    # The model structure has the dependencies; without them an output depends on every input.
+    # The model structure declares the dependencies of outputs. An output without declared
+    # dependencies depends on every input.
     unknown = {id(item.variable): item for item in description.outputs}
     inputs = {
         id(variable) for variable in description.modelVariables if variable.causality == "input"
@@ -182,7 +192,7 @@ def ports_of(
     ports = {}
     for name, group in groups.items():
         first = group[0]
-        # Units per element: annotated ones replace the single unit of an FMI 3.0 array.
+        # Find the unit of each element. Annotated units replace the single unit of an array.
         sizes = [_size(variable) for variable in group]
         units: list[str | None] = []
         for variable, size in zip(group, sizes, strict=True):
@@ -193,7 +203,7 @@ def ports_of(
         items = (
             first.declaredType.items if first.type == "Enumeration" and first.declaredType else []
         )
-        # Inputs on which the port depends directly.
+        # Collect the inputs on which the port depends directly.
         direct: set[str] = set()
         for variable in group:
             item = unknown.get(id(variable))

@@ -1,4 +1,7 @@
-"""A model-exchange FMU as a component; SciPy's DOP853 integrates it with a tight tolerance."""
+"""Component for a model-exchange FMU.
+
+SciPy's solver DOP853 integrates the states of the FMU with a tight tolerance.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,7 @@ ABSOLUTE_TOLERANCE = 1e-12
 
 
 class ModelExchangeComponent(FmuComponent):
-    """A continuous FMU without events: no event indicators, no time events."""
+    """A model-exchange FMU that has neither event indicators nor time events."""
 
     _classes = (fmi2.FMU2Model, fmi3.FMU3Model)
 
@@ -101,7 +104,8 @@ class ModelExchangeComponent(FmuComponent):
                 raise StepFailed(
                     self.name, f"the integration from {time:g} s to {end:g} s did not converge"
                 )
-            # Each step has a new solver: the step size of the previous one avoids a new search.
+            # Each communication step creates a new solver. The new solver starts with the last step
+            # size of the present solver. Therefore the new solver need not search for a step size.
             self._first_step = max(solver.h_abs, 1e-6)
             self._x = solver.y
             self._rates(end, self._x)

@@ -13,17 +13,20 @@ from freeflyer.fmi.fmu_description import OWN_TOOL, describe_fmu, opened, same_f
 Version = tuple[Path, tuple[int, ...]]
 _free: dict[Version, list[Path]] = {}
 _of: dict[Path, Version] = {}
-"""File and file version of each reusable folder that is in use."""
+"""For each reusable folder that is in use: the FMU file and the version of this file."""
 _place: Path | None = None
-"""Where folders are kept for the next instance of the same file; None: they are removed."""
+"""Directory in which folders are kept for the next instance of the same FMU file.
+
+If it is None, each folder is removed after use.
+"""
 
 
 @contextmanager
 def kept_in(place: Path) -> Iterator[None]:
-    """Keep the folders of our own FMUs in `place` for reuse; the caller removes `place`.
+    """Keep the folders of our own FMUs in `place` for reuse. The caller removes `place`.
 
-    Third-party FMUs always get a new folder, because they may keep state there or in the memory of
-    their library.
+    Each instance of a third-party FMU gets a new folder. Such an FMU may store state in the folder
+    or in the memory of its library.
     """
     global _place
     before, _place = _place, place
@@ -34,9 +37,9 @@ def kept_in(place: Path) -> Iterator[None]:
 
 
 def take(path: Path) -> Path:
-    """Return a folder with the FMU's contents for one instance; nothing in it is executed.
+    """Return a folder with the FMU's contents for one instance. Nothing in the FMU is executed.
 
-    Raises OSError if it cannot be written, ComponentError if the FMU is rejected.
+    Raises OSError if the folder cannot be written, ComponentError if the FMU is rejected.
     """
     again = _place is not None and describe_fmu(path).generationTool == OWN_TOOL
     version = (path, same_file(path))
@@ -64,7 +67,7 @@ def _kept(version: Version) -> Path | None:
 
 
 def give_back(folder: Path) -> None:
-    """Return a folder for reuse, or remove it. Call this after the instance is freed."""
+    """Make a folder available for reuse, or remove it. Call this after the instance is freed."""
     version = _of.pop(folder, None)
     if version is not None and _place is not None:
         _free.setdefault(version, []).append(folder)

@@ -1,4 +1,4 @@
-"""Reading of untrusted files: only regular files up to a size limit."""
+"""Reader for untrusted files. It accepts only regular files up to a size limit."""
 
 from __future__ import annotations
 
@@ -9,20 +9,21 @@ from pathlib import Path
 
 
 def content(path: Path, largest: int) -> bytes:
-    """Read a file of at most `largest` bytes.
+    """Return the content of a regular file of at most `largest` bytes.
 
-    Raises OSError, with the reason in `strerror`, if it is no regular file or is larger.
+    Raises OSError if the path is not a regular file, or if the file is larger. The attribute
+    `strerror` of the exception contains the reason.
     """
     try:
         # The open call must not block on a FIFO without a writer or on a terminal.
         descriptor = os.open(
             path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
         )
-    except ValueError as error:  # a name with a NUL character
+    except ValueError as error:  # the name contains a NUL character
         raise OSError(errno.EINVAL, "no file can have this name") from error
     with open(descriptor, "rb") as file:
         if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-            raise OSError(errno.EINVAL, "it is no regular file")
+            raise OSError(errno.EINVAL, "it is not a regular file")
         data = file.read(largest + 1)
     if len(data) > largest:
         raise OSError(errno.EFBIG, f"it has more than {size(largest)}")
@@ -30,7 +31,7 @@ def content(path: Path, largest: int) -> bytes:
 
 
 def size(count: int) -> str:
-    """Format a number of bytes, for messages."""
+    """Format a number of bytes for a message."""
     for unit, bits in (("GiB", 30), ("MiB", 20), ("KiB", 10)):
         if count >= 1 << bits:
             return f"{count / (1 << bits):.4g} {unit}"

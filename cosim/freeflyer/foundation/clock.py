@@ -1,4 +1,4 @@
-"""Time as integer nanoseconds; no time is accumulated or compared in floating point."""
+"""Time in integer nanoseconds. Times are never added or compared as floating-point numbers."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ SECOND = 1_000_000_000
 
 
 def nanoseconds(seconds: float, subject: str) -> int:
-    """Convert a positive decimal number of seconds to nanoseconds, exactly.
+    """Convert a positive decimal number of seconds to nanoseconds without rounding.
 
-    `subject` names the quantity in the error message. Raises ScenarioError if the result is not a
-    positive whole number.
+    `subject` is the name of the quantity in the error message. Raises ScenarioError if the result
+    is not a positive whole number.
     """
     exact = Decimal(repr(float(seconds))) * SECOND if abs(seconds) < 9e9 else Decimal(0)
     if exact != int(exact) or exact <= 0:
@@ -24,10 +24,10 @@ def nanoseconds(seconds: float, subject: str) -> int:
 
 
 def seconds(time: int) -> float:
-    """Return the double nearest to `time` [ns], in seconds."""
+    """Convert a time [ns] to seconds, as the nearest floating-point number."""
     return time / SECOND
 
 
 def shown(time: int) -> str:
-    """Format a time [ns] in seconds, for messages."""
+    """Format a time [ns] in seconds for a message."""
     return f"{seconds(time):.9g} s"

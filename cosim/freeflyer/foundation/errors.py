@@ -1,4 +1,8 @@
-"""Exceptions. Every message is one sentence for the user: subject, got, expected, remedy."""
+"""Exceptions and exit codes.
+
+A message for the user contains, in this order: the subject, the value that was found, the expected
+value, and the remedy.
+"""
 
 import sys
 
@@ -7,7 +11,7 @@ DONE, BAD_INPUT, STOPPED = 0, 2, 3
 
 
 class CosimError(Exception):
-    """The input is invalid; the command ends with exit code 2."""
+    """The input is invalid. The command ends with exit code 2."""
 
     exit_code = BAD_INPUT
 
@@ -21,11 +25,11 @@ class GraphError(CosimError):
 
 
 class ComponentError(CosimError):
-    """An FMU or component cannot be loaded or initialised, or rejects a value."""
+    """An FMU or component cannot be loaded or initialised, or it rejects a value."""
 
 
 class RecordError(CosimError):
-    """A record cannot be read or lacks required data."""
+    """A record cannot be read, or required data are missing in the record."""
 
 
 class OutputError(CosimError):
@@ -37,8 +41,9 @@ class OutputError(CosimError):
 class StepFailed(Exception):
     """A component failed in a step. The run stops and keeps the results up to that instant.
 
-    `left_validity` is True if the equations left their range of validity (a singular Jacobian, a
-    state that is not finite). The run then counts as diverged, otherwise as failed.
+    `left_validity` is True if the equations left their range of validity. Examples are a singular
+    Jacobian and a state that is not finite. Such a run counts as diverged. If `left_validity` is
+    False, the run counts as failed.
     """
 
     def __init__(self, component: str, message: str, *, left_validity: bool = False) -> None:
@@ -47,6 +52,6 @@ class StepFailed(Exception):
 
 
 def report_error(sentence: str, code: int) -> int:
-    """Print the error message of a command to stderr; return its exit code."""
+    """Print the error message of a command to stderr. Return the exit code `code`."""
     print(f"freeflyer: {sentence}", file=sys.stderr)
     return code

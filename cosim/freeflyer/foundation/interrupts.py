@@ -1,4 +1,7 @@
-"""Deferred handling of Ctrl-C and SIGTERM: the master checks for them between two steps."""
+"""Deferred handling of Ctrl-C and SIGTERM.
+
+The master checks between two instants whether one of these signals has arrived.
+"""
 
 from __future__ import annotations
 
@@ -11,19 +14,23 @@ from contextlib import contextmanager
 ENDING = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
 )
-"""Signals that end a run in order. A signal that is ignored (nohup) stays ignored."""
+"""Signals after which a run ends in an orderly way, between two instants.
+
+If the process already ignores a signal (nohup), `interrupts` leaves this signal ignored.
+"""
 _noted: list[list[float]] = []
-"""The list of the outermost active `interrupts` context, or empty."""
+"""Contains the list of the outermost `interrupts` context. Empty if no context is active."""
 
 
 @contextmanager
 def interrupts() -> Iterator[list[float]]:
-    """Collect the arrival times [s] of Ctrl-C and SIGTERM in a list, so that a run ends between two
-    instants.
+    """Collect the arrival times [s] of the signals in `ENDING` in a list.
 
-    Nested contexts share one list: a signal from before a run ends that run at its first instant.
-    A further signal, more than two seconds after the first, raises KeyboardInterrupt immediately:
-    the user is then waiting for a component that hangs.
+    If this list is not empty, a run ends between two instants. Nested contexts share one list. If a
+    signal arrives in the outer context before a run, this run therefore ends at its first instant.
+
+    A further signal raises KeyboardInterrupt immediately if it arrives more than two seconds after
+    the first signal. In this case the user is waiting for a component that does not respond.
     """
     if _noted:
         yield _noted[0]
@@ -54,7 +61,10 @@ def interrupts() -> Iterator[list[float]]:
 
 @contextmanager
 def no_interrupts() -> Iterator[None]:
-    """Ignore these signals in a short block, so that the stop of devices completes."""
+    """Ignore the signals in `ENDING` during a short block.
+
+    Devices are stopped in such a block. Therefore a signal cannot prevent the stop of a device.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -1,4 +1,4 @@
-"""Atomic writing of result files: a complete file or none."""
+"""Atomic writing of result files. A file is written completely or not at all."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ from freeflyer.foundation.errors import BAD_INPUT, OutputError
 
 
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:
-    """Call `write(partial_path)` and move the result into place, so that no partial file remains.
+    """Write a file completely or not at all.
 
+    `write(partial_path)` writes a temporary file. The temporary file is then renamed to `path`.
     Raises OutputError if the file cannot be written.
     """
     partial = path.with_name(path.name + ".partial")
@@ -24,18 +25,24 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
     except OSError as error:
         raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
     finally:
-        # The partial file is removed after any interruption.
+        # After an interruption, the partial file still exists and is removed here.
         with contextlib.suppress(OSError):
             partial.unlink(missing_ok=True)
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file in UTF-8, completely or not at all. Raises OutputError."""
+    """Write a text file in UTF-8, completely or not at all.
+
+    Raises OutputError if the file cannot be written.
+    """
     write_whole(path, lambda partial: Path(partial).write_text(text, encoding="utf-8"))
 
 
 def check_writable(directory: Path) -> None:
-    """Check before a run that results can be written. Raises OutputError with exit code 2."""
+    """Check before a run that results can be written to a directory.
+
+    Raises OutputError with exit code 2 if the directory cannot be written.
+    """
     probe = directory / ".writable"
     try:
         directory.mkdir(parents=True, exist_ok=True)
@@ -50,7 +57,7 @@ def check_writable(directory: Path) -> None:
 
 
 def folder(text: str) -> Path:
-    """Convert the argument of `--out`. Raises ArgumentTypeError for an empty name."""
+    """Convert the argument of `--out` to a path. Raises ArgumentTypeError if the name is empty."""
     if not text:
         raise argparse.ArgumentTypeError("a directory is expected, got an empty name")
     return Path(text)

@@ -1,10 +1,13 @@
-"""Names of signals, COMPONENT.VARIABLE, and texts that connect them."""
+"""Parsing of signal names (COMPONENT.VARIABLE) and of connection texts."""
 
 from __future__ import annotations
 
 
 def split(signal: str) -> tuple[str, str]:
-    """Return component and variable; without a dot, the variable is empty."""
+    """Return the component and the variable of a signal name.
+
+    The variable is empty if the name contains no dot.
+    """
     component, _, variable = signal.partition(".")
     return component, variable
 
@@ -14,9 +17,10 @@ def component_of(signal: str) -> str:
 
 
 def split_connection(text: str) -> tuple[str, str, list[str]]:
-    """Return source, arrow and targets of "SOURCE -> TARGET, ..." or "TERMINAL <-> TERMINAL".
+    """Return the source, the arrow and the targets of a connection text.
 
-    The arrow is empty if the text has none.
+    The text is "SOURCE -> TARGET, ..." or "TERMINAL <-> TERMINAL". If the text contains no arrow,
+    the returned arrow is empty.
     """
     source, arrow, targets = text.partition("<->" if "<->" in text else "->")
     return source.strip(), arrow, [target.strip() for target in targets.split(",")]

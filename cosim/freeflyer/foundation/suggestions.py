@@ -7,9 +7,11 @@ from collections.abc import Iterable
 
 
 def did_you_mean(name: str, candidates: Iterable[str]) -> str:
-    """Return '; did you mean NAME?' for a similar candidate, else '; known are ...' or ''.
+    """Return a suggestion for an unknown name. The suggestion is appended to an error message.
 
-    The candidates are listed only if there are 4 to 12 of them.
+    If a candidate is similar to `name`, the result is '; did you mean NAME?'. Otherwise, if there
+    are 4 to 12 candidates, the result is '; known are ...' with all candidates. In all other cases
+    the result is empty.
     """
     known = list(candidates)
     close = difflib.get_close_matches(name, known, n=1)

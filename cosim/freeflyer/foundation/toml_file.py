@@ -1,7 +1,9 @@
-"""Parser for untrusted TOML; returns tables of plain values.
+"""Parser for untrusted TOML. The result consists of tables with plain values.
 
-TOML 1.0 leaves some limits to the parser, and Python's `tomllib` sets none: integers of any size,
-nesting up to Python's recursion limit, and dotted keys, for which its time is quadratic.
+TOML 1.0 leaves some limits to the parser, but Python's `tomllib` does not set these limits.
+`tomllib` accepts integers of any size, and nesting up to Python's recursion limit. For a dotted
+key, the time of `tomllib` is quadratic in the number of parts of the key. Therefore this module
+sets the limits.
 """
 
 from __future__ import annotations
@@ -14,18 +16,21 @@ from typing import Any
 from freeflyer.foundation.bounded_file import content
 
 LARGEST = 256 << 10
-"""Bytes of a file; the largest shipped file has 6 kB."""
+"""Largest allowed size of a file [bytes]. The largest shipped file has 6 kB."""
 DEEPEST = 40
-"""Nesting depth of tables and arrays."""
+"""Largest allowed nesting depth of tables and arrays."""
 MOST_PARTS = 500
-"""Dots in a line, without those of the numbers in a list."""
+"""Largest allowed number of dots in a line. Decimal points of numbers in a list do not count."""
 INTEGERS = range(-(1 << 63), 1 << 63)
 """The integers that every TOML 1.0 parser must accept."""
 _NUMBER_OF_A_LIST = re.compile(r"\d\.\d[\d_eE+-]*[ \t]*[,\]]")
 
 
 def read(path: Path) -> dict[str, Any]:
-    """Read a TOML file. Raises OSError if it is unreadable, ValueError if it is invalid."""
+    """Read a TOML file.
+
+    Raises OSError if the file cannot be read, ValueError if the content is invalid.
+    """
     try:
         text = content(path, LARGEST).decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -34,7 +39,10 @@ def read(path: Path) -> dict[str, Any]:
 
 
 def parsed(text: str) -> dict[str, Any]:
-    """Parse TOML text. Raises ValueError, with the reason, if it is invalid or exceeds a limit."""
+    """Parse TOML text.
+
+    Raises ValueError if the text is invalid or exceeds a limit. The message contains the reason.
+    """
     for number, line in enumerate(text.split("\n"), 1):
         if (
             line.count(".") > MOST_PARTS
@@ -47,7 +55,7 @@ def parsed(text: str) -> dict[str, Any]:
         raise ValueError(f"it is nested deeper than {DEEPEST} tables and arrays") from error
     except tomllib.TOMLDecodeError:
         raise
-    except ValueError as error:  # Python's int() limits the number of digits to some thousands
+    except ValueError as error:  # Python's int() accepts only a few thousand digits
         raise ValueError("an integer of more than 64 bits") from error
     _check(tables, 0)
     return tables

@@ -1,4 +1,4 @@
-"""Units in FMI notation ("N.m", "kg.m2", "rad/s"): conversion and comparison."""
+"""Conversion and comparison of units in FMI notation, such as "N.m", "kg.m2" and "rad/s"."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ from typing import Any
 
 DIMENSIONLESS = "1"
 LONGEST = 80
-"""Characters of a unit; pint's time is quadratic in them."""
+"""Largest allowed number of characters of a unit.
+
+The time that pint needs to parse a unit is quadratic in this number.
+"""
 _POWER = r"(?:\*\*|\^)"
 _EXPONENT = (
     r"\s*(?:[-+]?\d{1,2}(?:\.\d{1,3})?(?![\d.eE_])|\(\s*[-+]?\d{1,2}\s*(?:/\s*\d{1,2}\s*)?\))"
@@ -17,20 +20,27 @@ _EXPONENT = (
 _ENDLESS = re.compile(
     rf"{_POWER}(?!{_EXPONENT})|{_POWER}{_EXPONENT}\s*{_POWER}|(?:\)\s*{_POWER}.*){{3}}", re.DOTALL
 )
-"""Powers whose exact integers pint computes almost without end: 9**99999999, 9**9**9."""
+"""Matches powers such as 9**99999999 and 9**9**9.
+
+pint would compute the exact integer, and this computation would practically never end.
+"""
 _SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹", "0123456789")
 
 
 @lru_cache(maxsize=1)
 def registry() -> Any:
-    import pint  # half a second, which a run with identical unit names does not need
+    # This import takes 0.5 s. A run with identical unit names does not need pint.
+    import pint
 
     return pint.UnitRegistry()
 
 
 @lru_cache(maxsize=256)
 def unit(text: str) -> Any:
-    """Parse an untrusted FMI unit string into a pint unit. Raises ValueError if it is unknown."""
+    """Parse an untrusted FMI unit string into a pint unit.
+
+    Raises ValueError if the unit is unknown.
+    """
     spelled = re.sub(r"[⁰¹²³⁴⁵⁶⁷⁸⁹]+", lambda run: f"**{run[0].translate(_SUPERSCRIPTS)}", text)
     spelled = re.sub(r"(?<=[A-Za-z])(-?\d+)", r"**\1", spelled.replace(".", "*"))
     if len(text) > LONGEST or _ENDLESS.search(spelled):
@@ -42,7 +52,7 @@ def unit(text: str) -> Any:
 
 
 def factor(source: str, target: str) -> float:
-    """Return the factor that converts a value from `source` to `target`.
+    """Return the factor that converts a value from the unit `source` to the unit `target`.
 
     Raises ValueError if a unit is unknown or the dimensions differ.
     """
@@ -52,20 +62,24 @@ def factor(source: str, target: str) -> float:
         found = float((1.0 * unit(source)).to(unit(target)).magnitude)
     except DimensionalityError as error:
         raise ValueError(f"unit {source!r} cannot be converted to {target!r}") from error
-    # 1e-6 is found as 9.999999999999999e-07.
+    # Remove rounding errors: pint computes 9.999999999999999e-07 for the factor 1e-6.
     short = float(f"{found:.12g}")
     return short if abs(short - found) <= 1e-15 * abs(found) else found
 
 
 def converted(value: float, by: float) -> float:
-    """Multiply as decimal numbers: 104 ms give 0.104 s, not 0.10400000000000001 s."""
+    """Multiply two numbers in decimal arithmetic.
+
+    Thus 104 ms are converted to 0.104 s, not to 0.10400000000000001 s.
+    """
     return float(Decimal(repr(float(value))) * Decimal(repr(float(by))))
 
 
 def same(source: str | None, target: str | None) -> bool:
-    """Check that a value needs no conversion between two units.
+    """Return whether a value needs no conversion from the unit `source` to the unit `target`.
 
-    A side without a unit matches any unit. Unknown units match only by the same spelling.
+    If one of the units is None, the result is True. An unknown unit matches only a unit with
+    exactly the same spelling.
     """
     if source is None or target is None or source == target:
         return True

@@ -1,4 +1,4 @@
-"""Limits of a run: a run whose signal exceeds a limit has diverged."""
+"""Limits of signals. A run has diverged if a signal exceeds its limit."""
 
 from __future__ import annotations
 
@@ -15,10 +15,15 @@ from freeflyer.master.graph import port
 
 @dataclass(frozen=True, kw_only=True)
 class Limit:
-    """A bound on the largest absolute element of a signal, its Euclidean norm or its least element.
+    """A bound for a signal.
 
-    The run has diverged when the bound is exceeded without a break for longer than `lasting` [ns].
-    `elements` (first, last), counted from 1, selects a part of an array.
+    By default, the bound is an upper bound of the largest absolute element. With `euclidean`, the
+    bound is an upper bound of the Euclidean norm. With `is_minimum`, the bound is a lower bound of
+    the smallest element.
+
+    The run has diverged if the signal exceeds the bound without interruption for longer than
+    `lasting` [ns]. `elements` selects a part of an array: the first and the last element, counted
+    from 1.
     """
 
     signal: str
@@ -31,7 +36,10 @@ class Limit:
 
 
 def check(limit: Limit, components: Mapping[str, Component]) -> None:
-    """Raise GraphError if the limit's signal is no real output or lacks the selected elements."""
+    """Check the signal of a limit.
+
+    Raises GraphError if the signal is not a real output, or if a selected element does not exist.
+    """
     found = port(components, limit.signal, "limit")
     if found.causality != "output" or not found.real:
         raise GraphError(f"limit: {limit.signal} is not a real output")
@@ -43,17 +51,21 @@ def check(limit: Limit, components: Mapping[str, Component]) -> None:
 
 
 class Watch:
-    """The check of a limit. Call it at every instant where the limit may be or was exceeded."""
+    """The check of one limit.
+
+    Call the object at each instant at which the limit may be exceeded. Call the object also at the
+    first instant at which the limit is no longer exceeded.
+    """
 
     def __init__(self, limit: Limit, signal: Array, tick: int) -> None:
         first, last = limit.elements or (1, signal.size)
         self.limit, self.view = limit, signal[first - 1 : last]
-        self._square = limit.bound * limit.bound  # overflows to inf; ** would raise OverflowError
+        self._square = limit.bound * limit.bound  # may become inf; ** would raise OverflowError
         self._patience = limit.lasting // tick
         self._passed = 0
 
     def __call__(self) -> str | None:
-        """Return why the run has diverged, or None."""
+        """Return the cause if the run has diverged, otherwise None."""
         cause = self._below() if self.limit.is_minimum else self._above()
         if not self._patience:
             return cause
@@ -65,8 +77,9 @@ class Watch:
         )
 
     def _above(self) -> str | None:
-        # The Euclidean norm is an upper bound of the largest element, so one product decides the
-        # common case. NaN fails the comparison.
+        # The largest absolute element is never larger than the Euclidean norm. If the norm is
+        # within the bound, no further computation is needed. For NaN, each comparison is false, so
+        # that the limit is exceeded.
         limit, view = self.limit, self.view
         if view @ view <= self._square:
             return None
@@ -79,4 +92,4 @@ class Watch:
         least = float(self.view.min())
         if least >= self.limit.bound:
             return None
-        return f"{self.limit.cause}: {self.limit.signal} is {least:.4g}, the least allowed is {self.limit.bound:g}"
+        return f"{self.limit.cause}: {self.limit.signal} is {least:.4g}, the smallest allowed value is {self.limit.bound:g}"

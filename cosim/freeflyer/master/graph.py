@@ -1,8 +1,14 @@
 """The graph of components and connections: checks, and the execution order at an instant.
 
-An output of a controller depends directly on its inputs, or is sampled. It must be computed before
-other components use it at the same instant. An output of a plant is available from its last step.
-A delayed connection carries the value from before the instant and imposes no order.
+A controller computes its outputs at the start of a step. Such an output depends directly on inputs,
+or it is declared as sampled. The outputs of a controller must be computed before other components
+use these outputs at the same instant.
+
+A plant computes its outputs at the end of a step. Therefore the outputs of a plant at an instant
+are known from the last step.
+
+A delayed connection transfers the value from before the instant. Therefore a delayed connection
+imposes no order.
 """
 
 from __future__ import annotations
@@ -21,17 +27,19 @@ from freeflyer.foundation.units import same
 Exchange = Literal["sequential", "parallel"]
 """The coupling scheme of the components.
 
-Sequential (Gauss-Seidel): other components use a controller's output at the instant of its sample.
-Parallel (Jacobi): every component steps with the outputs at the end of the last steps, so that a
-controller's output reaches the other components one controller step later.
+Sequential (Gauss-Seidel): a controller samples and computes its outputs at an instant. Other
+components use these outputs at the same instant.
+Parallel (Jacobi): every component steps with the outputs that exist at the end of the last steps.
+Therefore a controller's output reaches the other components one controller step later.
 """
 
 
 @dataclass(frozen=True, kw_only=True)
 class Connection:
-    """A connection from an output to an input, both COMPONENT.VARIABLE.
+    """A connection from the output `source` to the input `target`.
 
-    With `of_terminals` both ends are COMPONENT.TERMINAL, and all matching members are connected.
+    Both names have the form COMPONENT.VARIABLE. If `of_terminals` is True, both names have the form
+    COMPONENT.TERMINAL, and all matching members of the two terminals are connected.
     """
 
     source: str
@@ -39,7 +47,7 @@ class Connection:
     delayed: bool = False
     of_terminals: bool = False
     optional: bool = False
-    """The connection is omitted if its source does not exist."""
+    """If True, the connection is omitted when its source does not exist."""
 
     def __str__(self) -> str:
         return f"{self.source} {'<->' if self.of_terminals else '->'} {self.target}"
@@ -49,8 +57,8 @@ class Connection:
 class Graph:
     """Checked components and connections with their execution order.
 
-    At an instant the master steps the components of `first` one after the other. It then writes the
-    inputs of all components of `then`, and steps these together.
+    At an instant the master steps the components of `first` one after the other. The master then
+    writes the inputs of all components of `then`. Finally it steps the components of `then`.
     """
 
     components: Mapping[str, Component]
@@ -74,9 +82,10 @@ def has_source(components: Mapping[str, Component], connection: Connection) -> b
 
 
 def port(components: Mapping[str, Component], signal: str, subject: str) -> Port:
-    """Return the port of COMPONENT.VARIABLE.
+    """Return the port with the name COMPONENT.VARIABLE.
 
-    Raises GraphError, with the prefix `subject` and a suggestion, if there is none.
+    Raises GraphError if the port does not exist. The message starts with `subject` and contains a
+    suggestion.
     """
     component, variable = split(signal)
     if component not in components:
@@ -96,13 +105,15 @@ def expand(
 ) -> list[Connection]:
     """Replace connections of terminals by connections of their members.
 
-    A member that is an output in one terminal is connected to the input of the same name in the
-    other. Raises GraphError if a terminal does not exist, or if no members match.
+    A member that is an output of one terminal is connected to the member of the same name that is
+    an input of the other terminal. Raises GraphError if a terminal does not exist, or if no members
+    match.
     """
     single = [connection for connection in connections if not connection.of_terminals]
     given = {(connection.source, connection.target, connection.delayed) for connection in single}
     for connection in connections:
-        if connection.of_terminals:  # members that are also connected one by one are not repeated
+        if connection.of_terminals:
+            # Do not repeat connections of members that are also declared individually.
             members = _members(components, connection)
             single += [m for m in members if (m.source, m.target, m.delayed) not in given]
     return single
@@ -121,7 +132,7 @@ def _members(components: Mapping[str, Component], connection: Connection) -> lis
             if kinds == ["output", "input"]:
                 found.append(Connection(source=output, target=entry, delayed=connection.delayed))
     if not found:
-        raise GraphError(f"{subject}: no output of one terminal is an input of the other")
+        raise GraphError(f"{subject}: no output of one terminal is an input of the other terminal")
     return sorted(found, key=str)
 
 
@@ -145,11 +156,14 @@ def build(
     samples: Mapping[str, bool] | None = None,
     exchange: Exchange = "sequential",
 ) -> Graph:
-    """Check all connections and determine the execution order. Raises GraphError.
+    """Check all connections and determine the execution order.
 
-    `samples` overrides the model descriptions by component. True: the outputs are those at the
-    start of a step. False: at its end. In `parallel` exchange all outputs are those at the end of a
-    step. There is then no order, and `delayed` has no effect.
+    `samples` overrides the model description of a component. True: the outputs are values at the
+    start of a step. False: the outputs are values at the end of a step. In `parallel` exchange all
+    outputs are values at the end of a step. Therefore the components have no execution order in
+    `parallel` exchange, and `delayed` has no effect.
+
+    Raises GraphError if a connection is invalid or the connections form an algebraic loop.
     """
     connections = expand(components, connections)
     driven: dict[str, Connection] = {}
@@ -195,9 +209,11 @@ def _order(
     connections: Sequence[Connection],
     samples: Mapping[str, bool],
 ) -> tuple[str, ...]:
-    """Return the components that compute their used outputs at the start of a step.
+    """Return the controllers in their execution order.
 
-    Each follows the components whose outputs it uses. Raises GraphError for an algebraic loop.
+    A controller computes its used outputs at the start of a step. In the result, each controller
+    comes after the controllers whose outputs it uses. Raises GraphError if the connections form an
+    algebraic loop.
     """
     used: dict[str, set[str]] = {name: set() for name in components}
     for connection in connections:
@@ -218,10 +234,10 @@ def _order(
     try:
         ordered = list(sorter.static_order())
     except CycleError as error:
-        # graphlib lists the loop against the direction of the data.
+        # graphlib lists the components of the loop against the direction of the data flow.
         loop = " -> ".join(reversed(error.args[1]))
         raise GraphError(
-            f"algebraic loop: {loop}: each component needs an output of another one at the same instant; declare one of the connections delayed"
+            f"algebraic loop: {loop}: each component needs an output of another component at the same instant; declare one of the connections delayed"
         ) from error
     return tuple(name for name in ordered if name in early)
 
@@ -229,8 +245,9 @@ def _order(
 def _is_early(name: str, component: Component, used: set[str], samples: bool | None) -> bool:
     """Return whether a component computes its used outputs at the start of a step.
 
-    If no outputs are used, as for a monitor, all outputs count. Raises GraphError if outputs of
-    both kinds are used and `samples` is not declared.
+    A used output has a connection. If no output is used, as for a monitor, all outputs are
+    considered. Raises GraphError if `samples` is not declared and the component has used outputs of
+    both kinds: outputs at the start of a step, and outputs at the end of a step.
     """
     if samples is not None:
         return samples
@@ -244,6 +261,7 @@ def _is_early(name: str, component: Component, used: set[str], samples: bool | N
     if prompt and settled and used:
         raise GraphError(
             f"component {name}: its output {prompt[0]} depends directly on its inputs and its output {settled[0]} does not, and "
-            f"both are in use; declare samples = true (outputs at the start of a step) or false (at its end)"
+            f"both outputs are connected; declare samples = true (outputs are values at the start of a step) or samples = false (outputs "
+            f"are values at the end of a step)"
         )
     return bool(prompt)

@@ -1,15 +1,17 @@
-"""The master: steps the components of a graph on a multi-rate schedule, and records their outputs.
+"""The master. It steps the components of a graph on a multi-rate schedule and records the outputs.
 
-At an instant t:
-1. delayed connections store the outputs of their sources from before t;
-2. the outputs at t of components whose last step ends at t are read;
-3. controllers due at t sample and compute one after the other, in the graph's order; the next one
-   uses the outputs of the same instant;
-4. the instant is recorded, and the limits are checked;
-5. all other components due at t take their inputs and then step.
+A controller computes its outputs at the start of a step. A plant computes its outputs at the end of
+a step. Here, each component that is not a controller is called a plant. A component is due at an
+instant if its next step starts at this instant. At an instant t, the master does the following:
+1. It stores the source values of the delayed connections. These are the values from before t.
+2. It reads the outputs of the plants whose last step ends at t.
+3. It steps the controllers that are due at t one after the other, in the order of the graph. Each
+   controller uses the outputs that earlier controllers have computed at t.
+4. It records the outputs if t is a recording instant. Then it checks the limits.
+5. It writes the inputs of all plants that are due at t. Then it steps these plants.
 
-`Master.run` is the Python implementation and calls every component itself. The C implementation is
-in cosim/freeflyer/master/core; cosim/freeflyer/master/native.py runs a master with it.
+`Master.run` is the implementation in Python. The implementation in C is in
+cosim/freeflyer/master/core. cosim/freeflyer/master/native.py runs a master with the C code.
 """
 
 from __future__ import annotations
@@ -35,10 +37,14 @@ from freeflyer.master.slaves import Slave, Slaves
 
 @dataclass(kw_only=True)
 class Outcome:
-    """The result of a run, and why it stopped early, in `cause`.
+    """The result of a run.
 
-    `diverged`: a limit was exceeded, or an FMU's equations left their range of validity. `failed`:
-    any other error. `interrupted`: the user stopped the run.
+    `simulated`: simulated time [s].
+    `wall`: wall-clock time [s].
+    `diverged`: a limit was exceeded, or the equations of an FMU left their range of validity.
+    `failed`: any other error occurred.
+    `interrupted`: the user stopped the run.
+    `cause`: the reason why the run stopped early, or None.
     """
 
     record: Record
@@ -62,9 +68,10 @@ Progress = Callable[[float], None]
 
 
 class InstantHook(Protocol):
-    """Hook of a run, called at every instant k: `before` its first and `after` its last operation.
+    """Hook that is called at every instant k of a run.
 
-    `before` returns a reason to end the run before this instant, or None.
+    `before` is called before the first operation of the instant. `before` returns None, or a reason
+    to end the run before this instant. `after` is called after the last operation of the instant.
     """
 
     def before(self, k: int) -> str | None: ...
@@ -73,9 +80,10 @@ class InstantHook(Protocol):
 
 
 class Master:
-    """A graph bound to its buffers. A master runs once.
+    """A graph with the buffers of its components. A master can run only once.
 
-    `recorded` selects the recorded signals by their names COMPONENT.VARIABLE.
+    The function `recorded` is called with the name COMPONENT.VARIABLE of each signal. If the
+    function returns True, the signal is recorded.
     """
 
     def __init__(
@@ -96,10 +104,11 @@ class Master:
         self.record = Record(signals, schedule.ticks // schedule.record_ratio + 2)
 
     def initialise(self, start_values: Mapping[str, Mapping[str, Array]]) -> None:
-        """Initialise all components with their start values. Raises CosimError.
+        """Initialise all components with their start values.
 
-        Components whose outputs belong to the end of a step are first, so that the others get their
-        outputs. An input whose source is not initialised yet keeps its own start value.
+        The controllers are initialised last. Therefore the controllers receive the initial outputs
+        of all plants. An input keeps its own start value if the source of this input is not
+        initialised yet. Raises CosimError if a component cannot be initialised.
         """
         ready: set[str] = set()
         for name in (*self.graph.then, *self.graph.first):
@@ -123,15 +132,19 @@ class Master:
         return self.slaves.value(signal)
 
     def write_inputs_now(self, name: str) -> None:
-        """Write a component's inputs at the end of an instant, for a hook that sends commands then.
+        """Write the inputs of a component at the end of an instant.
 
-        Delayed connections deliver their present values here, too.
+        A hook calls this method before it sends commands. All connections transfer the present
+        source values here, including delayed connections.
         """
         self.slaves[name].take_present_inputs()
         self.slaves[name].write()
 
     def run(self, progress: Progress | None = None, hooks: Sequence[InstantHook] = ()) -> Outcome:
-        """Run to the stop time or until the run stops early. Raises ComponentError at instant 0."""
+        """Run to the stop time, or until the run stops early.
+
+        Raises ComponentError if a component fails at instant 0 and the run has no hooks.
+        """
         outcome = self.outcome()
         start = time.perf_counter()
         with interrupts() as interrupted:
@@ -147,7 +160,7 @@ class Master:
         progress: Progress | None = None,
         hooks: Sequence[InstantHook] = (),
     ) -> Iterator[None]:
-        """Yield after every instant. `outcome` is complete when the iterator ends.
+        """Run, and yield after every instant. `outcome` is complete when the iterator ends.
 
         The run ends at the first instant at which `interrupted` is not empty.
         """
@@ -189,19 +202,29 @@ class Master:
         )
 
     def reject_failure_at_start(self, k: int, error: StepFailed) -> None:
-        """Raise ComponentError if a component failed at instant 0, where there is no result yet."""
+        """Raise ComponentError if a component failed at instant 0, because no result exists yet.
+
+        The method does nothing if the equations left their range of validity (`left_validity`).
+        """
         if k == 0 and not error.left_validity:
             raise ComponentError(f"component {error}") from error
 
     def finish(self, outcome: Outcome, k: int, *, whole: bool) -> None:
-        """End the run at tick k and record it, unless a failed step left the instant incomplete."""
+        """End the run at instant k.
+
+        `whole` is False if a failed step has left instant k incomplete. If instant k is complete
+        and not recorded yet, it is recorded. If the record is empty, instant k is always recorded.
+        """
         outcome.simulated = seconds(k * self.schedule.tick)
         record = self.record
         if record.rows == 0 or (whole and record.time[-1] < outcome.simulated):
             record.append(outcome.simulated, self.slaves.now[self.columns])
 
     def _instant(self, k: int, outcome: Outcome, *, last: bool) -> str | None:
-        """Execute tick k, without steps at the last one. Return a cause if a limit is exceeded."""
+        """Execute instant k. Return the cause if a limit is exceeded.
+
+        If `last` is True, no component steps.
+        """
         schedule, graph, slaves = self.schedule, self.graph, self.slaves
         moment = seconds(k * schedule.tick)
         slaves.keep_delayed()
@@ -241,7 +264,7 @@ class Master:
             )
         except StepFailed:
             raise
-        except Exception as error:  # third-party components raise any type; the record is kept
+        except Exception as error:  # third-party code may raise any type; keep the record
             raise failure(name, error) from error
         outcome.steps[name] += 1
 
@@ -254,7 +277,11 @@ def failure(name: str, error: Exception) -> StepFailed:
 
 
 def message_of(error: Exception) -> str:
-    """Format a component's exception; one that is not ours with its type and location."""
+    """Return the message of an exception of a component.
+
+    Our own exceptions have the attribute `left_validity`. For any other exception, the message also
+    contains the type of the exception and the location in the source code.
+    """
     if hasattr(error, "left_validity"):
         return " ".join(str(error).split())
     place = traceback.extract_tb(error.__traceback__)[-1]

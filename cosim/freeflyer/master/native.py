@@ -1,7 +1,8 @@
-"""Native execution of a master: cosim/freeflyer/master/core steps FMUs in C, without the GIL.
+"""Execution of a master in C.
 
-Components that are not co-simulation FMUs are called in Python at their instants. The record is
-identical, bit for bit, to that of `Master.run`.
+The C code in cosim/freeflyer/master/core steps FMUs without Python's global interpreter lock (GIL).
+Components that are not co-simulation FMUs are called in Python. The record is bit-for-bit identical
+to the record of `Master.run`.
 """
 
 from __future__ import annotations
@@ -26,9 +27,12 @@ from freeflyer.master.slaves import Places, Slave
 DIRECTORY = Path(__file__).parent / "core"
 LIBRARY = DIRECTORY / "prebuilt" / "core.so"
 LONGEST = 2**53
-"""Times [ns] up to which the core's division is correctly rounded."""
+"""Upper limit of the times [ns] for which the division in the core is correctly rounded."""
 PAUSE = 0.05
-"""Approximate wall time [s] between two updates of progress and checks for interrupts."""
+"""Approximate wall-clock time [s] of one call of the core.
+
+After each call, the progress is updated and interrupts are checked.
+"""
 SET, STEP, GET, LIMIT = range(4)
 
 
@@ -41,8 +45,8 @@ def _library() -> tuple[FFI, Any]:
         return ffi, ffi.dlopen(str(LIBRARY))
     except OSError as error:
         raise CosimError(
-            f"the native core {LIBRARY} cannot be loaded ({error}); it is built when the package is installed: install it again, or "
-            f"use --master python"
+            f"the native core {LIBRARY} cannot be loaded ({error}). The core is built when the package is installed. Reinstall the "
+            f"package, or use --master python"
         ) from error
 
 
@@ -52,7 +56,10 @@ def run(master: Master, progress: Progress | None = None) -> Outcome:
 
 
 class Run:
-    """A master as the C structures of core.h; `_alive` keeps references to their memory."""
+    """A master in the form of the C structures of core.h.
+
+    `_alive` keeps references to the memory of these structures.
+    """
 
     def __init__(self, master: Master) -> None:
         if master.schedule.stop >= LONGEST:
@@ -80,7 +87,7 @@ class Run:
                     self.cancel()
                 before = time.perf_counter()
                 ended = self._library.core_run(core, min(core.at + chunk, core.ticks + 1))
-                # Adapt the number of instants per call to the interval PAUSE.
+                # Adapt the number of instants per call, so that a call takes approximately PAUSE.
                 spent = time.perf_counter() - before
                 chunk = max(1, min(2 * chunk, int(chunk * PAUSE / max(spent, 1e-9))))
                 if progress and ended == end.PAUSED:
@@ -104,13 +111,16 @@ class Run:
         return outcome
 
     def cancel(self) -> None:
-        """Make the next instant the last one; any thread may call this."""
+        """Make the next instant the last instant. Any thread may call this method."""
         self._core.cancel = 1
 
     # Callbacks from C
 
     def _called(self, index: int, operation: int, moment: float, size: float) -> int:
-        """Run an operation of a Python component, or check a limit; return 1 to stop the run."""
+        """Run an operation of a Python component, or check a limit.
+
+        The result is 1 if the run must stop, otherwise 0.
+        """
         try:
             if operation == LIMIT:
                 self._cause = self.master.watches[index]()
@@ -120,13 +130,17 @@ class Run:
                 slave.component.step(moment, size)
             else:
                 (slave.write if operation == SET else slave.read)()
-        except BaseException as error:  # no exception can pass through C: `run` raises it later
+        except BaseException as error:  # no exception can pass through C; see `_step_failure`
             self._failure = error
             return 1
         return 0
 
     def _step_failure(self) -> StepFailed:
-        """Return a component's failure that stopped the core; raise any other exception."""
+        """Return the failure of the component that stopped the core.
+
+        An exception from a step is converted to StepFailed. Any exception that does not mean the
+        failure of a component is raised again.
+        """
         core = self._core
         if self._failure is not None:
             error = self._failure
@@ -195,7 +209,8 @@ class Run:
         native.used.values = sum(
             component.ports[variable].size for variable in slave.outputs[: slave.used]
         )
-        # Subclasses of FmuComponent override methods, so the FMI functions alone do not step them.
+        # The C code calls only the FMI functions. Subclasses of FmuComponent override methods.
+        # Therefore subclasses must be called in Python.
         if type(component) is FmuComponent:
             self._fill_fmu(native, slave, component)
 
@@ -229,6 +244,6 @@ class Run:
         return (array.ctypes.data + array.itemsize * places).astype(np.uintp)
 
     def _pointers(self, *addresses: NDArray[np.uintp]) -> Any:
-        """Return an array of pointers to doubles of existing arrays."""
+        """Return a C array of pointers to elements of existing arrays of doubles."""
         every = np.concatenate([np.zeros(0, dtype=np.uintp), *addresses])
         return self._ffi.cast("double **", self._keep(self._ffi.from_buffer(every)))

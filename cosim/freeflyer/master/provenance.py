@@ -1,4 +1,4 @@
-"""Provenance of a record: the system's parameters, steps and connections."""
+"""Provenance of a record: parameters, steps and connections of the simulated system."""
 
 from __future__ import annotations
 
@@ -8,32 +8,32 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 KEY = b"freeflyer.origin"
-"""Key in the Parquet file's schema metadata; the value is JSON."""
+"""Key in the schema metadata of the Parquet file. The value is JSON text."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Provenance:
-    """Contents of a record's metadata that make the record self-contained."""
+    """Metadata of a record. With the metadata, the record can be evaluated without its scenario."""
 
     scenario: str
     exchange: str
     steps: Mapping[str, int]
     """Communication step of every component [ns]."""
     parameters: Mapping[str, Mapping[str, Any]]
-    """Start values of every component [SI]: number, list, Boolean, or enumeration item."""
+    """Start values of every component [SI]: numbers, lists, Booleans or enumeration items."""
     sources: Mapping[str, str]
-    """Source COMPONENT.OUTPUT of each connected input COMPONENT.VARIABLE."""
+    """For each connected input COMPONENT.VARIABLE: the name COMPONENT.OUTPUT of the source."""
 
     def to_json(self) -> str:
         return json.dumps(asdict(self))
 
     @classmethod
     def from_json(cls, text: bytes | str) -> Provenance:
-        """Parse the output of `to_json`. Raises ValueError if the text is something else."""
+        """Parse a text that `to_json` has written. Raises ValueError if the text is invalid."""
         try:
             raw = json.loads(text)
         except RecursionError as error:
-            raise ValueError("its JSON is nested too deeply") from error
+            raise ValueError("the JSON text of its provenance is nested too deeply") from error
         kinds: dict[str, type] = {
             "scenario": str,
             "exchange": str,
@@ -42,14 +42,18 @@ class Provenance:
             "sources": dict,
         }
         if not isinstance(raw, dict) or raw.keys() != kinds.keys():
-            raise ValueError(f"{', '.join(kinds)} are expected in it")
+            raise ValueError(f"its provenance does not have exactly the keys {', '.join(kinds)}")
         for key, kind in kinds.items():
             if not isinstance(raw[key], kind):
-                raise ValueError(f"{key} is {raw[key]!r}")
+                raise ValueError(
+                    f"the key {key} in its provenance is {raw[key]!r}; the type {kind.__name__} is expected"
+                )
         inner: dict[str, type] = {"steps": int, "parameters": dict, "sources": str}
         for key, kind in inner.items():
             if not all(isinstance(value, kind) for value in raw[key].values()):
-                raise ValueError(f"{key} does not fit")
+                raise ValueError(
+                    f"the key {key} in its provenance has a value of a wrong type; {kind.__name__} is expected"
+                )
         if not all(0 < step < 1 << 63 for step in raw["steps"].values()):
-            raise ValueError("steps are not all above zero")
+            raise ValueError("the key steps in its provenance has a value that is not above zero")
         return cls(**raw)

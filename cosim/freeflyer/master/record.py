@@ -1,8 +1,9 @@
-"""The record of a run: time and every recorded signal, one column per element, as Parquet.
+"""The record of a run, as a Parquet file.
 
-`pandas.read_parquet(path)` loads it; the units are in `.attrs["units"]` of the frame and in the
-file's schema. The schema also has the `provenance` of a scenario's run, under the key
-freeflyer.origin.
+The columns are the time and each element of each recorded signal. `pandas.read_parquet(path)` loads
+a record as a data frame. The units are in `.attrs["units"]` of the data frame and in the schema of
+the file. If the run was started from a scenario, the schema also contains the `provenance`, under
+the key freeflyer.origin.
 """
 
 from __future__ import annotations
@@ -22,12 +23,15 @@ from freeflyer.foundation.output_file import write_whole
 from freeflyer.master.provenance import KEY, Provenance
 
 MOST_NUMBERS = 1 << 30
-"""Numbers that a record to be read may contain; as doubles, they need 8 GiB."""
+"""Largest allowed number of values in a record that is read. In memory, they need 8 GiB."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Signal:
-    """One recorded variable, COMPONENT.VARIABLE, in the columns first ... first + size - 1."""
+    """One recorded variable with the name COMPONENT.VARIABLE.
+
+    The elements of the variable are in the columns `first` to `first + size - 1`.
+    """
 
     name: str
     first: int
@@ -42,7 +46,10 @@ class Signal:
 
 
 class Record:
-    """A table with preallocated rows of time and signals. Raises CosimError if memory is short."""
+    """A table of time and signals. The memory of all rows is allocated at the start.
+
+    Raises CosimError if there is not enough memory.
+    """
 
     def __init__(self, signals: Sequence[Signal], rows: int) -> None:
         self.signals: Mapping[str, Signal] = {signal.name: signal for signal in signals}
@@ -66,7 +73,10 @@ class Record:
 
     @property
     def storage(self) -> tuple[Array, Array]:
-        """Times (all rows) and values (all rows, width); the first `rows` of them are in use."""
+        """Allocated arrays: times, and values with one row per time and one column per element.
+
+        Only the first `rows` rows contain data.
+        """
         return self._time, self._values
 
     @property
@@ -75,7 +85,10 @@ class Record:
         return self._time[: self.rows]
 
     def __getitem__(self, name: str) -> Array:
-        """Return a signal, shape (rows, size), or (rows) for a scalar. Raises KeyError."""
+        """Return the values of a signal. The shape is (rows, size), or (rows) for a scalar.
+
+        Raises KeyError if the record does not contain the signal.
+        """
         signal = self.signals[name]
         block = self._values[: self.rows, signal.first : signal.first + signal.size]
         return block[:, 0] if signal.size == 1 else block
@@ -85,7 +98,7 @@ class Record:
 
     @property
     def units(self) -> dict[str, str]:
-        """Unit of every column, or "" without one."""
+        """Unit of every column. The unit of a column without a unit is ""."""
         named = {
             column: unit or ""
             for signal in self.signals.values()
@@ -95,20 +108,20 @@ class Record:
 
     @classmethod
     def read(cls, path: Path) -> Record:
-        """Read a file of `write`; nothing in it is executed.
+        """Read a file that `write` has written. Nothing in the file is executed.
 
-        Raises OSError or pyarrow.ArrowException if it is unreadable, and ValueError, TypeError or
-        LookupError if its content is something else.
+        Raises OSError or pyarrow.ArrowException if the file cannot be read. Raises ValueError,
+        TypeError or LookupError if the file is not a record.
         """
         with parquet.ParquetFile(path) as file:
             rows, columns = file.metadata.num_rows, file.metadata.num_columns
             # A few bytes of compressed Parquet can expand to any number of rows.
             if not 0 < columns * max(rows, 1) <= MOST_NUMBERS:
                 raise ValueError(
-                    f"it has {rows} rows of {columns} columns; {MOST_NUMBERS} numbers at most are expected"
+                    f"it has {rows} rows of {columns} columns; at most {MOST_NUMBERS} numbers are expected"
                 )
             table = file.read()
-        # The columns NAME[1], NAME[2], ... are one signal.
+        # Combine the columns NAME[1], NAME[2], ... into one signal.
         elements: dict[str, list[str]] = {}
         for column in table.column_names[1:]:
             elements.setdefault(column.partition("[")[0], []).append(column)
@@ -120,7 +133,7 @@ class Record:
             )
             signals.append(Signal(name=name, first=first, size=len(columns), units=units))
             first += len(columns)
-        # The values, and the provenance in the schema.
+        # Read the values, and the provenance from the schema.
         record = cls(signals, table.num_rows)
         record._time[:] = table.column(0).to_numpy()
         for place, column in enumerate(c for columns in elements.values() for c in columns):
@@ -131,19 +144,22 @@ class Record:
         return record
 
     def write(self, path: Path) -> None:
-        """Write a Parquet file, completely or not at all. Raises OutputError."""
+        """Write a Parquet file, completely or not at all.
+
+        Raises OutputError if the file cannot be written.
+        """
         columns = {"time": self.time}
         for signal in self.signals.values():
             for offset, column in enumerate(signal.columns):
                 columns[column] = self._values[: self.rows, signal.first + offset]
         units = self.units
         fields = [pa.field(name, pa.float64(), metadata={"unit": units[name]}) for name in columns]
-        # pandas keeps DataFrame.attrs under this key of the schema.
+        # pandas stores DataFrame.attrs under this key of the schema.
         metadata: dict[str | bytes, str] = {"PANDAS_ATTRS": json.dumps({"units": units})}
         if self.provenance is not None:
             metadata[KEY] = self.provenance.to_json()
         schema = pa.schema(fields, metadata=metadata)
-        # From buffers, because `pa.array` would import pandas.
+        # Create the arrays from buffers, because `pa.array` would import pandas.
         arrays = [
             pa.Array.from_buffers(
                 pa.float64(), len(values), [None, pa.py_buffer(np.ascontiguousarray(values))]

@@ -1,4 +1,4 @@
-"""The multi-rate schedule: every component's step is a multiple of the smallest step, the tick."""
+"""The multi-rate schedule. The smallest step is the tick. All steps are multiples of the tick."""
 
 from __future__ import annotations
 
@@ -11,7 +11,11 @@ from freeflyer.foundation.errors import GraphError
 
 @dataclass(frozen=True, kw_only=True)
 class Schedule:
-    """Times in ns. At tick k, time k * tick, every component with k % ratio == 0 makes a step."""
+    """Times of a run [ns].
+
+    Instant k is at the time k * tick. At instant k, every component with k % ratio == 0 starts a
+    step.
+    """
 
     tick: int
     ratios: Mapping[str, int]
@@ -23,7 +27,10 @@ class Schedule:
         return self.stop // self.tick
 
     def size(self, component: str, k: int) -> int:
-        """Return the step [ns] of `component` from tick k, shortened at the stop time."""
+        """Return the length [ns] of the step of `component` that starts at instant k.
+
+        A step that would end after the stop time is shortened.
+        """
         return min(self.ratios[component] * self.tick, self.stop - k * self.tick)
 
 
@@ -32,7 +39,9 @@ def build(
 ) -> Schedule:
     """Build the schedule from steps, stop time and recording interval [ns].
 
-    Raises GraphError, with times that would fit, if one is no multiple of the smallest step.
+    Raises GraphError if a time is not a multiple of the smallest step. Raises GraphError also if a
+    step does not divide the stop time and the component cannot shorten its last step. The message
+    contains times that would fit.
     """
     tick = min(steps.values())
     for name, step in steps.items():
@@ -40,7 +49,7 @@ def build(
         if stop % step and not variable_step[name]:
             raise GraphError(
                 f"component {name} cannot shorten its last step, and its step of {shown(step)} does not divide the stop time "
-                f"{shown(stop)}; {shown(stop - stop % step)} would fit"
+                f"{shown(stop)}; a stop time of {shown(stop - stop % step)} would fit"
             )
     _multiple(stop, tick, "the stop time", "the smallest step")
     _multiple(record_every, tick, "the recording interval", "the smallest step")
@@ -57,5 +66,5 @@ def _multiple(value: int, of: int, subject: str, what: str) -> None:
         below, above = value - value % of, value - value % of + of
         fits = f"{shown(below)} or {shown(above)}" if below else shown(above)
         raise GraphError(
-            f"{subject} of {shown(value)} is no multiple of {what}, {shown(of)}; {fits} would fit"
+            f"{subject} of {shown(value)} is not a multiple of {what}, {shown(of)}; {fits} would fit"
         )

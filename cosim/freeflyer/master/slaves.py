@@ -1,4 +1,8 @@
-"""Buffers of a graph's components: one flat vector of all outputs, and the inputs of each slave."""
+"""Buffers for the components of a graph.
+
+One flat vector contains all outputs. Each component has its own buffer for inputs. A slave is a
+component with its buffers.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +23,11 @@ Places = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Wires:
-    """Connections from component `source` to one slave: buffer[into[i]] = outputs[places[i]]."""
+    """Connected values from the component `source` to one slave.
+
+    Each value is copied: buffer[into[i]] = outputs[places[i]]. Here, `outputs` is the vector of all
+    outputs.
+    """
 
     source: str
     delayed: bool
@@ -30,8 +38,9 @@ class Wires:
 class Slave:
     """A component with its buffers.
 
-    `buffer` contains its connected inputs, the variables `targets`, one after the other. `view`
-    contains its outputs; connections and limits need the first `used` variables at every step.
+    `buffer` contains the connected inputs one after the other. `targets` are the variables of these
+    inputs. `view` contains the outputs. The first `used` variables among the outputs are those that
+    connections and limits need at every step.
     """
 
     def __init__(
@@ -49,7 +58,7 @@ class Slave:
         self.component, self.ratio = component, ratio
         self.targets, self.wires = targets, wires
         self.outputs, self.used, self.view = outputs, used, now[own]
-        # Every input has its own start value until a source is read.
+        # An input has the start value of its port until the value of a source is copied.
         starts = [
             np.array(component.ports[target].start or [0.0] * component.ports[target].size)
             for target in targets
@@ -80,7 +89,7 @@ class Slave:
         return self.component.bind_outputs(self.outputs, self.view) if self.outputs else _nothing
 
     def take_inputs(self) -> None:
-        """Copy the sources of all connections to the buffer."""
+        """Copy the source values of all connections to the buffer."""
         into, places = self._prompt
         if into.size:
             self.buffer[into] = self._now[places]
@@ -89,13 +98,13 @@ class Slave:
             self.buffer[into] = self._before[places]
 
     def take_first_inputs(self, ready: set[str]) -> None:
-        """Copy only the sources in initialised components."""
+        """Copy the source values from the components that are initialised (`ready`)."""
         for wire in self.wires:
             if wire.source in ready:
                 self.buffer[wire.into] = self._now[wire.places]
 
     def take_present_inputs(self) -> None:
-        """Copy the present values of all sources, also those of delayed connections."""
+        """Copy the present source values of all connections, including delayed connections."""
         for wire in self.wires:
             self.buffer[wire.into] = self._now[wire.places]
 
@@ -103,7 +112,8 @@ class Slave:
 class Slaves:
     """All slaves by name.
 
-    `now` is the flat vector of all outputs, `before` its value before the present instant.
+    `now` is the flat vector of all outputs. `before` has the same layout. `before` contains the
+    values from before the present instant, but only for the sources of delayed connections.
     """
 
     def __init__(
@@ -136,7 +146,7 @@ class Slaves:
         return self._by_name[name]
 
     def keep_delayed(self) -> None:
-        """Store the sources of the delayed connections."""
+        """Copy the source values of the delayed connections from `now` to `before`."""
         if self.delayed.size:
             self.before[self.delayed] = self.now[self.delayed]
 
@@ -145,9 +155,9 @@ class Slaves:
         return self.now[self.places[signal]]
 
     def signals(self, graph: Graph, recorded: Callable[[str], bool]) -> tuple[list[Signal], Places]:
-        """Return the record's signals and the places of their columns in `now`.
+        """Return the signals of the record, and the index in `now` of each column of the record.
 
-        Signals have the order of the components and their ports.
+        The signals have the order of the components and of the ports.
         """
         signals, columns = [], [np.zeros(0, dtype=np.int64)]
         first = 0
@@ -191,7 +201,10 @@ class Slaves:
 
 
 def _outputs(name: str, component: Component, used: set[str]) -> list[str]:
-    """Return the outputs of a component, those in use first, so that these can be read alone."""
+    """Return the outputs of a component. Outputs that are used come first.
+
+    With this order, the outputs that are used can be read without the other outputs.
+    """
     found = [
         port.name for port in component.ports.values() if port.causality == "output" and port.real
     ]

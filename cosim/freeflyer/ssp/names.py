@@ -6,13 +6,14 @@ from xml.etree import ElementTree
 
 DESCRIPTION = "SystemStructure.ssd"
 ANNOTATION = "org.freeflyer-cosim"
-"""Type of our annotations, which contain the parts of a scenario that SSP has no elements for."""
+"""Type of our annotations. They contain the parts of a scenario for which SSP has no elements."""
 STEP_ANNOTATION = "com.opensimulationplatform"
-"""Type of the annotations with communication steps, which SSP has no elements for.
+"""Type of the annotations that contain communication steps.
 
-libcosim and ecos read them from there.
+SSP has no elements for communication steps. libcosim and ecos read these annotations.
 """
 FMU_TYPE = "application/x-fmu-sharedlibrary"
+<<<<<<< HEAD
 SETTINGS = (
     "title",
     "paper",
@@ -25,8 +26,15 @@ SETTINGS = (
     "roles",
 )
 """Scenario keys that describe the experiment, not the system; an annotation has them as TOML."""
+=======
+SETTINGS = ("title", "paper", "expect", "exchange", "record", "limits", "errors", "observed_energy")
+"""Scenario keys that describe the experiment and not the system.
+>>>>>>> read-2
 
-# libcosim and ecos compare prefixes instead of namespaces, so these prefixes must not change.
+An annotation contains these keys as TOML.
+"""
+
+# libcosim and ecos compare prefixes and not namespaces. Therefore the prefixes must not change.
 NAMESPACES = {
     "ssc": "http://ssp-standard.org/SSP1/SystemStructureCommon",
     "ssd": "http://ssp-standard.org/SSP1/SystemStructureDescription",
@@ -40,6 +48,6 @@ for _prefix, _namespace in NAMESPACES.items():
 
 
 def tag(name: str) -> str:
-    """Convert `ssd:System` to the form of ElementTree, `{NAMESPACE}System`."""
+    """Convert a name such as `ssd:System` to the form of ElementTree, `{NAMESPACE}System`."""
     prefix, _, local = name.partition(":")
     return f"{{{NAMESPACES[prefix]}}}{local}"

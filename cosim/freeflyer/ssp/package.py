@@ -1,4 +1,7 @@
-"""The zip archive of an untrusted SSP file: its entries as XML and as files."""
+"""Reader for the zip archive of an untrusted SSP file.
+
+An entry is read as XML or unpacked to a file.
+"""
 
 from __future__ import annotations
 
@@ -19,9 +22,10 @@ Element = ElementTree.Element
 
 @contextmanager
 def opened(path: Path, directory: Path) -> Iterator[Package]:
-    """Open and check an SSP file; `directory` is for its unpacked FMUs.
+    """Open and check an SSP file. `directory` is the directory for the unpacked FMUs.
 
-    Raises ScenarioError if the archive is invalid, here or while it is read.
+    Raises ScenarioError if the archive is invalid. This exception can also occur later, while the
+    archive is read.
     """
     package = Package(path, directory)
     if not path.is_file():
@@ -48,7 +52,7 @@ class Package:
         self._unpacked: dict[str, Path] = {}
 
     def fail(self, message: str) -> ScenarioError:
-        """Return an exception whose message starts with the file."""
+        """Return an exception with a message that starts with the path of the SSP file."""
         return ScenarioError(f"SSP file {self.path}: {message}")
 
     def enter(self, found: Archive) -> None:
@@ -59,17 +63,21 @@ class Package:
             raise self.fail(f"it contains no {name}{did_you_mean(name, self._archive.names)}")
 
     def xml(self, name: str, wanted: str) -> Element:
-        """Read an entry whose root element must be `wanted`. Raises ScenarioError."""
+        """Return the root element of an XML entry.
+
+        Raises ScenarioError if the entry does not exist, or if its root element is not `wanted`.
+        """
         self._require(name)
         root, _ = self._archive.xml(name)
         if root.tag != tag(wanted):
-            raise self.fail(f"{name} has the root {root.tag}; {tag(wanted)} is expected")
+            raise self.fail(f"{name} has the root element {root.tag}; {tag(wanted)} is expected")
         return root
 
     def source(self, element: Element, subject: str) -> str:
-        """Return the entry of a `source` attribute: relative to the description, in the archive.
+        """Return the name of the archive entry to which a `source` attribute refers.
 
-        Raises ScenarioError with `subject` for any other source.
+        The source must be a path relative to the description file, and inside the archive. Raises
+        ScenarioError for any other source. `subject` is the subject of the error message.
         """
         try:
             uri = urlsplit(element.get("source", ""))
@@ -96,7 +104,7 @@ class Package:
         return name
 
     def unpack(self, name: str) -> Path:
-        """Extract an entry once; return its path."""
+        """Return the path of an extracted entry. Each entry is extracted only once."""
         if name not in self._unpacked:
             self._require(name)
             target = self.directory / name

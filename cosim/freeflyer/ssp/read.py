@@ -1,7 +1,8 @@
-"""Conversion of a system structure package (SSP 1.0 or 2.0, from any tool) to a scenario.
+"""Conversion of a system structure package (SSP) to a scenario.
 
-Nested systems are flattened, and the parameter sets of all levels are collected. Unsupported
-content is rejected. SSP has no communication steps: they come from annotations, from `step`, or
+SSP files of versions 1.0 and 2.0 are accepted from any tool. Nested systems are flattened, and the
+parameter sets of all levels are collected. Unsupported content is rejected. SSP has no elements for
+communication steps. The communication steps come from annotations, from the argument `step`, or
 from the default experiments of the FMUs.
 """
 
@@ -39,16 +40,18 @@ from freeflyer.ssp.package import Package, opened
 
 Element = ElementTree.Element
 Node = tuple[tuple[str, ...], str]
-"""A connector: the path of its element, and its name."""
+"""A connector: the path of the element, and the name of the connector."""
 
 
 def read(
     path: Path, directory: Path, *, step: float | None = None, overrides: Sequence[str] = ()
 ) -> Scenario:
-    """Read a scenario from an SSP file, and unpack its FMUs into `directory`. Raises CosimError.
+    """Read a scenario from an SSP file, and unpack its FMUs into `directory`.
 
-    The scenario needs the directory while it is used. `step` [s] is for components without a step
-    in the file; `overrides` are the arguments of `--set`.
+    The directory must exist as long as the scenario is used. `step` [s] is the communication step
+    of components without a step in the file. `overrides` are the arguments of `--set`.
+
+    Raises CosimError if the file is invalid or contains unsupported content.
     """
     with opened(path, directory) as package:
         raw = _System(package).tables(step, overrides)
@@ -67,16 +70,16 @@ class _Part:
     description: ModelDescription
     ports: Mapping[str, Port]
     owner: Mapping[str, tuple[str, int]]
-    """Model variable -> its port, and its index among the port's variables."""
+    """For each model variable: the port, and the index of the variable within the port."""
     width: Mapping[str, int]
-    """Port -> number of its model variables."""
+    """For each port: the number of its model variables."""
     parameters: dict[str, Any] = field(default_factory=dict)
     step: float | None = None
     samples: bool | None = None
 
 
 class _System:
-    """The flattened system: its FMUs and their connections, while the description is read."""
+    """The flattened system. This class collects FMUs and connections from the description."""
 
     def __init__(self, package: Package) -> None:
         self.package, self.fail = package, package.fail
@@ -84,10 +87,10 @@ class _System:
         self.edges: list[tuple[Node, Node, bool]] = []
         self.elements: set[tuple[str, ...]] = {()}
         self.unmatched: list[str] = []
-        """Parameters that match no FMU."""
+        """Names of parameters that do not belong to any FMU."""
 
     def tables(self, step: float | None, overrides: Sequence[str]) -> Raw:
-        """Read the description; return the tables of the scenario."""
+        """Read the description and return the tables of the scenario."""
         root = self.package.xml(DESCRIPTION, "ssd:SystemStructureDescription")
         if not root.get("version", "").startswith(("1.", "2.")):
             raise self.fail(
@@ -129,7 +132,7 @@ class _System:
             kinds[place, connector.get("name", "")] = connector.get("kind", "")
 
     def _component(self, element: Element, place: tuple[str, ...]) -> _Part:
-        # The FMU. Other component types are not supported.
+        # Unpack the FMU. Other component types are not supported.
         subject = f"component {'.'.join(place)}"
         if element.get("type", FMU_TYPE) != FMU_TYPE:
             raise self.fail(
@@ -139,7 +142,7 @@ class _System:
             raise self.fail(f"{subject} has no source; an FMU in the archive is expected")
         path = self.package.unpack(self.package.source(element, subject))
         description = describe_fmu(path)
-        # Co-simulation or model exchange.
+        # Choose co-simulation or model exchange.
         wanted = element.get("implementation", "any")
         if wanted == "ScheduledExecution":
             raise self.fail(
@@ -152,7 +155,7 @@ class _System:
         exchanged = wanted == "ModelExchange" or (
             wanted == "any" and description.coSimulation is None
         )
-        # Ports, and the settings in annotations.
+        # Read the ports, and the settings in annotations.
         ports, groups = ports_of(description, {})
         part = _Part(
             name=self._free_name(place),
@@ -174,7 +177,7 @@ class _System:
         return part
 
     def _free_name(self, place: tuple[str, ...]) -> str:
-        """Return an unused component name of letters, digits and underscores."""
+        """Return an unused component name that contains only letters, digits and underscores."""
         name = re.sub(r"\W", "_", "_".join(place), flags=re.ASCII)
         name = name if name.isidentifier() else f"_{name}"
         taken = {part.name for part in self.parts.values()}
@@ -195,7 +198,7 @@ class _System:
         for side in ("startIndices", "endIndices"):
             if element.get(side):
                 raise self.fail(
-                    f"{subject} is restricted to single elements of an array, which is not supported"
+                    f"{subject} connects single elements of an array, which is not supported"
                 )
         # The direction of the data follows from the connectors, not from `start` and `end`.
         if self._takes(end, where, kinds) is False or self._takes(start, where, kinds) is True:
@@ -222,7 +225,10 @@ class _System:
         return node
 
     def _takes(self, node: Node, where: tuple[str, ...], kinds: Mapping[Node, str]) -> bool | None:
-        """Return True if data flows into this connector, False if out of it, None if unknown."""
+        """Return True if data flows into a connector, False if data flows out of the connector.
+
+        The result is None if the direction is unknown.
+        """
         part = self.parts.get(node[0])
         kind = part.ports[part.owner[node[1]][0]].causality if part else kinds.get(node, "")
         takes = {
@@ -231,7 +237,7 @@ class _System:
             "output": False,
             "calculatedParameter": False,
         }.get(kind)
-        # Inside a system, the system's own inputs are sources.
+        # For connections inside a system, data flows out of the inputs of this system.
         return takes if takes is None or node[0] != where else not takes
 
     # Parameters
@@ -241,8 +247,8 @@ class _System:
     ) -> None:
         """Collect the parameters of an element and its children.
 
-        `above` are values from higher levels, by names relative to this element. They take
-        precedence over the element's own values.
+        `above` contains values from higher levels, with names relative to this element. Values in
+        `above` take precedence over the values of this element.
         """
         values = [*self._bound(element, place), *above]
         part = self.parts.get(place)
@@ -305,7 +311,11 @@ class _System:
         return targets
 
     def _value(self, parameter: Element, subject: str) -> Any:
-        """Convert a parameter to a scenario value: number, list, name, Boolean, { value, unit }."""
+        """Convert a parameter to a value of a scenario.
+
+        The result is a number, a Boolean, a list, the name of an enumeration item, or a table
+        { value, unit }.
+        """
         typed = next(
             (child for child in parameter if child.tag.startswith(f"{{{NAMESPACES['ssv']}}}")), None
         )
@@ -335,8 +345,11 @@ class _System:
         return {"value": value, "unit": typed.get("unit")} if typed.get("unit") else value
 
     def _grouped(self, part: _Part, values: list[tuple[str, Any]]) -> dict[str, Any]:
-        """Group the values of model variables to values of ports; other names are ignored."""
-        # port -> index of the variable -> value; later values replace earlier ones
+        """Combine the values of model variables into values of ports.
+
+        Names that are not model variables of this FMU are ignored.
+        """
+        # For each port: values by index of the variable. A later value replaces an earlier value.
         given: dict[str, dict[int, Any]] = {}
         for name, value in values:
             if name in part.owner:
@@ -350,7 +363,7 @@ class _System:
                 continue
             if port.start is None and len(items) < port.size:
                 raise self.fail(
-                    f"{part.name}.{name} is set in part, and the FMU has no values for the rest"
+                    f"only some elements of {part.name}.{name} are set, and the FMU has no start values for the other elements"
                 )
             elements = [
                 _plain(items.get(i, start), port.units[i])
@@ -358,7 +371,7 @@ class _System:
             ]
             if any(isinstance(element, dict) for element in elements):
                 raise self.fail(
-                    f"{part.name}.{name} is set in units other than the FMU's own, element by element"
+                    f"elements of {part.name}.{name} are set one by one in units that differ from the FMU's units; this is not supported"
                 )
             result[name] = elements
         return result
@@ -373,11 +386,12 @@ class _System:
             raise self.fail(
                 f"it starts at {times['startTime']} s; only runs that start at 0 are supported"
             )
-        # Settings of the experiment, from our annotation.
+        # Read the settings of the experiment from our annotation.
         raw: Raw = {"title": root.get("description") or root.get("name", "")}
         settings = self._annotated(root, ANNOTATION, "freeflyer:Experiment")
         if settings is None:
-            # Other SSP tools exchange in parallel, where algebraic loops need no order.
+            # Other SSP tools use parallel exchange. In parallel exchange, the components have no
+            # execution order. Therefore an algebraic loop is not an error.
             raw["exchange"] = "parallel"
         else:
             try:
@@ -390,19 +404,20 @@ class _System:
                 raise self.fail(
                     f"its annotation {ANNOTATION} is not valid TOML: {error}"
                 ) from error
-        # The stop time.
+        # Read the stop time.
         if "stopTime" in times:
             raw["stop_s"] = self._number(times["stopTime"], "the stop time")
         if "stop_s" not in raw and not any(
             text.partition("=")[0].strip() == "stop_s" for text in overrides
         ):
-            raise self.fail("it has no stop time: give one with --set stop_s=SECONDS")
+            raise self.fail("it has no stop time: set it with --set stop_s=SECONDS")
         if step is not None and all(part.step is not None for part in self.parts.values()):
             raise self.fail("--step has no effect: every component has its step in the file")
-        # Unmatched parameters are errors only in our files: other tools share parameter sets.
+        # In our files, a parameter that belongs to no FMU is an error. Other tools may use the same
+        # parameter set for several systems. Therefore such parameters are allowed in other files.
         if settings is not None and self.unmatched:
             raise self.fail(f"parameter {self.unmatched[0]} belongs to none of its FMUs")
-        # Components and connections.
+        # Create the tables of components and connections.
         common = step or self._common_step(experiment)
         raw["components"] = {part.name: self._table(part, common) for part in self.parts.values()}
         raw["connections"], raw["delayed"] = self._joined()
@@ -428,7 +443,7 @@ class _System:
         step = part.step or common
         if step is None:
             raise self.fail(
-                f"component {part.name} has no communication step, and SSP has no element for one: give --step"
+                f"component {part.name} has no communication step; set the step with --step"
             )
         table: Raw = {
             "kind": part.kind,
@@ -439,17 +454,19 @@ class _System:
         return table if part.samples is None else table | {"samples": part.samples}
 
     def _joined(self) -> tuple[list[str], list[str]]:
-        """Return the immediate and the delayed connections between whole ports.
+        """Return the immediate connections and the delayed connections between whole ports.
 
-        Connections of model variables are followed through the connectors of nested systems.
+        Each connection of model variables is followed through the connectors of nested systems.
         """
-        # Each connector has at most one source.
+        # Check that each connector has at most one source.
         giver = {end: (start, delayed) for start, end, delayed in self.edges}
         ends = Counter(end for _, end, _ in self.edges)
         twice = [end for end, count in ends.items() if count > 1]
         if twice:
             raise self.fail(f"{shown(twice[0])} has two sources")
-        # (output, input) -> index of the input's variable -> index of the output's, and delay
+        # The keys are pairs of an output port and an input port. For each index of a variable of
+        # the input port, the value contains the index of the variable of the output port, and
+        # whether the connection is delayed.
         pairs: dict[tuple[str, str], dict[int, tuple[int, bool]]] = {}
         for end in giver:
             if end[0] not in self.parts:
@@ -461,14 +478,14 @@ class _System:
                 start, further = giver[start]
                 delayed |= further
             if start[0] not in self.parts:
-                continue  # an input of the whole system, without a source
+                continue  # the source is an input of the whole system
             source, target = self.parts[start[0]], self.parts[end[0]]
             (output, i), (taken, j) = source.owner[start[1]], target.owner[end[1]]
             pairs.setdefault((f"{source.name}.{output}", f"{target.name}.{taken}"), {})[j] = (
                 i,
                 delayed,
             )
-        # Only connections of whole ports, in order, are supported.
+        # Only connections of whole ports with the same order of elements are supported.
         prompt: list[str] = []
         delays: list[str] = []
         width = {
@@ -482,7 +499,7 @@ class _System:
             )
             if not whole or len({delayed for _, delayed in elements.values()}) > 1:
                 raise self.fail(
-                    f"{output} and {taken} are connected in part or in another order; whole arrays are supported"
+                    f"{output} and {taken} are connected only in part, or in a different order of elements; only connections of whole arrays are supported"
                 )
             (delays if elements[0][1] else prompt).append(f"{output} -> {taken}")
         return prompt, delays
@@ -523,12 +540,12 @@ class _System:
 
 
 def shown(node: Node) -> str:
-    """Format a connector, for messages."""
+    """Format a connector for a message."""
     return ".".join((*node[0], node[1]))
 
 
 def _plain(value: Any, unit: str | None) -> Any:
-    """Remove the unit from a value that is in the FMU's own unit."""
+    """Remove the unit from a value if it is equal to the unit in the FMU."""
     if isinstance(value, dict) and (
         unit is None or value["unit"] == unit or same(value["unit"], unit or DIMENSIONLESS)
     ):

@@ -1,8 +1,9 @@
-"""Export of a scenario as a system structure package: SSP 1.0 for FMI 2.0, SSP 2.0 for FMI 3.0.
+"""Export of a scenario as a system structure package (SSP).
 
-Each element of an FMI 2.0 array is a connector; an FMI 3.0 array is a connector with dimensions.
-Communication steps are annotations that libcosim and ecos read. Our own annotations contain the
-other data that SSP has no elements for.
+A system with FMUs of FMI 2.0 is exported as SSP 1.0. A system with FMUs of FMI 3.0 is exported as
+SSP 2.0. Each element of an FMI 2.0 array has its own connector. An FMI 3.0 array has one connector
+with dimensions. Communication steps are written to annotations that libcosim and ecos read. Our own
+annotations contain all other data for which SSP has no elements.
 """
 
 from __future__ import annotations
@@ -35,10 +36,10 @@ Element = ElementTree.Element
 
 
 def write(scenario: Scenario, system: System, path: Path) -> None:
-    """Write an SSP file, completely or not at all. Equal systems give identical files.
+    """Write an SSP file, completely or not at all.
 
-    Raises ScenarioError or ComponentError if SSP cannot represent the system, OutputError if the
-    file cannot be written.
+    Equal systems result in identical files. Raises ScenarioError or ComponentError if SSP cannot
+    represent the system. Raises OutputError if the file cannot be written.
     """
     specs = {spec.name: spec for spec in scenario.components}
     components = _checked(specs, system)
@@ -76,7 +77,10 @@ def _checked(specs: Mapping[str, ComponentSpec], system: System) -> dict[str, Fm
 
 
 def _sources(components: Mapping[str, FmuComponent]) -> dict[str, str]:
-    """Return the archive entry of each component's FMU; components with the same FMU share it."""
+    """Return the name of the archive entry of each component's FMU.
+
+    Components with the same FMU have the same entry.
+    """
     places: dict[Path, str] = {}
     for name, component in components.items():
         if component.path not in places:
@@ -90,7 +94,9 @@ def _sources(components: Mapping[str, FmuComponent]) -> dict[str, str]:
 def _changed(component: FmuComponent, values: Mapping[str, Array]) -> dict[str, Array]:
     """Return the values that differ from the FMU's start values.
 
-    Unchanged values are left out, because libcosim and ecos reject a file with an enumeration.
+    Values that are equal to the start values are not written to the SSP file. Thus an enumeration
+    with its start value is not written. This is important, because libcosim and ecos reject a file
+    that contains an enumeration.
     """
     return {
         name: value
@@ -112,7 +118,7 @@ def _description(
     sources: Mapping[str, str],
     version: str,
 ) -> Element:
-    # The root element.
+    # Create the root element.
     root = Element(
         tag("ssd:SystemStructureDescription"),
         version=version,
@@ -120,7 +126,7 @@ def _description(
         description=scenario.title,
         generationTool=f"freeflyer-cosim {installed('freeflyer-cosim')}",
     )
-    # Components with connectors, parameters and annotations.
+    # Add the components with connectors, parameters and annotations.
     steps, top = system.steps, _add(root, "ssd:System", name=scenario.name)
     elements = _add(top, "ssd:Elements")
     units: dict[str, dict[str, str]] = {}
@@ -159,13 +165,13 @@ def _description(
                 "freeflyer:Outputs",
                 samples=str(samples).lower(),
             )
-    # Connections and definitions.
+    # Add the connections, and the definitions of enumerations and units.
     _connections(top, system, components)
     if enumerations:
         _enumerations(root, "ssd:Enumerations", enumerations)
     if units:
         _units(root, "ssd:Units", units)
-    # The experiment. Its last annotation contains the scenario's settings.
+    # Add the default experiment, and the annotation with the settings of the scenario.
     experiment = _add(
         root, "ssd:DefaultExperiment", startTime="0.0", stopTime=_number(seconds(scenario.stop))
     )
@@ -185,7 +191,7 @@ def _description(
 def _interface(
     component: FmuComponent, given: Mapping[str, Array]
 ) -> Iterable[tuple[ModelVariable, Port]]:
-    """Yield the variables that need a connector: inputs, outputs, and parameters with a value."""
+    """Yield the variables that need a connector: inputs, outputs, and parameters in `given`."""
     for port in component.ports.values():
         if port.causality in ("input", "output") or (
             port.name in given and "arameter" in port.causality
@@ -213,8 +219,8 @@ def _dimensions(parent: Element, variable: ModelVariable) -> None:
 def _unit_name(variable: ModelVariable, port: Port) -> str | None:
     """Return the unit of a connector.
 
-    SSP, like FMI, has one unit per array. An array of mixed units has None; the FMU's annotation
-    contains its units.
+    In SSP, as in FMI, an array has only one unit. If the elements of an array have different units,
+    the result is None. The annotation in the FMU contains the units of the elements.
     """
     if variable.shape:
         return port.units[0] if len(set(port.units)) == 1 else None
@@ -293,9 +299,10 @@ def _value(port: Port, variable: ModelVariable, numbers: Array) -> str:
 def _unit(
     component: FmuComponent, name: str | None, known: Mapping[str, Mapping[str, str]]
 ) -> dict[str, dict[str, str]]:
-    """Return the FMU's definition of a unit in SI base units, which SSP requires.
+    """Return the FMU's definition of a unit in SI base units. SSP requires such a definition.
 
-    Raises ComponentError if there is none, or if it differs from `known`.
+    Raises ComponentError if the FMU does not define the unit, or if the definition differs from the
+    definition in `known`.
     """
     if name is None:
         return {}

@@ -1,6 +1,7 @@
-/* A multi-rate schedule of co-simulation slaves as plain data. Python fills the structures, and
-   `core_run` executes them; cosim/freeflyer/master/native.py parses this header. The order of an
-   instant is that of `Master.run` in cosim/freeflyer/master/master.py. C allocates no memory. */
+/* A multi-rate schedule as plain data. A slave is a component that the master steps.
+   cosim/freeflyer/master/native.py parses this header and fills the structures. `core_run` executes
+   the schedule. The operations at an instant have the same order as in `Master.run` in
+   cosim/freeflyer/master/master.py. The C code allocates no memory. */
 #ifndef CORE_H
 #define CORE_H
 
@@ -19,19 +20,20 @@ typedef int Get3(void *instance, const uint32_t *reference, size_t references, d
 typedef int Step3(void *instance, double time, double size, bool no_state_set_before, bool *event,
                   bool *terminate, bool *early, double *reached);
 
-/* Operations of a slave, and of the master: LIMIT evaluates a limit that may be exceeded. */
+/* SET, STEP and GET are operations of a slave. LIMIT evaluates a limit that may be exceeded. */
 typedef enum { SET, STEP, GET, LIMIT } Operation;
 
-/* Callback for slaves that are not FMUs, and for limits. Returns 0, or another value to stop. */
+/* Callback for slaves that are not FMUs, and for limits. Any result except 0 stops the run. */
 typedef int Call(int index, Operation operation, double time, double size);
 
-/* Values of one call: one value reference per value in FMI 2.0, per variable in FMI 3.0. */
+/* Number of value references and number of values in one FMI call. FMI 2.0 has one value reference
+   per value. FMI 3.0 has one value reference per variable. */
 typedef struct {
     size_t references, values;
 } Batch;
 
 typedef struct {
-    int fmi; /* 2 or 3; 0: not an FMU, uses `call` */
+    int fmi; /* FMI version 2 or 3; 0: the slave is not an FMU, and `call` is used */
     void *instance;
     Set2 *set2;
     Get2 *get2;
@@ -39,13 +41,14 @@ typedef struct {
     Set3 *set3;
     Get3 *get3;
     Step3 *step3;
-    Batch inputs, used, outputs; /* `used`: the leading outputs that connections and limits need */
+    /* `used` is the first part of `outputs`. Connections and limits need only this part. */
+    Batch inputs, used, outputs;
     const uint32_t *input, *output;
     double *input_value, *output_value;
-    size_t wires; /* number of connected inputs: *target[i] = *source[i] */
+    size_t wires; /* number of connected input values; *target[i] = *source[i] */
     double *const *target;
     const double *const *source;
-    int64_t ratio, due; /* [ticks]: communication step, and instant of the next step */
+    int64_t ratio, due; /* [ticks]: communication step; instant of the next step */
     int64_t steps;
 } Slave;
 
@@ -58,21 +61,23 @@ typedef struct {
 
 typedef struct {
     Slave *slave;
-    int slaves, first; /* the `first` slaves step one after the other, the others after them */
+    /* `slaves` is the number of slaves. The slaves 0 to `first` - 1 step one after the other. The
+       remaining slaves step after these slaves. */
+    int slaves, first;
     Call *call;
-    size_t delays; /* number of delayed outputs: *before[i] = *now[i] at the start of an instant */
+    size_t delays; /* number of delayed outputs; at the start of an instant: *before[i] = *now[i] */
     double *const *before;
     const double *const *now;
     Limit *limit;
     int limits;
-    int64_t tick, ticks; /* length of a tick [ns], and their number in the run */
+    int64_t tick, ticks; /* length of a tick [ns]; number of ticks in the run */
     int64_t record_ratio;
-    size_t columns; /* of the record: row[i] = *recorded[i] */
+    size_t columns; /* number of columns of the record; row[i] = *recorded[i] */
     const double *const *recorded;
     double *row_time, *row;
     int64_t rows;
-    volatile int64_t at; /* the next instant; any thread may read it */
-    volatile int cancel; /* any thread may set it: the next instant is then the last */
+    volatile int64_t at; /* the next instant [ticks]; any thread may read `at` */
+    volatile int cancel; /* 1: the next instant is the last; any thread may write 1 */
     int index;           /* slave or limit that stopped the run */
     Operation operation;
     int status;
@@ -80,7 +85,7 @@ typedef struct {
 
 typedef enum { PAUSED, DONE, FAILED, LIMIT_EXCEEDED } End;
 
-/* FMI 3.0: the slave requested the end of the simulation. */
+/* Status of a step in which a slave of FMI 3.0 requested the end of the simulation. */
 enum { TERMINATE_REQUESTED = -1 };
 
 /* Run from instant `at` to the last instant before `until`, or to the end of the run. After FAILED

@@ -12,7 +12,7 @@ EXPORT End core_run(Core *core, int64_t until);
 
 static double seconds(int64_t time)
 {
-    return (double)time / 1e9; /* correctly rounded for `time` below 2^53 ns, 104 days */
+    return (double)time / 1e9; /* correctly rounded if `time` is below 2^53 ns (104 days) */
 }
 
 static int64_t least(int64_t a, int64_t b) { return a < b ? a : b; }
@@ -41,8 +41,10 @@ static bool step_fails(Core *core, int index, int64_t k)
     return false;
 }
 
-/* Outputs without a connection are read only where they are recorded. A slow slave is ahead of the
-   instant until its next step, so all its outputs are read while they belong to the instant. */
+/* Read the outputs of a slave. Outputs that no connection and no limit needs are read only if `all`
+   is true: at a recorded instant, or at the end of the run. A slave with a step of several ticks is
+   an exception. After the next step of this slave, its outputs belong to a later instant. Therefore
+   all outputs of this slave are read now. */
 static bool get_fails(Core *core, int index, bool all)
 {
     return fails(core, index, GET, get_outputs(core, index, all || core->slave[index].ratio > 1));
@@ -51,17 +53,19 @@ static bool get_fails(Core *core, int index, bool all)
 static bool maybe_exceeded(const Limit *limit)
 {
     double sum = 0.0;
-    bool within = true; /* NaN is not */
+    bool within = true; /* becomes false for NaN */
     for (size_t i = 0; i < limit->count; i++) {
         double x = limit->value[i];
         within = within && (limit->minimum ? x >= limit->bound : fabs(x) <= limit->bound);
         sum += x * x;
     }
-    /* Python may round the sum of squares differently: it decides the cases near the bound. */
+    /* Python may round the sum of squares differently. Therefore Python decides all cases in which
+       the sum is near the bound. */
     return !within || (limit->euclidean && !(sum <= limit->bound * limit->bound * (1.0 - 1e-12)));
 }
 
-/* Python decides, and counts how long a limit is exceeded. The call after that resets it. */
+/* Python decides whether a limit is exceeded, and counts how long the limit is exceeded. When the
+   limit is no longer exceeded, one more call of Python resets this count. */
 static bool limit_exceeded(Core *core)
 {
     for (int i = 0; i < core->limits; i++) {
@@ -85,7 +89,8 @@ static void record(Core *core, int64_t k)
     }
 }
 
-/* Read the outputs at instant k of the slaves whose outputs belong to the end of a step. */
+/* Read the outputs of the slaves whose step ends at instant k. Controllers are left out, because
+   they compute their outputs at the start of a step. */
 static bool settled_outputs_fail(Core *core, int64_t k, bool all)
 {
     for (int i = core->first; i < core->slaves; i++) {
@@ -96,7 +101,8 @@ static bool settled_outputs_fail(Core *core, int64_t k, bool all)
     return false;
 }
 
-/* Step the controllers one after the other; the next one uses the outputs of the same instant. */
+/* Step the controllers one after the other. Each controller uses the outputs that the controllers
+   before it have computed at the same instant. */
 static bool samples_fail(Core *core, int64_t k, bool all)
 {
     for (int i = 0; i < core->first; i++) {
@@ -112,7 +118,7 @@ static bool samples_fail(Core *core, int64_t k, bool all)
     return false;
 }
 
-/* Step all other slaves; all inputs are taken before the first of them steps. */
+/* Step all other slaves. The inputs of all these slaves are set before the first slave steps. */
 static bool steps_fail(Core *core, int64_t k)
 {
     for (int i = core->first; i < core->slaves; i++) {
@@ -131,7 +137,8 @@ static bool steps_fail(Core *core, int64_t k)
     return false;
 }
 
-/* At an end between two recorded instants, read the remaining outputs of the fast slaves. */
+/* Read all outputs of the slaves with a step of one tick. These outputs are needed if the run ends
+   between two recorded instants. */
 static bool reading_all_fails(Core *core)
 {
     for (int i = 0; i < core->slaves; i++) {

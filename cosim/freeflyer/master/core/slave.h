@@ -1,4 +1,5 @@
-/* Inputs, step and outputs of one slave. Functions return 0, or the status of a failure. */
+/* Functions that write inputs, make a step and read outputs of one slave. The result is 0, or the
+   status of a failure. */
 #ifndef SLAVE_H
 #define SLAVE_H
 
