@@ -13,7 +13,6 @@ STEP_ANNOTATION = "com.opensimulationplatform"
 SSP has no elements for communication steps. libcosim and ecos read these annotations.
 """
 FMU_TYPE = "application/x-fmu-sharedlibrary"
-<<<<<<< HEAD
 SETTINGS = (
     "title",
     "paper",
@@ -25,11 +24,7 @@ SETTINGS = (
     "observed_energy",
     "roles",
 )
-"""Scenario keys that describe the experiment, not the system; an annotation has them as TOML."""
-=======
-SETTINGS = ("title", "paper", "expect", "exchange", "record", "limits", "errors", "observed_energy")
 """Scenario keys that describe the experiment and not the system.
->>>>>>> read-2
 
 An annotation contains these keys as TOML.
 """
