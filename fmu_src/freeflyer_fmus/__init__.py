@@ -1,7 +1,7 @@
 """FMUs of the free-flyer: robot, equations, blocks, export.
 
-The public names are those in `__all__`. __init__.pyi declares them; they are loaded on first use.
-All modules are private and may move.
+The public names are listed in `__all__` and declared in __init__.pyi. A name is loaded when it is
+first used. All modules are private, so their paths may change.
 """
 
 import lazy_loader

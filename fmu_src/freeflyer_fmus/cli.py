@@ -37,36 +37,38 @@ class FmusCommand:
             help=f"a .urdf, a robot file .toml, or a shipped robot: {', '.join(shipped_robots())} (default: {DEFAULT_ROBOT.stem})",
         )
         parser.add_argument(
-            "--base-link", metavar="L", help="the floating base (default: the URDF's root)"
+            "--base-link",
+            metavar="L",
+            help="link of the floating base (default: the root of the URDF)",
         )
         parser.add_argument(
             "--end-effector",
             metavar="L",
-            help="the end-effector's link (default: the only last link)",
+            help="link of the end-effector (default: the only link without children)",
         )
         parser.add_argument(
             "--tool-link",
             metavar="L",
-            help="the link whose mass becomes an FMU parameter (default: none)",
+            help="link with mass and inertia that become FMU parameters (default: none)",
         )
         parser.add_argument(
             "--lock",
             action="append",
             default=[],
             metavar="JOINT=VALUE",
-            help="weld a joint [rad or m]; repeatable",
+            help="fix a joint at VALUE [rad or m]; can be given several times",
         )
         parser.add_argument(
             "--posture",
             nargs="+",
             metavar="JOINT=VALUE",
-            help="start posture: JOINT=VALUE each, or n numbers",
+            help="start posture: JOINT=VALUE for each free joint, or one number for each free joint",
         )
         parser.add_argument(
             "--block",
             type=Path,
             metavar="FILE.py",
-            help="a file that defines block(robot) -> Block",
+            help="Python file that defines the function block(robot) -> Block",
         )
         parser.add_argument(
             "--platforms",
@@ -99,11 +101,11 @@ class FmusCommand:
             difference = disagreement(robot)
             if not difference < AGREEMENT:
                 raise RobotError(
-                    f"robot {robot.name}: the generated forward dynamics differ from Pinocchio's by {difference:.1e}; less than "
+                    f"robot {robot.name}: the generated forward dynamics differ from Pinocchio's by {difference:.1e}, but less than "
                     f"{AGREEMENT:g} is expected: choose inertias that differ less in magnitude"
                 )
             console.print(
-                f"{robot.name}: {robot.joint_count} free joints; dynamics agree with Pinocchio's to {difference:.1e}"
+                f"{robot.name}: {robot.joint_count} free joints; dynamics agree with Pinocchio's (relative difference {difference:.1e})"
             )
         with console.status(
             f"compiling {len(blocks)} blocks for {', '.join(p.fmi3 for p in platforms) or 'no platform'}"
@@ -129,20 +131,23 @@ def chosen_platforms(text: str) -> tuple[list[Platform], bool]:
             chosen[name] = PLATFORMS[name]
         elif name != SOURCES:
             raise FmuSourceError(
-                f"--platforms {text}: {name!r} is none of {', '.join((*PLATFORMS, SOURCES))}, host, all"
+                f"--platforms {text}: {name!r} is not one of {', '.join((*PLATFORMS, SOURCES))}, host, all"
             )
     return list(chosen.values()), SOURCES in names or "all" in names
 
 
 def chosen_robot(arguments: argparse.Namespace) -> Robot:
-    """Load the robot of the command line; raise RobotError for options that do not apply."""
+    """Load the robot that the command line selects.
+
+    Raises RobotError if an option does not apply to this robot.
+    """
     lock = dict(assignment(text, "--lock") for text in arguments.lock)
     posture = posture_of(arguments.posture)
     given = [arguments.base_link, arguments.end_effector, arguments.tool_link, posture, *lock]
     if arguments.robot is None or arguments.robot.suffix == ".toml":
         if any(value is not None for value in given):
             raise RobotError(
-                "--base-link, --end-effector, --tool-link, --lock and --posture apply only to a URDF; give one with --robot"
+                "--base-link, --end-effector, --tool-link, --lock and --posture apply only to a URDF; name a URDF file with --robot"
             )
         return load_robot_file(arguments.robot) if arguments.robot else load_robot_file()
     return load_urdf(

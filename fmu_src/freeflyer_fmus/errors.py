@@ -1,4 +1,4 @@
-"""Errors between a URDF and an FMU; every message is one sentence for the user."""
+"""Errors in the steps from a URDF to an FMU. Every message is one sentence for the user."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ class FmuSourceError(Exception):
 
 
 class RobotError(FmuSourceError):
-    """A robot description that is malformed or physically impossible."""
+    """Raised if a robot description is malformed or physically impossible."""
 
 
 class BlockError(FmuSourceError):
-    """A block whose variables and equations are inconsistent."""
+    """Raised if the variables and equations of a block are inconsistent."""
 
 
 class BuildError(FmuSourceError):
-    """The C compiler or the packaging failed."""
+    """Raised if the C compiler or the packaging fails."""

@@ -1,8 +1,9 @@
-"""In-process block: a block's equations, evaluated in Python.
+"""In-process block: evaluates the equations of a block in Python.
 
-Sampling and integration are those of the C runtime.
-It omits the runtime's call-order checks and compensated summation. It needs no compiler, can be
-stepped in a debugger, and can replace an FMU in any scenario (`kind = "twin"`).
+Sampling and integration are the same as in the C runtime. Unlike the C runtime, the in-process
+block does not check the order of calls and does not use compensated summation. The in-process block
+needs no compiler. It can be stepped in a debugger, and it can replace an FMU in any scenario (`kind
+= "twin"`).
 """
 
 from __future__ import annotations
@@ -25,20 +26,20 @@ from freeflyer_fmus.robot.urdf import DEFAULT_ROBOT, load_robot_file, robot_path
 
 
 class InProcessError(Exception):
-    """A rejected value or a rejected step."""
+    """Raised if a value or a step is rejected."""
 
     left_validity = False
 
 
 class RequirementError(InProcessError):
-    """A violated requirement: the equations are no longer valid."""
+    """Raised if a requirement is violated. The equations are then no longer valid."""
 
     left_validity = True
 
 
 @dataclass(frozen=True, kw_only=True)
 class BlockPort:
-    """A block variable, in the interface that the master expects."""
+    """Variable of a block, with the interface that the master expects."""
 
     name: str
     size: int
@@ -94,7 +95,10 @@ def _causality(variable: Variable) -> str:
 
 
 class InProcessBlock:
-    """One instance of a block; `_vectors` holds parameters p, inputs u, states x and outputs y."""
+    """One instance of a block.
+
+    `_vectors` contains the parameters p, the inputs u, the states x and the outputs y.
+    """
 
     variable_step = True
 
@@ -124,9 +128,10 @@ class InProcessBlock:
         return self._vectors[variable.causality][first : first + variable.size]
 
     def set(self, name: str, value: object) -> None:
-        """Set a variable; only inputs and tunable parameters may change after initialisation.
+        """Set the value of a variable.
 
-        Raises InProcessError if a value is not finite.
+        After initialisation, only inputs and tunable parameters may be set. Raises InProcessError
+        if a value is not finite.
         """
         numbers = np.asarray(value, dtype=float)
         if not np.isfinite(numbers).all():
@@ -152,7 +157,7 @@ class InProcessBlock:
     def step(self, time: float, size: float) -> None:
         """Advance from `time` by `size` [s].
 
-        Raises InProcessError if a requirement is not met or if a sample lies inside the step.
+        Raises InProcessError if a requirement is violated, or if a sample is inside the step.
         """
         self._time = time
         if self.block.period is not None:
@@ -258,7 +263,7 @@ class InProcessBlock:
 
 
 class _Evaluator:
-    """A CasADi function called through its buffer interface, without conversions per call."""
+    """CasADi function with a call through its buffer interface, which needs no conversions."""
 
     def __init__(self, function: ca.Function) -> None:
         self._buffer, self._evaluate = cast(tuple[Any, Callable[[], None]], function.buffer())
@@ -290,9 +295,9 @@ def _views(
 def in_process_component(name: str, options: Mapping[str, Any], directory: Path) -> InProcessBlock:
     """Create an in-process block from a scenario's component table.
 
-    `options["block"]` is a shipped block or a FILE.py (default: the component's name).
-    `options["robot"]` is a shipped robot or the path of a robot file (default: the LWR 4+ with six
-    joints). Raises BlockError for an unknown option or block.
+    `options["block"]` is the name of a shipped block, or a FILE.py. The default is the component's
+    name. `options["robot"]` is the name of a shipped robot, or the path of a robot file. The
+    default is the LWR 4+ with six joints. Raises BlockError if an option or the block is unknown.
     """
     for key in options:
         if key not in ("block", "robot"):

@@ -108,9 +108,9 @@ def test_an_invalid_urdf_is_rejected(
         ((*GANTRY, "--posture", "slide_x=0"), "posture lacks the joints slide_y"),
         (
             (*GANTRY, "--tool-link", "antenna"),
-            "tool link 'antenna' must have an <inertial> and stand between",
+            "tool link 'antenna' must have an <inertial> and be between",
         ),
-        ((*GANTRY, "--platforms", "amiga"), "'amiga' is none of"),
+        ((*GANTRY, "--platforms", "amiga"), "'amiga' is not one of"),
         (("--end-effector", "antenna"), "not a serial chain: joint 'slide_x' moves a branch"),
         (
             ("--base-link", "palm", "--end-effector", "hand"),

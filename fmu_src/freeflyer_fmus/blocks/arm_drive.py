@@ -1,9 +1,9 @@
-"""The facility's arm with its drives and sensors: a rigid-body arm on a moving base in 1 g.
+"""The facility's arm with its drives and sensors: a rigid-body arm on a moving base, under gravity.
 
 The model includes friction, torque ripple, imperfect gravity compensation, noise and quantisation.
-It is a sampled block at the arm's cycle. Its outputs are the state at the present cycle, which
-results from the torque applied since the last cycle. The torque command is therefore a delayed
-input, as for a real arm.
+The block is sampled. Its period is the cycle of the arm. The outputs describe the state at the
+present cycle. This state results from the torque that was applied since the last cycle. Therefore
+the torque command is a delayed input, as for a real arm.
 """
 
 from __future__ import annotations
@@ -39,22 +39,22 @@ def arm_drive(robot: Robot) -> Block:
     )
     block = Block(
         "arm_drive",
-        "Torque-controlled arm on a moving base in 1 g, with friction, ripple, noise and quantisation",
+        "Torque-controlled arm on a moving base under gravity, with friction, ripple, noise and quantisation",
     )
-    # Model parameters. The paper gives no drive data: the defaults of the drives are assumptions.
+    # Model parameters. The paper gives no data of the drives. Their defaults are assumptions.
     # fmt: off
     T = block.sampled_every("period", 1e-3, "Cycle of the arm")
     mechanism = mass_parameters(block, robot)
     gravity, compensation = gravity_parameters(block)
     coulomb = block.parameter(
-        "coulomb_friction", [0.1] * n, torque_unit, "Coulomb friction left by the drive (assumed)", minimum=0.0
+        "coulomb_friction", [0.1] * n, torque_unit, "Coulomb friction that the drive does not compensate (assumed)", minimum=0.0
     )
     viscous = block.parameter(
-        "viscous_friction", [0.2] * n, "1", "Viscous friction left by the drive [SI] (assumed)", minimum=0.0
+        "viscous_friction", [0.2] * n, "1", "Viscous friction that the drive does not compensate [SI] (assumed)", minimum=0.0
     )
     ripple = block.parameter("torque_ripple", [0.05] * n, torque_unit, "Amplitude of the torque ripple (assumed)", minimum=0.0)
-    waves = block.parameter("ripple_periods", 160.0, "1", "Ripple periods per radian (the gear ratio; assumed)", minimum=0.0)
-    step = block.parameter("encoder_step", 1e-5, "rad", "Resolution of the position sensors (assumed; 0: exact)", minimum=0.0)
+    waves = block.parameter("ripple_periods", 160.0, "1", "Ripple periods per revolution of the joint (assumed; the gear ratio)", minimum=0.0)
+    step = block.parameter("encoder_step", 1e-5, "rad", "Resolution of the position sensors (assumed; 0: no quantisation)", minimum=0.0)
     speed_noise = block.parameter(
         "velocity_noise", 1e-4, "rad/s", "Standard deviation of measured speeds (assumed)", minimum=0.0
     )
@@ -62,13 +62,13 @@ def arm_drive(robot: Robot) -> Block:
     seed = block.parameter("seed", 1.0, "1", "Seed of the noise")
     limits = joint_limits(block, robot)
 
-    # Delayed inputs: command, brake and base motion since the last cycle.
+    # Delayed inputs: torque command, brake and base motion since the last cycle.
     command = block.input("joint_torque_command", np.zeros(n), torque_unit, "Commanded torque since the last cycle (delayed)")
     brake = block.input("brake", 0.0, "1", "Brakes since the last cycle: 0 released, 1 holding every joint (delayed)")
     R_b = block.input("base_orientation", IDENTITY, "1", "Orientation of the base robot at the last cycle (delayed)")
     v_b = block.input("base_velocity", np.zeros(6), TWIST, "Velocity of the base robot at the last cycle, in I (delayed)")
     a_b = block.input(
-        "base_acceleration", np.zeros(6), ACCELERATION, "Acceleration of the base robot since then, in I (delayed)"
+        "base_acceleration", np.zeros(6), ACCELERATION, "Acceleration of the base robot since the last cycle, in I (delayed)"
     )
     q = block.state("true_joint_position", robot.posture, rad, "True joint positions")
     qd = block.state("true_joint_velocity", np.zeros(n), rad_s, "True joint velocities")
@@ -82,7 +82,7 @@ def arm_drive(robot: Robot) -> Block:
     def link_torque(position: SX, speed: SX) -> SX:
         """Return the torque at the sensor behind the gear (n).
 
-        It is command plus modelled gravity torque plus ripple minus friction.
+        The torque is the command, plus the modelled gravity torque, plus ripple, minus friction.
         """
         friction = coulomb * ca.tanh(speed / SMOOTHING) + viscous * speed
         model = compensation * gravity_model(mechanism, R_b, position, gravity)
@@ -126,7 +126,7 @@ def arm_drive(robot: Robot) -> Block:
         "joint_torque",
         torque,
         torque_unit,
-        "Measured joint torques behind the gear, gravity included",
+        "Joint torques measured behind the gear; they include the gravity torque",
     )
     require_quaternions(block, {"base_orientation": R_b})
     block.terminal("arm", "joint_position", "joint_velocity", measured_joint_torque="joint_torque")

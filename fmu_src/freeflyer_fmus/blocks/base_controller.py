@@ -1,4 +1,4 @@
-"""Base controller at T_b: law (17) and the damper of the passivity controller, (25), (26)."""
+"""Base controller, sampled at T_b: law (17) and the passivity controller's damper, (25), (26)."""
 
 from __future__ import annotations
 
@@ -44,12 +44,14 @@ def base_controller(robot: Robot) -> Block:
     K_P, K_D = gains(block, BASE)
     K_Pm, K_Dm = gains(block, MANIPULATOR, "manipulator_")
     discretisation = block.choice("discretisation", Discretisation, Discretisation.emulated, "How the law is sampled")
-    bookkeeping = block.choice("bookkeeping", Bookkeeping, Bookkeeping.applied, "As in the manipulator's controller")
+    bookkeeping = block.choice(
+        "bookkeeping", Bookkeeping, Bookkeeping.applied, "How the observers count energy (must be the same as in the manipulator controller)"
+    )
     share = block.parameter(
-        "damper_bound", 0.5, "1", "c in beta <= c M~ / T_b - K_D (0: no bound), as applied", tunable=True, minimum=0.0
+        "damper_bound", 0.5, "1", "c in beta <= c M~ / T_b - K_D (0: no bound; used only with bookkeeping applied)", tunable=True, minimum=0.0
     )
     least_sigma = block.parameter(
-        "singularity_threshold", SINGULARITY_THRESHOLD, "1", "Least singular value of J_m allowed", tunable=True, minimum=0.0
+        "singularity_threshold", SINGULARITY_THRESHOLD, "1", "Smallest allowed singular value of J_m", tunable=True, minimum=0.0
     )
     p_bd = block.parameter("position_setpoint", np.zeros(3), "m", "x_bd: base position to hold, in I", tunable=True)
     R_bd = block.parameter(
@@ -64,7 +66,7 @@ def base_controller(robot: Robot) -> Block:
     beta_b = block.input("base_damping", np.zeros(6), DAMPING, "beta_b from the passivity observer")
     # fmt: on
 
-    # M~ of B in I: the base inertia without a wrench at the end-effector.
+    # M~ in I: the inertia at B if no wrench acts at the end-effector.
     M = (
         articulated_base_inertia(mechanism, state.q)
         .rotated(rotation.matrix(state.orientation))
@@ -72,20 +74,23 @@ def base_controller(robot: Robot) -> Block:
     )
     is_matched = discretisation == int(Discretisation.matched)
 
-    # Eq. (17) without its last term.
+    # Eq. (17) without its last term, J_b^T F'_m.
     star = feed_forward(mechanism, state, v_d, a_d)
     v_b = ca.vertcat(state.v, state.w)
     dx_b = pose_error(p_b, state.orientation, p_bd, R_bd)
     held_law = mean_wrench(M, ca.diag(K_P), ca.diag(K_D), T_b, -K_P * dx_b, v_b)
     F_b = star.F_b + ca.if_else(is_matched, held_law, spring_damper(K_P, K_D, dx_b, v_b))
-    # J_b^T F'_m. The matched law uses the mean of the end-effector's spring and damper over T_b.
+    # Last term of (17), J_b^T F'_m. The matched law uses the wrench of the end-effector's spring
+    # and damper, averaged over T_b.
     dv_m = end_effector_velocity(mechanism, state) - v_d
     spring_m = F_m - star.F_m + K_Dm * dv_m
     M_e = articulated_end_effector_inertia(mechanism, state)
     mean_m = mean_wrench(M_e, ca.diag(K_Pm), ca.diag(K_Dm), T_b, spring_m, dv_m)
     Jb_F = base_jacobian_transposed_times(star.p_be, ca.if_else(is_matched, star.F_m + mean_m, F_m))
-    # Eq. (25) with beta_b for the printed beta_m, and (26). The bound keeps the held damper from
-    # generating energy. `as_printed` credits the damper in full, so there it must not be bounded.
+    # Eqs. (25) and (26). The paper prints beta_m in (25). The code uses beta_b. With bookkeeping
+    # `applied`, an upper bound of beta prevents the held damper from generating energy. With
+    # bookkeeping `as_printed`, the observer counts the energy of the damper without this bound.
+    # Therefore beta must not be bounded with `as_printed`.
     is_bounded = ca.logic_and(bookkeeping == int(Bookkeeping.applied), share > 0)
     own_damping = ca.if_else(is_matched, sampled_damping(ca.diag(M), K_P, K_D, T_b), K_D)
     beta = ca.if_else(
@@ -98,7 +103,7 @@ def base_controller(robot: Robot) -> Block:
         "base_wrench",
         wrench,
         WRENCH,
-        "F'_b: total wrench on the base, passivity controller included, in I",
+        "F'_b: total wrench on the base, including the passivity controller, in I",
     )
     at_port = wrench - base_jacobian_transposed_times(star.p_be, F_m)
     # fmt: off

@@ -1,8 +1,9 @@
 """The facility's base robot: a position-controlled industrial robot that follows set points.
 
-It follows a set point with a delay of some cycles, as a critically damped second-order system of a
-given bandwidth, within limits of speed and acceleration. It is a sampled block. Its outputs are the
-motion at the sample and the acceleration until the next sample.
+The robot follows a set point after a delay of some cycles. It responds as a critically damped
+second-order system with a given bandwidth. Speed and acceleration are limited. The block is
+sampled. Its outputs are the motion at the sample and the constant acceleration until the next
+sample.
 """
 
 from __future__ import annotations
@@ -25,18 +26,19 @@ def base_robot(robot: Robot) -> Block:
         "base_robot",
         "Position-controlled robot: delay, tracking bandwidth, limits of speed and acceleration",
     )
-    # Parameters. The paper gives no robot data: all marked defaults are assumptions.
+    # Parameters. The paper gives no data of the base robot. The defaults marked "assumed" are
+    # assumptions.
     # fmt: off
-    T = block.sampled_every("period", 1e-3, "Servo period; also the output period of the motion")
-    cycle = block.parameter("cycle", 0.004, "s", "Cycle in which set points are accepted", above=0.0)
-    delay = block.parameter("delay_cycles", 2.0, "1", f"Pure delay in cycles, 0 to {LONGEST_DELAY - 1} (assumed)", minimum=0.0)
+    T = block.sampled_every("period", 1e-3, "Period of the servo loop and of the motion outputs")
+    cycle = block.parameter("cycle", 0.004, "s", "Period at which set points are accepted", above=0.0)
+    delay = block.parameter("delay_cycles", 2.0, "1", f"Delay of the set points in cycles, 0 to {LONGEST_DELAY - 1} (assumed)", minimum=0.0)
     block.require(
         LONGEST_DELAY - 1 - delay,
         0.0,
         "free space in the delay buffer (parameter delay_cycles)",
         f"choose at most {LONGEST_DELAY - 1} cycles",
     )
-    bandwidth = block.parameter("bandwidth", 10.0, "Hz", "Natural frequency of the tracking (assumed)", above=0.0)
+    bandwidth = block.parameter("bandwidth", 10.0, "Hz", "Natural frequency of the tracking response (assumed)", above=0.0)
     v_max = block.parameter("velocity_limit", [1.5, 2.0], ("m/s", "rad/s"), "Largest speeds (assumed)", above=0.0)
     a_max = block.parameter(
         "acceleration_limit", [10.0, 20.0], ("m/s2", "rad/s2"), "Largest accelerations (assumed)", above=0.0
@@ -77,8 +79,8 @@ def base_robot(robot: Robot) -> Block:
     block.initial("true_orientation", rotation.normalised(R))
     block.initial("random", noise.first_state(seed))
 
-    # Motion to this sample at the last acceleration: exact for the translation; the rotation uses
-    # the mean angular velocity of the interval.
+    # Motion until this sample with the last acceleration. The translation is exact. The rotation
+    # uses the mean angular velocity of the interval.
     h = T * begun
     p_now = p + h * v[:3] + 0.5 * h**2 * a[:3]
     rotation_vector = h * v[3:] + 0.5 * h**2 * a[3:]
@@ -96,7 +98,7 @@ def base_robot(robot: Robot) -> Block:
     for k, old in enumerate(moved):
         target += ca.if_else(ca.floor(delay + 0.5) == k, old, SX.zeros(entry))
 
-    # Tracking law, limited in acceleration.
+    # Tracking law with limited acceleration.
     omega = 2.0 * ca.pi * bandwidth
     error = ca.vertcat(target[:3] - p_now, rotation.error(target[3:7], R_now))
     wanted = omega**2 * error + 2.0 * omega * (target[7:] - v_now)
@@ -132,6 +134,6 @@ def base_robot(robot: Robot) -> Block:
 
 
 def _limited(vector: SX, most: SX) -> SX:
-    """Return the vector, shortened to the length `most` if it is longer."""
+    """Return `vector`. If its length is greater than `most`, scale it to the length `most`."""
     length = ca.sqrt(ca.sumsqr(vector) + 1e-300)
     return vector * ca.fmin(1.0, most / length)

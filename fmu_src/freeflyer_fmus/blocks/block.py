@@ -1,9 +1,9 @@
 """Block: declared variables and equations of one FMU.
 
 The C code, both modelDescription.xml files, the documentation and the in-process block are derived
-from it. A continuous block has derivatives, and outputs that are valid at the end of a
-communication step. A sampled block has a `period`; it reads its inputs at the start of a step if a
-sample is due, and holds its outputs.
+from the block. A continuous block has derivatives. Its outputs are valid at the end of a
+communication step. A sampled block has a `period`. If a sample is due, the sampled block reads its
+inputs at the start of the communication step. It holds its outputs until the next sample.
 """
 
 from __future__ import annotations
@@ -32,7 +32,10 @@ ACCELERATION: Units = ("m/s2",) * 3 + ("rad/s2",) * 3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Variable:
-    """A scalar (`size` 1, `is_array` False) or an array (n); `units` has one entry per element."""
+    """Variable of a block: a scalar (`size` 1, `is_array` False) or an array of `size` elements.
+
+    `units` has one entry per element.
+    """
 
     name: str
     size: int
@@ -59,9 +62,10 @@ class Variable:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Requirement:
-    """The condition `value >= minimum` (`>` if strict).
+    """Condition `value >= minimum`, or `value > minimum` if `strict` is True.
 
-    If it is violated, the FMU returns an error with `subject`, value and `remedy`.
+    If the condition is violated, the FMU returns an error. The error message contains `subject`,
+    the value and `remedy`.
     """
 
     value: SX
@@ -73,10 +77,11 @@ class Requirement:
 
 
 class Block:
-    """Declarations of variables, which return symbols, and equations in these symbols.
+    """Variables and equations of one FMU.
 
-    All derived functions have the arguments (t, p, u, x): time [s], then parameters, inputs and
-    states as one flat vector each.
+    Each declaration of a variable returns a symbol. The equations are expressions in these symbols.
+    All derived functions have the arguments (t, p, u, x). t is the time [s]. p, u and x are flat
+    vectors of all parameters, inputs and states.
     """
 
     def __init__(self, name: str, description: str) -> None:
@@ -110,9 +115,10 @@ class Block:
         minimum: float | None = None,
         above: float | None = None,
     ) -> SX:
-        """Declare a parameter; `minimum` is its smallest allowed value, `above` an exclusive bound.
+        """Declare a parameter.
 
-        Raises BlockError if the start value violates the bound.
+        `minimum` is the smallest allowed value. `above` is an exclusive lower bound. Raises
+        BlockError if the start value violates the bound.
         """
         symbol = self._declare(name, "parameter", start, unit, description, tunable=tunable)
         bound = minimum if minimum is not None else above
@@ -143,7 +149,10 @@ class Block:
         *,
         tunable: bool = True,
     ) -> SX:
-        """Declare a parameter of FMI type Enumeration; its options must be numbered from 1."""
+        """Declare a parameter of FMI type Enumeration.
+
+        Raises BlockError if the options are not numbered from 1.
+        """
         choices = tuple(option.name for option in options)
         if [int(option) for option in options] != list(range(1, len(choices) + 1)):
             raise BlockError(f"block {self.name}: the options of {name!r} must be numbered from 1")
@@ -165,7 +174,11 @@ class Block:
         )
 
     def input(self, name: str, start: object, unit: str | Units, description: str) -> SX:
-        """Declare an input; a scalar `start` declares a scalar, a sequence an array."""
+        """Declare an input.
+
+        The input is a scalar if `start` is a scalar. The input is an array if `start` is a
+        sequence.
+        """
         return self._declare(name, "input", start, unit, description)
 
     def state(
@@ -178,10 +191,11 @@ class Block:
         local: bool = False,
         nominal: float = 1.0,
     ) -> SX:
-        """Declare a state, visible as an output (or local variable) of the same name.
+        """Declare a state.
 
-        Its start value can be set. `nominal` is its typical magnitude, by which solvers scale their
-        tolerances.
+        The FMU has an output of the same name, or a local variable if `local` is True. The start
+        value of the state can be set. `nominal` is the typical magnitude of the state. Solvers
+        scale their tolerances by `nominal`.
         """
         if not 0.0 < nominal < float("inf"):
             raise BlockError(
@@ -190,20 +204,21 @@ class Block:
         return self._declare(name, "state", start, unit, description, local=local, nominal=nominal)
 
     def sampled_every(self, name: str, start: float, description: str) -> SX:
-        """Make the block a sampled block; the fixed parameter `name` is its period [s]."""
+        """Make the block a sampled block. The fixed parameter `name` is the period [s]."""
         if self.period is not None:
             raise BlockError(
-                f"block {self.name}: it is already sampled at {self.period!r}; a second period {name!r} is not possible"
+                f"block {self.name}: the block already has the period {self.period!r}; a second period {name!r} is not possible"
             )
         self.period = name
         self.default_step = start
         return self.parameter(name, start, "s", description, above=0.0)
 
     def terminal(self, name: str, *variables: str, **members: str) -> None:
-        """Declare a terminal: inputs and outputs that are connected as a group.
+        """Declare a terminal: a group of inputs and outputs that are connected together.
 
-        Connecting two terminals connects the members of the same name, output to input. A member
-        has the name of its variable, or another one if it is given as MEMBER = variable.
+        A connection of two terminals connects the members of the same name, from output to input.
+        A member in `variables` has the name of its variable. A member in `members` is given as
+        MEMBER = variable, and its name is MEMBER.
         """
         group = {variable: variable for variable in variables} | members
         for variable in group.values():
@@ -216,21 +231,27 @@ class Block:
     # Equations
 
     def initial(self, state: str, value: SX) -> None:
-        """Set a state's value after initialisation, from parameters and its own start value."""
+        """Set the value of a state after initialisation.
+
+        The value is an expression of parameters and start values.
+        """
         self._assign(self._initial, state, value)
 
     def derivative(self, state: str, value: SX) -> None:
-        """Set dx/dt of a continuous block's state."""
+        """Set dx/dt of a state in a continuous block."""
         self._kinds.add("derivative")
         self._assign(self._next, state, value)
 
     def update(self, state: str, value: SX) -> None:
-        """Set x(k) of a sampled block's state, from x(k-1) and the inputs of sample k."""
+        """Set the value x(k) of a state in a sampled block.
+
+        The value is an expression of x(k-1) and of the inputs at sample k.
+        """
         self._kinds.add("update")
         self._assign(self._next, state, value)
 
     def output(self, name: str, value: SX, unit: str | Units, description: str) -> None:
-        """Declare an output and its equation; its size is that of `value`."""
+        """Declare an output and its equation. The output has the size of `value`."""
         value = SX(value)
         self._declare(
             name, "output", np.zeros(value.numel()), unit, description, is_array=value.numel() > 1
@@ -247,10 +268,11 @@ class Block:
         strict: bool = False,
         initially: bool = False,
     ) -> None:
-        """Add a requirement, checked at every sample or step.
+        """Add a requirement.
 
-        A requirement on parameters alone, or one marked `initially`, is checked at initialisation
-        and after a change of parameters.
+        The requirement is checked at every sample or step. If the requirement depends only on
+        parameters, or if `initially` is True, the requirement is checked only at initialisation and
+        after a change of parameters.
         """
         self.requirements.append(
             Requirement(
@@ -286,7 +308,7 @@ class Block:
 
     @cached_property
     def static_requirements(self) -> list[Requirement]:
-        """Requirements on parameters alone or on start values."""
+        """Requirements that depend only on parameters, and requirements on start values."""
         others = ca.vertcat(self.time, *self.arguments[2:])
         return [
             r
@@ -308,7 +330,7 @@ class Block:
         A margin is the pair (value, minimum) of a requirement.
         Raises BlockError if equations are missing or inconsistent.
         """
-        # Completeness: one equation for each state, of the kind of the block.
+        # Check that each state has an equation, and that all equations are of the right kind.
         names = [variable.name for variable in self.having("state")]
         missing = [name for name in names if name not in self._next]
         if missing:
@@ -320,7 +342,7 @@ class Block:
         if not self._outputs and not names:
             raise BlockError(f"block {self.name}: it has neither outputs nor states")
         self._check_symbols()
-        # The functions, with shared subexpressions.
+        # Make the functions. They share common subexpressions.
         initial = ca.vertcat(*(self._initial.get(name, self.symbols[name]) for name in names))
         rates = ca.vertcat(*(self._next[name] for name in names))
         outputs = ca.vertcat(*self._outputs.values())
@@ -338,10 +360,10 @@ class Block:
 
     @cached_property
     def linked(self) -> int:
-        """Number of leading output elements up to the last one in a terminal (continuous blocks).
+        """Number of output elements up to the last element that is in a terminal.
 
-        Terminal outputs are usually connected. The FMU computes them without the others if only
-        they are read.
+        The number is 0 for a sampled block. Outputs in terminals are usually connected. If a master
+        reads only these elements, the FMU does not compute the other outputs.
         """
         members = {variable for group in self.terminals.values() for variable in group.values()}
         ends = [
@@ -353,13 +375,13 @@ class Block:
 
     @cached_property
     def linked_outputs(self) -> ca.Function:
-        """Function (t, p, u, x) -> linked outputs, margins, of a continuous block."""
+        """Function (t, p, u, x) -> linked outputs, margins. Only continuous blocks have it."""
         outputs, margins = self.functions["outputs"].call(self.arguments)
         return self._function("linked_outputs", [outputs[: self.linked], margins])
 
     @cached_property
     def sensitivities(self) -> dict[str, ca.Function]:
-        """Directional derivatives of every function but `check`, without margins.
+        """Directional derivatives of every function except `check`. Margins are left out.
 
         `forward_NAME`: (t, p, u, x, seed of the arguments) -> derivatives of the results.
         `reverse_NAME`: (t, p, u, x, seed of the results) -> derivatives by the arguments.
@@ -383,7 +405,7 @@ class Block:
     def dependencies(self) -> dict[str, list[str]]:
         """Direct dependencies of every output and derivative element, at the same instant.
 
-        They are elements of inputs and continuous states, and `time`.
+        A dependency is an element of an input or of a continuous state, or `time`.
         """
         knowns = ["time", *self._elements("input")]
         given = ca.vertcat(self.time, self._symbols("input"))
@@ -396,7 +418,7 @@ class Block:
     def initial_dependencies(self) -> dict[str, list[str]]:
         """Dependencies at the end of initialisation.
 
-        The states then depend on parameters, inputs and start values.
+        At the end of initialisation, the states depend on parameters, inputs and start values.
         """
         knowns = [
             "time",
@@ -425,10 +447,11 @@ class Block:
         return [name for variable in self.having(*causalities) for name in variable.element_names]
 
     def _unknowns(self) -> dict[str, SX]:
-        """Return the expressions of all output and state elements, and `der(...)` of the states."""
+        """Return the expressions of all outputs, states and derivatives `der(...)`, by element."""
         found: dict[str, SX] = {}
         for variable in self.having("output", "state"):
-            # A sampled state's visible value is the updated one, which depends on the inputs.
+            # The visible value of a sampled state is its updated value, which depends on the
+            # inputs.
             expression = self._outputs.get(variable.name)
             if expression is None:
                 expression = (
@@ -453,9 +476,10 @@ class Block:
         return {name: sorted(found, key=knowns.index) for name, found in result.items()}
 
     def has_start(self, variable: Variable) -> bool:
-        """Return whether a start value can be set.
+        """Return whether the start value of `variable` can be set.
 
-        Outputs have none, nor have states whose initial value is computed from other values.
+        The start value of an output cannot be set. The start value of a state cannot be set if the
+        initial value of this state is computed only from other values.
         """
         if variable.causality == "output":
             return False
@@ -474,7 +498,7 @@ class Block:
         return np.concatenate(parts) if parts else np.zeros(0)
 
     def offset(self, name: str) -> int:
-        """Return the index of the variable's first element among those of its causality."""
+        """Return the index of the variable's first element in the flat vector of its causality."""
         position = 0
         for variable in self.having(self.variables[name].causality):
             if variable.name == name:
@@ -495,7 +519,7 @@ class Block:
         is_array: bool | None = None,
         **more: object,
     ) -> SX:
-        # The name becomes a C identifier, and the description one line of XML and Markdown.
+        # The name becomes a C identifier. The description becomes one line of XML and of Markdown.
         if name in self.variables or name == "time" or not (name.isidentifier() and name.isascii()):
             raise BlockError(
                 f"block {self.name}: {name!r} is not an identifier, is declared twice, or is the reserved name 'time'"
@@ -504,7 +528,7 @@ class Block:
             raise BlockError(
                 f"block {self.name}: the description of {name!r} must be one line of printable text"
             )
-        # Size and array property follow from the start value.
+        # The start value determines the size, and whether the variable is an array.
         values = np.atleast_1d(np.asarray(start, dtype=np.float64)).ravel()
         array = np.ndim(np.asarray(start)) > 0 if is_array is None else is_array
         units = (unit,) * values.size if isinstance(unit, str) else tuple(unit)
@@ -533,7 +557,7 @@ class Block:
     def _assign(self, into: dict[str, SX], name: str, value: SX) -> None:
         if name not in self.variables or self.variables[name].size != value.numel() or name in into:
             raise BlockError(
-                f"block {self.name}: equation for {name!r}: undeclared, assigned twice, or of the wrong size"
+                f"block {self.name}: the equation for {name!r} is not valid: the variable is undeclared, has another equation, or has another size"
             )
         into[name] = ca.densify(ca.reshape(SX(value), -1, 1))
 

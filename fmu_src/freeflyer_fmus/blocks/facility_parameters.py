@@ -1,4 +1,4 @@
-"""Gravity and its model, shared by the facility's blocks. All defaults are assumptions."""
+"""Gravity and the gravity model in the facility's blocks. All defaults are assumptions."""
 
 from __future__ import annotations
 
@@ -12,19 +12,23 @@ SX = ca.SX
 
 
 def gravity_parameters(block: Block) -> tuple[SX, SX]:
-    """Declare gravity (3) [m/s2] in I and the ratio of modelled to true gravity torque."""
+    """Declare gravity (3) [m/s2] in I, and the ratio of the modelled to the true gravity torque."""
     return (
         block.parameter("gravity", [0.0, 0.0, -9.81], "m/s2", "Gravity in the laboratory, in I"),
         block.parameter(
-            "gravity_model_factor", 0.99, "1", "Modelled over true gravity torque (assumed)"
+            "gravity_model_factor",
+            0.99,
+            "1",
+            "Ratio of the modelled to the true gravity torque (assumed)",
         ),
     )
 
 
 def gravity_model(mechanism: Mechanism, orientation: SX, q: SX, gravity: SX) -> SX:
-    """Return the joint torques (n) that hold the arm at rest under gravity (3), in I.
+    """Return the joint torques (n) that hold the arm at rest under gravity.
 
-    They follow from inverse dynamics with the base accelerated against gravity.
+    `gravity` (3) is in I. The torques result from inverse dynamics with the base acceleration
+    -`gravity`.
     """
     rest = State(orientation, SX(3, 1), SX(3, 1), q, SX(q.numel(), 1))
     accelerated = ca.vertcat(-gravity, SX(3 + q.numel(), 1))

@@ -27,7 +27,7 @@ def free_flyer(robot: Robot) -> Block:
     mechanism = mass_parameters(block, robot)
     # Inputs.
     base_wrench = block.input("base_wrench", np.zeros(6), WRENCH, "F_b: force on the base and torque about B, in I")
-    torque = block.input("joint_torque", np.zeros(n), joint_units(robot, "N.m", "N"), "tau: joint torques (forces)")
+    torque = block.input("joint_torque", np.zeros(n), joint_units(robot, "N.m", "N"), "tau: joint torques (forces for prismatic joints)")
 
     # States.
     position = block.state("base_position", np.zeros(3), "m", "Position of B in I")

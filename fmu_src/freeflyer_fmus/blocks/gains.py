@@ -1,4 +1,4 @@
-"""Gains of the two control laws. The paper gives none: the defaults are this project's."""
+"""Gains of the two control laws. The paper gives no gains. The defaults are assumptions."""
 
 from __future__ import annotations
 
@@ -48,12 +48,15 @@ def gains(block: Block, default: tuple[list[float], list[float]], prefix: str = 
 
 
 def null_space_damping(block: Block, robot: Robot) -> SX:
-    """Declare the null-space damping of a redundant manipulator; an empty vector for six joints."""
+    """Declare the null-space damping (n) of a redundant manipulator.
+
+    For six joints, nothing is declared and the result is an empty vector.
+    """
     if robot.joint_count == 6:
         return SX(0, 1)
     units = joint_units(robot, "N.m.s/rad", "N.s/m")
     description = (
-        "Joint damping in the null space of J_m (extension: more joints than the paper's six)"
+        "Joint damping in the null space of J_m (extension of the paper to more than six joints)"
     )
     return block.parameter(
         "null_space_damping",
@@ -66,13 +69,14 @@ def null_space_damping(block: Block, robot: Robot) -> SX:
 
 
 def null_space_spring(block: Block, robot: Robot) -> tuple[SX, SX]:
-    """Declare stiffness and posture of the null-space spring, n each (empty for six joints)."""
+    """Declare the stiffness (n) and the rest posture (n) of the null-space spring.
+
+    For six joints, nothing is declared and the results are empty vectors.
+    """
     if robot.joint_count == 6:
         return SX(0, 1), SX(0, 1)
     units, zero = joint_units(robot, "N.m/rad", "N/m"), [0.0] * robot.joint_count
-    stiffness = (
-        "Joint stiffness in the null space of J_m (extension); 0: none, and V of (10) decreases"
-    )
+    stiffness = "Joint stiffness in the null space of J_m (extension of the paper; with 0 there is no spring and V of (10) decreases)"
     return (
         block.parameter("null_space_stiffness", zero, units, stiffness, tunable=True, minimum=0.0),
         block.parameter(

@@ -1,4 +1,4 @@
-"""Pose and velocity of the end-effector, computed from the measured base and joints.
+"""Pose and velocity of the end-effector, computed from the measured motion of base and joints.
 
 The facility has no direct measurement of the end-effector.
 """
@@ -16,8 +16,11 @@ from freeflyer_fmus.robot.robot import Robot
 
 
 def hand_kinematics(robot: Robot) -> Block:
-    block = Block("hand_kinematics", "End-effector pose and velocity from measured base and joints")
-    block.sampled_every("period", 1e-3, "Sampling time: that of the arm")
+    block = Block(
+        "hand_kinematics",
+        "End-effector pose and velocity from the measured motion of base and joints",
+    )
+    block.sampled_every("period", 1e-3, "Sampling time, equal to the cycle of the arm")
     p_b = block.input("base_position", np.zeros(3), "m", "Measured position of B in I")
     state = measured_state(block, robot)
     mechanism = constant_mechanism(robot)

@@ -1,4 +1,4 @@
-"""Manipulator controller at T_m: law (16), both passivity observers and dampers, (20)-(24)."""
+"""Manipulator controller, sampled at T_m: law (16), passivity observers and dampers, (20)-(24)."""
 
 from __future__ import annotations
 
@@ -57,17 +57,19 @@ def manipulator_controller(robot: Robot) -> Block:
     K_P, K_D = gains(block, MANIPULATOR)
     discretisation = block.choice("discretisation", Discretisation, Discretisation.emulated, "How the law is sampled")
     observer = block.choice("observer", Observer, Observer.port, "Power that the passivity observers integrate")
-    bookkeeping = block.choice("bookkeeping", Bookkeeping, Bookkeeping.applied, "How the observers book energy")
-    arm_on = block.switch("manipulator_passivity_control", True, "Passivity controller of port M on")
-    base_on = block.switch("base_passivity_control", True, "Passivity controller of port B on")
+    bookkeeping = block.choice(
+        "bookkeeping", Bookkeeping, Bookkeeping.applied, "How the observers count energy (must be the same as in the base controller)"
+    )
+    arm_on = block.switch("manipulator_passivity_control", True, "Switch on the passivity controller of port M")
+    base_on = block.switch("base_passivity_control", True, "Switch on the passivity controller of port B")
     E_m0 = block.parameter("manipulator_initial_energy", [0.05] * 6, "J", "E_m(0) per degree of freedom (assumed)", minimum=0.0)
     E_b0 = block.parameter("base_initial_energy", [0.0] * 6, "J", "E_b(0) per degree of freedom (assumed)", minimum=0.0)
     floor = block.parameter("velocity_floor", 1e-8, "1", "Lower bound of v^2 T in beta of (24) [SI]", tunable=True, above=0.0)
     share = block.parameter(
-        "damper_bound", 0.5, "1", "c in beta <= c M~ / T - K_D (0: no bound), as applied", tunable=True, minimum=0.0
+        "damper_bound", 0.5, "1", "c in beta <= c M~ / T - K_D (0: no bound; used only with bookkeeping applied)", tunable=True, minimum=0.0
     )
     least_sigma = block.parameter(
-        "singularity_threshold", SINGULARITY_THRESHOLD, "1", "Least singular value of J_m allowed", tunable=True, minimum=0.0
+        "singularity_threshold", SINGULARITY_THRESHOLD, "1", "Smallest allowed singular value of J_m", tunable=True, minimum=0.0
     )
     null_damping = null_space_damping(block, robot)
     null_stiffness, null_posture = null_space_spring(block, robot)
@@ -84,14 +86,15 @@ def manipulator_controller(robot: Robot) -> Block:
     p_d = block.input("desired_position", p_start, "m", "Desired position of E in I")
     R_d = block.input("desired_orientation", R_start, "1", "Desired orientation of E in I, quaternion x, y, z, w")
     v_d, a_d = desired_motion(block)
-    # Delayed inputs: wrenches applied since the previous sample. They do not affect the step order.
+    # Delayed inputs: wrenches that were applied since the previous sample. Delayed inputs do not
+    # affect the order in which the components are stepped.
     F_b_applied = block.input("applied_base_wrench", np.zeros(6), WRENCH, "F'_b that acted since the previous sample (delayed)")
-    F_B_held = block.input("held_port_wrench", np.zeros(6), WRENCH, "F'_B(k_b) held since the base's sample (delayed)")
-    F_pcb_held = block.input("base_passivity_wrench", np.zeros(6), WRENCH, "F_pcb of the base's passivity controller (delayed)")
+    F_B_held = block.input("held_port_wrench", np.zeros(6), WRENCH, "F'_B(k_b): held since the last sample of the base controller (delayed)")
+    F_pcb_held = block.input("base_passivity_wrench", np.zeros(6), WRENCH, "F_pcb: wrench of the base's passivity controller (delayed)")
 
     # States: observed energies, damping, and the previous sample's values.
-    E_m = block.state("manipulator_observed_energy", np.zeros(6), "J", "E_obs,m + E_m(0): passive while not negative")
-    E_b = block.state("base_observed_energy", np.zeros(6), "J", "E_obs,b + E_b(0): passive while not negative")
+    E_m = block.state("manipulator_observed_energy", np.zeros(6), "J", "E_obs,m + E_m(0): port M is passive while this is not negative")
+    E_b = block.state("base_observed_energy", np.zeros(6), "J", "E_obs,b + E_b(0): port B is passive while this is not negative")
     block.initial("manipulator_observed_energy", E_m0)
     block.initial("base_observed_energy", E_b0)
     beta_m_1 = block.state("end_effector_damping", np.zeros(6), DAMPING, "beta_m: damper of port M")
@@ -102,13 +105,14 @@ def manipulator_controller(robot: Robot) -> Block:
 
     def previous(name: str, unit: tuple[str, ...]) -> SX:
         return block.state(
-            f"previous_{name}", np.zeros(6), unit, f"Sample k-1 of {name}", local=True
+            f"previous_{name}", np.zeros(6), unit, f"Value of {name} at sample k-1", local=True
         )
 
     u_m_1, u_b_1 = previous("manipulator_port_velocity", TWIST), previous("base_velocity", TWIST)
     S_m_1, S_b_1 = previous("manipulator_port_wrench", WRENCH), previous("base_port_share", WRENCH)
 
-    # Before the first sample no wrench has been applied: the delayed inputs are not booked then.
+    # No wrench is applied before the first sample. Therefore the observers ignore the delayed
+    # inputs at the first sample.
     begun = block.state("begun", 0.0, "1", "1 after the first sample", local=True)
 
     # Eq. (16).
@@ -119,11 +123,12 @@ def manipulator_controller(robot: Robot) -> Block:
     held_law = mean_wrench(M_e, ca.diag(K_P), ca.diag(K_D), T_m, -K_P * dx_m, v_m - v_d)
     F_m = star.F_m + ca.if_else(is_matched, held_law, spring_damper(K_P, K_D, dx_m, v_m - v_d))
 
-    # Port M: the velocity and the part of F_m that the observer integrates.
+    # Port M: `u_m` is the velocity that the observer uses. `excluded_m` is the part of F_m that the
+    # observer does not count.
     tracking = observer == int(Observer.tracking)
     u_m = v_m - ca.if_else(tracking, v_d, 0)
     excluded_m = ca.if_else(tracking, star.F_m, 0)
-    # Eq. (20), sign corrected, in the chosen bookkeeping.
+    # Eq. (20) with corrected sign, in the chosen bookkeeping.
     E_m = passivity.choose(
         bookkeeping,
         {
@@ -146,8 +151,8 @@ def manipulator_controller(robot: Robot) -> Block:
     F_pcm = -beta_m * u_m
     F_m_total = F_m + F_pcm
 
-    # Port B: the part of its wrench that is computed here, at T_m. The base controller's part comes
-    # back through the delayed inputs.
+    # Port B: `share_b` is the part of the port wrench that this controller computes. The part that
+    # the base controller computes is in the delayed inputs.
     v_b = ca.vertcat(state.v, state.w)
     Jb_F = base_jacobian_transposed_times(star.p_be, F_m_total)
     share_b = passivity.choose(
@@ -155,7 +160,7 @@ def manipulator_controller(robot: Robot) -> Block:
         {Observer.paper: SX(6, 1), Observer.port: -Jb_F, Observer.tracking: -Jb_F - star.F_b},
     )
     held = begun * ca.if_else(observer == int(Observer.paper), F_B_held, F_b_applied)
-    # Eq. (23), sign corrected.
+    # Eq. (23) with corrected sign.
     E_b = passivity.choose(
         bookkeeping,
         {
@@ -165,7 +170,8 @@ def manipulator_controller(robot: Robot) -> Block:
             Bookkeeping.applied: passivity.observed_as_applied(E_b, held + S_b_1, u_b_1, v_b, T_m),
         },
     )
-    # Eq. (24), printed with T_m. A damper held for T_b dissipates the deficit over T_b.
+    # Eq. (24). The paper prints T_m. The bookkeeping `applied` uses T_b, because the damper is held
+    # for T_b and dissipates the deficit over T_b.
     beta_b = passivity.damper(E_b, v_b, ca.if_else(applied, T_b, T_m), floor)
     beta_b = ca.if_else(base_on, beta_b, 0)
 
@@ -197,7 +203,7 @@ def manipulator_controller(robot: Robot) -> Block:
         "joint_limit_margin",
         margin,
         joint_units(robot, "rad", "m"),
-        "Distance of each joint from its nearer limit",
+        "Distance of each joint from the nearer of its two limits",
     )
     quaternions = {
         "base_orientation": state.orientation,

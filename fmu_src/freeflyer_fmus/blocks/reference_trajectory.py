@@ -1,4 +1,4 @@
-"""Desired end-effector motion as a function of time; a block without inputs and states."""
+"""Desired end-effector motion as a function of time. The block has no inputs and no states."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SX = ca.SX
 
 
 def reference_motion(block: Block, robot: Robot) -> Motion:
-    """Declare the trajectory's parameters; return the motion at the block's time."""
+    """Declare the parameters of the trajectory. Return the motion at the block's time."""
     position, orientation = start_pose(robot)
     # fmt: off
     p_0 = block.parameter("initial_position", position, "m", "End-effector position at t = 0, in I")
@@ -26,7 +26,7 @@ def reference_motion(block: Block, robot: Robot) -> Motion:
         "Amplitude of the translation, in I (assumed; the paper does not give it)",
     )
     rotation_vector = block.parameter(
-        "rotation_amplitude", [0.0, 0.2, 0.0], "rad", "Amplitude of the rotation about this fixed axis, in I (assumed)"
+        "rotation_amplitude", [0.0, 0.2, 0.0], "rad", "Amplitude of the rotation: fixed axis times angle, in I (assumed)"
     )
     frequency = block.parameter("frequency", 0.1, "Hz", "Frequency of the sine (assumed)", minimum=0.0)
     ramp_time = block.parameter("ramp_time", 5.0, "s", "Duration of the quintic ramp of the amplitude (assumed)", above=0.0)
@@ -38,7 +38,7 @@ def reference_motion(block: Block, robot: Robot) -> Motion:
 def reference_trajectory(robot: Robot) -> Block:
     block = Block(
         "reference_trajectory",
-        "Desired end-effector motion: a ramped sine along and about fixed axes",
+        "Desired end-effector motion: a sine with ramped amplitude along and about fixed axes",
     )
     motion = reference_motion(block, robot)
     block.output("position", motion.position, "m", "x_md: desired position of E in I")

@@ -1,4 +1,4 @@
-"""Declarations shared by the blocks with a robot model: mass parameters, measured state, limits."""
+"""Declarations of all blocks that have a robot model: masses, measured state, joint limits."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ NO_LIMIT = 1e6
 
 
 def joint_units(robot: Robot, revolute: str, prismatic: str) -> Units:
-    """Return one unit per joint, by its kind."""
+    """Return one unit per joint: `revolute` or `prismatic`, according to the kind of the joint."""
     return tuple(revolute if joint.kind == "revolute" else prismatic for joint in robot.joints)
 
 
@@ -43,7 +43,7 @@ def start_pose(robot: Robot) -> tuple[Array, Array]:
 
 
 def mass_parameters(block: Block, robot: Robot) -> Mechanism:
-    """Declare mass and inertia of base and tool; return the mechanism in these symbols."""
+    """Declare mass and inertia of base and tool. Return the mechanism in these symbols."""
     base_mass = block.parameter(
         "base_mass", robot.base.mass, "kg", "Mass of the base body without the arm", above=0.0
     )
@@ -80,10 +80,10 @@ def _require_physical(block: Block, name: str, entries: SX, *, strict: bool) -> 
         ("matrix must be positive definite", matrix, strict),
         ("covariance must be positive (triangle inequality)", covariance, False),
     ):
-        # All principal minors: the leading minors alone do not imply semidefiniteness.
+        # Check all principal minors. The leading minors alone do not imply semidefiniteness.
         for rows in ([0], [1], [2], [0, 1], [0, 2], [1, 2], [0, 1, 2]):
             minor = ca.det(tested[rows, rows])
-            # A valid body may lie on the bound: the slack covers rounding.
+            # A minor of a valid body may be exactly zero. The slack covers its rounding error.
             slack = 0.0 if exact else -1e-12 * scale ** len(rows)
             label = "".join("xyz"[row] for row in rows)
             block.require(
@@ -119,7 +119,7 @@ def measured_state(block: Block, robot: Robot) -> State:
 
 @dataclass(frozen=True, kw_only=True)
 class JointLimits:
-    """Joint limits as parameters of the block, (n) each."""
+    """Joint limits as parameters of the block. Each limit is a vector (n)."""
 
     lower: SX
     upper: SX
@@ -128,7 +128,10 @@ class JointLimits:
 
 
 def joint_limits(block: Block, robot: Robot) -> JointLimits:
-    """Declare the joint limits of the robot file, so that an arm adapter can check them."""
+    """Declare the joint limits of the robot file.
+
+    An arm adapter compares these limits with the limits of the device.
+    """
 
     def declared(name: str, values: list[float], units: Units, description: str) -> SX:
         return block.parameter(name, np.clip(values, -NO_LIMIT, NO_LIMIT), units, description)
@@ -136,7 +139,7 @@ def joint_limits(block: Block, robot: Robot) -> JointLimits:
     rad, joints = joint_units(robot, "rad", "m"), robot.joints
     return JointLimits(
         lower=declared(
-            "joint_lower_limit", [j.lower for j in joints], rad, "Least joint positions"
+            "joint_lower_limit", [j.lower for j in joints], rad, "Smallest joint positions"
         ),
         upper=declared(
             "joint_upper_limit", [j.upper for j in joints], rad, "Largest joint positions"
@@ -174,7 +177,7 @@ def desired_motion(block: Block) -> tuple[SX, SX]:
 def require_quaternions(
     block: Block, quaternions: dict[str, SX], *, initially: bool = False
 ) -> None:
-    """Require nonzero quaternions; the message contains the name."""
+    """Require that no quaternion is zero. The error message contains the name of the quaternion."""
     for name, quaternion in quaternions.items():
         remedy = "give a quaternion x, y, z, w of norm one"
         block.require(

@@ -1,4 +1,7 @@
-"""Simulated satellite, followed by the facility's base robot: base rows of (1), measured arm."""
+"""Simulated satellite: base rows of (1) with measured joint positions, velocities and torques.
+
+The facility's base robot follows the motion of this satellite.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,7 @@ def satellite(robot: Robot) -> Block:
     n = robot.joint_count
     block = Block(
         "satellite",
-        "Base dynamics in free flight from the measured arm and the commanded base wrench",
+        "Base dynamics in free flight, computed from the measured arm and the commanded base wrench",
     )
     # fmt: off
     mechanism = mass_parameters(block, robot)
@@ -31,18 +34,18 @@ def satellite(robot: Robot) -> Block:
     q = block.input("joint_position", robot.posture, joint_units(robot, "rad", "m"), "Measured joint positions")
     qd = block.input("joint_velocity", np.zeros(n), joint_units(robot, "rad/s", "m/s"), "Measured joint velocities")
     measured = block.input(
-        "joint_torque", np.zeros(n), joint_units(robot, "N.m", "N"), "Measured joint torques, gravity included"
+        "joint_torque", np.zeros(n), joint_units(robot, "N.m", "N"), "Measured joint torques; they include the gravity torque"
     )
-    R_robot = block.input("measured_base_orientation", IDENTITY, "1", "Orientation of the base robot, for the gravity torque")
+    R_robot = block.input("measured_base_orientation", IDENTITY, "1", "Orientation of the base robot, used for the gravity torque")
 
     # States: the set point of the base robot.
-    block.state("base_position", np.zeros(3), "m", "Position of B in I: the base robot's set point")
-    R = block.state("base_orientation", IDENTITY, "1", "Orientation of B in I, quaternion x, y, z, w: set point")
-    v = block.state("base_velocity", np.zeros(6), TWIST, "Velocity of B, in I: set point")
+    block.state("base_position", np.zeros(3), "m", "Position of B in I (set point of the base robot)")
+    R = block.state("base_orientation", IDENTITY, "1", "Orientation of B in I, quaternion x, y, z, w (set point)")
+    v = block.state("base_velocity", np.zeros(6), TWIST, "Velocity of B, in I (set point)")
     # fmt: on
     state = State(R, v[:3], v[3:], q, qd)
-    # The measured torque includes gravity, which does not act on the satellite. The modelled
-    # gravity torque is subtracted; its accuracy is a parameter.
+    # The measured torque includes the gravity torque. Gravity does not act on the satellite.
+    # Therefore the modelled gravity torque is subtracted. The model's accuracy is a parameter.
     torque = measured - knowledge * gravity_model(mechanism, R_robot, q, gravity)
     acceleration, _ = dynamics.forward_dynamics(mechanism, state, F_b, torque)
     block.initial("base_orientation", rotation.normalised(R))

@@ -1,4 +1,4 @@
-"""Members of terminals shared by several blocks; a member has the same meaning in every block."""
+"""Members of the terminals of several blocks. A member has the same meaning in every block."""
 
 END_EFFECTOR = {
     "position": "end_effector_position",

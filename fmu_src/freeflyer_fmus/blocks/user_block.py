@@ -15,7 +15,7 @@ from freeflyer_fmus.robot.robot import Robot
 def load_block(path: Path) -> Callable[[Robot], Block]:
     """Load the function `block` of a user's file.
 
-    Raises BlockError if the file or its function fails, or if the function returns no Block.
+    Raises BlockError if the file or the function fails, or if the result is not a Block.
     """
     if not path.is_file():
         raise BlockError(f"block file {path} does not exist")

@@ -4,39 +4,40 @@
 
 #include <stddef.h>
 
-/* t [s], parameters, inputs, states -> up to three result vectors. */
+/* Computes up to three result vectors from time t [s], parameters p, inputs u and states x. */
 typedef void Equations(const double *t, const double *p, const double *u, const double *x,
                        double *r0, double *r1, double *r2);
 
-/* The directional derivative of such a function. Forward: `seed` is a direction of (t, p, u, x),
-   and the result is the derivative of r0 (followed by r1). Reverse: the seed belongs to the
-   results. */
+/* Directional derivative of an `Equations` function. Forward: `seed` is a direction of (t, p, u, x),
+   and `result` is the derivative of r0. For `update`, the derivative of r1 follows. Reverse: `seed`
+   belongs to these result vectors, and `result` is the derivative by (t, p, u, x). */
 typedef void Sensitivity(const double *t, const double *p, const double *u, const double *x,
                          const double *seed, double *result);
 
 typedef enum { REAL, BOOLEAN, ENUMERATION } Kind;
 
-/* Access to a value: read only; settable until initialisation ends; settable between steps too;
-   input; start value of a state. */
+/* Access to a value. READ_ONLY: cannot be set. FIXED: can be set until the end of initialisation.
+   TUNABLE: can also be set between steps. INPUT: is an input. START: is a start value of a state. */
 typedef enum { READ_ONLY, FIXED, TUNABLE, INPUT, START } Access;
 
-/* One entry per value. The value reference is the index in the value vector. An array's value
-   reference is that of its first element. */
+/* Description of one value. The value reference is the index in the value vector. The value
+   reference of an array is the index of its first element. */
 typedef struct {
-    const char *name;      /* of the element, FMI 2.0 structured naming */
+    const char *name;      /* name of the element in FMI 2.0's structured naming */
     unsigned char kind;    /* Kind */
     unsigned char access;  /* Access */
     unsigned char maximum; /* largest value of an enumeration */
-    unsigned short extent; /* size of the variable that starts here; 0 for its further elements */
+    unsigned short extent; /* size of the variable at its first element, 0 at all others */
 } Value;
 
-/* A requirement. Margins are pairs (value, minimum), in the same order. */
+/* Requirement. A margin is a pair (value, minimum). Margins are in the order of requirements. */
 typedef struct {
     const char *subject, *remedy;
     int strict;
 } Requirement;
 
-/* A range of the value vector. Order: time, parameters, inputs, states, outputs, derivatives. */
+/* Range of the value vector. The order of the values is time, parameters, inputs, states, outputs,
+   derivatives. */
 typedef struct {
     int first, count;
 } Range;
@@ -47,7 +48,7 @@ typedef struct {
     Range parameters, inputs, states, outputs, derivatives;
     const Value *value;
     const double *start;
-    const double *nominal; /* of the states */
+    const double *nominal; /* nominal values of the states */
     int period;            /* index of the sampling period, or -1 for a continuous block */
     double step;           /* integration step of a continuous block [s] */
     Equations *initial;    /* r0: states after initialisation */
@@ -55,7 +56,8 @@ typedef struct {
     Equations *update;     /* sampled: r0 new states, r1 outputs, r2 margins */
     Equations *rates;      /* continuous: r0 derivatives */
     Equations *outputs_;   /* continuous: r0 outputs, r1 margins */
-    /* continuous: r0 the first `linked` outputs (up to the last one in a terminal), r1 margins */
+    /* continuous: r0 the first `linked` outputs, r1 margins. The last of these outputs is the last
+       output that is in a terminal. */
     Equations *linked_outputs;
     int linked;
     /* Derivatives of initial, update, rates and outputs_. */

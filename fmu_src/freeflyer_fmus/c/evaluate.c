@@ -3,7 +3,8 @@
 
 #include <string.h>
 
-/* Returns ERROR and writes the message for the first violated requirement. NaN violates any. */
+/* Returns ERROR if a requirement is violated. The message describes the first violated requirement.
+   NaN violates every requirement. */
 static Status check_margins(Instance *c, const Requirement *requirement, int count,
                             const double *margin)
 {
@@ -117,7 +118,7 @@ Status instance_update_rates(Instance *c)
 
 void instance_changed(Instance *c)
 {
-    /* A sampled block's outputs follow its inputs during initialisation only. */
+    /* The outputs of a sampled block follow its inputs only during initialisation. */
     if (block.period < 0 || (c->memory->state & (INSTANTIATED | INITIALIZATION)))
         c->memory->outputs_valid = NONE;
     c->memory->rates_valid = 0;

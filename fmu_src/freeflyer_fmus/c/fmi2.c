@@ -1,4 +1,4 @@
-/* FMI 2.0 interface: translates FMI calls to those of instance.h. */
+/* FMI 2.0 interface: translates FMI calls to calls of the functions in instance.h. */
 #include "fmi2Functions.h"
 
 #include <math.h>
@@ -6,7 +6,7 @@
 
 #include "instance.h"
 
-/* First line of every call: checks the instance, its state, and the arrays. */
+/* First line of every FMI function: checks the instance, the state and the arrays. */
 #define ALLOW(states, given)                                                        \
     do {                                                                            \
         if (!c || instance_allow((Instance *)c, __func__, (states), (given)) != OK) \
@@ -31,7 +31,7 @@ const char *fmi2GetVersion(void) { return fmi2Version; }
 fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n,
                                const fmi2String categories[])
 {
-    (void)on; /* failures are always logged: many importers never enable logging */
+    (void)on; /* failures are always logged, because many importers never enable logging */
     ALLOW(ALIVE, 1);
     if (instance_check_categories(c, categories, n) != OK)
         return fmi2Error;
@@ -351,7 +351,7 @@ fmi2Status fmi2CancelStep(fmi2Component c)
     return status(instance_unsupported(c, "asynchronous steps to cancel"));
 }
 
-/* Steps are never pending: only the last successful time and `terminated` have a status. */
+/* A step is never pending. Only the last successful time and `terminated` have a status. */
 
 #define NO_PENDING_STATUS(Name, Type)                                        \
     fmi2Status Name(fmi2Component c, const fmi2StatusKind kind, Type *value) \

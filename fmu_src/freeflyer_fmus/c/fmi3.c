@@ -1,4 +1,4 @@
-/* FMI 3.0 interface: translates FMI calls to those of instance.h. */
+/* FMI 3.0 interface: translates FMI calls to calls of the functions in instance.h. */
 #include "fmi3Functions.h"
 
 #include <math.h>
@@ -6,7 +6,7 @@
 
 #include "instance.h"
 
-/* First line of every call: checks the instance, its state, and the arrays. */
+/* First line of every FMI function: checks the instance, the state and the arrays. */
 #define ALLOW(states, given)                                                        \
     do {                                                                            \
         if (!c || instance_allow((Instance *)c, __func__, (states), (given)) != OK) \
@@ -30,7 +30,7 @@ const char *fmi3GetVersion(void) { return fmi3Version; }
 fmi3Status fmi3SetDebugLogging(fmi3Instance c, fmi3Boolean on, size_t n,
                                const fmi3String categories[])
 {
-    (void)on; /* failures are always logged: many importers never enable logging */
+    (void)on; /* failures are always logged, because many importers never enable logging */
     ALLOW(BETWEEN, 1);
     if (instance_check_categories(c, categories, n) != OK)
         return fmi3Error;
@@ -110,7 +110,8 @@ fmi3Instance fmi3InstantiateScheduledExecution(
 
 void fmi3FreeInstance(fmi3Instance c)
 {
-    /* Rejected during an intermediate update: the running step still uses the instance. */
+    /* The call is rejected during an intermediate update, because the running step still uses the
+       instance. */
     if (c && instance_allow((Instance *)c, __func__, BETWEEN, 1) == OK)
         instance_free(c);
 }
@@ -154,9 +155,9 @@ fmi3Status fmi3Reset(fmi3Instance c)
     return fmi3OK;
 }
 
-/* Values. A reference denotes a whole array. */
+/* Values. A value reference denotes a whole array. */
 
-/* Returns OK if the variables at the references have n elements in total. */
+/* Returns OK if the variables with these value references have n elements in total. */
 static Status check_elements(Instance *c, const fmi3ValueReference reference[], size_t nr, size_t n)
 {
     size_t elements = 0;
@@ -325,7 +326,7 @@ NO_CLOCK_BODY((void)a)
 NO_CLOCK(fmi3SetShiftFraction, const fmi3UInt64 a[], const fmi3UInt64 b[])
 NO_CLOCK_BODY((void)a, (void)b)
 
-/* Reports an unsupported feature, in any state. */
+/* Reports an unsupported feature. The call is allowed in every state. */
 static fmi3Status absent(fmi3Instance c, const char *what)
 {
     return c ? status(instance_unsupported(c, what)) : fmi3Error;
@@ -442,7 +443,7 @@ fmi3Status fmi3DeserializeFMUState(fmi3Instance c, const fmi3Byte bytes[], size_
 fmi3Status fmi3EvaluateDiscreteStates(fmi3Instance c)
 {
     ALLOW(INITIALIZATION | EVENT, 1);
-    return fmi3OK; /* there are no discrete states between events */
+    return fmi3OK; /* this FMU has no discrete states to update */
 }
 
 fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *again, fmi3Boolean *terminate,

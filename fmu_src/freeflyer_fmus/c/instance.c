@@ -13,7 +13,7 @@ static int same_text(const char *a, const char *b)
     return *a == *b;
 }
 
-/* FNV-1a. */
+/* Returns the FNV-1a hash of `text`. */
 static uint64_t hash(const char *text, uint64_t seed)
 {
     uint64_t value = 14695981039346656037ULL ^ seed;
@@ -44,9 +44,10 @@ Instance *instance_new(const char *name, int model_exchange)
     size_t length = 0;
     while (name[length])
         length++;
-    /* One allocation: instance, name, memory, scratch. The name's size is a multiple of 8 bytes. */
+    /* One allocation contains instance, name, memory and scratch. The size of the name is a
+       multiple of 8 bytes. */
     size_t name_size = (length / sizeof(double) + 1) * sizeof(double);
-    /* `scratch` has room for an integration step or for an evaluation with its margins. */
+    /* `scratch` has space for an integration step, or for an evaluation and its margins. */
     int n = block.states.count, evaluated = n + block.outputs.count;
     int margins =
         2 * (block.running_requirements > block.static_requirements ? block.running_requirements

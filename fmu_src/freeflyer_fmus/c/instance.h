@@ -1,5 +1,5 @@
-/* An instance of the block: values, life cycle, steps. fmi2.c and fmi3.c translate FMI calls to
-   these. */
+/* Instance of the block: values, life cycle, steps. fmi2.c and fmi3.c translate FMI calls to calls
+   of these functions. */
 #ifndef INSTANCE_H
 #define INSTANCE_H
 
@@ -9,10 +9,10 @@
 #include "block.h"
 #include "message.h"
 
-/* The same numbers in FMI 2.0 and FMI 3.0. */
+/* The numbers are the same in FMI 2.0 and FMI 3.0. */
 typedef enum { OK, WARNING, DISCARD, ERROR, FATAL } Status;
 
-/* Bit flags: a set of states in which a function may be called. */
+/* Bit flags. A sum of flags is the set of states in which a function may be called. */
 typedef enum {
     INSTANTIATED = 1,
     INITIALIZATION = 2,
@@ -21,13 +21,13 @@ typedef enum {
     CONTINUOUS = 16,   /* model exchange */
     INTERMEDIATE = 32, /* co-simulation, inside a step: during the importer's intermediate update */
     TERMINATED = 64,
-    MODEL_EXCHANGE = 128 /* not a state; marks a function of model exchange */
+    MODEL_EXCHANGE = 128 /* not a state, but the mark of a model exchange function */
 } State;
 
 /* States in which values may be read. */
 #define INITIALIZED (INITIALIZATION | STEP | EVENT | CONTINUOUS | INTERMEDIATE | TERMINATED)
 
-/* Which outputs are valid: none, those up to the last one in a terminal, all. */
+/* Valid outputs: no outputs, the outputs up to the last output in a terminal, or all outputs. */
 typedef enum { NONE, LINKED, ALL } Outputs;
 
 typedef struct {
@@ -46,23 +46,23 @@ typedef struct Instance {
     void *environment;
     void (*log)(struct Instance *, Status, const char *category, const char *text);
     void *log_target[2];
-    /* Called at the end of an inner step. A nonzero result ends the communication step. May be
-       NULL. */
+    /* Called at the end of an inner step. A nonzero result ends the communication step. The pointer
+       may be NULL. */
     int (*intermediate_update)(struct Instance *, double time);
     void *update_target[2];
     int may_return_early;
     Message message;
-    double *scratch;              /* of one evaluation or integration */
+    double *scratch;              /* memory for one evaluation or integration step */
     double *saved;                /* states, rounding errors and inputs before a step */
     double *initial;              /* states after initialisation */
-    double *seed, *result, *part; /* of a sensitivity, each as long as the value vector */
+    double *seed, *result, *part; /* for a sensitivity; size of the value vector */
     Memory *memory;               /* content of a saved FMU state */
 } Instance;
 
 /* Returns why an instance cannot be created, or NULL. */
 const char *instance_rejection(const char *name, const char *token, int model_exchange);
 #define NO_MEMORY "out of memory: the instance cannot be allocated"
-Instance *instance_new(const char *name, int model_exchange); /* NULL: no memory */
+Instance *instance_new(const char *name, int model_exchange); /* NULL if out of memory */
 void instance_free(Instance *);
 /* Resets all values to their start values. */
 void instance_reset(Instance *);
@@ -72,11 +72,12 @@ Status instance_report(Instance *, Status status, const char *category);
 Status instance_allow(Instance *, const char *function, int states, int given);
 /* Reports "this FMU has no ..." and returns ERROR. */
 Status instance_unsupported(Instance *, const char *what);
-/* Returns OK if all are log categories of this FMU. */
+/* Returns OK if all `categories` are log categories of this FMU. */
 Status instance_check_categories(Instance *, const char *const categories[], size_t n);
 
-/* Access by value reference. `whole`: one reference per variable (FMI 3.0), else one per element
-   (FMI 2.0). To set values, first check access, range and finiteness of all, then put them. */
+/* Access by value reference. If `whole` is nonzero, a reference denotes a variable (FMI 3.0). If
+   `whole` is zero, a reference denotes an element (FMI 2.0). To set values, call `instance_check` for
+   all values first. It checks access, range and finiteness. Then call `instance_put`. */
 typedef struct {
     const unsigned *reference;
     size_t n;
@@ -84,14 +85,15 @@ typedef struct {
 Status instance_get(Instance *, References, int whole, Kind kind, double *value);
 Status instance_check(Instance *, References, int whole, Kind kind, const double *value);
 void instance_put(Instance *, References, int whole, const double *value);
-/* Size of the variable that starts at `reference`; 0 if none does. */
+/* Returns the size of the variable with this reference, or 0 if there is no such variable. */
 int instance_extent(unsigned reference);
 
-/* Sets start and stop time; `stop` is INFINITY if undefined. */
+/* Sets the start time and the stop time. `stop` is INFINITY if the stop time is undefined. */
 Status instance_set_up(Instance *, double start, double stop);
 void instance_enter_initialization(Instance *);
 Status instance_exit_initialization(Instance *);
-/* Makes a communication step. After ERROR nothing has changed; another step may be tried. */
+/* Makes a communication step. After ERROR, the instance has not changed, and the importer may try
+   another step. */
 Status instance_step(Instance *, double time, double size);
 
 /* Model exchange. */
@@ -101,15 +103,17 @@ Status instance_get_states(Instance *, double *x, size_t n);
 Status instance_get_rates(Instance *, double *dx, size_t n);
 Status instance_get_nominals(Instance *, double *nominals, size_t n);
 
-/* Directional derivatives of unknowns (outputs, derivatives; states as outputs) by knowns (time,
-   real parameters, inputs, states) at the present values. For a sampled block they are those of a
-   sample taken now. Forward: `seed` belongs to the knowns; reverse: to the unknowns. */
+/* Computes directional derivatives of unknowns by knowns at the present values. Unknowns are outputs,
+   derivatives, and states that are visible as outputs. Knowns are time, real parameters, inputs and
+   states. For a sampled block, the derivatives are those of a sample at the present time. Forward:
+   `seed` belongs to the knowns. Reverse: `seed` belongs to the unknowns. */
 Status instance_sensitivity(Instance *, References unknowns, References knowns, int whole,
                             int reverse, const double *seed, size_t seeds, double *result,
                             size_t results);
-/* Saved states: one flat copy each. A `slot` that is not NULL is reused. */
+/* Saved states. A saved state is one flat copy of the memory. If `*slot` is not NULL, the memory at
+   `*slot` is reused. */
 size_t instance_memory_size(void);
-size_t instance_serialized_size(void); /* with a checksum */
+size_t instance_serialized_size(void); /* includes a checksum */
 Status instance_save(Instance *, void **slot);
 Status instance_restore(Instance *, const void *saved);
 Status instance_serialize(Instance *, const void *saved, void *bytes, size_t size);

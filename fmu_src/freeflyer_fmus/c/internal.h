@@ -7,16 +7,18 @@
 #include "instance.h"
 
 #define TIME 0
-/* Log categories: wrong calls, and violated requirements. modelDescription.xml declares both. */
+/* Log categories of wrong calls and of violated requirements. modelDescription.xml declares both
+   categories. */
 #define MISUSE "logStatusError"
 #define REQUIREMENT "logRequirement"
-#define ROUNDING 4.5e-16 /* relative difference of one time computed in two ways */
-#define NANOSECOND 1     /* tolerance of comparisons of times */
-/* An importer that adds up step sizes may be off by step / DRIFT when a sample is due. */
+#define ROUNDING 4.5e-16 /* relative difference between two computations of the same time */
+#define NANOSECOND 1     /* tolerance of time comparisons [ns] */
+/* An importer that adds up step sizes makes a time error. When a sample is due, a time error of
+   step size / DRIFT is accepted. */
 #define DRIFT 100
-#define LARGEST_TIME 2e9 /* s; sums of three such times in nanoseconds must fit into 64 bits */
+#define LARGEST_TIME 2e9 /* s; the sum of three such times in nanoseconds must fit into 64 bits */
 #define TIMES "a finite time below 2e9 s is expected"
-#define LARGEST_COUNT 1e7 /* inner steps per communication step: about 20 s of computation */
+#define LARGEST_COUNT 1e7 /* inner steps per communication step; they take about 20 s */
 
 static inline double *at(Instance *c, Range range) { return c->memory->value + range.first; }
 
@@ -28,7 +30,7 @@ static inline int inside(unsigned index, Range range)
     return (int)index >= range.first && (int)index < range.first + range.count;
 }
 
-/* Number of leading outputs that are valid. */
+/* Returns the number n of valid outputs. The first n outputs are valid. */
 static inline int computed_outputs(const Memory *m)
 {
     return m->outputs_valid >= ALL      ? block.outputs.count
@@ -40,20 +42,23 @@ static inline int is_finite(double x) { return fabs(x) <= 1.7976931348623157e308
 
 static inline int64_t nanoseconds(double seconds) { return (int64_t)llround(seconds * 1e9); }
 
-/* These write a message on ERROR but do not report it. */
+/* If the next four functions return ERROR, they write a message but do not report it. */
 Status instance_check_parameters(Instance *);
 Status instance_update_outputs(Instance *, Outputs wanted);
 Status instance_update_rates(Instance *);
-/* Writes the new states to c->scratch, and the outputs in place if all checks pass. */
+/* Computes one sample. Writes the new states to c->scratch. If all checks pass, writes the outputs to
+   the value vector. */
 Status instance_sample(Instance *, const double *x);
-/* States that outputs and derivatives depend on; in initialization mode, the initialised states. */
+/* Returns the states on which outputs and derivatives depend. In initialization mode, these are the
+   states after initialisation. */
 const double *instance_present_states(Instance *);
-/* Returns OK if all values are finite, else ERROR with "NAME is not finite" and `remedy`. */
+/* Returns OK if all values are finite. Otherwise, returns ERROR and writes the message
+   "NAME is not finite", followed by `remedy`. */
 Status instance_check_finite(Instance *, int first, int count, const double *value,
                              const char *remedy);
 /* Invalidates outputs and rates after a change of inputs, parameters, states or time. */
 void instance_changed(Instance *);
-/* Reports "NAME cannot be set to VALUE" and the reason. */
+/* Reports "NAME cannot be set to VALUE", followed by the reason. */
 Status instance_reject(Instance *, unsigned index, double value, const char *reason);
 
 #endif

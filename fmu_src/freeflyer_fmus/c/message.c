@@ -45,16 +45,17 @@ void message_add_number(Message *m, double value)
         message_add(m, value == 0 ? "0" : "infinity");
         return;
     }
-    /* Six significant digits as an integer, and the exponent of the first. */
+    /* Compute six significant digits as an integer, and the exponent of the first digit. */
     int exponent = (int)floor(log10(value));
-    /* Two factors: a single one would overflow for the smallest numbers. */
+    /* The power of ten has two factors. A single factor would overflow for the smallest numbers. */
     long scaled =
         lround(value * pow(10.0, -(exponent / 2)) * pow(10.0, 5 - (exponent - exponent / 2)));
     if (scaled > 999999) {
         scaled /= 10;
         exponent++;
     }
-    /* Six digits as d.ddddd or 0.00ddd without trailing zeros; large exponents are written. */
+    /* Write the digits as d.ddddd or 0.00ddd, without trailing zeros. Write the exponent only if it
+       is below -4 or above 5. */
     int shown = exponent < -4 || exponent > 5 ? 0 : exponent;
     int decimals = 5 - shown;
     while (decimals > 0 && scaled % 10 == 0) {

@@ -1,4 +1,4 @@
-/* A message of one sentence, composed without the C library's formatting functions. */
+/* Message of one sentence. No formatting functions of the C library are used. */
 #ifndef MESSAGE_H
 #define MESSAGE_H
 

@@ -32,7 +32,7 @@ Status instance_restore(Instance *c, const void *saved)
     return OK;
 }
 
-/* FNV-1a: detects accidental damage, not tampering. */
+/* Returns the FNV-1a hash. It detects accidental damage, but not intentional changes. */
 static uint64_t checksum(const unsigned char *bytes, size_t size)
 {
     uint64_t sum = 14695981039346656037ULL;
@@ -53,8 +53,8 @@ Status instance_serialize(Instance *c, const void *saved, void *bytes, size_t si
     return OK;
 }
 
-/* Untrusted input: bytes and checksum may be of any origin. Rejects what this runtime cannot have
-   written. */
+/* Returns why the saved state is rejected, or NULL. The bytes and the checksum are untrusted input. A
+   saved state that this runtime cannot have written is rejected. */
 static const char *fault(const Instance *c, const Memory *m)
 {
     int state = (int)m->state, both = INSTANTIATED | INITIALIZATION | TERMINATED;
@@ -69,7 +69,8 @@ static const char *fault(const Instance *c, const Memory *m)
         return "its bytes are damaged";
     for (int i = 0; i < block.values + block.states.count; i++) {
         const Value *value = &block.value[i < block.values ? i : 0];
-        /* Values left behind by a failed evaluation are not used and need not be finite. */
+        /* After a failed evaluation, some values are not valid. They are not used and need not be
+           finite. */
         int stale = (inside((unsigned)i, block.outputs) &&
                      i >= block.outputs.first + computed_outputs(m)) ||
                     (inside((unsigned)i, block.derivatives) && !m->rates_valid);
@@ -89,7 +90,7 @@ Status instance_deserialize(Instance *c, const void *bytes, size_t size, void **
     memcpy(&sum, (const char *)bytes + instance_memory_size(), sizeof sum);
     if (sum != checksum(bytes, instance_memory_size()))
         return reject(c, "its bytes are damaged");
-    /* The caller's bytes may be unaligned. */
+    /* The bytes are copied, because the caller's bytes may be unaligned. */
     void *copied = NULL;
     if (copy(c, bytes, &copied) != OK)
         return ERROR;

@@ -15,7 +15,7 @@ static int is_unknown(unsigned i)
     return inside(i, block.outputs) || inside(i, block.states) || inside(i, block.derivatives);
 }
 
-/* Returns the number of elements, or -1 with a message about the invalid reference. */
+/* Returns the number of elements. If a reference is invalid, writes a message and returns -1. */
 static long count(Instance *c, References list, int whole, int (*allowed)(unsigned),
                   const char *kind)
 {
@@ -52,8 +52,8 @@ static void gather(References list, int whole, const double *vector, double *to)
     }
 }
 
-/* In initialization mode the states depend on the start values, and so do the derivatives by
-   states. */
+/* In initialization mode, the states depend on the start values. Then a derivative by a state is the
+   derivative by its start value. */
 static void forward(Instance *c, const double *x, double *seed, double *result)
 {
     const double *t = &c->memory->clock, *p = at(c, block.parameters), *u = at(c, block.inputs);
@@ -64,7 +64,7 @@ static void forward(Instance *c, const double *x, double *seed, double *result)
     }
     if (block.period >= 0) {
         block.forward_update(t, p, u, x, seed, result + block.states.first);
-        /* Before the first sample, a state's visible value is its initial value. */
+        /* Before the first sample, the visible value of a state is its initial value. */
         if (c->memory->state == INITIALIZATION)
             memcpy(result + block.states.first, seed + block.states.first, size);
         return;

@@ -1,13 +1,13 @@
-/* sin and cos in one pass, within 1 ulp, in plain C99: the same bits on every platform, unlike
-   libm. */
+/* sin and cos, computed together with an error of less than 1 ulp. The code is plain C99. Unlike
+   libm, it computes the same bits on every platform. */
 #ifndef SINCOS_H
 #define SINCOS_H
 
 #include <math.h>
 
-/* Clang calls the function unless it must inline it. Inlined into a block's equations, its
-   operations run in parallel with theirs: the plant's step is 10 % shorter. With GCC it would be 10
-   % longer. */
+/* Without `always_inline`, Clang does not inline the function. If the function is inlined, its
+   operations run in parallel with the operations of the equations. With Clang, inlining makes the
+   step of the plant 10 % shorter. With GCC, inlining would make the step 10 % longer. */
 #if defined(__clang__)
 #define INLINED inline __attribute__((always_inline))
 #else
@@ -16,12 +16,12 @@
 
 static INLINED void sin_cos(double x, double *s, double *c)
 {
-    /* pi/2 in three parts. The first two have 33 bits, so that their products with a quadrant
-       number below 2^20 are exact. */
+    /* pi/2 is the sum of three parts. The first two parts have 33 bits. Therefore the products of
+       these two parts with a quadrant number below 2^20 are exact. */
     static const double two_over_pi = 0x1.45f306dc9c883p-1, half_pi_1 = 0x1.921fb544p+0,
                         half_pi_2 = 0x1.0b4611a6p-34, half_pi_3 = 0x1.3198a2e037073p-69,
                         round = 0x1.8p+52;
-    if (!(fabs(x) < 1.6e6)) { /* far beyond any joint angle; also NaN and infinity */
+    if (!(fabs(x) < 1.6e6)) { /* much larger than any joint angle, NaN or infinity */
         *s = sin(x);
         *c = cos(x);
         return;
@@ -30,7 +30,7 @@ static INLINED void sin_cos(double x, double *s, double *c)
     double head = x - n * half_pi_1, middle = n * half_pi_2, rest = head - middle;
     double tail = ((head - rest) - middle) - n * half_pi_3;
     double hi = rest + tail, lo = (rest - hi) + tail;
-    /* Taylor polynomials on [-pi/4, pi/4]: the first omitted term is below 2^-59 of the result. */
+    /* Taylor polynomials on [-pi/4, pi/4]. The first omitted term is below 2^-59 of the result. */
     double z = hi * hi;
     double p =
         z * (-0x1.5555555555555p-3 +

@@ -5,7 +5,8 @@
 
 #include "integrate.h"
 
-/* start + count x period: computed from the count, so that rounding errors do not accumulate. */
+/* Returns the time of the next sample [ns], start + count x period. The time is computed from the
+   count, so that rounding errors do not accumulate. */
 static int64_t sample_after(const Memory *m, double period)
 {
     int64_t count = (int64_t)llround((double)(m->next_sample - m->start) * 1e-9 / period);
@@ -35,8 +36,8 @@ static Status step_sampled(Instance *c, int64_t begin, int64_t end, double size)
     return OK;
 }
 
-/* Intermediate update: the importer may read values, set inputs, and end the communication step
-   here. */
+/* Makes an intermediate update, in which the importer may read values and set inputs. Returns nonzero
+   if the importer ends the communication step at this time. */
 static int interrupted(Instance *c, double time)
 {
     Memory *m = c->memory;
@@ -78,13 +79,14 @@ static Status step_continuous(Instance *c, double time, double size)
             break;
         }
     }
-    /* The new state must be finite and meet the requirements. */
+    /* The new state must be finite and satisfy the requirements. */
     m->clock = end;
     m->outputs_valid = NONE;
     m->rates_valid = 0;
     Status status = instance_check_finite(
         c, block.states.first, n, x, " after this step; the step was rejected: check the inputs");
-    /* Outputs are computed on demand, unless a requirement must be checked at every step. */
+    /* Outputs are computed when they are read. If there are requirements to check at every step, the
+       outputs are computed here. */
     if (status == OK && block.running_requirements > 0)
         status = instance_update_outputs(c, LINKED);
     if (status == OK)

@@ -27,7 +27,7 @@ static inline int extent(unsigned reference, int whole)
     return whole ? block.value[reference].extent : 1;
 }
 
-/* Returns ALL if the list contains an output beyond the linked ones: then all are computed
+/* Returns ALL if the list contains an output after the linked outputs. Then all outputs are computed
    together. */
 static int wanted_outputs(References list)
 {
@@ -58,7 +58,9 @@ Status instance_get(Instance *c, References list, int whole, Kind kind, double *
         } else if (m->state == INITIALIZATION && inside(reference, block.states)) {
             from = instance_present_states(c) + ((int)reference - block.states.first);
         }
-        *value++ = from[0]; /* outside the loop, whose overhead exceeds one element's copy */
+        /* The first element is copied outside the loop, because the loop takes longer than one
+           copy. */
+        *value++ = from[0];
         for (int k = 1, n = extent(reference, whole); k < n; k++)
             *value++ = from[k];
     }

@@ -1,6 +1,6 @@
 """Equation (1): forward dynamics, two-velocity inverse dynamics, H and C, energy and momentum.
 
-All recursions run in body coordinates. Wrenches and velocities of the interface are in I.
+All recursions run in body coordinates. Wrenches and velocities in arguments and results are in I.
 """
 
 from __future__ import annotations
@@ -61,7 +61,8 @@ def body_angular_velocities(mechanism: Mechanism, state: State) -> list[SX]:
 def without_joint(inertia: ArticulatedInertia, joint: Joint) -> ArticulatedInertia:
     """Return the inertia transmitted across a free joint: I - U U^T / D (Featherstone, 7.3).
 
-    The joint moves about or along z. The row and column of its direction are zero and are omitted.
+    The joint moves about or along z. In the result, the row and the column of the joint's direction
+    are zero. They are structural zeros, for which no code is generated.
     """
     M, H, I = inertia
     if joint.kind == "revolute":
@@ -76,7 +77,10 @@ def without_joint(inertia: ArticulatedInertia, joint: Joint) -> ArticulatedInert
 
 
 def articulated_base_inertia(mechanism: Mechanism, q: SX) -> ArticulatedInertia:
-    """Return M~ = ((M^-1)_bb)^-1 about B, in B's axes: the base inertia at zero joint torques."""
+    """Return M~ = ((M^-1)_bb)^-1 about B, in B's axes.
+
+    M~ is the inertia at the base if all joint torques are zero.
+    """
     inertia = mechanism.bodies[-1].articulated()
     for i in reversed(range(len(mechanism.joints))):
         joint, below = mechanism.joints[i], mechanism.bodies[i - 1] if i > 0 else mechanism.base
@@ -87,9 +91,9 @@ def articulated_base_inertia(mechanism: Mechanism, q: SX) -> ArticulatedInertia:
 
 
 def articulated_end_effector_inertia(mechanism: Mechanism, state: State) -> SX:
-    """Return ((M^-1)_mm)^-1 (6, 6) at E, in I: the end-effector inertia.
+    """Return the end-effector inertia ((M^-1)_mm)^-1 (6, 6) at E, in I.
 
-    Base wrench and joint torques are zero.
+    This is the inertia at E if the base wrench and all joint torques are zero.
     """
     inertia, R_I = mechanism.base.articulated(), rotation.matrix(state.orientation)
     for i, joint in enumerate(mechanism.joints):
@@ -103,7 +107,7 @@ def articulated_end_effector_inertia(mechanism: Mechanism, state: State) -> SX:
 
 
 class _Pass(NamedTuple):
-    """Results of the articulated-body algorithm's inward pass that the outward pass uses."""
+    """Results of the inward pass of the articulated-body algorithm, for the outward pass."""
 
     transforms: list[tuple[SX, SX]]
     base_inertia: ArticulatedInertia
@@ -112,10 +116,11 @@ class _Pass(NamedTuple):
 
 
 def _outside_in(mechanism: Mechanism, state: State, joint_torque: SX) -> _Pass:
-    """Compute articulated inertias and bias wrenches, tip to base (Featherstone, table 7.1).
+    """Compute articulated inertias and bias wrenches from tip to base (Featherstone, table 7.1).
 
-    Accelerations are those of the body origins in I, not Featherstone's spatial ones. By Galilean
-    invariance no linear velocity enters then, and the bias is w x (w x m c) and w x I w.
+    Featherstone uses spatial accelerations. This function uses the accelerations of the body
+    origins in I. By Galilean invariance, the equations then contain no linear velocity.
+    The bias force of a body is w x (w x m c). The bias torque is w x I w.
     """
     joints, n = mechanism.joints, len(mechanism.joints)
     transforms = [transform(joint, state.q[i]) for i, joint in enumerate(joints)]
@@ -128,7 +133,8 @@ def _outside_in(mechanism: Mechanism, state: State, joint_torque: SX) -> _Pass:
     saved: list[tuple[SX, SX, SX, SX]] = [(SX(0), SX(0), SX(0), SX(0))] * n
     for i in reversed(range(n)):
         (M, H, I), (f, t), (R, r) = inertias[i + 1], bias[i + 1], transforms[i]
-        # Linear and angular acceleration of the child for q'' = 0 and an unaccelerated parent.
+        # Linear and angular acceleration of the child if q'' = 0 and the parent does not
+        # accelerate.
         c_v = R.T @ cross(angular[i], cross(angular[i], r))
         slide = cross(angular[i + 1], Z) * state.qd[i]
         if joints[i].kind == "revolute":
@@ -148,7 +154,7 @@ def _outside_in(mechanism: Mechanism, state: State, joint_torque: SX) -> _Pass:
 
 
 def _inside_out(mechanism: Mechanism, done: _Pass, a: SX, alpha: SX) -> SX:
-    """Return q'' (n) from the base origin's linear and angular acceleration, in B's axes."""
+    """Return q'' (n) from the linear and angular acceleration of the base origin, in B's axes."""
     qdd = []
     for i, joint in enumerate(mechanism.joints):
         R, r = done.transforms[i]
@@ -180,8 +186,8 @@ def arm_on_moving_base(
 ) -> SX:
     """Return q'' (n) of the arm on a base with prescribed acceleration x_b'' (6), in I.
 
-    These are the lower rows of (1). The uniform gravity field (3), in I, enters as an opposite
-    acceleration of the base.
+    q'' follows from the lower rows of (1). `gravity` (3) is the uniform gravity field, in I. Its
+    effect on the arm is the effect of a base acceleration in the opposite direction.
     """
     R_IB = rotation.matrix(state.orientation)
     done = _outside_in(mechanism, state, joint_torque)
@@ -193,13 +199,14 @@ def arm_on_moving_base(
 def two_velocity_inverse_dynamics(
     mechanism: Mechanism, state: State, reference_velocity: SX, reference_acceleration: SX
 ) -> tuple[SX, SX]:
-    """Return H a_r + C v_r as (base part (6, in I), joint part (n)), with C at the ACTUAL velocity.
+    """Return the base part (6), in I, and the joint part (n) of H a_r + C v_r.
 
-    v_r and a_r (6 + n) are a reference generalised velocity and acceleration; `state` holds the
-    actual velocity. H' - 2C is skew-symmetric: C v_r is the sum over bodies of m Jv^T dJv +
-    Jw^T (I_c dJw + [w]x I_c Jw) times v_r, with w the actual angular velocity. If v_r is the actual
-    velocity, this is ordinary inverse dynamics. The recursion is of Newton-Euler type, so M and
-    Gamma are never formed.
+    v_r (6 + n) is a reference generalised velocity, a_r (6 + n) a reference generalised
+    acceleration. C is evaluated at the ACTUAL velocity in `state`. C v_r is the sum over all bodies
+    of (m Jv^T dJv + Jw^T (I_c dJw + [w]x I_c Jw)) v_r, where w is the actual angular velocity of
+    the body. With this C, H' - 2C is skew-symmetric. If v_r is the actual velocity, the result is
+    that of ordinary inverse dynamics. The recursion is of Newton-Euler type. It never computes the
+    matrices M and Gamma.
     """
     R_IB = rotation.matrix(state.orientation)
     actual = body_angular_velocities(mechanism, state)
@@ -208,13 +215,13 @@ def two_velocity_inverse_dynamics(
     y, yd = reference_velocity[6:], reference_acceleration[6:]
     wrenches = [_two_velocity_wrench(mechanism.base, actual[0], w_r, a_r, alpha_r)]
     transforms = []
-    # Outward: reference accelerations and the wrench of every body.
+    # Outward: compute the reference accelerations and the wrench of every body.
     for i, joint in enumerate(mechanism.joints):
         R, r = transform(joint, state.q[i])
         transforms.append((R, r))
         w_parent, w = actual[i], actual[i + 1]
-        # dr/dt in I: the offset rotates with the parent. A prismatic joint also moves it along its
-        # axis, which is given in the child's axes.
+        # dr/dt in I: the offset r rotates with the parent. A prismatic joint also changes r along
+        # the joint axis, which is the z axis of the child.
         rate = cross(w_parent, r) + (R[:, 2] * state.qd[i] if joint.kind == "prismatic" else 0)
         a_r = R.T @ (a_r + cross(alpha_r, r) + cross(w_r, rate))
         w_r, alpha_r = R.T @ w_r, R.T @ alpha_r
@@ -235,10 +242,11 @@ def two_velocity_inverse_dynamics(
 
 
 def _two_velocity_wrench(body: RigidInertia, w: SX, w_r: SX, a_r: SX, alpha_r: SX) -> tuple[SX, SX]:
-    """Return force and torque about the body's origin of m a_c,r and I_c alpha_r + w x I_c w_r.
+    """Return the force, and the torque about the origin of the body.
 
-    a_r is the acceleration of the origin. Shifting the moments from the centre of mass c to the
-    origin turns I_c into the inertia about the origin; only m c.c w x w_r remains.
+    The force is m a_c,r. The torque about the centre of mass c is I_c alpha_r + w x I_c w_r. a_r is
+    the acceleration of the origin. When the moments are shifted from c to the origin, I_c becomes
+    the inertia about the origin. The only additional term is -m c.c w x w_r.
     """
     mass, mc, inertia = body
     force = mass * a_r + cross(alpha_r, mc) + cross(w_r, cross(w, mc))
@@ -249,7 +257,11 @@ def _two_velocity_wrench(body: RigidInertia, w: SX, w_r: SX, a_r: SX, alpha_r: S
 
 
 def inertia_and_coriolis(mechanism: Mechanism, state: State) -> tuple[SX, SX]:
-    """Return H and C (6 + n, 6 + n) of (1): the two-velocity recursion is linear in a_r and v_r."""
+    """Return H and C (6 + n, 6 + n) of (1).
+
+    The two-velocity recursion is linear in a_r and v_r. H is its Jacobian with respect to a_r, and
+    C is its Jacobian with respect to v_r.
+    """
     n = 6 + len(mechanism.joints)
     v_r, a_r = SX.sym("v_r", n), SX.sym("a_r", n)
     total = ca.vertcat(*two_velocity_inverse_dynamics(mechanism, state, v_r, a_r))

@@ -16,7 +16,11 @@ SX = ca.SX
 
 
 class Axes(NamedTuple):
-    """Joint axes z_i and origins p_i (n vectors each) and p_e, in B's axes, from B's origin."""
+    """Joint axes z_i, joint origins p_i and end-effector position p_e.
+
+    `z` and `p` contain one vector (3) for each joint. All vectors are in B's axes. Positions are
+    relative to B's origin.
+    """
 
     z: list[SX]
     p: list[SX]
@@ -48,22 +52,26 @@ def manipulator_jacobian(mechanism: Mechanism, at: Axes) -> SX:
 
 
 def base_jacobian(p_be: SX) -> SX:
-    """Return J_b (6, 6) of (2), in the axes of p_be (3), the position of E from B's origin."""
+    """Return J_b (6, 6) of (2), in the axes of p_be.
+
+    p_be (3) is the position of E relative to B's origin.
+    """
     return ca.blockcat([[SX.eye(3), -skew(p_be)], [SX(3, 3), SX.eye(3)]])
 
 
 def base_jacobian_transposed_times(p_be: SX, wrench: SX) -> SX:
-    """Return J_b^T F (6): the wrench F about B's origin."""
+    """Return J_b^T F (6). This is the wrench F at E, expressed about B's origin."""
     return ca.vertcat(wrench[:3], wrench[3:] + cross(p_be, wrench[:3]))
 
 
 def manipulator_jacobian_rate_times(
     mechanism: Mechanism, at: Axes, v: SX, w: SX, qd: SX, y: SX
 ) -> SX:
-    """Return dJ_m/dt y (6) for any y (n); the derivative is taken in I along the motion v, w, q'.
+    """Return dJ_m/dt y (6) for any y (n).
 
-    `v` and `w` (3 each) are those of B. All vectors are in B's axes. They are components of
-    derivatives taken in I, so no rotating-frame term is missing.
+    The derivative is taken in I, along the motion v, w, q'. `v` and `w` (3 each) are the velocities
+    of B. All vectors are in B's axes. The result is a derivative in I, expressed in B's axes.
+    Therefore no term for the rotation of B must be added.
     """
     # Velocities of the joint frames, from base to tip.
     v_i, w_i, p_before = v, w, SX(3, 1)
@@ -77,7 +85,7 @@ def manipulator_jacobian_rate_times(
         velocities.append((v_i, w_i))
         p_before = p
     v_e = v_i + cross(w_i, at.p_e - p_before)
-    # Derivative of each Jacobian column, times y.
+    # Multiply the derivative of each Jacobian column by the element of y, and add the products.
     linear, angular = SX(3, 1), SX(3, 1)
     for joint, z, p, (v_j, w_j), y_j in zip(
         mechanism.joints, at.z, at.p, velocities, ca.vertsplit(y), strict=True
@@ -92,7 +100,10 @@ def manipulator_jacobian_rate_times(
 
 
 def end_effector_orientation(mechanism: Mechanism, base_orientation: SX, q: SX) -> SX:
-    """Return the quaternion (4) of E in I, as a product of joint quaternions (smooth)."""
+    """Return the quaternion (4) of E in I.
+
+    The quaternion is a product of joint quaternions. Therefore it is a smooth function of q.
+    """
     total = base_orientation
     for i, joint in enumerate(mechanism.joints):
         total = rotation.product(total, _constant_quaternion(joint.rotation))
@@ -115,7 +126,7 @@ def end_effector_pose(
 
 
 def end_effector_velocity(mechanism: Mechanism, state: State) -> SX:
-    """Return x_m' (6) in I, (2), by recursion along the chain."""
+    """Return x_m' (6) of (2), in I, by recursion along the chain."""
     R_IB = rotation.matrix(state.orientation)
     v, w = R_IB.T @ state.v, R_IB.T @ state.w
     chain = R_IB

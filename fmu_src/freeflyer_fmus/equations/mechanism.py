@@ -1,4 +1,4 @@
-"""Robot model of the recursions: inertias, which may be symbols, and joint transforms."""
+"""Robot model of the recursions: inertias and joint transforms. Inertias may be symbols."""
 
 from __future__ import annotations
 
@@ -14,7 +14,10 @@ SX = ca.SX
 
 
 class Mechanism(NamedTuple):
-    """Inertias of the base in B and of `bodies[i]` in joint frame i. The last includes the tool."""
+    """Robot, inertia of the base in B, and inertia of each `bodies[i]` in joint frame i.
+
+    The last body includes the tool.
+    """
 
     robot: Robot
     base: RigidInertia
@@ -59,10 +62,11 @@ def mechanism(
     tool_centre_of_mass: SX,
     tool_inertia: SX,
 ) -> Mechanism:
-    """Return the mechanism with these inertias of base and tool, and constants for all others.
+    """Return the mechanism with these inertias of base and tool.
 
-    Masses are in kg. Inertias (6) [kg m2] are about the centre of mass, in B for the base and in E
-    for the tool. `tool_centre_of_mass` (3) [m] is in E.
+    The inertias of all other bodies are the constants in `robot`. Masses are in kg. Inertias (6)
+    [kg m2] are about the centre of mass, in B for the base and in E for the tool.
+    `tool_centre_of_mass` (3) [m] is in E.
     """
     base = RigidInertia.of(base_mass, SX(3, 1), symmetric_matrix(base_inertia))
     tool = RigidInertia.of(tool_mass, tool_centre_of_mass, symmetric_matrix(tool_inertia))
@@ -88,7 +92,7 @@ def constant_mechanism(robot: Robot) -> Mechanism:
 def inertia_to_parent(inertia: ArticulatedInertia, joint: Joint, q: SX) -> ArticulatedInertia:
     """Return the inertia about the parent's origin, in parent axes.
 
-    The rotation about the joint axis is a separate step, which needs fewer operations.
+    The rotation about the joint axis is a separate step, because two steps need fewer operations.
     """
     if joint.kind == "revolute":
         inertia = inertia.rotated_about_z(ca.cos(q), ca.sin(q))
@@ -102,7 +106,7 @@ def inertia_to_child(inertia: ArticulatedInertia, joint: Joint, q: SX) -> Articu
 
 
 def transform(joint: Joint, q: SX) -> tuple[SX, SX]:
-    """Return the pose (R, r) of the joint frame, displaced by q, in the parent body's frame."""
+    """Return the pose (R, r) of the joint frame at displacement q, in the parent body's frame."""
     R, r = sparse(joint.rotation), sparse(joint.translation)
     if joint.kind == "prismatic":
         return R, r + R[:, 2] * q

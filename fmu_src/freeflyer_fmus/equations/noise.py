@@ -6,7 +6,10 @@ import casadi as ca
 
 SX = ca.SX
 MULTIPLIER, MODULUS = 16807.0, 2147483647.0
-"""Minimal standard generator (Lewis, Goodman, Miller); its products, below 2^46, are exact."""
+"""Constants of the minimal standard generator (Lewis, Goodman, Miller).
+
+All products of the generator are below 2^46. Therefore they are exact in double precision.
+"""
 
 
 def first_state(seed: SX) -> SX:
@@ -18,7 +21,7 @@ def first_state(seed: SX) -> SX:
 def normal(state: SX, size: int) -> tuple[SX, SX]:
     """Return the next generator state and `size` numbers of mean 0 and standard deviation 1.
 
-    Each number is the scaled sum of four uniform ones.
+    Each number is the scaled sum of four uniformly distributed numbers.
     """
     numbers = []
     for _ in range(size):

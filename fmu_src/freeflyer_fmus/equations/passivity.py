@@ -1,14 +1,16 @@
 """Passivity observers and controllers, (18)-(26), per degree of freedom.
 
-Observed energies are the energies ABSORBED by the controller through its port, E(0) included: the
-port is passive if E >= 0. The printed (20) and (23) add F v T with F the force on the robot, which
-is supplied energy; that sign is corrected here.
+The observed energy E of a port is the energy that the controller has ABSORBED through this port,
+plus E(0). The port is passive if E >= 0. The printed (20) and (23) add F v T, where F is the force
+on the robot. F v T is energy supplied to the robot. Therefore the sign of this term is reversed
+here.
 
-There are two bookkeepings, which must not be mixed:
-`as_printed`  the damper's energy beta(k-1) v(k-1)^2 T is credited in advance, and F v T is taken at
-              the sample;
-`applied`     only the force applied since the last sample is booked, the damper included; nothing
-              is credited in advance.
+A bookkeeping is a way to count energy. There are two bookkeepings:
+`as_printed`  The energy of the damper is beta(k-1) v(k-1)^2 T, which is known in advance at sample
+              k-1. F v T is computed from the values at sample k.
+`applied`     Only the work of the force applied since the last sample is counted. This force
+              includes the force of the damper. No energy is computed in advance.
+Both controllers must use the same bookkeeping.
 """
 
 from __future__ import annotations
@@ -21,13 +23,19 @@ SX = ca.SX
 
 
 class Observer(IntEnum):
-    """Power that the observers integrate; F_m*, F_b*: feed-forward, dx_m': velocity error."""
+    """Power that the observers integrate.
 
-    # F_m x_m' and F_B(k_b) x_b' with F_B held between base samples, as printed
+    F_m* and F_b* are the feed-forward wrenches. dx_m' is the velocity error of the end-effector.
+    """
+
+    # The powers are F_m x_m' and F_B(k_b) x_b', as in the paper. F_B is held between the samples
+    # of the base controller.
     paper = 1
-    # F_m x_m' and F_B(k_m) x_b' with the applied wrench F_B(k_m) = F'_b(k_b) - J_b(k_m)^T F'_m(k_m)
+    # The powers are F_m x_m' and F_B(k_m) x_b'.
+    # F_B(k_m) = F'_b(k_b) - J_b(k_m)^T F'_m(k_m) is the applied wrench.
     port = 2
-    # (F_m - F_m*) dx_m' and (F_B - F_b*) x_b': without feed-forward work; the damper acts on dx_m'
+    # The powers are (F_m - F_m*) dx_m' and (F_B - F_b*) x_b'. The work of the feed-forward is not
+    # counted. The damper acts on dx_m'.
     tracking = 3
 
 
@@ -45,30 +53,36 @@ def choose(selector: SX, options: dict[IntEnum, SX]) -> SX:
 
 
 def observed_as_printed(E: SX, F: SX, v: SX, beta_before: SX, v_before: SX, T: SX) -> SX:
-    """Return E(k) = E(k-1) - F(k) v(k) T + beta(k-1) v(k-1)^2 T: (20), (23), sign corrected."""
+    """Return E(k) = E(k-1) - F(k) v(k) T + beta(k-1) v(k-1)^2 T.
+
+    These are (20) and (23) with corrected sign.
+    """
     return E - F * v * T + beta_before * v_before**2 * T
 
 
 def observed_as_applied(E: SX, F_acted: SX, v_before: SX, v: SX, T: SX) -> SX:
-    """Return E(k) = E(k-1) - F(k-1) (x(k) - x(k-1)), exact for a held force.
+    """Return E(k) = E(k-1) - F(k-1) (x(k) - x(k-1)) (Stramigioli et al., T-RO 2005).
 
-    Stramigioli et al., T-RO 2005. The displacement is integrated from the measured velocities by
-    the trapezoidal rule, which applies to translation and rotation alike.
+    The equation is exact for a held force. A held force is constant between two samples. The
+    displacement is integrated from the measured velocities by the trapezoidal rule. This rule is
+    valid for translation and for rotation.
     """
     return E - F_acted * (0.5 * T) * (v_before + v)
 
 
 def damper(E: SX, v: SX, T: SX, floor: SX) -> SX:
-    """Return beta of (24), which dissipates the deficit -E in one T at velocity v; 0 if E >= 0.
+    """Return beta of (24). The result is 0 if E >= 0.
 
-    v^2 T is at least `floor`. Near rest beta stays finite, and the deficit is dissipated later.
+    At the velocity v, beta dissipates the energy deficit -E in one period T. v^2 T is limited to at
+    least `floor`. Therefore beta stays finite near rest, and the deficit is dissipated later.
     """
     return ca.if_else(E < 0, -E / ca.fmax(v**2 * T, floor), 0.0)
 
 
 def bounded(beta: SX, fraction: SX, inertia: SX, damping: SX, T: SX) -> SX:
-    """Return beta, at most max(0, c M~ / T - K_D).
+    """Return beta, limited to at most max(0, c M~ / T - K_D).
 
-    A sampled damper above 2 M~ / T generates energy. The rest of the deficit is dissipated later.
+    A sampled damper generates energy if its coefficient is above 2 M~ / T. The limited damper
+    dissipates only a part of the energy deficit. The rest of the deficit is dissipated later.
     """
     return ca.fmin(beta, ca.fmax(0.0, fraction * inertia / T - damping))

@@ -1,4 +1,7 @@
-"""Pinocchio as an independent reference implementation: the same robot, built without a URDF."""
+"""Independent reference implementation of the dynamics with Pinocchio.
+
+The Pinocchio model is built from the same robot object, without a URDF file.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,10 @@ SX = ca.SX
 
 
 def pinocchio_model(robot: Robot) -> Any:
-    """Build a Pinocchio model of the robot without gravity: a free-flyer joint, then the chain."""
+    """Build a Pinocchio model of the robot without gravity.
+
+    The model has a free-flyer joint, followed by the joints of the robot.
+    """
     import pinocchio as pin
 
     def inertia(body: Inertial) -> Any:

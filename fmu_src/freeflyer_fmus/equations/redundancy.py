@@ -1,15 +1,17 @@
-"""Redundant manipulators: an extension of the paper, whose manipulator has six joints.
+"""Redundant manipulators: an extension of the paper, in which the manipulator has six joints.
 
-The joint torques are J_m^T F_m plus a null-space part that does not accelerate the end-effector
-while the base is at rest. The split is dynamically consistent (Khatib, IEEE J. Robotics and
-Automation 3(1), 1987; compared in Dietrich, Ott, Albu-Schaeffer, Int. J. Robotics Research 34(11),
-2015). With H_q the manipulator's inertia matrix:
+The joint torques are the sum of J_m^T F_m and a null-space part. The null-space part does not
+accelerate the end-effector while the base is at rest. This split of the torques is dynamically
+consistent (Khatib, IEEE J. Robotics and Automation 3(1), 1987). Dietrich, Ott and Albu-Schaeffer
+compare this split with other splits (Int. J. Robotics Research 34(11), 2015). The split uses the
+inertia matrix H_q of the manipulator:
 
     J# = H_q^-1 J_m^T L,  L = (J_m H_q^-1 J_m^T)^-1,  P = 1 - J_m^T J#^T,  tau = J_m^T F_m + P tau_0
 
-With q_r' = J# x_md', whose null-space part P^T q_r' is zero, and with the trajectory's whole torque
-in tau_0, (10) remains the energy of the error system: V decreases by (15) and by the power of the
-null-space damper. docs/redundant_arms.md gives the derivation.
+The reference velocity is q_r' = J# x_md'. Its null-space part P^T q_r' is zero. tau_0 contains the
+complete feed-forward torque f_q of the trajectory. With this q_r' and this tau_0, V of (10) remains
+the energy of the error system. V decreases by (15) and by the power of the null-space damper.
+docs/redundant_arms.md gives the derivation.
 """
 
 from __future__ import annotations
@@ -65,9 +67,10 @@ def consistent_inverse(mechanism: Mechanism, q: SX) -> ConsistentInverse:
 def reference_acceleration(
     mechanism: Mechanism, state: State, at: ConsistentInverse, u: SX, du: SX
 ) -> SX:
-    """Return d/dt (J# u) (n) for u (6) in B's axes, with du its derivative in B's axes.
+    """Return d/dt (J# u) (n).
 
-    J_m q_r'' = du - dJ_m q_r' gives the part along the task. The null-space part is
+    u (6) is in B's axes. du (6) is the derivative of u in B's axes. The task part of the result
+    follows from J_m q_r'' = du - dJ_m q_r'. The null-space part of the result is
     P^T H_q^-1 (dJ_m^T L u - dH_q q_r').
     """
     q, qd, qd_r = state.q, state.qd, at.inverse @ u

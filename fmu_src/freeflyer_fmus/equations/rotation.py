@@ -22,7 +22,7 @@ def normalised(a: SX) -> SX:
 
 
 def matrix(a: SX) -> SX:
-    """Return the rotation matrix (3, 3) of a quaternion, which need not be normalised."""
+    """Return the rotation matrix (3, 3) of a quaternion. The quaternion need not be normalised."""
     x, y, z, w = ca.vertsplit(a)
     s = 2.0 / ca.dot(a, a)
     return ca.blockcat(
@@ -35,25 +35,29 @@ def matrix(a: SX) -> SX:
 
 
 def derivative(a: SX, w: SX) -> SX:
-    """Return da/dt for the angular velocity w (3) in I; the norm of a is preserved."""
+    """Return da/dt for the angular velocity w (3) in I. This derivative keeps the norm of a."""
     return 0.5 * product(ca.vertcat(w, 0), a)
 
 
 def error(actual: SX, desired: SX) -> SX:
-    """Return 2 eps (3), twice the vector part of actual * desired^-1, in I (shorter rotation).
+    """Return the orientation error 2 eps (3), expressed in I.
 
-    This is the orientation part of Delta x in (7) and (8). For isotropic K, K times it is the
-    gradient of 2 K eps^T eps. It equals the rotation vector to third order in the angle.
+    eps is the vector part of actual * desired^-1, with the sign of the shorter rotation. 2 eps is
+    the orientation part of Delta x in (7) and (8). For isotropic K, the product of K and 2 eps is
+    the gradient of 2 K eps^T eps. 2 eps differs from the rotation vector only by terms of third
+    order in the angle.
     """
     e = normalised(product(actual, conjugate(desired)))
     return 2.0 * ca.if_else(e[3] < 0, -1.0, 1.0) * e[:3]
 
 
 def about(vector: SX) -> SX:
-    """Return the quaternion of a rotation vector (3) [rad]; zero is allowed."""
-    # The addend changes no value; it keeps the derivative of the square root finite at zero.
+    """Return the quaternion of a rotation vector (3) [rad]. The vector may be zero."""
+    # The addend 1e-300 does not change the result. With the addend, the derivative of the square
+    # root is finite at zero.
     half = 0.5 * ca.sqrt(ca.dot(vector, vector) + 1e-300)
-    # sin(h)/h: below 1e-4 rad the series is exact to the last bit, and no division by zero occurs.
+    # Compute sin(h)/h. Below 1e-4 rad, the series is exact to the last bit. The series also avoids
+    # a division by zero.
     small = half < 1e-4
     safe = ca.if_else(small, 1.0, half)
     ratio = ca.if_else(small, 1.0 - half * half / 6.0, ca.sin(safe) / safe)

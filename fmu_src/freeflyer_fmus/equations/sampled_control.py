@@ -1,11 +1,14 @@
 """Matched discretisation of a spring and damper whose wrench is held for a whole sampling period.
 
-The held wrench F is the mean of the continuous law over the period T. For a mass M under F, the
-mean of the velocities at both ends is exactly v_mean = v + T/(2 M) F, and the mean displacement is
-x_mean = x + T/2 v_mean. F = -K x_mean - D v_mean is solved in closed form below. Its work over the
-period is exactly that of a spring with potential 1/2 x^T K x and of a damper T v_mean^T D v_mean.
-Sampling therefore generates no energy, for any K, D and T.
-This law is this project's own; docs/matched_gains.md derives it and states its limits.
+The held wrench F is the mean of the continuous law over the period T. F accelerates a mass M, which
+has the displacement x and the velocity v at the start of the period. The mean of the velocities at
+the start and at the end of the period is exactly v_mean = v + T/(2 M) F. The mean displacement is
+x_mean = x + T/2 v_mean. The equation F = -K x_mean - D v_mean is solved in
+closed form below. The work of F over the period has exactly two parts. One part is the work of a
+spring with the potential 1/2 x^T K x. The other part is the energy T v_mean^T D v_mean that a
+damper dissipates. Therefore sampling does not generate energy, for any K, D and T.
+
+The law is not in the paper. docs/matched_gains.md derives the law and states its limits.
 """
 
 from __future__ import annotations
@@ -20,7 +23,11 @@ SX = ca.SX
 
 
 class Discretisation(IntEnum):
-    """`emulated`: continuous law at the sample, (16), (17). `matched`: its mean over the period."""
+    """How a continuous control law is sampled.
+
+    `emulated`: the law is evaluated at the sample, (16), (17). `matched`: the held wrench is the
+    mean of the law over the period.
+    """
 
     emulated = 1
     matched = 2
@@ -29,9 +36,10 @@ class Discretisation(IntEnum):
 def mean_wrench(
     inertia: SX, stiffness: SX, damping: SX, period: SX, spring: SX, velocity_error: SX
 ) -> SX:
-    """Return -K dx_mean - D dx'_mean (6); `spring` is -K dx at the sample.
+    """Return the held wrench -K dx_mean - D dx'_mean (6).
 
-    Inertia M, K and D are (6, 6) and symmetric. The means solve
+    `spring` is -K dx at the sample. The inertia M, the stiffness K and the damping D are (6, 6) and
+    symmetric. The means are the solution of
     (M + T/2 D + T^2/4 K) dx'_mean = M dx' - T/2 K dx and dx_mean = dx + T/2 dx'_mean.
     As T -> 0 the result tends to the continuous law.
     """
@@ -42,10 +50,9 @@ def mean_wrench(
 
 
 def sampled_damping(inertia: SX, stiffness: SX, damping: SX, period: SX) -> SX:
-    """Return -dF/dx' (6) of the held wrench, per axis (diagonals, 6 each).
+    """Return the damping -dF/dx' (6) of the held wrench F, per axis.
 
-    It is below 2 M / T for any K and D.
+    The arguments are diagonals (6 each). The damping is below 2 M / T for any K and D.
     """
-
     half = 0.5 * period
     return (damping + half * stiffness) * inertia / (inertia + half * damping + half**2 * stiffness)

@@ -1,8 +1,8 @@
 """Rigid and articulated inertias, and their transforms between the frames of child and parent.
 
-Spatial vectors are pairs of 3-vectors (linear, angular). A transform is (R, r): R maps child to
-parent coordinates, r is the origin of the child in the parent frame. Source of the algorithms:
-Featherstone, Rigid Body Dynamics Algorithms, 2008.
+Spatial vectors are pairs of 3-vectors (linear, angular). A transform is a pair (R, r). R maps child
+coordinates to parent coordinates. r is the origin of the child in the parent frame. The algorithms
+are from Featherstone, Rigid Body Dynamics Algorithms, 2008.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Z = SX(ca.DM([0.0, 0.0, 1.0]))
 
 
 def skew(v: SX) -> SX:
-    """Return [v]x (3, 3), with skew(v) @ u = v x u."""
+    """Return the matrix [v]x (3, 3), for which skew(v) @ u = v x u."""
     return ca.skew(v)
 
 
@@ -27,17 +27,20 @@ def cross(a: SX, b: SX) -> SX:
 
 
 def sparse(values: Any) -> SX:
-    """Return a constant matrix without its exact zeros: no code is generated for their products."""
+    """Return a constant matrix in sparse form. No code is generated for products with its zeros."""
     return SX(ca.sparsify(ca.DM(values)))
 
 
 def symmetric(upper: SX) -> SX:
-    """Return the symmetric matrix of this upper triangle; mirrored entries are one expression."""
+    """Return the symmetric matrix with this upper triangle. Mirrored entries are one expression."""
     return ca.triu2symm(ca.triu(upper))
 
 
 class RigidInertia(NamedTuple):
-    """Mass [kg], first moment m c (3) [kg m], inertia about the frame's origin (3, 3) [kg m2]."""
+    """Rigid body: mass [kg], first moment m c (3) [kg m] and inertia (3, 3) [kg m2].
+
+    The inertia is about the origin of the frame.
+    """
 
     mass: SX
     first_moment: SX
@@ -45,7 +48,7 @@ class RigidInertia(NamedTuple):
 
     @staticmethod
     def of(mass: SX, centre_of_mass: SX, inertia: SX) -> RigidInertia:
-        """Return the rigid inertia from `inertia` about the centre of mass (3) [m]."""
+        """Return the rigid inertia. `inertia` is about `centre_of_mass` (3) [m]."""
         shift = (
             ca.dot(centre_of_mass, centre_of_mass) * SX.eye(3) - centre_of_mass @ centre_of_mass.T
         )
@@ -59,7 +62,10 @@ class RigidInertia(NamedTuple):
         return RigidInertia(*(ca.sparsify(part) for part in whole))
 
     def seen_from(self, rotation: SX, translation: SX) -> RigidInertia:
-        """Return the inertia in a frame where the present one has pose (rotation, translation)."""
+        """Return the inertia in a new frame.
+
+        The old frame has the pose (rotation, translation) in the new frame.
+        """
         moment = rotation @ self.first_moment
         cross_term = (
             moment @ translation.T
@@ -79,9 +85,9 @@ class RigidInertia(NamedTuple):
         )
 
     def momentum(self, v: SX, w: SX) -> tuple[SX, SX]:
-        """Return linear momentum, and angular momentum about the frame's origin.
+        """Return the linear momentum, and the angular momentum about the frame's origin.
 
-        v [m/s] is the velocity of the origin, w [rad/s] the angular velocity.
+        v [m/s] is the velocity of the origin. w [rad/s] is the angular velocity.
         """
         return self.mass * v + cross(w, self.first_moment), self.inertia @ w + cross(
             self.first_moment, v
@@ -103,17 +109,20 @@ class ArticulatedInertia(NamedTuple):
         return ArticulatedInertia(self.M + other.M, self.H + other.H, self.I + other.I)
 
     def rotated(self, R: SX) -> ArticulatedInertia:
-        """Return the inertia in other axes, same origin: R maps present to new coordinates."""
+        """Return the inertia in new axes with the same origin. R maps old to new coordinates."""
         return ArticulatedInertia(
             symmetric(R @ self.M @ R.T), R @ self.H @ R.T, symmetric(R @ self.I @ R.T)
         )
 
     def rotated_about_z(self, c: SX, s: SX) -> ArticulatedInertia:
-        """Return `rotated` for the rotation about z with cosine c and sine s."""
+        """Return the inertia after a rotation about z, given by its cosine c and sine s."""
         return ArticulatedInertia(*(_rotated_about_z(part, c, s) for part in self))
 
     def shifted(self, r: SX) -> ArticulatedInertia:
-        """Return the inertia about a new origin, in the same axes; r points from new to old."""
+        """Return the inertia about a new origin, in the same axes.
+
+        r points from the new origin to the old origin.
+        """
         H = self.H - self.M @ skew(r)
         return ArticulatedInertia(self.M, H, symmetric(self.I + skew(r) @ H + (skew(r) @ self.H).T))
 
@@ -122,9 +131,10 @@ class ArticulatedInertia(NamedTuple):
 
 
 def _rotated_about_z(A: SX, c: SX, s: SX) -> SX:
-    """Return R A R^T (3, 3) with less than half of the products.
+    """Return R A R^T (3, 3) for a rotation R about z with cosine c and sine s.
 
-    The rotation does not change the trace and the antisymmetric part of the xy block.
+    The rotation does not change the trace and the antisymmetric part of the xy block. Therefore
+    this function needs less than half of the products of a general rotation.
     """
     u = s * (A[0, 0] - A[1, 1]) + c * (A[0, 1] + A[1, 0])
     column = ca.vertcat(c * A[0, 2] - s * A[1, 2], s * A[0, 2] + c * A[1, 2])
@@ -140,7 +150,10 @@ def wrench_to_parent(R: SX, r: SX, force: SX, torque: SX) -> tuple[SX, SX]:
 
 
 def solve_positive_definite(A: SX, b: SX) -> SX:
-    """Return A^-1 b for symmetric positive definite A by L D L^T, without pivots or roots."""
+    """Return A^-1 b for a symmetric positive definite matrix A.
+
+    The factorisation is L D L^T, without pivoting and without square roots.
+    """
     n = A.size1()
     L, D, LD = SX.eye(n), [SX(0)] * n, SX(n, n)
     for j in range(n):

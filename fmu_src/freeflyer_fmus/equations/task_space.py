@@ -29,8 +29,11 @@ def task_jacobian(Jb: SX, Jm: SX) -> SX:
 
 
 def rate(mechanism: Mechanism, expression: SX, state: State) -> SX:
-    """Return d/dt of an expression of the configuration along the actual motion."""
-    # The expression does not depend on the base position.
+    """Return the time derivative of `expression` along the actual motion.
+
+    `expression` depends on the joint positions and on the base orientation, but not on the base
+    position.
+    """
     along_q = ca.jtimes(expression, state.q, state.qd)
     return along_q + ca.jtimes(
         expression, state.orientation, rotation.derivative(state.orientation, state.w)

@@ -1,4 +1,7 @@
-"""Control laws (7) and (8), sampled (16) and (17): feed-forward, spring and damper of each."""
+"""Feed-forward, spring and damper of the control laws (7) and (8).
+
+The sampled forms of these laws are (16) and (17).
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,10 @@ SX = ca.SX
 
 
 class NullSpace(NamedTuple):
-    """Null space of a redundant manipulator: J# and the feed-forward torque in it, P f_q (n)."""
+    """Null space of a redundant manipulator.
+
+    `at` contains J#. `torque` is the feed-forward torque in the null space, P f_q (n).
+    """
 
     at: ConsistentInverse
     torque: SX
@@ -34,8 +40,8 @@ class NullSpace(NamedTuple):
 class FeedForward(NamedTuple):
     """Feed-forward wrenches F_m* = M_m x_md'' + Gamma_m x_md', F_b* = M_bm x_md'' + Gamma_bm x_md'.
 
-    Both (6), in I. Intermediate results: q_r' (n), p_be (3) in I, and a lower bound of the smallest
-    singular value of J_m. `null_space` is None for six joints.
+    Both wrenches are (6), in I. The intermediate results are q_r' (n), p_be (3) in I, and a lower
+    bound of the smallest singular value of J_m. `null_space` is None for six joints.
     """
 
     F_m: SX
@@ -49,8 +55,9 @@ class FeedForward(NamedTuple):
 def left_inverse(J: SX) -> SX:
     """Return (J^T J)^-1 J^T (J^-1 for a square J) by modified Gram-Schmidt.
 
-    It is stable up to the singularity threshold. The small addend in the norm (1e-30) keeps the
-    result finite at an exact singularity, so that the singularity can be reported with its value.
+    The algorithm is numerically stable up to the singularity threshold. A small addend in the norm
+    (1e-30) keeps the result finite at an exact singularity. Therefore the FMU can report the
+    smallest singular value at a singularity.
     """
     n = J.size2()
     Q, R = SX(J), SX.zeros(n, n)
@@ -69,10 +76,11 @@ def left_inverse(J: SX) -> SX:
 
 
 def smallest_singular_value(inverse_of_J: SX) -> SX:
-    """Return a lower bound of sigma_min(J) from its (left) inverse: (sum sigma_i^-8)^(-1/8).
+    """Return (sum sigma_i^-8)^(-1/8), a lower bound of sigma_min(J).
 
-    The bound is tight near a singularity, where one singular value is much smaller than the others
-    (0.01 % at a ratio of three). For six singular values it is never more than 20 % too low.
+    The argument is the inverse or the left inverse of J. The bound is tight near a singularity,
+    where one singular value is much smaller than the others. If the others are three times larger,
+    the bound is 0.01 % too low. For six singular values, the bound is never more than 20 % too low.
     """
     inverse_square = inverse_of_J @ inverse_of_J.T
     fourth = inverse_square @ inverse_square
@@ -82,12 +90,13 @@ def smallest_singular_value(inverse_of_J: SX) -> SX:
 def feed_forward(
     mechanism: Mechanism, state: State, desired_velocity: SX, desired_acceleration: SX
 ) -> FeedForward:
-    """Compute the feed-forward of (7) and (8), with the base reference at rest.
+    """Compute the feed-forward of (7) and (8). The base reference is at rest.
 
-    In generalised coordinates, [0; x_md'] is q_r' = J_m^-1 x_md', with derivative
-    q_r'' = J_m^-1 (x_md'' - dJ_m q_r'). Then f = H q_r'' + C q_r', with C at the ACTUAL velocity.
-    J~^-T of (5) gives F_m* = J_m^-T f_q and F_b* = f_b - J_b^T F_m*.
-    With more than six joints, q_r' = J# x_md' (equations/redundancy.py).
+    The reference velocity of the joints is q_r' = J_m^-1 x_md'. Its derivative is
+    q_r'' = J_m^-1 (x_md'' - dJ_m q_r'). The feed-forward in generalised coordinates is
+    f = H q_r'' + C q_r'. C is evaluated at the ACTUAL velocity. J~^-T of (5) transforms f into
+    F_m* = J_m^-T f_q and F_b* = f_b - J_b^T F_m*. With more than six joints, q_r' = J# x_md'
+    (equations/redundancy.py).
     """
     R_IB = rotation.matrix(state.orientation)
     R = ca.diagcat(R_IB, R_IB)
@@ -125,7 +134,7 @@ def feed_forward(
 def pose_error(position: SX, orientation: SX, desired_position: SX, desired_orientation: SX) -> SX:
     """Return Delta x (6) in I: position error [m] and 2 eps of the error quaternion.
 
-    2 eps equals the rotation vector [rad] to third order.
+    2 eps differs from the rotation vector [rad] only by terms of third order in the angle.
     """
     return ca.vertcat(position - desired_position, rotation.error(orientation, desired_orientation))
 
@@ -136,11 +145,13 @@ def spring_damper(stiffness: SX, damping: SX, pose_error: SX, velocity_error: SX
 
 
 def spring_energy(stiffness: SX, pose_error: SX) -> SX:
-    """Return the spring energy in V of (10), the potential of the spring of `spring_damper`.
+    """Return the energy of the spring in `spring_damper`, which is the spring energy in V of (10).
 
-    It is exact for isotropic rotational stiffness. The translational part is as in (10),
-    1/2 Delta x^T K Delta x. For the rotation, Delta x = 2 eps and (10) holds for small angles only:
-    the potential of the torque -2 k eps is 4 k (1 - eta) = Delta x^T K Delta x / (1 + eta).
+    The energy is exact for isotropic rotational stiffness. The translational part is
+    1/2 Delta x^T K Delta x, as in (10). The rotational part differs from (10), because (10) is
+    valid for small angles only. The rotational part of Delta x is 2 eps. The torque -2 k eps has
+    the potential 4 k (1 - eta) = Delta x^T K Delta x / (1 + eta). eta is the scalar part of the
+    error quaternion.
     """
     translation, rotational = pose_error[:3], pose_error[3:]
     eta = ca.sqrt(ca.fmax(1.0 - 0.25 * ca.dot(rotational, rotational), 0.0))
@@ -150,7 +161,7 @@ def spring_energy(stiffness: SX, pose_error: SX) -> SX:
 
 
 def joint_torque(mechanism: Mechanism, state: State, F_m: SX) -> SX:
-    """Return tau = J_m^T F_m (n), with F_m in I."""
+    """Return tau = J_m^T F_m (n). F_m is in I."""
     R_IB = rotation.matrix(state.orientation)
     return manipulator_jacobian(mechanism, axes(mechanism, state.q)).T @ (
         ca.diagcat(R_IB, R_IB).T @ F_m
@@ -162,8 +173,9 @@ def null_space_torque(
 ) -> SX:
     """Return P (f_q - D P^T q' - K (q - q_0)) (n) for diagonal gains D and K.
 
-    The terms are the trajectory's torque, a damper, and a spring to a posture. The damper only
-    dissipates energy. The projected spring has no potential, so with it V may increase.
+    f_q is the torque of the trajectory. D is a damper. K is a spring towards `posture` (q_0). The
+    damper only dissipates energy. The projected spring has no potential. Therefore V may increase
+    if K is not zero.
     """
     slow = damping * null_space.at.velocity_in_null_space(state.qd)
     return null_space.torque - null_space.at.torque_in_null_space(

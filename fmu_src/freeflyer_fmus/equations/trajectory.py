@@ -1,6 +1,7 @@
-"""Reference motion of the end-effector (Fig. 2): a ramped sine along and about fixed axes of I.
+"""Reference motions of the end-effector: a ramped sine (Fig. 2) and a straight line.
 
-The paper gives neither amplitudes nor frequency; they are parameters with this project's defaults.
+The sine moves the end-effector along and about fixed axes of I. The paper does not give the
+amplitudes and the frequency. They are parameters, and their defaults are assumptions.
 """
 
 from __future__ import annotations
@@ -15,7 +16,10 @@ SX = ca.SX
 
 
 class Motion(NamedTuple):
-    """x_md as position (3) and quaternion (4), x_md' (6), x_md'' (6); in I."""
+    """Pose x_md, velocity x_md' (6) and acceleration x_md'' (6), in I.
+
+    The pose consists of a position (3) and a quaternion (4).
+    """
 
     position: SX
     orientation: SX
@@ -24,7 +28,10 @@ class Motion(NamedTuple):
 
 
 def quintic_ramp(t: SX, duration: SX) -> tuple[SX, SX, SX]:
-    """Return a ramp from 0 to 1 over `duration` [s], C^2: the value and two derivatives."""
+    """Return the value and the first two derivatives of a ramp from 0 to 1 over `duration` [s].
+
+    The ramp is twice continuously differentiable.
+    """
     s = ca.fmin(ca.fmax(t / duration, 0.0), 1.0)
     value = s**3 * (10.0 + s * (-15.0 + 6.0 * s))
     first = 30.0 * s**2 * (1.0 - s) ** 2 / duration
@@ -41,10 +48,11 @@ def ramped_sine(
     frequency: SX,
     ramp_time: SX,
 ) -> Motion:
-    """Return x_md = x_0 + translation g, R_md = Exp(rotation_vector g) R_0.
+    """Return the motion x_md = x_0 + translation g, R_md = Exp(rotation_vector g) R_0.
 
-    g = ramp(t / ramp_time) sin(2 pi f t). `translation` (3) [m] and `rotation_vector` (3) [rad] are
-    in I. The axis is fixed, so w = rotation_vector g' exactly.
+    The factor g is ramp(t / ramp_time) sin(2 pi f t). `translation` (3) [m] and `rotation_vector`
+    (3) [rad] are in I. The rotation axis is fixed. Therefore the angular velocity is exactly
+    rotation_vector g'.
     """
     r, rd, rdd = quintic_ramp(t, ramp_time)
     omega = 2.0 * ca.pi * frequency
@@ -61,10 +69,10 @@ def ramped_sine(
 
 
 def straight_line(t: SX, position: SX, orientation: SX, displacement: SX, duration: SX) -> Motion:
-    """Return x_md = x_0 + displacement ramp(t / duration), with constant orientation.
+    """Return the motion x_md = x_0 + displacement ramp(t / duration). The orientation is constant.
 
-    The motion starts and ends at rest. The paper's Sec. VI gives line and duration; the quintic
-    profile along the line is this project's assumption.
+    The motion starts and ends at rest. The paper gives the line and the duration in Sec. VI. The
+    quintic profile along the line is an assumption.
     """
     s, sd, sdd = quintic_ramp(t, duration)
     still = SX(3, 1)

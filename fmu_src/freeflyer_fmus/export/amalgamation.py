@@ -1,6 +1,6 @@
-"""Amalgamation: the runtime and a block's C code as one C99 file, for source-code FMUs.
+"""Amalgamation: combines the runtime and the C code of a block into one C99 file.
 
-The file needs only mathematics and memory functions of the C library.
+The file is for source-code FMUs. It needs only mathematics and memory functions of the C library.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import re
 
 from freeflyer_fmus.export.compiler import SOURCES
 
-# In order of dependency.
+# The order follows the dependencies.
 HEADERS = ("block", "message", "sincos", "integrate", "instance", "internal")
 NO_CONTRACTION = """#if defined(__clang__)
 #pragma STDC FP_CONTRACT OFF
@@ -25,9 +25,9 @@ SHARED = re.compile(r"\b((?:instance|integrate|message)_\w+)\(")
 def amalgamated(name: str, block_c: str, version: int) -> bytes:
     """Return NAME.c with the interface of one FMI version.
 
-    Names with external linkage have the block's name as prefix, so that several FMUs can be linked
-    into one program. The FMI functions get it if FMIx_FUNCTION_PREFIX is defined, as in the
-    standard.
+    Names with external linkage have the name of the block as a prefix. Therefore several FMUs can
+    be linked into one program. As in the FMI standard, the FMI functions have this prefix only if
+    FMIx_FUNCTION_PREFIX is defined.
     """
     headers = [(SOURCES / f"{header}.h").read_text(encoding="ascii") for header in HEADERS]
     runtime = [path for path in sorted(SOURCES.glob("*.c")) if not path.stem.startswith("fmi")]

@@ -1,4 +1,7 @@
-"""Building of .fmu files: one library and two descriptions per block, reproducible archives."""
+"""Building of .fmu files as reproducible archives.
+
+Each block has one library, and one model description for each FMI version.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,10 @@ EPOCH = (1980, 1, 1, 0, 0, 0)
 
 
 def content_token(block: Block) -> str:
-    """Return the instantiation token: a hash of descriptions, equations, runtime and flags."""
+    """Return the instantiation token.
+
+    The token is a hash of the descriptions, the equations, the runtime and the compiler flags.
+    """
     digest = hashlib.sha256()
     digest.update(description.fmi2(block, ""))
     digest.update(description.fmi3(block, ""))
@@ -43,9 +49,10 @@ def build_all(
 ) -> Iterator[tuple[Block, dict[int, Path]]]:
     """Write `directory/fmi2/NAME.fmu` and `directory/fmi3/NAME.fmu` of every block.
 
-    `platforms` defaults to the host platform; `sources` adds the C sources. Yields each block with
-    its paths by FMI version. Compilation uses all cores. Files are written atomically.
-    Raises BuildError if the compiler fails or the directory is not writable.
+    The default of `platforms` is the host platform. If `sources` is True, the FMUs contain the C
+    sources. Yields each block, and the paths of its two FMUs by FMI version. Compilation uses all
+    cores. Files are written atomically. Raises BuildError if the compiler fails or if the directory
+    is not writable.
     """
     targets = [host_platform()] if platforms is None else platforms
     with _scratch() as scratch, ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -66,7 +73,7 @@ def build(
     *,
     sources: bool = False,
 ) -> dict[int, Path]:
-    """Build the FMUs of one block; see `build_all`."""
+    """Build the FMUs of one block. The arguments are those of `build_all`."""
     ((_, paths),) = build_all([block], directory, platforms, sources=sources)
     return paths
 
@@ -81,7 +88,7 @@ def _submit(
     source.write_text(block_c, encoding="ascii")
 
     def library(target: Platform) -> bytes:
-        # The path contains the final file name, which some formats store in the library.
+        # The path ends with the final file name, because some library formats store this name.
         path = source.parent / target.fmi3 / f"{block.name}{target.suffix}"
         path.parent.mkdir()
         compile_library(source, path, target)
@@ -118,9 +125,9 @@ def _write(
 
 
 def write_archive(path: Path, files: Mapping[str, bytes]) -> Path:
-    """Write a zip with fixed times and order: equal content gives equal bytes.
+    """Write a zip file in which all entries have a fixed time and a fixed order.
 
-    Raises BuildError if the file is not writable.
+    Therefore equal content gives equal bytes. Raises BuildError if the file is not writable.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -142,7 +149,7 @@ def write_archive(path: Path, files: Mapping[str, bytes]) -> Path:
 
 @contextlib.contextmanager
 def _scratch() -> Iterator[str]:
-    """Yield a temporary directory; raise BuildError for errors of the file system."""
+    """Yield a temporary directory. Raises BuildError if the file system reports an error."""
     try:
         with tempfile.TemporaryDirectory() as scratch:
             yield scratch

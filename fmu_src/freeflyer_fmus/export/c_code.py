@@ -1,8 +1,8 @@
-"""Generation of block.c: straight-line C99 from the symbolic functions, and the runtime's tables.
+"""Generation of block.c: C99 code of the symbolic functions, and tables for the runtime.
 
-The expressions are printed in static single assignment, one operation per line, in the order of the
-symbolic program. The compiler may not reorder or contract them (-ffp-contract=off), so every
-platform computes the same bits.
+The C code is straight-line code in static single assignment form. It has one operation per line, in
+the order of the symbolic program. The compiler may not reorder or contract the
+operations (-ffp-contract=off). Therefore every platform computes the same bits.
 """
 
 from __future__ import annotations
@@ -23,14 +23,15 @@ SENSITIVITY = (*ARGUMENTS, "seed")
 
 @lru_cache(maxsize=1)
 def operations() -> dict[int, str]:
-    """Return the C expression of each CasADi operation, in operands {0}, {1}.
+    """Return the C expression of each CasADi operation, with the operands {0} and {1}.
 
-    sin and cos are computed as pairs by `print_function`.
+    sin and cos are not in the table, because `print_function` computes them together.
     """
     infix = {"ADD": "+", "SUB": "-", "MUL": "*", "DIV": "/"}
     compared = {"LT": "<", "LE": "<=", "EQ": "==", "NE": "!="}
     called = {"FABS": "fabs", "SQRT": "sqrt", "FLOOR": "floor", "CEIL": "ceil"}
-    # These use the platform's C library: they agree to about 1e-12, not to the last bit.
+    # These functions are in the C library of the platform. Between platforms, their results agree
+    # to about 1e-12, but not to the last bit.
     library = {
         "EXP": "exp",
         "LOG": "log",
@@ -72,7 +73,10 @@ def operations() -> dict[int, str]:
 
 
 def number(value: float) -> str:
-    """Return a C literal that is exactly this double; raise BlockError if none exists."""
+    """Return a C literal that is exactly equal to `value`.
+
+    Raises BlockError if there is no such literal.
+    """
     if value != value or value in (float("inf"), float("-inf")):
         raise BlockError(f"the equations contain the constant {value}, which has no C99 literal")
     text = repr(float(value))
@@ -84,7 +88,7 @@ def print_function(
 ) -> str:
     """Print a static C function with the signature of `Equations` or `Sensitivity` in block.h.
 
-    Raises BlockError for an operation without a C expression.
+    Raises BlockError if an operation has no C expression.
     """
     table = operations()
     held: dict[int, str] = {}  # C expression by work vector index
@@ -128,7 +132,7 @@ def print_function(
             raise BlockError(
                 f"{name}: the equations use CasADi operation {operation}, which has no C expression"
             )
-    # The signature; unused arguments are cast to void.
+    # Write the signature. Cast unused arguments to void.
     used = "\n".join(lines)
     unused = [name for name in (*arguments, *results) if not re.search(rf"\b{name}\[", used)]
     given = [f"const double *{argument}" for argument in arguments] + [

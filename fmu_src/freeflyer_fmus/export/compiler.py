@@ -22,13 +22,14 @@ FLAGS: tuple[str, ...] = (
     "-pedantic",
     "-g0",
 )
-# Measured: no effect on the step time, because the code is straight-line; half the compile time.
+# This flag halves the compile time. It does not change the step time, because the code is
+# straight-line. Both effects were measured.
 FLAGS += ("-fno-slp-vectorize",)
 
 
 @dataclass(frozen=True)
 class Platform:
-    """Target platform: its names in FMI 2.0 and FMI 3.0, the compiler's target, library suffix."""
+    """Target platform: names in FMI 2.0 and FMI 3.0, compiler target, suffix of libraries."""
 
     fmi2: str
     fmi3: str
@@ -47,11 +48,16 @@ PLATFORMS = {
 
 
 def host_platform() -> Platform:
-    """Return the platform of this machine; raise BuildError if FMUs cannot be built for it."""
+    """Return the platform of this machine.
+
+    Raises BuildError if FMUs cannot be built for this platform.
+    """
     machine = {"AMD64": "x86_64", "arm64": "aarch64"}.get(platform.machine(), platform.machine())
     name = f"{machine}-{platform.system().lower()}"
     if name not in PLATFORMS:
-        raise BuildError(f"this machine is {name}; FMUs are built for {', '.join(PLATFORMS)}")
+        raise BuildError(
+            f"this machine is {name}, but FMUs can be built only for {', '.join(PLATFORMS)}"
+        )
     return PLATFORMS[name]
 
 
@@ -82,7 +88,7 @@ def compile_library(block_c: Path, output: Path, target: Platform) -> None:
     sources = sorted(str(path) for path in SOURCES.glob("*.c"))
     command = compiler(target, "-shared", "-fPIC", *FLAGS)
     if target.suffix == ".dylib":
-        # A macOS library stores its own path, which is the build path by default.
+        # A macOS library contains its own path. By default, this is the path during the build.
         command.append(f"-Wl,-install_name,@rpath/{output.name}")
     command += [
         "-Wl,-s",
@@ -100,7 +106,10 @@ def compile_library(block_c: Path, output: Path, target: Platform) -> None:
 
 
 def run(command: list[str], subject: str) -> None:
-    """Run a compiler command; raise BuildError with its output if it fails."""
+    """Run a compiler command.
+
+    Raises BuildError if the command fails. The message contains the output of the compiler.
+    """
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise BuildError(

@@ -11,7 +11,7 @@ from freeflyer_fmus.units import DISPLAY, UNITS, rate
 
 TOOL = "freeflyer-cosim"
 UNITS_ANNOTATION = "org.freeflyer-cosim.units"
-"""Type of the FMI 3.0 annotation that contains an array's units, one per element."""
+"""Type of the FMI 3.0 annotation that contains the units of an array. Each element has one unit."""
 TERMINAL_KINDS = "org.freeflyer-cosim"
 
 
@@ -53,7 +53,8 @@ def _log_categories(root: ElementTree.Element) -> None:
 
 
 def _experiment(root: ElementTree.Element, block: Block) -> None:
-    # FMPy doubles its output interval above 1000 steps in the default experiment: use fewer.
+    # FMPy doubles its output interval if the default experiment has more than 1000 steps. Therefore
+    # the default experiment has 100 steps.
     step = block.default_step
     ElementTree.SubElement(
         root, "DefaultExperiment", startTime="0", stopTime=number(100 * step), stepSize=number(step)
@@ -139,7 +140,7 @@ def fmi2(block: Block, token: str, sources: Sequence[str] = ()) -> bytes:
                 ElementTree.SubElement(items, "Item", name=choice, value=str(index + 1))
     _log_categories(root)
     _experiment(root, block)
-    # FMI 2.0 has no terminals of its own: they are a vendor annotation.
+    # FMI 2.0 does not define terminals. Therefore the terminals are in a vendor annotation.
     if block.terminals:
         annotations = ElementTree.SubElement(root, "VendorAnnotations")
         _terminals(ElementTree.SubElement(annotations, "Tool", name=TERMINAL_KINDS), block)
@@ -160,7 +161,7 @@ def build_description(block: Block) -> bytes:
 
 
 def _fmi2_variables(parent: ElementTree.Element, block: Block, plan: Layout) -> dict[str, int]:
-    """Add all scalar variables; return the 1-based index of each by name."""
+    """Add all scalar variables. Return the 1-based index of each variable by name."""
     index: dict[str, int] = {}
 
     def scalar(name: str, reference: int, **attributes: str) -> ElementTree.Element:
@@ -272,7 +273,8 @@ def fmi3(block: Block, token: str) -> bytes:
         "providesDirectionalDerivatives": "true",
         "providesAdjointDerivatives": "true",
     }
-    # Continuous blocks support intermediate updates and early return between their inner steps.
+    # A continuous block makes several inner steps in a communication step. Between inner steps, it
+    # supports intermediate update and early return.
     inner = (
         {}
         if block.is_sampled
@@ -331,7 +333,8 @@ def _fmi3_variables(parent: ElementTree.Element, block: Block, plan: Layout) -> 
             attributes["nominal"] = number(variable.nominal)
         if variable.causality != "parameter" and not block.is_sampled:
             attributes["intermediateUpdate"] = "true"
-        # FMI 3.0 has one unit per array. An annotation contains the units of a wrench or twist.
+        # An array has only one unit in FMI 3.0. The units of a wrench or twist are in an
+        # annotation.
         if variable.kind == "real" and len(set(variable.units)) == 1:
             attributes["unit"] = variable.units[0]
         tag = {"real": "Float64", "boolean": "Boolean", "enumeration": "Enumeration"}[variable.kind]

@@ -1,4 +1,4 @@
-"""Generation of a Markdown page of all FMU variables from the blocks' declarations."""
+"""Generation of a Markdown page of all FMU variables from the declarations of the blocks."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from freeflyer_fmus.blocks.block import Block, Variable
 
 HEAD = """# FMU variables
 
-Generated from the block declarations by `python -m freeflyer_fmus.export.documentation`. Start values are those of the default robot.
+Generated from the block declarations by `python -m freeflyer_fmus.export.documentation`. The start values are valid for the default robot.
 In FMI 2.0 the elements of an array are `name[1]` ... `name[n]`. "Assumed" marks values that the paper does not give.
+An input marked "delayed" gets the value that its source had before the present instant.
 """
 
 
@@ -30,7 +31,7 @@ def _section(block: Block) -> str:
     for title, causality in (
         ("Parameters", "parameter"),
         ("Inputs", "input"),
-        ("States, as outputs", "state"),
+        ("States (visible as outputs)", "state"),
         ("Outputs", "output"),
     ):
         variables = [variable for variable in block.having(causality) if not variable.local]

@@ -1,8 +1,8 @@
 """Layout of a block's values in one flat vector.
 
-The index is the value reference in FMI 2.0 and 3.0. Order: time, parameters, inputs, states,
-outputs, derivatives (of a continuous block). In FMI 3.0 an array's value reference is that of its
-first element.
+The index of a value is its value reference in FMI 2.0 and FMI 3.0. The order is time, parameters,
+inputs, states, outputs, derivatives. Only a continuous block has derivatives. In FMI 3.0 the value
+reference of an array is the index of its first element.
 """
 
 from __future__ import annotations
@@ -17,7 +17,11 @@ Access = Literal["read_only", "fixed", "tunable", "input", "start"]
 
 @dataclass(frozen=True)
 class Value:
-    """Entry of the value vector; `extent` is the variable's size at its first element, else 0."""
+    """Entry of the value vector.
+
+    At the first element of a variable, `extent` is the size of the variable. At all other elements,
+    `extent` is 0.
+    """
 
     element: str
     kind: str
@@ -28,7 +32,11 @@ class Value:
 
 @dataclass(frozen=True)
 class Layout:
-    """Values in order of reference, ranges (first, count) by kind, first references by name."""
+    """Layout of all values of a block.
+
+    `values` are in the order of their value references. `ranges` contains (first, count) for each
+    kind of variable. `reference` contains the value reference of each variable's first element.
+    """
 
     values: tuple[Value, ...]
     start: tuple[float, ...]
@@ -42,7 +50,10 @@ def derivative_name(variable: Variable) -> str:
 
 
 def derivative_elements(variable: Variable) -> tuple[str, ...]:
-    """Return the names in FMI 2.0's structured naming, with the index inside: der(x[1])."""
+    """Return the names of the derivative's elements in FMI 2.0's structured naming.
+
+    The index is inside the parentheses, as in der(x[1]).
+    """
     return tuple(f"der({element})" for element in variable.element_names)
 
 

@@ -1,8 +1,8 @@
 """Numerical robot model: a rigid base and a serial chain of joints with one degree of freedom.
 
-Conventions are those of NOTATION.md. The base frame B has its origin at the centre of mass of the
-base body, and the axes of the base link. The z axis of every joint frame is the joint axis, so
-all joints have the same motion subspace in the recursions.
+The conventions are in NOTATION.md. The origin of the base frame B is the centre of mass of the base
+body. The axes of B are the axes of the base link. The z axis of every joint frame is the joint
+axis. Therefore all joints have the same motion subspace in the recursions.
 """
 
 from __future__ import annotations
@@ -27,7 +27,10 @@ def constant(values: object, shape: tuple[int, ...]) -> Array:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Inertial:
-    """Mass [kg], centre of mass (3) [m], inertia about it (3, 3) [kg m2], all in one frame."""
+    """Mass [kg], centre of mass (3) [m] and inertia (3, 3) [kg m2] of a body.
+
+    The inertia is about the centre of mass. All values are in the same frame.
+    """
 
     mass: float
     centre_of_mass: Array
@@ -42,7 +45,10 @@ class Inertial:
         )
 
     def seen_from(self, rotation: Array, translation: Array) -> Inertial:
-        """Return the body in a frame where the present one has pose (rotation, translation)."""
+        """Return the body in a new frame.
+
+        The old frame has the pose (rotation, translation) in the new frame.
+        """
         return Inertial(
             mass=self.mass,
             centre_of_mass=constant(rotation @ self.centre_of_mass + translation, (3,)),
@@ -50,7 +56,10 @@ class Inertial:
         )
 
     def merged_with(self, other: Inertial) -> Inertial:
-        """Return both bodies as one rigid body; both must be given in the same frame."""
+        """Return one rigid body that consists of this body and `other`.
+
+        Both bodies must be given in the same frame.
+        """
         mass = self.mass + other.mass
         if mass == 0.0:
             return self
@@ -67,10 +76,11 @@ class Inertial:
         )
 
     def check(self, subject: str) -> None:
-        """Check that a rigid body can have these values. `subject` names it in messages.
+        """Check that a rigid body can have these values.
 
-        Raises RobotError if a value is not finite, the mass is not positive, or the inertia is not
-        positive definite or violates the triangle inequality.
+        `subject` is the name of the body in messages. Raises RobotError if a value is not finite,
+        if the mass is not positive, if the inertia is not positive definite, or if the inertia
+        violates the triangle inequality.
         """
         if not (
             np.isfinite(self.mass)
@@ -99,11 +109,11 @@ def _parallel_axis(offset: Array) -> Array:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Joint:
-    """Revolute or prismatic joint; the z axis of the joint frame is the joint axis.
+    """Revolute or prismatic joint. The z axis of the joint frame is the joint axis.
 
-    `rotation` (3, 3) and `translation` (3) [m] are the pose of the joint frame in the parent
-    body's frame at zero displacement. Limits are in rad or m, rad/s or m/s, N m or N; infinity
-    means no limit.
+    `rotation` (3, 3) and `translation` (3) [m] are the pose of the joint frame in the parent body's
+    frame at zero displacement. The limits of a revolute joint are in rad, rad/s and N m. The limits
+    of a prismatic joint are in m, m/s and N. Infinity means that there is no limit.
     """
 
     name: str
@@ -120,12 +130,13 @@ class Joint:
 class Robot:
     """Free-flyer: base, joints, one body per joint, tool and end-effector.
 
-    `base` is in B, with its centre of mass at the origin. `base_attachment`, also in B, is the
-    link of the arm that is fixed to the base. `bodies[i]` moves with joint i and is in joint frame
-    i. `end_effector_*` are the pose of the end-effector frame E in the last joint frame. `tool`
-    moves with the last joint and is in E. `posture` (n) contains the joint positions at the start.
+    `base` is in B. Its centre of mass is the origin of B. `base_attachment` is the part of the arm
+    that is fixed to the base, in B. `bodies[i]` moves with joint i and is in joint frame i.
+    `end_effector_rotation` and `end_effector_translation` are the pose of the end-effector frame E
+    in the last joint frame. `tool` moves with the last joint and is in E. `posture` (n) contains
+    the joint positions at the start.
 
-    Raises RobotError for inconsistent sizes or impossible values.
+    Raises RobotError if sizes are inconsistent or if values are impossible.
     """
 
     name: str
@@ -139,7 +150,7 @@ class Robot:
     posture: Array
 
     def __post_init__(self) -> None:
-        # Base, and sizes of the chain.
+        # Check the base, and the sizes of the chain.
         self.base.check(f"robot {self.name}, base")
         if np.abs(self.base.centre_of_mass).max() > 0.0:
             raise RobotError(
@@ -147,7 +158,7 @@ class Robot:
             )
         if not self.joints:
             raise RobotError(
-                f"robot {self.name}: no free joint between base and end-effector; at least one is expected"
+                f"robot {self.name}: there is no free joint between base and end-effector; at least one free joint is expected"
             )
         if len(self.bodies) != len(self.joints):
             raise RobotError(
@@ -158,13 +169,13 @@ class Robot:
                 f"robot {self.name}: posture has {self.posture.size} values; one for each of the free joints "
                 f"{', '.join(joint.name for joint in self.joints)} is expected"
             )
-        # The last body is checked with its tool; either may be massless.
+        # The last body is checked together with the tool. One of the two may have zero mass.
         last = len(self.joints) - 1
         for index, (joint, body) in enumerate(zip(self.joints, self.bodies, strict=True)):
             tool = self.tool.seen_from(self.end_effector_rotation, self.end_effector_translation)
             whole = body.merged_with(tool) if index == last else body
             whole.check(f"robot {self.name}, body moved by joint {joint.name}")
-        # The start posture within the joint limits.
+        # Check that the start posture is within the joint limits.
         for joint, value in zip(self.joints, self.posture, strict=True):
             if not np.isfinite(value):
                 raise RobotError(

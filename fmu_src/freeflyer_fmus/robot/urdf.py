@@ -1,6 +1,7 @@
-"""Loading of a `Robot` from a URDF or robot file: a serial chain from base to end-effector.
+"""Loading of a `Robot` from a URDF or from a robot file.
 
-Bodies behind fixed or locked joints are merged with the body that carries them.
+The robot is a serial chain from the base to the end-effector. Two bodies that are connected by a
+fixed or locked joint are merged into one body.
 """
 
 from __future__ import annotations
@@ -26,7 +27,11 @@ def shipped_robots() -> list[str]:
 
 
 def robot_path(text: str, directory: Path = Path()) -> Path:
-    """Return the path of a shipped robot (by name) or of a file; raise RobotError for neither."""
+    """Return the path of a robot file.
+
+    `text` is the name of a shipped robot, or a file relative to `directory`. Raises RobotError if
+    `text` is neither a shipped robot nor a file name.
+    """
     if text not in shipped_robots() and "." not in text:
         raise RobotError(
             f"robot {text!r} is neither a shipped robot nor a file{did_you_mean(text, shipped_robots())}"
@@ -37,7 +42,7 @@ def robot_path(text: str, directory: Path = Path()) -> Path:
 def load_robot_file(path: Path = DEFAULT_ROBOT) -> Robot:
     """Read a TOML file with URDF, base link, end-effector, tool, locked joints and posture.
 
-    Raises RobotError if the file is invalid or its robot is not usable.
+    Raises RobotError if the file is invalid or if the robot in this file is invalid.
     """
     try:
         data = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -71,11 +76,12 @@ def load_urdf(
     """Read a URDF as a free-flyer.
 
     `base_link` (default: the root) becomes the floating base. `end_effector` (default: the only
-    link without children) is the link of frame E. The mass of `tool_link` (default: none) becomes
-    an FMU parameter. `lock` fixes joints at the given positions [rad or m]. `posture` is the start
-    position of the free joints, by name or in order; its default is zero, or the middle of the
-    limits if zero is outside them. Raises RobotError if the file is malformed, not a serial chain,
-    or physically impossible.
+    link without children) is the link of frame E. The mass and inertia of `tool_link` (default:
+    none) become FMU parameters. `lock` fixes joints at the given positions [rad or m]. `posture`
+    contains the start positions of the free joints, by name or in order. The default position of a
+    joint is zero. If zero is outside the limits of the joint, the default is the middle of the
+    limits. Raises RobotError if the file is malformed, if the robot is not a serial chain, or if
+    the robot is physically impossible.
     """
     tree = UrdfTree(path)
     base = base_link or tree.root
@@ -96,7 +102,8 @@ def _robot(
     posture: Mapping[str, float] | Sequence[float] | None,
 ) -> Robot:
     path = tree.chain(base, tip)
-    # Locked joints: known names, finite values within the limits.
+    # Check the locked joints. The names must exist. The values must be finite and within the
+    # limits.
     for name, value in lock.items():
         if name not in tree.joints:
             raise RobotError(
@@ -116,7 +123,8 @@ def _robot(
             raise RobotError(
                 f"URDF {tree.path}: joint {name} is locked at {value:g}, outside its limits {limits}"
             )
-    # The base body. B is at its centre of mass, with the base link's axes.
+    # The base body. The origin of B is its centre of mass. The axes of B are the axes of the base
+    # link.
     base_inertial = tree.links[base]
     if base_inertial is None:
         raise RobotError(
@@ -129,7 +137,8 @@ def _robot(
     body = _welded(
         tree, base, rotation, translation, path[0] if path else None, {base, tool}, lock, tip
     )
-    # Outward along the chain: a free joint starts a new body, with its axis along z.
+    # Go outward along the chain. A free joint starts a new body. The joint axis is the z axis of
+    # the new body.
     link, tool_pose = base, None
     for joint, following in zip(path, [*path[1:], None], strict=True):
         translation = translation + rotation @ joint.translation
@@ -151,14 +160,14 @@ def _robot(
         if link == tool:
             tool_pose = (rotation, translation)
     bodies.append(body)
-    # Frame E and the tool's inertia in it.
+    # Frame E, and the inertia of the tool in E.
     end_rotation, end_translation = _exact(rotation), constant(translation, (3,))
     tool_inertial = Inertial.zero()
     if tool is not None:
         mass = tree.links[tool]
         if tool_pose is None or mass is None:
             raise RobotError(
-                f"URDF {tree.path}: tool link {tool!r} must have an <inertial> and stand between the last free joint "
+                f"URDF {tree.path}: tool link {tool!r} must have an <inertial> and be between the last free joint "
                 f"and the end-effector {tip!r}"
             )
         tool_rotation = end_rotation.T @ tool_pose[0]
@@ -188,9 +197,9 @@ def _welded(
     lock: Mapping[str, float],
     tip: str,
 ) -> Inertial:
-    """Return the inertia of this link and of all links fixed to it, in the body frame.
+    """Return the inertia of `link` and of all links that are fixed to it, in the body frame.
 
-    Links in `apart` and links below the joint `skip` are excluded.
+    The links in `apart` and the links below the joint `skip` are excluded.
     """
     own = tree.links[link]
     total = (
@@ -201,8 +210,8 @@ def _welded(
             continue
         if joint.kind != "fixed" and joint.name not in lock:
             raise RobotError(
-                f"URDF {tree.path}: not a serial chain: joint {joint.name!r} moves a branch beside or beyond the path "
-                f"to {tip!r}; lock it or name another end-effector"
+                f"URDF {tree.path}: not a serial chain: joint {joint.name!r} moves a branch that is not on the path "
+                f"to {tip!r}; lock this joint or choose another end-effector"
             )
         R, r = rotation @ joint.rotation, translation + rotation @ joint.translation
         R, r = joint.displaced(R, r, lock.get(joint.name, 0.0))
@@ -236,7 +245,10 @@ def _neutral(joint: Joint) -> float:
 
 
 def _z_onto(axis: Array) -> Array:
-    """Return a rotation whose third column is `axis`; exact 0 and 1 entries for coordinate axes."""
+    """Return a rotation matrix with the third column `axis`.
+
+    If `axis` is a coordinate axis, all entries are exactly 0, 1 or -1.
+    """
     helper = np.eye(3)[0 if abs(axis[1]) > 0.9 else 1]
     first = np.cross(helper, axis)
     first /= np.linalg.norm(first)
@@ -244,6 +256,9 @@ def _z_onto(axis: Array) -> Array:
 
 
 def _exact(rotation: Array) -> Array:
-    """Round entries within 1e-15 of 0 and +-1, so that the generated code stays sparse."""
+    """Round the entries that differ by less than 1e-15 from 0, 1 or -1.
+
+    Exact zeros keep the generated code short, because products with zero are omitted.
+    """
     nearest = np.round(rotation)
     return constant(np.where(np.abs(rotation - nearest) < 1e-15, nearest, rotation) + 0.0, (3, 3))

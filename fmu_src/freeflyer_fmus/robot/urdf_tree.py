@@ -1,7 +1,7 @@
 """Links and joints of a URDF file, with a check of each element.
 
-The XML is parsed directly: the checks need the `<inertial>` of every link, which robotics libraries
-merge or discard.
+The XML is parsed without a robotics library. The checks need the `<inertial>` element of every
+link, but robotics libraries merge or discard these elements.
 """
 
 from __future__ import annotations
@@ -22,7 +22,11 @@ MOVING = ("revolute", "continuous", "prismatic")
 
 @dataclass(frozen=True)
 class UrdfJoint:
-    """A URDF joint as written: `axis` in the child link's frame, the pose in the parent link's."""
+    """URDF joint with the values of the file.
+
+    `axis` is in the frame of the child link. `rotation` and `translation` are the pose of the joint
+    frame in the frame of the parent link.
+    """
 
     name: str
     kind: str
@@ -39,9 +43,9 @@ class UrdfJoint:
     def displaced(
         self, rotation: Array, translation: Array, position: float
     ) -> tuple[Array, Array]:
-        """Return the child link's pose for a joint frame at (rotation, translation).
+        """Return the pose of the child link if the joint is locked at `position` [rad or m].
 
-        The joint is held at `position` [rad or m].
+        The joint frame has the pose (rotation, translation).
         """
         if self.kind == "prismatic":
             return rotation, translation + rotation @ self.axis * position
@@ -63,7 +67,7 @@ class UrdfJoint:
 
 
 class UrdfTree:
-    """The links and joints of one URDF file; RobotError if the file is invalid."""
+    """Links and joints of one URDF file. Raises RobotError if the file is invalid."""
 
     def __init__(self, path: Path) -> None:
         try:
@@ -108,12 +112,15 @@ class UrdfTree:
                 leaves.append(link)
         if len(leaves) > 1:
             raise RobotError(
-                f"URDF {self.path}: the chain ends in several links ({', '.join(sorted(leaves))}); name the end-effector"
+                f"URDF {self.path}: the chain ends in several links ({', '.join(sorted(leaves))}); choose one of these links as end-effector"
             )
         return leaves[0]
 
     def chain(self, base: str, tip: str) -> list[UrdfJoint]:
-        """Return the joints from base to tip; raise RobotError if tip is not below base."""
+        """Return the joints from `base` to `tip`.
+
+        Raises RobotError if `tip` is not below `base`.
+        """
         path, link = [], tip
         while link != base:
             joint = self.parent.get(link)
@@ -126,7 +133,10 @@ class UrdfTree:
         return path[::-1]
 
     def refuse_mass_above(self, base: str) -> None:
-        """Raise RobotError if a link with mass is not below the base link and would be lost."""
+        """Raise RobotError if a link with mass is not below the base link.
+
+        The robot would not contain the mass of such a link.
+        """
         below, stack = set(), [base]
         while stack:
             link = stack.pop()
@@ -161,7 +171,7 @@ class UrdfTree:
         self.children[joint.parent].append(joint)
 
     def _joint(self, element: ElementTree.Element) -> UrdfJoint:
-        # Supported kinds only.
+        # Only some kinds of joints are supported.
         name = self._attribute(element, "name", "a joint")
         kind = self._attribute(element, "type", f"joint {name!r}")
         if kind not in ("fixed", *MOVING):
