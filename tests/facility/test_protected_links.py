@@ -148,7 +148,7 @@ def test_another_authority_is_reported(refused: Refused, bench: tuple[Rig, Proce
 def test_an_expired_certificate_is_reported(refused: Refused, bench: tuple[Rig, Process]) -> None:
     found = refused('devices.base_robot.certificates="expired"')
     assert re.search(
-        r"controller.pem expired on .* UTC; `freeflyer certificates .* --renew controller` makes a new one",
+        r"controller.pem expired on .* UTC; `freeflyer certificates .* --renew controller` makes a new certificate",
         found,
     )
 
@@ -169,7 +169,7 @@ def test_a_facility_without_a_valid_certificate_does_not_start(
     )
     assert code == 2
     assert (
-        "is for localhost, 127.0.0.1, ::1, not for 127.0.0.3, so peers would reject it there"
+        "is for localhost, 127.0.0.1, ::1, not for 127.0.0.3, so peers would reject the certificate on this host"
         in error
     )
 

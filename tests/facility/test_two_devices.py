@@ -97,7 +97,7 @@ def test_two_base_robots_on_one_topic_are_reported_and_not_commanded(
         )
         assert loop.finish() == 2, loop.text
         named = re.search(
-            r"(two publishers send topic base_robot/measured: |sessions )(\w+) and (\w+).*two base robots; stop one of them",
+            r"(two publishers send topic base_robot/measured: |sessions )(\w+) and (\w+).*there are two base robots; stop one of them",
             " ".join(loop.output),
         )
         assert named, loop.text

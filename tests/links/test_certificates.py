@@ -132,7 +132,7 @@ def test_the_command_adds_to_an_authority_and_overwrites_nothing(
     )
     assert code == 2
     assert (
-        "controller.pem exists already and is not overwritten; --renew controller makes a new one"
+        "controller.pem exists already and is not overwritten; --renew controller makes a new certificate in its place"
         in error
     )
     assert not (directory / "new.pem").exists()
@@ -292,11 +292,11 @@ def with_text(name: str, text: str) -> Callable[[Path, Lab], None]:
     ("spoil", "sentence"),
     [
         (shutil.rmtree, "there is no folder of certificates"),
-        (without("ca.pem"), "ca.pem; the authority's certificate is expected in the same folder"),
+        (without("ca.pem"), "ca.pem; copy the certificate of the authority into this folder"),
         (without("base_robot.pem"), "there is no file .*base_robot.pem"),
         (
             without("base_robot.key"),
-            "there is no file .*base_robot.key; `freeflyer certificates .* --name base_robot` makes one",
+            "there is no file .*base_robot.key; `freeflyer certificates .* --name base_robot` makes it",
         ),
         (with_text("base_robot.pem", "x"), "base_robot.pem is not a PEM certificate"),
         (with_text("ca.pem", ""), "ca.pem is not a PEM certificate"),
@@ -304,23 +304,23 @@ def with_text(name: str, text: str) -> Callable[[Path, Lab], None]:
         (spoil_key_of_another, "base_robot.key does not belong to certificate .*base_robot.pem"),
         (
             spoil_mode,
-            r"base_robot.key is accessible to other users \(mode 0640\); `chmod 600 .*base_robot.key` restricts it to you",
+            r"base_robot.key is accessible to other users \(mode 0640\); `chmod 600 .*base_robot.key` removes the access of other users",
         ),
         (spoil_authority, "was not signed by the authority of .*ca.pem"),
         (spoil_forged_issuer, "was not signed by the authority of .*ca.pem"),
         (
             spoil_age,
-            "base_robot.pem expired on .* UTC; `freeflyer certificates .* --renew base_robot` makes a new one",
+            "base_robot.pem expired on .* UTC; `freeflyer certificates .* --renew base_robot` makes a new certificate",
         ),
         (spoil_youth, "is not valid before .* UTC, and the clock of this machine is at"),
         (spoil_use, r"is not for listening \(its extended key usage lacks serverAuth\)"),
         (
             spoil_host,
-            "is for 192.0.2.10, not for 127.0.0.1, so peers would reject it there; .* --host 127.0.0.1`",
+            "is for 192.0.2.10, not for 127.0.0.1, so peers would reject the certificate on this host; .* --host 127.0.0.1`",
         ),
         (
             spoil_name,
-            "belongs to 'controller', but access is granted by name, and 'base_robot' is expected",
+            "belongs to 'controller', but 'base_robot' is expected, because access is granted by name",
         ),
     ],
 )
@@ -360,7 +360,7 @@ FAR = "tcp/192.0.2.10:7447"
     ("table", "sentence"),
     [
         ({"connect": [FAR]}, "leaves this machine without encryption, so any peer that reaches it could command the robot; make certificates with "
-         "`freeflyer certificates DIR`, name them by certificates = 'DIR' and write tls/192.0.2.10:7447 (or set insecure = true)"),
+         "`freeflyer certificates DIR`, set certificates = 'DIR' and write tls/192.0.2.10:7447 (or set insecure = true)"),
         ({"listen": ["tcp/192.0.2.1:0"]}, "leaves this machine without encryption"),
         ({"connect": ["tcp/lab.example:7447"]}, "leaves this machine without encryption"),
         ({"connect": ["udp/192.0.2.10:7447"]}, "leaves this machine without encryption"),
@@ -373,7 +373,7 @@ FAR = "tcp/192.0.2.10:7447"
         ({"connect": ["quic/192.0.2.10:7447"], "insecure": True}, "is encrypted, but no certificates are named"),
         ({"connect": ["tcp/127.0.0.1:7447"], "certificates": "c"}, "is not encrypted, but the device has certificates; tls/127.0.0.1:7447"),
         ({"connect": ["tls/x:1"], "listen": ["tcp/127.0.0.1:0"], "certificates": "c"}, "is not encrypted, but the device has"),
-        ({"connect": ["tls/x:1#verify_name_on_connect=false"], "certificates": "c"}, "has TLS settings that override those of the device"),
+        ({"connect": ["tls/x:1#verify_name_on_connect=false"], "certificates": "c"}, "has TLS settings that override the settings of the device"),
         ({"connect": ["tls/x:1"], "certificates": "c", "insecure": True}, "exclude each other"),
         ({"connect": ["tls/x:1"], "certificates": "c", "controller": "a*"}, "controller is 'a*'; the name of a certificate is expected"),
         ({"connect": ["tls/x:1"], "certificates": "c", "commanders": ["x", 3]}, "commanders is 3; the name of a certificate"),
@@ -449,7 +449,7 @@ def test_notices_report_the_protection_and_warn_before_a_certificate_expires(
     first, second = printed('connect = ["tls/192.0.2.10:1"]\ncertificates = "."', as_robot=False)
     assert first.startswith("base_robot: TLS with certificate 'controller', valid until 20")
     assert (
-        "WARNING: certificate 'controller' expires in 5 days, and its links end then; `freeflyer certificates"
+        "WARNING: certificate 'controller' expires in 5 days, and all links with this certificate end at that time; `freeflyer certificates"
         in second
     )
     everywhere = printed(f'connect = ["tls/0.0.0.0:1"]\ncertificates = "{lab.good}"', as_robot=True)

@@ -260,7 +260,7 @@ def test_invalid_samples_are_counted_and_have_no_effect(
             Attachment(sequence - 1, stamp, gid).pack(),
             f"sequence number {sequence - 1} after {sequence}",
         ),
-        (good, Attachment(sequence + 1, last.stamp, gid).pack(), "its stamp 0 s later"),
+        (good, Attachment(sequence + 1, last.stamp, gid).pack(), "its stamp is 0 s later"),
         (good, Attachment(sequence + 1, stamp, bytes(16)).pack(), "a sample from 00000000"),
         (None, later, "wrong checksum"),
     ):
@@ -418,7 +418,7 @@ def test_a_base_that_reports_another_publisher_is_rejected(
 def test_a_base_without_obedience_token_is_reported(here: ZenohBase, there: ScriptedBase) -> None:
     configured(here, there)
     assert len(here.cannot_refuse) == 1
-    assert "does not report which publisher it accepts commands from" in here.cannot_refuse[0]
+    assert "does not report from which publisher it accepts commands" in here.cannot_refuse[0]
 
 
 # Suspensions and late samples

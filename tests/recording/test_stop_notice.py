@@ -284,7 +284,7 @@ def test_a_stopped_daemon_is_reported_as_a_problem(
         ("syslog:" + "/long" * 50, "path too long"),
         (
             "syslog:/",
-            "no system log takes datagrams at '/': Connection refused; start one there, or give another",
+            "no system log takes datagrams at '/': Connection refused; start a system log there, or give another",
         ),
         ("syslog:/no\nsuch/log", "No such file"),
     ],

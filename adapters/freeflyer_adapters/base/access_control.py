@@ -1,9 +1,13 @@
 """Zenoh access control of the base robot's link, by the common names of the certificates.
 
-Zenoh checks the kind and the key expression of every message from a transport (ingress) or to one
-(egress). A rule applies to each key that its key expression includes. A peer has the permissions
-of all subjects that it matches; every other message is denied. The replies to a liveliness query
-are declarations of tokens. A ** does not include a key that starts with @.
+Zenoh checks every message that arrives from a peer (ingress) or that is sent to a peer (egress).
+For this check, Zenoh compares the kind and the key of the message with the rules. A rule applies
+to every key that the key expression of the rule includes. A subject is a group of peers. It selects
+the peers by the names of their certificates, or by the protocol of the link. A peer has the
+permissions of all subjects that match the peer. All messages without a permission are denied.
+
+Two properties of Zenoh determine the rules below. The replies to a liveliness query count as
+declarations of tokens. The wildcard ** does not include a part of a key that starts with @.
 """
 
 from __future__ import annotations
@@ -23,7 +27,7 @@ QUERIES = ("liveliness_query", "declare_liveliness_subscriber")
 
 @dataclass(frozen=True, kw_only=True)
 class Protection:
-    """Identity of one end of a link, and the permissions of its peers."""
+    """Identity of one end of a link, and the permissions that this end gives to its peers."""
 
     identity: Identity
     access: Rules
@@ -33,9 +37,9 @@ class Protection:
 
 
 def controller_protection(options: LinkOptions) -> Protection | None:
-    """Return the protection of the controller's session, which only accepts the base robot.
+    """Return the protection of the controller's session, or None without certificates.
 
-    None for a link without certificates.
+    The session accepts messages from the base robot only.
     """
     if options.certificates is None:
         return None
@@ -90,7 +94,10 @@ def robot_protection(options: LinkOptions) -> Protection | None:
 
 
 def _keys(options: LinkOptions) -> tuple[str, str, str, list[str]]:
-    """Return the keys of set points, measurements, rmw_zenoh announcements and project tokens."""
+    """Return the keys of set points, measurements, rmw_zenoh announcements and project tokens.
+
+    Project tokens are the liveliness tokens that only this project defines.
+    """
     topics = [
         rmw_zenoh.topic_key(options.domain, topic, ros_messages.TYPE_NAME, ros_messages.TYPE_HASH)
         for topic in (options.setpoint_topic, options.measured_topic)

@@ -24,9 +24,12 @@ from freeflyer_adapters.base.certificates import AUTHORITY, Identity, general_na
 
 AUTHORITY_DAYS = 3650
 HOSTS = ("localhost", "127.0.0.1", "::1")
-"""Hosts of every listener, for connections from its own machine."""
+"""Hosts in the certificate of every listener, for connections from the same machine."""
 EARLIER = timedelta(minutes=5)
-"""Validity starts this much in the past, because the clocks of two machines differ."""
+"""Time between the start of the validity of a certificate and its issue.
+
+The validity starts before the issue, because the clocks of two machines differ.
+"""
 
 
 class CertificateError(CosimError):
@@ -34,7 +37,7 @@ class CertificateError(CosimError):
 
 
 class CertificateAuthority:
-    """The signing key and its certificate."""
+    """Certificate authority: the signing key and the certificate of this key."""
 
     def __init__(self, key: ec.EllipticCurvePrivateKey, certificate: x509.Certificate) -> None:
         self.key, self.certificate = key, certificate
@@ -43,7 +46,7 @@ class CertificateAuthority:
     def new(cls, folder: Path) -> CertificateAuthority:
         """Create an authority and write its certificate and key to `folder`."""
         key = ec.generate_private_key(ec.SECP256R1())
-        # A random name: the authorities of two laboratories must differ.
+        # The name is random, because the authorities of two laboratories must have different names.
         name = _name(f"freeflyer authority {x509.random_serial_number():x}"[:40])
         start = datetime.now(UTC) - EARLIER
         builder = _builder(
@@ -67,7 +70,7 @@ class CertificateAuthority:
             key = load_pem_private_key(where.key.read_bytes(), password=None)
         except FileNotFoundError as error:
             raise CertificateError(
-                f"{error.filename} is missing, and nothing can be signed without it; it is on the machine where the authority was made"
+                f"{error.filename} is missing, and nothing can be signed without it; this file is on the machine where the authority was made"
             ) from error
         except OSError as error:
             raise CertificateError(
@@ -82,7 +85,7 @@ class CertificateAuthority:
             or key.public_key() != certificate.public_key()
         ):
             raise CertificateError(
-                f"{where.key} is not the key of {where.certificate}; both of one authority are expected"
+                f"{where.key} is not the key of {where.certificate}; the key and the certificate of the same authority are expected"
             )
         if certificate.not_valid_after_utc < datetime.now(UTC):
             raise CertificateError(
@@ -179,7 +182,10 @@ def _write(
 
 
 def _write_private(path: Path, data: bytes) -> None:
-    """Write a new file that only the user can read from the start. Replaces an existing file."""
+    """Write a file that only the user can read. Replaces an existing file.
+
+    The file is created with mode 0600, so other users cannot read the data at any time.
+    """
     path.unlink(missing_ok=True)
     with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
         file.write(data)

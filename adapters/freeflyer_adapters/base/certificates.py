@@ -1,7 +1,7 @@
-"""Checks of a folder with certificates, from its files, before a link is opened.
+"""Checks of the certificate files of a link, before the link is opened.
 
 ca.pem is the certificate of the authority. NAME.pem and NAME.key belong to the peer NAME.
-The folder on a robot's machine contains ca.pem and the robot's own files only.
+On a robot's machine, the folder contains only ca.pem and the two files of the robot.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from freeflyer_adapters.device.device import DeviceError
 
 AUTHORITY = "ca"
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
-"""A common name. It is also used as a file name and in key expressions."""
+"""Pattern of a common name. The name is also used as a file name and in key expressions."""
 USES = {ExtendedKeyUsageOID.CLIENT_AUTH: "connecting", ExtendedKeyUsageOID.SERVER_AUTH: "listening"}
 
 
@@ -57,21 +57,23 @@ def check(
 ) -> x509.Certificate:
     """Check and return the certificate of `identity`.
 
-    With `listens`, it must also be valid for listening on `hosts`. Raises DeviceError.
+    The certificate must name all `hosts`. With `listens`, the certificate must also be valid for
+    listening. Raises DeviceError if the certificate or the key cannot be used.
     """
     folder = identity.folder
     if not folder.is_dir():
         raise DeviceError(
             f"{subject}: there is no folder of certificates {folder}; {remedy(folder, identity.name)}"
         )
-    # The files: readable, of the expected name, not expired, signed by the authority.
+    # The files must be readable. The certificate must have the expected name and a valid date, and
+    # must be signed by the authority.
     authorities = _certificates(identity.authority, subject)
     chain = _certificates(identity.certificate, subject)
     found = chain[0]
     where = f"{subject}: certificate {identity.certificate}"
     if common_name(found) != identity.name:
         raise DeviceError(
-            f"{where} belongs to {common_name(found)!r}, but access is granted by name, and {identity.name!r} is expected"
+            f"{where} belongs to {common_name(found)!r}, but {identity.name!r} is expected, because access is granted by name"
         )
     _check_key(identity, found, subject)
     _check_dates(
@@ -85,7 +87,7 @@ def check(
             f"{where} was not signed by the authority of {identity.authority} (its issuer is "
             f"{found.issuer.rfc4514_string()!r}); a certificate of that authority is expected"
         )
-    # Uses and hosts.
+    # The certificate must be valid for the needed uses and for all hosts.
     needed = [
         ExtendedKeyUsageOID.CLIENT_AUTH,
         *([ExtendedKeyUsageOID.SERVER_AUTH] if listens else []),
@@ -94,28 +96,28 @@ def check(
         if not _is_for(found, use):
             raise DeviceError(
                 f"{where} is not for {USES[use]} (its extended key usage lacks {use._name}); "
-                f"`freeflyer certificates {folder} --name` makes one that is"
+                f"`freeflyer certificates {folder} --name` makes a certificate for connecting and listening"
             )
     known = hosts_of(found)
     for host in hosts:
         if not any(_covers(name, host) for name in known):
             raise DeviceError(
-                f"{where} is for {', '.join(known) or 'no host'}, not for {host}, so peers would reject it there; "
-                f"`freeflyer certificates {folder} --renew {identity.name} --host {host}` makes one that is"
+                f"{where} is for {', '.join(known) or 'no host'}, not for {host}, so peers would reject the certificate on this host; "
+                f"`freeflyer certificates {folder} --renew {identity.name} --host {host}` makes a certificate for this host"
             )
     return found
 
 
 def remedy(folder: Path, name: str) -> str:
-    return f"`freeflyer certificates {folder} --name {name}` makes one"
+    return f"`freeflyer certificates {folder} --name {name}` makes it"
 
 
 def remedy_of_age(identity: Identity) -> str:
-    return f"`freeflyer certificates {identity.folder} --renew {identity.name}` makes a new one"
+    return f"`freeflyer certificates {identity.folder} --renew {identity.name}` makes a new certificate"
 
 
 def common_name(certificate: x509.Certificate) -> str:
-    """Return the common name of the subject; empty if there is none."""
+    """Return the common name of the subject, or an empty string if there is no common name."""
     found = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
     return str(found[0].value) if found else ""
 
@@ -138,7 +140,10 @@ def written(host: str) -> str:
 
 
 def _covers(name: str, host: str) -> bool:
-    """Match a host name; a wildcard stands for the first label (RFC 6125, 6.4.3)."""
+    """Return True if the name in a certificate covers the host.
+
+    A wildcard can replace the first label of a host name (RFC 6125, 6.4.3).
+    """
     name, host = written(name), written(host)
     return name == host or (name.startswith("*.") and name[2:] == host.partition(".")[2])
 
@@ -152,7 +157,10 @@ def general_name(host: str) -> x509.GeneralName:
 
 
 def is_issued(chain: Sequence[x509.Certificate], authorities: Sequence[x509.Certificate]) -> bool:
-    """Return True if an authority signed the first certificate, directly or through the chain."""
+    """Return True if an authority signed the first certificate of `chain`.
+
+    The signature may be direct, or through the other certificates of `chain`.
+    """
     for i, certificate in enumerate(chain):
         if any(_signed(certificate, authority) for authority in authorities):
             return True
@@ -184,7 +192,8 @@ def _is_for(certificate: x509.Certificate, use: x509.ObjectIdentifier) -> bool:
     try:
         return use in certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
     except x509.ExtensionNotFound:
-        return True  # RFC 5280, 4.2.1.12: a certificate without the extension is for every use
+        # A certificate without this extension is valid for every use (RFC 5280, 4.2.1.12).
+        return True
 
 
 def _read(path: Path, subject: str) -> bytes:
@@ -206,7 +215,7 @@ def _read(path: Path, subject: str) -> bytes:
 
 def _made(path: Path) -> str:
     if path.stem == AUTHORITY:
-        return "the authority's certificate is expected in the same folder"
+        return "copy the certificate of the authority into this folder"
     return remedy(path.parent, path.stem)
 
 
@@ -225,7 +234,7 @@ def _check_key(identity: Identity, certificate: x509.Certificate, subject: str) 
     mode = stat.S_IMODE(path.stat().st_mode)
     if mode & 0o077:
         raise DeviceError(
-            f"{subject}: key {path} is accessible to other users (mode {mode:04o}); `chmod 600 {path}` restricts it to you"
+            f"{subject}: key {path} is accessible to other users (mode {mode:04o}); `chmod 600 {path}` removes the access of other users"
         )
     try:
         key = load_pem_private_key(data, password=None)
@@ -240,7 +249,7 @@ def _check_key(identity: Identity, certificate: x509.Certificate, subject: str) 
     form = (Encoding.DER, PublicFormat.SubjectPublicKeyInfo)
     if key.public_key().public_bytes(*form) != certificate.public_key().public_bytes(*form):
         raise DeviceError(
-            f"{subject}: key {path} does not belong to certificate {identity.certificate}; both of one pair are expected"
+            f"{subject}: key {path} does not belong to certificate {identity.certificate}; the key and the certificate of one pair are expected"
         )
 
 

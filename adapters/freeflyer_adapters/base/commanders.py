@@ -1,8 +1,12 @@
-"""Announcement of the commanders of a base robot, one liveliness token each.
+"""Announcement of the commanders of a base robot by liveliness tokens.
 
-Zenoh's access control drops denied messages without an error at the sender. These tokens let a
-controller detect a missing permission before it sends set points. The access control of the base
-robot enforces the permission. Only links with certificates have these tokens.
+A commander is a controller whose certificate may send set points. The base robot declares one token
+for each commander.
+
+Zenoh's access control drops denied messages, and the sender receives no error. With these tokens, a
+controller detects a missing permission before the controller sends set points. The tokens only
+inform; the access control of the base robot enforces the permission. Only links with certificates
+have these tokens.
 """
 
 from __future__ import annotations
@@ -14,7 +18,10 @@ from freeflyer_adapters.base.options import LinkOptions
 
 
 def announce(session: Any, options: LinkOptions) -> list[Any]:
-    """Declare the tokens, which the session keeps alive; none on a link without certificates."""
+    """Declare the tokens and return them. The session keeps the tokens alive.
+
+    On a link without certificates, no token is declared.
+    """
     if options.certificates is None:
         return []
     keys = [
@@ -25,7 +32,10 @@ def announce(session: Any, options: LinkOptions) -> list[Any]:
 
 
 def announced(session: Any, options: LinkOptions) -> list[str]:
-    """Return the certificate names that may command; empty if the base robot does not report."""
+    """Return the names of the certificates that may command.
+
+    The list is empty if the base robot does not report these names.
+    """
     key = rmw_zenoh.commander_token(options.domain, options.setpoint_topic, "*")
     replies = session.liveliness().get(key, timeout=1.0)
     return sorted(
@@ -34,7 +44,10 @@ def announced(session: Any, options: LinkOptions) -> list[str]:
 
 
 def refusal(session: Any, options: LinkOptions, subject: str) -> str | None:
-    """Return why set points of this session would be dropped, or None if this is not known."""
+    """Return the reason why set points of this session would be dropped.
+
+    Returns None if no reason is known.
+    """
     if options.certificates is None:
         return None
     allowed = announced(session, options)
@@ -42,5 +55,5 @@ def refusal(session: Any, options: LinkOptions, subject: str) -> str | None:
         return None
     return (
         f"{subject} does not let certificate {options.controller!r} command, only {', '.join(allowed)}: "
-        f"set `controller` to one of these, or add this one to the base robot's `commanders`"
+        f"set `controller` to one of the accepted names, or add {options.controller!r} to the base robot's `commanders`"
     )

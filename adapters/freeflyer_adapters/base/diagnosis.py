@@ -1,4 +1,4 @@
-"""Diagnosis of a base robot's link on which nothing is received."""
+"""Diagnosis of a link to a base robot from which nothing is received."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from freeflyer_adapters.base.options import LinkOptions
 
 
 def why_silent(session: Any, options: LinkOptions) -> str:
-    """Return ': REASON' from a check of all endpoints, or a question if the check finds nothing.
+    """Check all endpoints and return ': REASON'.
 
-    Takes at most a few seconds per endpoint.
+    If the check finds no problem, the reason is a question to the operator. The check takes at most
+    a few seconds per endpoint.
     """
     found = [
         problem

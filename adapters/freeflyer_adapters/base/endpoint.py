@@ -1,4 +1,4 @@
-"""A Zenoh endpoint such as tls/192.0.2.10:7447: its address and whether it is encrypted."""
+"""Address and encryption of a Zenoh endpoint such as tls/192.0.2.10:7447."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TLS_KEYS = (
 class Endpoint:
     """An endpoint in Zenoh's form, `protocol/address?metadata#configuration`.
 
-    `host` and `port` are valid only if `is_complete`.
+    `host` and `port` are valid only if `is_complete` is True.
     """
 
     text: str
@@ -37,7 +37,7 @@ class Endpoint:
 
     @property
     def host(self) -> str:
-        """The host name or address without brackets and zone."""
+        """The host name or address, without the brackets and the zone of an IPv6 address."""
         host = self.address.rpartition(":")[0]
         return host.strip("[]").partition("%")[0]
 
@@ -59,7 +59,10 @@ class Endpoint:
 
     @property
     def is_within_this_machine(self) -> bool:
-        """True for 127.0.0.0/8, ::1, localhost and Unix sockets. Host names are not resolved."""
+        """True for 127.0.0.0/8, ::1, localhost, and the protocols of `LOCAL`.
+
+        Other host names are not resolved: the result for them is False.
+        """
         if self.protocol in LOCAL or self.host == "localhost":
             return True
         address = self._number
@@ -74,7 +77,10 @@ class Endpoint:
 
     @property
     def has_own_tls_settings(self) -> bool:
-        """True if the configuration part would override the certificates or checks of the link."""
+        """True if the endpoint itself contains TLS settings.
+
+        The settings after '#' would override the certificates or the TLS checks of the link.
+        """
         return any(key in self.text.partition("#")[2] for key in TLS_KEYS)
 
     @property

@@ -1,4 +1,11 @@
-"""Odometry over a Zenoh session: one published topic, and the latest sample of another topic."""
+"""Odometry over a Zenoh session: one topic is published, another topic is read.
+
+Some terms of this module:
+- GID: the global identifier of a publisher in ROS.
+- source: the publisher whose samples are used.
+- publisher in command: the publisher from which the base robot accepts set points.
+- obedience token: the liveliness token by which a base robot reports the publisher in command.
+"""
 
 from __future__ import annotations
 
@@ -33,14 +40,14 @@ from freeflyer_adapters.foundation.pose import twist_rotated
 LONGEST_QUERY = 0.5
 """Timeout of a query for liveliness tokens [s]."""
 SECOND, WITHIN = 3, 20
-"""`SECOND` samples of another source among `WITHIN` accepted ones mean a second publisher."""
+"""`SECOND` samples of another source among `WITHIN` accepted samples show a second publisher."""
 LARGEST = 1e4
-"""Limit of a valid position component [m] or velocity component [m/s, rad/s]."""
+"""Limit of the magnitude of a position component [m] or velocity component [m/s, rad/s]."""
 
 
 def is_usable(odometry: Odometry) -> bool:
     """Return True if position and velocity are plausible and the orientation has unit norm."""
-    # NaN fails comparisons of this form.
+    # A comparison with NaN is False, so NaN is rejected.
     possible = (np.abs(odometry.position) < LARGEST).all() and (
         np.abs(odometry.velocity) < LARGEST
     ).all()
@@ -54,23 +61,23 @@ class Received:
     odometry: Odometry
     attachment: Attachment
     arrived: int
-    """Time of reading [ns of CLOCK_MONOTONIC]."""
+    """Time at which the sample was read [ns of CLOCK_MONOTONIC]."""
     delay: int = 0
-    """Transport delay relative to the fastest sample before it [ns]."""
+    """Transport delay relative to the fastest sample so far [ns] (see `PeerClock`)."""
 
 
 @dataclass
 class Counts:
     accepted: int = 0
     skipped: int = 0
-    """Missing sequence numbers: samples lost, or overwritten by a later sample."""
+    """Number of missing samples, which were lost or were replaced by a later sample."""
     malformed: int = 0
     stale: int = 0
-    """Samples repeated, reordered or older than the previous one."""
+    """Samples that are repeated, reordered or older than the previous sample."""
     other_sources: int = 0
-    """Samples of a publisher that is not in use."""
+    """Samples of publishers that are not the source."""
     undecided: int = 0
-    """Samples neither used nor rejected, because it is not yet known whether they are in time."""
+    """Samples that are ignored, because it is not yet known whether the samples are in time."""
     clock_steps: int = 0
     """Steps of the publisher's clock."""
     failed: int = 0
@@ -80,9 +87,10 @@ class Counts:
 
 @dataclass
 class OdometryLink:
-    """Publishes Odometry on one topic and reads the latest sample of another.
+    """Publisher of Odometry on one topic, and reader of the latest sample of another topic.
 
-    Without `publishes`, the publisher is declared by `begin_publishing`. Each one has a new GID.
+    If `publishes` is False, there is no publisher before `begin_publishing` is called. Each new
+    publisher has a new GID.
     """
 
     session: Any
@@ -96,7 +104,7 @@ class OdometryLink:
         o = self.options
         self._environment = environment.present()
         self._session_id = str(self.session.zid())
-        # Stamps advance with CLOCK_MONOTONIC: a step of the wall clock does not affect them.
+        # Time stamps advance with CLOCK_MONOTONIC. A step of the wall clock does not affect them.
         self._wall = self._environment.time_ns() - self._environment.monotonic_ns()
         self._publisher: Any = None
         self._gid = b""
@@ -108,7 +116,10 @@ class OdometryLink:
         self._obeyed_tokens: Any = None
         self._announcements: list[Any] = []
         self.known: frozenset[str] = frozenset()
-        """Known sessions. Their repeated announcements after a link failure are not reported."""
+        """Sessions that are known to publish. `new_publisher` does not report these sessions.
+
+        After a link failure, a known session repeats its announcement.
+        """
         self._reported = ""
         self.clock = PeerClock()
         self._source: bytes | None = None
@@ -116,7 +127,7 @@ class OdometryLink:
         self._other_source = b""
         self._turns: deque[int] = deque(maxlen=SECOND)
         self._is_sealed = False
-        """Whether the samples of the source have checksums. Then every sample must have one."""
+        """True if the source sends checksums. In this case, every sample must have a checksum."""
         try:
             self._subscriber = self.session.declare_subscriber(
                 self._key(self.in_topic), zenoh.handlers.RingChannel(1)
@@ -130,7 +141,10 @@ class OdometryLink:
             raise DeviceError(f"Zenoh rejects a topic: {zenoh_message(error)}") from error
 
     def begin_publishing(self) -> None:
-        """Declare a publisher with a new GID, which the base robot has never accepted before."""
+        """Declare a publisher with a new GID.
+
+        The base robot has never accepted commands from this GID before.
+        """
         token = self._token(self.out_topic, "MP", next(self._entities))
         self._gid, self._sequence = rmw_zenoh.gid_of(token), 0
         self._publisher = self.session.declare_publisher(
@@ -168,7 +182,7 @@ class OdometryLink:
 
     @property
     def gid(self) -> str:
-        """GID of this publisher (hexadecimal), which all its samples carry."""
+        """GID of the own publisher (hexadecimal). All published samples contain this GID."""
         return self._gid.hex()
 
     @property
@@ -176,7 +190,7 @@ class OdometryLink:
         return self._session_id
 
     def publishers(self, topic: str) -> list[str]:
-        """Return the sessions, other than this one, that announce a publisher of `topic`."""
+        """Return the other sessions that announce a publisher of `topic`."""
         found = set()
         for reply in self.session.liveliness().get(
             self._announcements_of(topic), timeout=LONGEST_QUERY
@@ -190,7 +204,7 @@ class OdometryLink:
         return f"@ros2_lv/{self.options.domain}/*/*/*/MP/*/*/*/{name}/**"
 
     def watch_publishers(self) -> None:
-        """Subscribe to the announcements that `new_publisher` reports, for both topics."""
+        """Subscribe to the announcements of publishers of both topics, for `new_publisher`."""
         liveliness = self.session.liveliness()
         self._announcements = [
             (
@@ -203,7 +217,10 @@ class OdometryLink:
         ]
 
     def new_publisher(self) -> str | None:
-        """Return a message about a publisher announced since the last call. Does not block."""
+        """Return a message about a publisher that was announced since the last call, or None.
+
+        Does not block.
+        """
         for topic, subscriber in self._announcements:
             news = subscriber.try_recv()
             if news is not None and news.kind == zenoh.SampleKind.PUT:
@@ -214,21 +231,22 @@ class OdometryLink:
 
     @property
     def second_source(self) -> str | None:
-        """Message about two publishers whose samples are interleaved, or None."""
+        """Message if the samples of two publishers are interleaved, otherwise None."""
         if len(self._turns) < SECOND or self.counts.accepted - self._turns[0] > WITHIN:
             return None
         assert self._source is not None
         return f"two publishers send topic {self.in_topic}: {self._source.hex()} and {self._other_source.hex()}"
 
     def publish(self, position: Array, orientation: Array, velocity: Array) -> None:
-        """Publish a pose of B in I and a twist in I. The message contains the twist in B.
+        """Publish the pose of the base B in the inertial frame I, and the twist of B.
 
-        position (3) [m], orientation (4, xyzw), velocity (6) [m/s, rad/s].
+        position (3) [m], orientation (4, xyzw) and velocity (6) [m/s, rad/s] are expressed in I.
+        The message contains the twist expressed in B.
         """
         stamp = self._environment.monotonic_ns() + self._wall
         self._sequence += 1
         twist = twist_rotated(orientation, velocity, back=True)
-        # Increment the stamp until the checksum is allowed in the options (see sealed_odometry).
+        # Increment the stamp until the option bytes can hold the checksum (see sealed_odometry).
         while True:
             attachment = Attachment(self._sequence, stamp, self._gid).pack()
             payload = self._writer.write(stamp, position, orientation, twist)
@@ -238,7 +256,7 @@ class OdometryLink:
         self.put(sealed(payload, attachment), attachment)
 
     def put(self, payload: bytes, attachment: bytes) -> None:
-        """Put a sample into the session. Count a failure."""
+        """Send a sample. A failure is counted, not raised."""
         if self._publisher is None:
             return
         try:
@@ -248,7 +266,10 @@ class OdometryLink:
             self.counts.last_fault = zenoh_message(error)
 
     def take(self) -> tuple[bytes, bytes] | None:
-        """Return payload and attachment of the latest new sample, or None. Does not block."""
+        """Return the payload and the attachment of the latest sample.
+
+        Returns None if there is no new sample. Does not block.
+        """
         sample = self._subscriber.try_recv()
         if sample is None:
             return None
@@ -258,35 +279,43 @@ class OdometryLink:
         )
 
     def obeyed_publisher(self) -> str | None:
-        """Return the GID of the publisher in command, NO_PUBLISHER, or None without a report."""
+        """Return the GID of the publisher in command, or NO_PUBLISHER.
+
+        Returns None if the base robot does not report the publisher in command.
+        """
         key = rmw_zenoh.obedience_token(self.options.domain, self.options.setpoint_topic, "*")
         found = [
             str(reply.ok.key_expr).rsplit("/", 1)[1]
             for reply in self.session.liveliness().get(key, timeout=LONGEST_QUERY)
             if reply.ok is not None
         ]
-        # There may be two tokens during a change. A GID has priority over NO_PUBLISHER.
+        # During a change, there may be two tokens. A GID has priority over NO_PUBLISHER.
         return next(
             (gid for gid in found if gid != rmw_zenoh.NO_PUBLISHER), found[0] if found else None
         )
 
     def watch_obedience(self) -> None:
-        """Subscribe to the obedience token of this publisher, which `obedience` reports."""
+        """Subscribe to the obedience token for the own publisher. `obedience` reads the token."""
         key = rmw_zenoh.obedience_token(self.options.domain, self.options.setpoint_topic, self.gid)
         self._obeyed_tokens = self.session.liveliness().declare_subscriber(
             key, zenoh.handlers.FifoChannel(64)
         )
 
     def obedience(self) -> bool | None:
-        """Return the change of the obedience token since the last call, without blocking.
+        """Return the change of the obedience token since the last call. Does not block.
 
-        True: this publisher is in command. False: not any more. None: no change.
+        True: the own publisher is in command. False: the own publisher is no longer in command.
+        None: no change.
         """
         news = None if self._obeyed_tokens is None else self._obeyed_tokens.try_recv()
         return None if news is None else news.kind == zenoh.SampleKind.PUT
 
     def report_obeyed(self, active: bool) -> None:
-        """Update the obedience token: the source in use if the base robot is `active`."""
+        """Update the obedience token of this base robot.
+
+        If the base robot is `active`, the token contains the GID of the source. Otherwise, or
+        without a source, the token contains NO_PUBLISHER.
+        """
         gid = self._source.hex() if active and self._source is not None else rmw_zenoh.NO_PUBLISHER
         if gid != self._reported:
             before, self._reported = self._obedience, gid
@@ -296,15 +325,16 @@ class OdometryLink:
                 before.undeclare()
 
     def receive(self, judge: Callable[[Received], bool | None]) -> Received | None:
-        """Return the latest sample since the last call, if it is valid. Does not block.
+        """Return the latest sample since the last call, or None if no valid sample has arrived.
 
-        `judge` returns True to accept a sample, False to reject it, and None to ignore it.
-        The publisher of the first accepted sample is the source: samples of others are ignored.
+        Does not block. `judge` returns True to accept a sample, False to reject the sample, and
+        None to ignore the sample. The publisher of the first accepted sample becomes the source.
+        After this, samples of other publishers are ignored.
         """
         sample = self.take()
         if sample is None:
             return None
-        # Check the bytes: checksum, message and frames.
+        # Check the checksum, the format of the message and the frame names.
         payload, raw = sample
         if (is_sealed(payload) or self._is_sealed) and not is_intact(payload, raw):
             return self._refused("a sample with a wrong checksum")
@@ -331,9 +361,9 @@ class OdometryLink:
             attachment.sequence <= last.sequence or attachment.stamp == last.stamp
         ):
             self.counts.stale += 1
-            self.counts.last_fault = f"sequence number {attachment.sequence} after {last.sequence}, its stamp {(attachment.stamp - last.stamp) * 1e-9:.6g} s later"
+            self.counts.last_fault = f"sequence number {attachment.sequence} after {last.sequence}; its stamp is {(attachment.stamp - last.stamp) * 1e-9:.6g} s later"
             return None
-        # The caller checks the values.
+        # The function `judge` of the caller checks the values.
         delay = self.clock.delay(attachment.stamp, arrived)
         received = Received(odometry, attachment, arrived, delay)
         judged = judge(received)
@@ -342,7 +372,7 @@ class OdometryLink:
             return None
         if not judged:
             if self._source is None:
-                self.clock.reset()  # the next publisher may have another clock
+                self.clock.reset()  # the next publisher may use a different clock
             return self._refused(
                 f"an invalid pose or twist: {odometry.position}, {odometry.orientation}, {delay * 1e-9:.3g} s late"
             )
@@ -360,14 +390,12 @@ class OdometryLink:
 
     @property
     def other_source(self) -> bytes:
-        """GID of the last sample that was not from the source in use; empty if there was none."""
+        """GID of the last sample of a publisher other than the source. Initially empty."""
         return self._other_source
 
     def _note_other_source(self, gid: bytes) -> None:
         self.counts.other_sources += 1
-        self.counts.last_fault = (
-            f"a sample from {gid.hex()}, {self._source.hex() if self._source else ''} is in use"
-        )
+        self.counts.last_fault = f"a sample from {gid.hex()}, but the source in use is {self._source.hex() if self._source else ''}"
         self._other_source = gid
         if not self._turns or self._turns[-1] != self.counts.accepted:
             self._turns.append(self.counts.accepted)
@@ -377,7 +405,7 @@ class OdometryLink:
         self._turns.clear()
 
     def reset_source(self) -> None:
-        """Accept the publisher of the next valid sample as the source."""
+        """Remove the source. The publisher of the next accepted sample becomes the source."""
         self._source = self._last = None
         self._other_source, self._is_sealed = b"", False
         self._turns.clear()

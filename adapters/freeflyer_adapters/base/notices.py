@@ -18,7 +18,7 @@ SOON_DAYS = 30
 
 
 def notices(scenario: Scenario, *, as_robot: bool) -> Iterator[str]:
-    """Yield one notice per line. Raises DeviceError if the table of a device is not valid."""
+    """Yield notices of one line each. Raises DeviceError if the table of a device is not valid."""
     for spec in scenario.devices:
         if spec.kind == KIND:
             options = link_options.options_from(spec.name, spec.options, scenario.directory)
@@ -48,4 +48,4 @@ def _of_certificate(identity: Identity) -> Iterator[str]:
     days = (end - datetime.now(UTC)).days
     yield f"TLS with certificate {identity.name!r}, valid until {end:%Y-%m-%d}"
     if 0 <= days < SOON_DAYS:
-        yield f"WARNING: certificate {identity.name!r} expires in {days} days, and its links end then; {remedy_of_age(identity)}"
+        yield f"WARNING: certificate {identity.name!r} expires in {days} days, and all links with this certificate end at that time; {remedy_of_age(identity)}"

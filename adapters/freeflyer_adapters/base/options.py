@@ -1,4 +1,7 @@
-"""Options of a scenario's `[devices.NAME]` of kind "zenoh_base". Both ends of the link use them."""
+"""Options of a scenario's table `[devices.NAME]` of kind "zenoh_base".
+
+Both ends of the link use these options.
+"""
 
 from __future__ import annotations
 
@@ -21,9 +24,9 @@ LONGEST_FRAME = 200
 class LinkOptions:
     """Options of the link, with endpoints in Zenoh's form.
 
-    Multicast and gossip are off: only the endpoints listed here are used. With `certificates`, both
-    ends authenticate with their files in that folder. Without certificates, endpoints of other
-    machines are rejected, unless the scenario sets `insecure`.
+    Multicast and gossip of Zenoh are off. Only the endpoints of `connect` and `listen` are used.
+    With `certificates`, each end authenticates with its own files in this folder. Without
+    certificates, endpoints of other machines are rejected, unless the scenario sets `insecure`.
     """
 
     connect: Sequence[str] = ("tcp/127.0.0.1:7447",)
@@ -35,19 +38,22 @@ class LinkOptions:
     child_frame: str = "base"
     node: str = "freeflyer"
     certificates: Path | None = None
-    """Folder made by `freeflyer certificates`: ca.pem, and a certificate and key for each name."""
+    """Folder made by `freeflyer certificates`.
+
+    The folder contains ca.pem, and a certificate and a key for each name.
+    """
     controller: str = "controller"
     """Common name of the controller's certificate."""
     robot: str = "base_robot"
     """Common name of the base robot's certificate (default: the name of the device)."""
     commanders: Sequence[str] = ("controller",)
-    """Certificate names that may command the base robot (default: the controller)."""
+    """Names of the certificates that may command the base robot (default: the controller)."""
     insecure: bool = False
 
 
 def check(options: LinkOptions, subject: str) -> None:
-    """Check all options. Raises DeviceError."""
-    # Endpoints.
+    """Check all options. Raises DeviceError if an option is not valid."""
+    # Check the endpoints.
     for key in ("connect", "listen"):
         endpoints = getattr(options, key)
         if isinstance(endpoints, str) or not all(
@@ -58,7 +64,7 @@ def check(options: LinkOptions, subject: str) -> None:
             )
     if not options.listen:
         raise DeviceError(
-            f"{subject}: listen is empty, and Zenoh would listen on every interface; name an endpoint"
+            f"{subject}: listen is empty, so Zenoh would listen on every interface; name an endpoint"
         )
     for text in (*options.connect, *options.listen):
         _check_endpoint(Endpoint(text), options, subject)
@@ -66,7 +72,7 @@ def check(options: LinkOptions, subject: str) -> None:
         raise DeviceError(
             f"{subject}: insecure = true and certificates exclude each other; leave one of them out"
         )
-    # Names of certificates.
+    # Check the names of certificates.
     for key, names in (
         ("controller", [options.controller]),
         ("robot", [options.robot]),
@@ -83,9 +89,9 @@ def check(options: LinkOptions, subject: str) -> None:
         )
     if options.robot in options.commanders:
         raise DeviceError(
-            f"{subject}: {options.robot!r} is both robot and commander; a certificate for each is expected"
+            f"{subject}: {options.robot!r} is both robot and commander; two different certificates are expected"
         )
-    # Names in ROS.
+    # Check the names that are used in ROS.
     for key in ("setpoint_topic", "measured_topic"):
         topic = getattr(options, key)
         if not isinstance(topic, str) or not rmw_zenoh.TOPIC.fullmatch(topic):
@@ -113,10 +119,13 @@ def check(options: LinkOptions, subject: str) -> None:
 
 
 def _check_endpoint(endpoint: Endpoint, options: LinkOptions, subject: str) -> None:
-    """Reject endpoints of other machines without certificates, unless `insecure` is set."""
+    """Check one endpoint. Raises DeviceError if the endpoint is not valid or not allowed.
+
+    On a link without certificates, endpoints of other machines are allowed only with `insecure`.
+    """
     where, how = (
         f"{subject}: endpoint {endpoint.text}",
-        "make certificates with `freeflyer certificates DIR`, name them by certificates = 'DIR'",
+        "make certificates with `freeflyer certificates DIR`, set certificates = 'DIR'",
     )
     if not endpoint.is_complete:
         raise DeviceError(
@@ -124,7 +133,7 @@ def _check_endpoint(endpoint: Endpoint, options: LinkOptions, subject: str) -> N
         )
     if endpoint.has_own_tls_settings:
         raise DeviceError(
-            f"{where} has TLS settings that override those of the device; remove the part after '#'"
+            f"{where} has TLS settings that override the settings of the device; remove the part after '#'"
         )
     if options.certificates is not None and not endpoint.is_encrypted:
         raise DeviceError(
@@ -144,7 +153,7 @@ def _check_endpoint(endpoint: Endpoint, options: LinkOptions, subject: str) -> N
 
 
 def options_from(name: str, raw: Mapping[str, Any], directory: Path) -> LinkOptions:
-    """Read the options from the table of device `name`. Raises DeviceError if one is not valid.
+    """Read the options from the table of device `name`. Raises DeviceError if they are not valid.
 
     Paths are relative to `directory`, which contains the scenario.
     """

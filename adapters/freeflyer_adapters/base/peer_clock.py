@@ -1,45 +1,53 @@
-"""Delays from the time stamps of a peer whose clock is not synchronised with this machine's."""
+"""Delays of samples, computed from the time stamps of a peer.
+
+The clock of the peer is not synchronised with the clock of this machine. Therefore only the
+difference between the delays of two samples can be computed.
+"""
 
 from __future__ import annotations
 
 DRIFT = 1e-3
-"""Upper bound of the drift between two clocks that are synchronised now and then [s/s]."""
+"""Upper bound of the drift between two clocks that are synchronised from time to time [s/s]."""
 SMALLEST_STEP = 50_000_000
-"""[ns] A stamp that is ahead by more is taken as a clock step; by less, as a change of delay."""
+"""Smallest forward step of the peer's clock that is detected [ns].
+
+If a stamp is ahead of the expected value by more than this, the clock was set forward. A smaller
+difference counts as a change of the delay.
+"""
 
 
 class PeerClock:
-    """Delay of each sample relative to the fastest one before it [ns].
+    """Delay of each sample relative to the fastest sample so far [ns].
 
-    A later sample with an earlier stamp means that the peer's clock was set back. A stamp that is
-    ahead of its arrival means that the clock was set forward. After a step, the delay of the first
-    sample is assumed to be equal to that of the last sample before the step.
+    If a later sample has an earlier stamp, the peer's clock was set back. If the stamps advance by
+    much more than the times of arrival, the peer's clock was set forward. The first sample after
+    such a clock step is assumed to have the same delay as the last sample before the clock step.
     """
 
     def __init__(self) -> None:
         self.steps = 0
         self.step = 0
-        """The last step [ns]. Negative: set back."""
+        """The last clock step [ns]. Negative: the clock was set back."""
         self.reset()
 
     @property
     def sentence(self) -> str:
-        """Message about clock steps for the operator; empty if there were none."""
+        """Message to the operator about clock steps; empty if there were no clock steps."""
         if not self.steps:
             return ""
         how = f"set {'back' if self.step < 0 else 'forward'} by {abs(self.step) * 1e-9:.3f} s"
-        return f"its clock was {how}{f', the last of {self.steps} times' if self.steps > 1 else ''}; ages restart from there"
+        return f"its clock was {how}{f' (the last of {self.steps} clock steps)' if self.steps > 1 else ''}; the ages of samples are counted anew after this step"
 
     def reset(self) -> None:
-        """Restart with another publisher."""
+        """Start again, for another publisher."""
         self._fastest: int | None = None
         self._delay = self._stamp = self._arrived = 0
 
     def delay(self, stamp: int, arrived: int) -> int:
-        """Return the delay of a sample relative to the fastest one before it [ns].
+        """Return the delay of a sample relative to the fastest sample so far [ns].
 
-        `stamp` [ns, clock of the peer], `arrived` [ns, clock of this machine]. The minimum grows
-        slowly with time, because the clocks drift.
+        `stamp` [ns, clock of the peer], `arrived` [ns, clock of this machine]. The delay of the
+        fastest sample is increased slowly with time, because the clocks drift.
         """
         way = arrived - stamp
         if self._fastest is None:

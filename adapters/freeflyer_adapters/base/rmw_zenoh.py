@@ -1,7 +1,7 @@
 """Topic keys, liveliness tokens and attachments of ROS 2's rmw_zenoh_cpp.
 
 The layout is from ros2/rmw_zenoh (docs/design.md, attachment_helpers.cpp, liveliness_utils.cpp).
-The tests compare the bytes of the attachment with the serialiser of zenoh-ext.
+The tests compare the bytes of the attachment with the output of the serialiser of zenoh-ext.
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ ATTACHMENT = struct.Struct(f"<qqB{GID_BYTES}s")
 TOPIC = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 NO_PUBLISHER = "nobody"
+"""This name replaces the GID if a base robot accepts commands from no publisher."""
 QOS_SENSOR_DATA = "2::,1:,:,:,,"
-"""Best effort, volatile, keep last 1; otherwise the defaults of ROS 2."""
+"""Best effort, volatile, keep last 1. All other settings are the defaults of ROS 2."""
 
 
 class AttachmentError(ValueError):
@@ -36,7 +37,7 @@ class Attachment:
 
 
 def read_attachment(data: bytes) -> Attachment:
-    """Unpack an attachment. Raises AttachmentError."""
+    """Unpack an attachment. Raises AttachmentError if a length is wrong."""
     if len(data) != ATTACHMENT.size:
         raise AttachmentError(f"an attachment of {len(data)} bytes; {ATTACHMENT.size} are expected")
     sequence, stamp, length, gid = ATTACHMENT.unpack(data)
@@ -76,7 +77,8 @@ def liveliness_token(
 def obedience_token(domain: int, topic: str, gid: str) -> str:
     """Return the key of the token by which a base robot reports the publisher in command.
 
-    `gid` is the GID of the publisher or NO_PUBLISHER. The token is an addition of this project.
+    The publisher in command is the publisher from which the base robot accepts set points. `gid` is
+    its GID, or NO_PUBLISHER. ROS 2 does not have this token; it is an addition of this project.
     """
     return f"freeflyer/obeys/{domain}/{mangled(topic.strip('/'))}/{gid}"
 
@@ -84,7 +86,7 @@ def obedience_token(domain: int, topic: str, gid: str) -> str:
 def commander_token(domain: int, topic: str, name: str) -> str:
     """Return the key of the token by which a base robot reports a certificate that may command.
 
-    The token is an addition of this project.
+    ROS 2 does not have this token; it is an addition of this project.
     """
     return f"freeflyer/commanders/{domain}/{mangled(topic.strip('/'))}/{name}"
 
@@ -95,5 +97,8 @@ def session_of(token: str) -> str:
 
 
 def gid_of(token: str) -> bytes:
-    """Return a unique GID (16 bytes), which is a hash of the token. Peers do not verify it."""
+    """Return a unique GID (16 bytes) for the publisher with this token.
+
+    The GID is a hash of the token. Peers do not verify the GID.
+    """
     return hashlib.blake2b(token.encode(), digest_size=GID_BYTES).digest()

@@ -1,8 +1,9 @@
 """nav_msgs/msg/Odometry in the wire format of ROS 2 (XCDR1, OMG DDS-XTypes).
 
-The message has a stamp, a pose and a twist. By REP 105 and the message definition, the pose is that
-of `child_frame_id` in `header.frame_id`, here B in I. The twist is expressed in `child_frame_id`,
-here B. The rest of this project expresses velocities in I.
+The message contains a time stamp, a pose and a twist. REP 105 and the message definition define the
+frames. The pose is the pose of the frame `child_frame_id` in the frame `header.frame_id`. In this
+project, these frames are the base B and the inertial frame I. The twist is expressed in
+`child_frame_id`, that is, in B. All other modules of this project express velocities in I.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from freeflyer.fmi.component import Array
 
 TYPE_NAME = "nav_msgs::msg::dds_::Odometry_"
 TYPE_HASH = "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0"
-"""REP 2016. A test compares it with the message definition."""
+"""Type hash by REP 2016. A test compares the hash with the message definition."""
 POSE_NUMBERS, COVARIANCE, TWIST_NUMBERS = 7, 36, 6
 NUMBERS = POSE_NUMBERS + COVARIANCE + TWIST_NUMBERS + COVARIANCE
 LONGEST_NAME = 256
@@ -29,7 +30,7 @@ class MessageError(ValueError):
 
 @dataclass(frozen=True, kw_only=True)
 class Odometry:
-    """Stamp [ns since the epoch], and pose and twist of B.
+    """Time stamp [ns since the epoch], frame names, and pose and twist of B.
 
     position (3) [m] and orientation (4, xyzw) in I, velocity (6) [m/s, rad/s] in B.
     """
@@ -43,7 +44,7 @@ class Odometry:
 
 
 class OdometryWriter:
-    """Writes messages with fixed frame names, whose layout is computed once."""
+    """Writer of messages with fixed frame names. The layout of the messages is computed once."""
 
     def __init__(self, frame: str, child_frame: str) -> None:
         head = bytearray(b"\x00\x01\x00\x00")  # CDR, little-endian
@@ -58,7 +59,10 @@ class OdometryWriter:
         self._numbers = np.frombuffer(memoryview(self._data)[self._first :], dtype="<f8")
 
     def write(self, stamp: int, position: Array, orientation: Array, velocity: Array) -> bytes:
-        """Return the bytes of a message; shapes and units as in `Odometry`. Covariances are 0."""
+        """Return the bytes of a message. All covariances are 0.
+
+        The shapes and units of the arguments are the same as in `Odometry`.
+        """
         struct.pack_into("<iI", self._data, 4, stamp // 1_000_000_000, stamp % 1_000_000_000)
         numbers = self._numbers
         numbers[0:3] = position
@@ -68,11 +72,11 @@ class OdometryWriter:
 
 
 def read(data: bytes) -> Odometry:
-    """Read an Odometry of either byte order. The numbers may be NaN or infinite.
+    """Read an Odometry message in either byte order. The numbers may be NaN or infinite.
 
-    Raises MessageError if the bytes are not an Odometry.
+    Raises MessageError if the bytes are not an Odometry message.
     """
-    # Header: encapsulation and time stamp.
+    # Read the header: encapsulation and time stamp.
     if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
         raise MessageError(
             f"the encapsulation is {data[:4].hex()}; CDR (00 00 or 00 01) is expected"
@@ -81,7 +85,7 @@ def read(data: bytes) -> Odometry:
     seconds, nanoseconds = _take(order + "iI", data, 4)
     if not 0 <= nanoseconds < 1_000_000_000:
         raise MessageError(f"the stamp has {nanoseconds} ns")
-    # Two frame names, each a length and a zero-terminated string.
+    # Read two frame names. Each name is a length, followed by a zero-terminated string.
     place, names = 12, []
     for _ in range(2):
         place += -(place - 4) % 4
@@ -97,7 +101,7 @@ def read(data: bytes) -> Odometry:
             raise MessageError("a frame name is not UTF-8") from error
         place += 4 + length
     place += -(place - 4) % 8
-    # The numbers. A serialiser may pad the end to four bytes.
+    # Read the numbers. A serialiser may pad the message to a multiple of four bytes.
     if not place + 8 * NUMBERS <= len(data) <= place + 8 * NUMBERS + 3:
         raise MessageError(f"the message has {len(data)} bytes; {place + 8 * NUMBERS} are expected")
     numbers = np.frombuffer(data, dtype=order + "f8", count=NUMBERS, offset=place).astype(float)
@@ -119,5 +123,8 @@ def _take(form: str, data: bytes, place: int) -> tuple[Any, ...]:
 
 
 def _align(data: bytearray, size: int) -> None:
-    """Pad to a multiple of `size`, counted from the end of the encapsulation header."""
+    """Append zero bytes until the length is a multiple of `size`.
+
+    The length is counted from the end of the encapsulation header.
+    """
     data += bytes(-(len(data) - 4) % size)

@@ -1,11 +1,16 @@
-"""A checksum for samples of Odometry, which detects values corrupted in transit.
+"""Checksum for samples of Odometry. The checksum detects values that were corrupted in transit.
 
-CDR and rmw_zenoh have no checksum. This one is a CRC-16 (CCITT, as in E2E profile 5) over message
-and attachment. It is stored in the two option bytes of CDR's encapsulation header, which receivers
-ignore (DDSI-RTPS 2.5, 10.2). Later versions of CDR use the two lowest bits for the padding size,
-so these bits must stay zero: the sender increments the time stamp by 1 ns until they are.
-Options of zero mean that there is no checksum, as for a plain ROS 2 node. The checksum protects
-against errors; TLS protects against attackers.
+CDR and rmw_zenoh have no checksum. The checksum of this module is a CRC-16 (CCITT, as in E2E
+profile 5) over the message and the attachment. The checksum is stored in the two option bytes of
+CDR's encapsulation header. Receivers ignore these bytes (DDSI-RTPS 2.5, 10.2). A sample with a
+checksum is called sealed.
+
+Later versions of CDR use the two lowest option bits for the padding size. Therefore these two bits
+must stay zero. The sender increments the time stamp by 1 ns until both bits of the checksum are
+zero. If both option bytes are zero, the sample has no checksum. Samples of a plain ROS 2 node have
+no checksum.
+
+The checksum protects against errors. TLS protects against attackers.
 """
 
 from __future__ import annotations
@@ -18,17 +23,20 @@ FIRST, LAST = 2, 4
 
 
 def checksum(payload: bytes, attachment: bytes) -> int:
-    """Return the checksum of a sample, without its option bytes."""
+    """Return the checksum over a sample. The option bytes of the payload are left out."""
     return crc_hqx(attachment, crc_hqx(payload[LAST:], crc_hqx(payload[:FIRST], 0xFFFF)))
 
 
 def is_sealable(code: int) -> bool:
-    """Return True if the checksum may be stored in the options: non-zero, padding bits zero."""
+    """Return True if the checksum may be stored in the option bytes.
+
+    The checksum must not be zero, but its padding bits must be zero.
+    """
     return code != 0 and not code & PADDING_BITS
 
 
 def sealed(payload: bytes, attachment: bytes) -> bytes:
-    """Return the payload with its checksum, without a check of the bits."""
+    """Return the payload with its checksum. Does not check `is_sealable`."""
     return payload[:FIRST] + checksum(payload, attachment).to_bytes(2, "big") + payload[LAST:]
 
 

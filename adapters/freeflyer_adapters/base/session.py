@@ -1,4 +1,7 @@
-"""A Zenoh session with explicit endpoints only, and mutual TLS if the link has certificates."""
+"""A Zenoh session that only uses the given endpoints.
+
+If the link has certificates, the session uses mutual TLS.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,10 @@ def open_session(
     subject: str,
     protection: Protection | None = None,
 ) -> Any:
-    """Open a Zenoh session in peer mode. Raises DeviceError for endpoints and certificates."""
+    """Open a Zenoh session in peer mode.
+
+    Raises DeviceError if an endpoint or a certificate cannot be used.
+    """
     settings: dict[str, Any] = {
         "mode": "peer",
         "connect/endpoints": list(connect),
@@ -74,5 +80,5 @@ def _protected(protection: Protection) -> Mapping[str, Any]:
 
 
 def zenoh_message(error: Exception) -> str:
-    """Return the message of a Zenoh error without its source lines."""
+    """Return the message of a Zenoh error, without the places in the source code of Zenoh."""
     return " ".join(str(error).split(" at ")[0].split())[:200]

@@ -1,4 +1,8 @@
-"""Diagnosis of a TLS endpoint. Zenoh only retries, so a separate handshake finds the error."""
+"""Diagnosis of a TLS endpoint by a separate handshake.
+
+If a handshake fails, Zenoh retries and does not return the error. The separate handshake finds the
+error.
+"""
 
 from __future__ import annotations
 
@@ -14,20 +18,23 @@ from freeflyer_adapters.base.endpoint import Endpoint
 PATIENCE = 2.0
 """Timeout of a connection and of each part of a handshake [s]."""
 SILENCE = 1.0
-"""Time to wait for a TLS alert [s]. A peer that accepted our certificate waits for our data."""
+"""Time to wait for a TLS alert after the handshake [s].
+
+If no alert arrives, the peer has accepted our certificate and waits for our data.
+"""
 ANOTHER_AUTHORITY = (18, 19, 20, 21)
 NOT_YET, EXPIRED, OTHER_NAME, OTHER_ADDRESS = 9, 10, 62, 64
-"""OpenSSL's X509_V_ERR_*."""
+"""Error codes X509_V_ERR_* of OpenSSL."""
 ALERTS = {
-    "CERTIFICATE_REQUIRED": "it requires a certificate, and none was presented",
-    "UNKNOWN_CA": "it does not trust the authority that signed ours",
-    "CERTIFICATE_EXPIRED": "ours has expired, by its clock",
-    "CERTIFICATE_REVOKED": "ours was revoked",
-    "BAD_CERTIFICATE": "ours cannot be used",
-    "CERTIFICATE_UNKNOWN": "ours is not accepted",
-    "UNSUPPORTED_CERTIFICATE": "ours is of a kind that is not accepted",
-    "DECRYPT_ERROR": "ours was not signed by the authority whose name it bears",
-    "ACCESS_DENIED": "ours has no access",
+    "CERTIFICATE_REQUIRED": "it requires a certificate, but no certificate was sent",
+    "UNKNOWN_CA": "it does not trust the authority that signed our certificate",
+    "CERTIFICATE_EXPIRED": "our certificate has expired according to the clock of the peer",
+    "CERTIFICATE_REVOKED": "our certificate was revoked",
+    "BAD_CERTIFICATE": "our certificate cannot be used",
+    "CERTIFICATE_UNKNOWN": "our certificate is not accepted",
+    "UNSUPPORTED_CERTIFICATE": "our certificate has a type that is not accepted",
+    "DECRYPT_ERROR": "our certificate was not signed by the authority that it names as its issuer",
+    "ACCESS_DENIED": "our certificate has no access rights",
 }
 """TLS alerts (RFC 8446, 6.2) by which a peer rejects a certificate."""
 
@@ -35,10 +42,10 @@ ALERTS = {
 def problem(endpoint: Endpoint, identity: Identity | None, peer: str | None) -> str | None:
     """Return the problem of an endpoint as a clause, or None if a handshake succeeds.
 
-    Without `identity`, no certificate is sent and none is verified. `peer` is the expected common
-    name of the certificate.
+    If `identity` is None, no certificate is sent and no certificate is verified. `peer` is the
+    expected common name in the certificate of the peer.
     """
-    # TCP.
+    # Open the TCP connection.
     try:
         connection = socket.create_connection((endpoint.host, endpoint.port), PATIENCE)
     except ConnectionRefusedError:
@@ -49,7 +56,7 @@ def problem(endpoint: Endpoint, identity: Identity | None, peer: str | None) -> 
         return f"{endpoint.host} does not answer within {PATIENCE:g} s"
     except OSError as error:
         return f"{endpoint.text} cannot be reached: {error.strerror or error}"
-    # TLS. A server may reject our certificate after the handshake.
+    # Make the TLS handshake. A server may reject our certificate after the handshake.
     with closing(connection):
         try:
             with _context(identity).wrap_socket(connection, server_hostname=endpoint.host) as tls:
@@ -63,7 +70,7 @@ def problem(endpoint: Endpoint, identity: Identity | None, peer: str | None) -> 
                 or f"the server on {endpoint.text} does not use TLS ({_reason(error)})"
             )
         except TimeoutError:
-            return f"the server on {endpoint.text} does not use TLS (plain TCP, most likely)"
+            return f"the server on {endpoint.text} does not use TLS (probably plain TCP)"
         except OSError as error:
             return f"{endpoint.text} aborts the handshake: {error.strerror or error}"
     # The certificate of the peer must have the expected name.
@@ -92,7 +99,10 @@ def _context(identity: Identity | None) -> ssl.SSLContext:
 
 
 def _refusal(tls: ssl.SSLSocket, endpoint: Endpoint) -> str | None:
-    """Return why the server rejects our certificate: in TLS 1.3, after the client's handshake."""
+    """Return the reason why the server rejects our certificate, or None.
+
+    In TLS 1.3, the rejection arrives after the client has completed the handshake.
+    """
     tls.settimeout(SILENCE)
     try:
         if tls.recv(1) == b"":
@@ -123,18 +133,18 @@ def _not_trusted(endpoint: Endpoint, error: ssl.SSLCertVerificationError) -> str
     found = _shown(endpoint)
     what = f"the certificate on {endpoint.text}" + (f", {common_name(found)!r}," if found else "")
     if error.verify_code in ANOTHER_AUTHORITY:
-        return f"{what} was signed by another authority than ours; one made in the same `freeflyer certificates` folder is expected"
+        return f"{what} was signed by another authority than ours; a certificate made in the same `freeflyer certificates` folder is expected"
     if error.verify_code == EXPIRED:
         return f"{what} has expired" + (
             f" on {found.not_valid_after_utc:%Y-%m-%d %H:%M} UTC" if found else ""
         )
     if error.verify_code == NOT_YET:
         return f"{what} is not valid yet" + (
-            f", only from {found.not_valid_before_utc:%Y-%m-%d %H:%M} UTC" if found else ""
+            f" (valid from {found.not_valid_before_utc:%Y-%m-%d %H:%M} UTC)" if found else ""
         )
     if error.verify_code in (OTHER_NAME, OTHER_ADDRESS):
         known = f"for {', '.join(hosts_of(found)) or 'no host'}, " if found else ""
-        return f"{what} is {known}not for {endpoint.host}; `freeflyer certificates DIR --renew NAME --host {endpoint.host}` makes one"
+        return f"{what} is {known}not for {endpoint.host}; `freeflyer certificates DIR --renew NAME --host {endpoint.host}` makes a certificate for this host"
     return f"{what} cannot be trusted: {error.verify_message}"
 
 

@@ -1,7 +1,8 @@
-"""The base robot as a Zenoh device: publishes set points, reads the latest measured pose and twist.
+"""The base robot as a device with a Zenoh link.
 
-The device is read at the rate of the arm. It writes set points once per `cycle`, which is a whole
-number of communication steps.
+The device publishes set points, and reads the latest measured pose and twist. The device is read
+at the rate of the arm, once per communication step. Set points are written once per `cycle`. One
+cycle is a whole number of communication steps.
 """
 
 from __future__ import annotations
@@ -30,9 +31,15 @@ from freeflyer_adapters.foundation.pacing import Pacer
 from freeflyer_adapters.foundation.pose import distance, twist_rotated
 
 PATIENCE = 1.75
-"""Age of the last sample [cycles] above which a cycle counts as lost. A smaller age is jitter."""
+"""Limit of the age of the last sample [cycles].
+
+If the age exceeds this limit, the cycle counts as lost. A smaller age counts as jitter.
+"""
 LISTEN = 25
-"""Samples to receive before the first publication. A second publisher is detected within 20."""
+"""Number of samples to receive before the first publication.
+
+A second publisher is detected within 20 samples.
+"""
 TWIST = ("m/s",) * 3 + ("rad/s",) * 3
 
 
@@ -65,9 +72,12 @@ class ZenohBase:
         ]
         self.ports: Mapping[str, Port] = {port.name: port for port in ports}
         self.values = memory(self.ports.values())
-        # Counts and link. The link exists from `configure` to `deactivate`.
+        # Counts, state and link. The link exists from `configure` to `deactivate`.
         self.age = Histogram()
-        """Age of every sample when it is read. Only meaningful if both ends use the same clock."""
+        """Age of every sample at the time of reading.
+
+        The age is meaningful only if both ends use the same clock.
+        """
         self.published = 0
         self._link: OdometryLink | None = None
         self._session: Any = None
@@ -115,7 +125,7 @@ class ZenohBase:
         self.monitor = QualityMonitor.of(f"measurements of {self.name}", v, cycle)
         self._late = round(PATIENCE * cycle * 1e9)
         self._age_limit = round(float(v["age_limit"][0]) * 1e9)
-        # No publisher yet: the link must not disturb another controller.
+        # The link has no publisher yet, so that it does not disturb another controller.
         self._session = open_session(
             o.connect, o.listen, self.name, access_control.controller_protection(o)
         )
@@ -124,27 +134,28 @@ class ZenohBase:
         )
         self.permit = self._new_permit()
         self._observe(LISTEN)
-        # The session needs the right to command, one base robot, and no other controller.
+        # The session must have the right to command. There must be exactly one base robot, and no
+        # other controller.
         if refused := commanders.refusal(self._session, o, self.name):
             raise DeviceError(refused)
         others = link.publishers(o.measured_topic)
         link.known = frozenset(others)
         if len(others) > 1:
             raise DeviceError(
-                f"{self.name}: sessions {' and '.join(others)} publish topic {o.measured_topic}: two base robots; stop one of them"
+                f"{self.name}: sessions {' and '.join(others)} publish topic {o.measured_topic}: there are two base robots; stop one of them"
             )
         others = link.publishers(o.setpoint_topic)
         if others:
             raise DeviceError(
                 f"{self.name}: session {others[0]} commands topic {o.setpoint_topic} already; this is session {link.identity}: "
-                f"stop that one first"
+                f"stop session {others[0]} first"
             )
         self._reports_obedience = self._refuse_another_controller() is not None
         self.state.to(LifeCycle.inactive)
 
     def _new_permit(self) -> Permit:
-        # A base robot reports no life cycle. After a suspension of this process nothing is sent,
-        # not even a set point to hold.
+        # A base robot does not report its state of the life cycle. After a suspension of this
+        # process, no set point is sent, not even the last set point.
         return Permit(
             "the base robot",
             watchdog=round(float(self.values["watchdog"][0]) * 1e9),
@@ -177,11 +188,11 @@ class ZenohBase:
                 self._environment.sleep(0.001)
             if link.second_source:
                 raise DeviceError(
-                    f"{self.name}: {link.second_source}: two base robots; stop one of them"
+                    f"{self.name}: {link.second_source}: there are two base robots; stop one of them"
                 )
 
     def _refuse_another_controller(self) -> str | None:
-        """Return the GID of the publisher in command, or None if the base does not report it.
+        """Return the GID of the publisher in command, or None if the base robot has no such report.
 
         Raises DeviceError if another publisher is in command.
         """
@@ -190,18 +201,18 @@ class ZenohBase:
         if obeyed not in (None, NO_PUBLISHER, self._link.gid):
             raise DeviceError(
                 f"{self.name} accepts commands from publisher {obeyed} already; this is {self._link.gid or 'session ' + self._link.identity}: "
-                f"stop that one first"
+                f"stop publisher {obeyed} first"
             )
         return obeyed
 
     @property
     def cannot_refuse(self) -> list[str]:
-        """What this base robot cannot reject or report by itself, one sentence each."""
+        """Sentences about what this base robot cannot reject or report by itself."""
         if self._reports_obedience:
             return []
         return [
-            "it does not report which publisher it accepts commands from, like any plain ROS 2 node; that node itself must end the motion "
-            "after a stop and reject late set points (interface control document)"
+            "it does not report from which publisher it accepts commands, like any plain ROS 2 node; therefore the base robot itself must end the "
+            "motion after a stop and reject late set points (interface control document)"
         ]
 
     @property
@@ -227,7 +238,7 @@ class ZenohBase:
             raise DeviceError(
                 f"{self.name} is at {_shown(v['base_position'], v['base_orientation'])}, but the scenario starts at "
                 f"{_shown(*self._start)}: {gap[0]:.4f} m and {np.degrees(gap[1]):.3f} deg apart, {v['start_tolerance'][0]:g} m and "
-                f"{np.degrees(v['start_tolerance'][1]):.3g} deg are allowed; move it there, or set its parameter approach = true"
+                f"{np.degrees(v['start_tolerance'][1]):.3g} deg are allowed; move the base robot to the start pose, or set its parameter approach = true"
             )
 
     def prepare(self) -> None:
@@ -245,16 +256,17 @@ class ZenohBase:
             self._publish(*self._sent, np.zeros(6))
 
     def activate(self, meanwhile: Callable[[], bool]) -> None:
-        """Publish the measured pose as the first set point, then reduce its offset from the start.
+        """Take command of the base robot and move it to the start pose.
 
-        Raises DeviceError if the base robot does not take set points, or if the approach fails.
+        The first set point is the measured pose. Raises DeviceError if the base robot does not take
+        set points, or if the approach to the start pose fails.
         """
         v, start, link = self.values, self._start, self._link
         assert link is not None
         self._observe(1, meanwhile)
         if meanwhile():
             return
-        # Subscribe to the reports before the first set point, so that none is missed.
+        # Subscribe to the reports before the first set point, so that no report is missed.
         link.watch_publishers()
         link.begin_publishing()
         link.watch_obedience()
@@ -266,7 +278,7 @@ class ZenohBase:
         self._take_command(meanwhile)
         if not self._is_at_start:
             self._approach(start, meanwhile)
-        # The remaining offset from the start decays in `write`: the set points do not jump.
+        # `write` reduces the remaining offset from the start pose. So the set points do not jump.
         measured = Rotation.from_quat(v["base_orientation"])
         self._offset = (
             v["base_position"] - start[0],
@@ -280,7 +292,8 @@ class ZenohBase:
     def _take_command(self, meanwhile: Callable[[], bool]) -> None:
         """Publish the measured pose until the base robot reports that this publisher is in command.
 
-        Returns after one set point if the base robot has no such report. Raises DeviceError.
+        If the base robot has no such report, this method returns after one set point. Raises
+        DeviceError if the report does not arrive in time, or if the permit is lost.
         """
         assert self._link is not None
         v, cycle = self.values, float(self.values["cycle"][0])
@@ -294,8 +307,8 @@ class ZenohBase:
                 self._refuse_another_controller()
                 raise DeviceError(
                     commanders.refusal(self._session, self.options, self.name)
-                    or f"{self.name} does not take set points of {self.options.setpoint_topic}, although they are at its measured pose: "
-                    f"it receives no set points or other messages, or rejects them"
+                    or f"{self.name} does not take set points of {self.options.setpoint_topic}, although these set points are equal to its measured pose: "
+                    f"it receives no set points, receives other messages, or rejects the set points"
                 )
             if meanwhile():
                 return
@@ -309,10 +322,12 @@ class ZenohBase:
     def _approach(self, start: tuple[Array, Array], meanwhile: Callable[[], bool]) -> None:
         """Move from the measured pose to `start`, not faster than `approach_speed`.
 
-        Raises DeviceError at a limit, without measurements, or if the start is not reached.
+        Raises DeviceError if a limit is exceeded, if measurements are missing, if the permit is
+        lost, or if the start pose is not reached.
         """
         v, cycle = self.values, float(self.values["cycle"][0])
-        # A straight line and one rotation about a fixed axis, both of the same duration.
+        # The path is a straight line, and one rotation about a fixed axis. The translation and the
+        # rotation have the same duration.
         first = v["base_position"].copy()
         first_orientation = Rotation.from_quat(v["base_orientation"])
         rotation = Rotation.from_quat(start[1]) * first_orientation.inv()
@@ -324,7 +339,7 @@ class ZenohBase:
             cycle,
         )
         count = int(np.ceil(duration / cycle))
-        # The pacer skips missed deadlines: the approach is not accelerated after a suspension.
+        # The pacer skips missed deadlines, so the approach is not faster after a suspension.
         pacer = Pacer(round(cycle * 1e9))
         settle = round(1.0 / cycle)
         for i in range(1, count + settle + 1):
@@ -377,14 +392,15 @@ class ZenohBase:
         self._steps += 1
         reason = None
         if received:
-            # The sequence numbers show lost samples. Some may be counted as silence already.
+            # Gaps in the sequence numbers show lost samples. Samples that were already counted as
+            # silent cycles are subtracted.
             missing = self._sequence - before - 1 - self._silent if before else 0
             reason = self.monitor.lose(max(missing, 0))
             self._silent = 0
             self.monitor.observe(lost=False)
         if self._steps % self._ratio and not reason:
             return
-        # Once per cycle: the last sample must be recent.
+        # Check once per cycle that the last sample is recent.
         silence = self._environment.monotonic_ns() - self._arrived
         if silence > self._late:
             self._silent += 1
@@ -395,7 +411,8 @@ class ZenohBase:
                 reason
                 or f"the last measurement is {age * 1e-9:.4g} s old, its limit is {self._age_limit * 1e-9:g} s"
             )
-        # No second base robot or controller may appear, and the base must still take set points.
+        # A second base robot or controller must not appear. The base robot must still take set
+        # points.
         if link is not None:
             reason = link.second_source or link.new_publisher() or reason
             if link.obedience() is False:
@@ -408,7 +425,7 @@ class ZenohBase:
                 self.values["base_position"], self.values["base_orientation"], self._sent
             )
         if reason:
-            # A suspension of this process is reported as the cause.
+            # If this process was suspended, the suspension is the cause and is reported.
             raise SafeStop(self.name, permit.hold_up(self._environment.monotonic_ns()) or reason)
 
     def write(self) -> None:
@@ -436,7 +453,10 @@ class ZenohBase:
     # The end
 
     def revoke(self, reason: str) -> None:
-        """Withdraw the permit. Only the last set point is repeated; after a suspension, nothing."""
+        """Withdraw the permit. After this call, only the last set point can be repeated.
+
+        After a suspension of this process, no set point is sent, and the publisher is undeclared.
+        """
         is_held_up = self.permit.hold_up(self._environment.monotonic_ns())
         self.permit.lose(reason)
         if is_held_up and self._link is not None:
@@ -446,7 +466,8 @@ class ZenohBase:
         """Repeat the last set point with zero velocity while the arm comes to rest. Return True."""
         self._take()
         self._steps += 1
-        # Not after an incomplete activation: a set point could complete it.
+        # After an incomplete activation nothing is sent, because a set point could complete the
+        # activation.
         is_active = self.state.now is LifeCycle.active
         if (
             is_active
@@ -483,7 +504,7 @@ class ZenohBase:
 
     @property
     def remarks(self) -> list[str]:
-        """Further information about the run for the operator, one sentence each."""
+        """Sentences with further information about the run, for the operator."""
         return [self._clock_sentence] if self._clock_sentence else []
 
     def report(self) -> Mapping[str, float]:
@@ -521,7 +542,10 @@ class ZenohBase:
         return True
 
     def _publish(self, position: Array, orientation: Array, velocity: Array) -> None:
-        """Publish a set point if the permit allows it. `read` and `write` report a lost permit."""
+        """Publish a set point if the permit allows this.
+
+        `read` and `write` report a lost permit.
+        """
         assert self._link is not None
         now = self._environment.monotonic_ns()
         if not (self.permit.allows(now) or self.permit.may_ramp_down(now)):

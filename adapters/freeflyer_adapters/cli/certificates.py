@@ -38,28 +38,28 @@ class CertificatesCommand:
             "directory",
             type=folder,
             metavar="DIR",
-            help="folder of the authority; an existing authority signs, otherwise a new one is made",
+            help="folder of the authority; if the folder has no authority, a new authority is made",
         )
         parser.add_argument(
             "--name",
             action="append",
             default=[],
             metavar="NAME",
-            help=f"certificate of a peer that connects and listens (default: {' and '.join(NAMES)})",
+            help=f"make a certificate for a peer that connects and listens (default: {' and '.join(NAMES)})",
         )
         parser.add_argument(
             "--observer",
             action="append",
             default=[],
             metavar="NAME",
-            help="certificate of a peer that connects only, to read",
+            help="make a certificate for a peer that only connects, to read measurements",
         )
         parser.add_argument(
             "--host",
             action="append",
             default=[],
             metavar="HOST",
-            help=f"host name or address of the peers of --name (besides {', '.join(HOSTS)})",
+            help=f"host name or address of the peers of --name, in addition to {', '.join(HOSTS)}",
         )
         parser.add_argument(
             "--days",
@@ -117,8 +117,8 @@ class CertificatesCommand:
 def _check(
     directory: Path, names: Sequence[str], renewed: Sequence[str], hosts: Sequence[str], days: float
 ) -> None:
-    """Check all arguments. Raises CertificateError."""
-    # Names, hosts and validity.
+    """Check all arguments. Raises CertificateError if an argument is not valid."""
+    # Check the names, the hosts and the validity.
     for name in [*names, *renewed]:
         if not NAME.fullmatch(name) or name == AUTHORITY:
             raise CertificateError(
@@ -139,13 +139,13 @@ def _check(
         )
     if directory.exists() and not directory.is_dir():
         raise CertificateError(f"{directory} is a file; a directory is expected")
-    # New names must not exist; renewed names must.
+    # A new name must not exist yet. A name to renew must exist.
     for name in names:
         identity = Identity(directory, name)
         for path in (identity.certificate, identity.key):
             if path.exists():
                 raise CertificateError(
-                    f"{path} exists already and is not overwritten; --renew {name} makes a new one in its place"
+                    f"{path} exists already and is not overwritten; --renew {name} makes a new certificate in its place"
                 )
     for name in renewed:
         if not Identity(directory, name).certificate.exists():
@@ -198,12 +198,12 @@ def _may_listen(certificate: x509.Certificate) -> bool:
 
 
 def _united(hosts: Sequence[str], more: Sequence[str]) -> list[str]:
-    """Return all hosts without duplicates, normalised, in order."""
+    """Return all hosts in order, normalised and without duplicates."""
     return list(dict.fromkeys(written(host) for host in [*hosts, *more]))
 
 
 def _next_step(directory: Path) -> str:
     return (
-        f'Next: set certificates = "{directory}" and tls/ endpoints in [devices.base_robot] of your scenario; copy {AUTHORITY}.pem and the '
-        f"machine's own .pem and .key to every other machine over a channel that you trust, but never {AUTHORITY}.key (docs/security.md)"
+        f'Next: set certificates = "{directory}" and tls/ endpoints in [devices.base_robot] of your scenario. To every other machine, copy '
+        f"{AUTHORITY}.pem and the machine's own .pem and .key, over a channel that you trust. Never copy {AUTHORITY}.key (docs/security.md)"
     )

@@ -33,14 +33,17 @@ from freeflyer_adapters.recording.client import Recording
 from freeflyer_adapters.recording.ring_recovery import rescue
 
 AFTERWARDS = 1.0
-"""Virtual time in which the devices come to rest after the controllers have ended [s]."""
+"""Virtual time for the devices to come to rest, after the controllers have ended [s]."""
 
 
 class HilCommand:
     def configure(self, parser: argparse.ArgumentParser) -> None:
         _common(parser)
         parser.add_argument(
-            "--out", type=folder, metavar="DIR", help="default: freeflyer_out/hil_SCENARIO"
+            "--out",
+            type=folder,
+            metavar="DIR",
+            help="directory of the results (default: freeflyer_out/hil_SCENARIO)",
         )
         how = parser.add_mutually_exclusive_group()
         how.add_argument(
@@ -56,13 +59,13 @@ class HilCommand:
         parser.add_argument(
             "--check",
             action="store_true",
-            help="configure every device, show its measurements and whether it could be activated, and exit: nothing moves",
+            help="configure every device, show its measurements and whether it could be activated, and exit; nothing moves",
         )
         parser.add_argument(
             "--view",
             action=argparse.BooleanOptionalAction,
             default=None,
-            help="live view of the loop (default: if the output is a terminal)",
+            help="show a live view of the loop (default: yes, if the output is a terminal)",
         )
         parser.add_argument(
             "--record",
@@ -73,7 +76,7 @@ class HilCommand:
         parser.add_argument(
             "--log-to",
             metavar="LOG",
-            help="send the reason of the stop to the system log, too: syslog (/dev/log), syslog:PATH or syslog:HOST:PORT",
+            help="also send the reason of the stop to a system log: syslog (/dev/log), syslog:PATH or syslog:HOST:PORT",
         )
         parser.add_argument(
             "--can-log",
@@ -100,7 +103,7 @@ class HilCommand:
         def show(text: str) -> None:
             console.print(text, soft_wrap=True)
 
-        # Recordings of a process that was killed are completed first.
+        # First, complete the recordings of earlier processes that were killed.
         for sentence in rescue():
             show(sentence)
         recording = Recording(
@@ -142,7 +145,10 @@ class FacilityCommand:
     def configure(self, parser: argparse.ArgumentParser) -> None:
         _common(parser)
         parser.add_argument(
-            "--out", type=folder, metavar="DIR", help="write facility.json there at the end"
+            "--out",
+            type=folder,
+            metavar="DIR",
+            help="write facility.json to this directory at the end",
         )
 
     def execute(self, arguments: argparse.Namespace, console: Console) -> int:
@@ -155,7 +161,7 @@ class FacilityCommand:
 
         for notice in notices(chosen, as_robot=True):
             show(notice)
-        # Threads of the links start before the loop gets its priority.
+        # The threads of the links must start before the loop gets its real-time priority.
         try:
             pacing.prepare_links(arguments.real_time)
             facility = Facility(chosen, arguments.fmi)
@@ -180,7 +186,7 @@ class FacilityCommand:
 
 
 def _check(chosen: Scenario, arguments: argparse.Namespace, console: Console) -> int:
-    """Run `--check`. Return BAD_INPUT if a device could not be activated in its present state."""
+    """Execute `--check`. Return BAD_INPUT if a device could not be activated at present."""
     with _facility_beside(chosen, arguments, lambda text: None):
         found = hil.inspect(chosen, simulated=arguments.simulated, fmi=arguments.fmi)
     for name, inspection in found.items():
@@ -211,7 +217,10 @@ def _check(chosen: Scenario, arguments: argparse.Namespace, console: Console) ->
 
 @contextmanager
 def _reason_kept(stop: StopNotice) -> Iterator[None]:
-    """Record the reason if a run ends before its devices are prepared. The command prints it."""
+    """Record the reason if a run ends before its devices are prepared.
+
+    The reason is not printed here, because the command prints the error.
+    """
     try:
         yield
     except BaseException as error:

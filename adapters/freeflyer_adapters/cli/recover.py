@@ -33,7 +33,7 @@ class RecoverCommand:
         if path.is_dir():
             if out is not None:
                 raise RecordError(
-                    f"--out {out}: {path} is a directory, and its files are recovered in that directory; leave out --out"
+                    f"--out {out}: {path} is a directory, and its files are recovered in the same directory; do not give --out"
                 )
             paths = list(unfinished(path))
             if not paths:

@@ -1,7 +1,8 @@
-"""The environment of devices: clocks, CAN buses and Zenoh sessions. Virtual time replaces it.
+"""The environment of devices: clocks, CAN buses and Zenoh sessions.
 
-A constructor calls `present()` and keeps the result. So every part of a loop, and both ends of the
-facility's links, can run in virtual time (`freeflyer_adapters.facility.virtual_time`) unchanged.
+A constructor calls `present()` and keeps the result. A run in virtual time uses another environment
+(`freeflyer_adapters.facility.virtual_time`). So all parts of a loop, and both ends of its links
+to the facility, run in virtual time without a change of their code.
 """
 
 from __future__ import annotations
@@ -19,11 +20,12 @@ import zenoh
 class Environment:
     """The real environment."""
 
-    # Called about twenty times per cycle of 1 ms: without a wrapper, for speed.
+    # This function is called about twenty times per cycle of 1 ms. It has no wrapper, because a
+    # wrapper would take time.
     monotonic_ns: Callable[[], int] = staticmethod(time.monotonic_ns)
     """Monotonic clock with an arbitrary zero [ns]."""
     time_ns: Callable[[], int] = staticmethod(time.time_ns)
-    """Wall clock [ns since the epoch]. It may be set."""
+    """Wall clock [ns since the epoch]. This clock may be set forward or back during a run."""
 
     def monotonic(self) -> float:
         """Return the monotonic clock [s]."""
@@ -38,7 +40,7 @@ class Environment:
         return can.Bus(**arguments)
 
     def session(self, config: zenoh.Config) -> Any:
-        """Open a Zenoh session. Raises zenoh.ZError."""
+        """Open a Zenoh session. Raises zenoh.ZError if this fails."""
         return zenoh.open(config)
 
 

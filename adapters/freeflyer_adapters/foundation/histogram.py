@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 BINS = 100_000
-"""One bin per microsecond. The last bin counts all longer times; `longest` is exact."""
+"""Number of bins. Each bin is 1 us wide. The last bin also counts all longer durations.
+
+The attribute `longest` is exact for all durations.
+"""
 
 
 class Histogram:
-    """Counts of durations [ns]."""
+    """Histogram of durations [ns]."""
 
     def __init__(self) -> None:
         self._counts = [0] * BINS
@@ -27,12 +30,15 @@ class Histogram:
         self._counts[index if 0 <= index < BINS else (0 if index < 0 else BINS - 1)] += 1
 
     def take_recent(self) -> float:
-        """Return the longest duration since the last call [us]."""
+        """Return the longest duration since the last call of this method [us]."""
         recent, self._recent = self._recent, 0
         return recent / 1000.0
 
     def quantile(self, share: float) -> float:
-        """Return a quantile [us] as the upper edge of its bin; 0 if the histogram is empty."""
+        """Return the upper edge [us] of the bin that contains a quantile.
+
+        Returns 0 if the histogram is empty.
+        """
         wanted, seen = share * self.count, 0
         for index, count in enumerate(self._counts):
             seen += count

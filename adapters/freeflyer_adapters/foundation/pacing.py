@@ -14,13 +14,14 @@ from freeflyer_adapters.foundation.histogram import Histogram
 PR_SET_TIMERSLACK = 29
 MCL_CURRENT, MCL_FUTURE = 1, 2
 LINK_PRIORITY, LOOP_PRIORITY = 20, 40
-"""SCHED_FIFO priorities: of the threads of the links, which inherit it, and of the loop."""
+"""SCHED_FIFO priorities of the threads of the links and of the loop."""
 
 
 def prepare_links(real_time: bool) -> None:
-    """Set the real-time priority that the threads of the links inherit, if permitted.
+    """Set the real-time priority for the threads of the links, if this is permitted.
 
-    Call it before devices open their links.
+    A thread inherits the priority when it is created. So this function must be called before
+    devices open their links.
     """
     if real_time:
         with suppress(OSError, AttributeError):
@@ -28,12 +29,15 @@ def prepare_links(real_time: bool) -> None:
 
 
 def enter_real_time(real_time: bool) -> list[str]:
-    """Request SCHED_FIFO, locked memory and a short timer slack. Return one phrase for each."""
+    """Request SCHED_FIFO, locked memory and a short timer slack.
+
+    Returns one phrase about the result of each request.
+    """
     return [_scheduler(real_time), _memory(real_time), _timer_slack()]
 
 
 def leave_real_time() -> None:
-    """Restore ordinary scheduling, and unlock the memory because it makes allocations slow."""
+    """Restore ordinary scheduling. Unlock the memory, because locked memory slows allocations."""
     with suppress(OSError, AttributeError):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     with suppress(OSError, AttributeError):
@@ -70,7 +74,7 @@ def _timer_slack() -> str:
 
 @contextmanager
 def no_collection() -> Iterator[None]:
-    """Disable the garbage collection while the loop runs."""
+    """Disable the garbage collection of Python while the loop runs."""
     gc.collect()
     gc.freeze()
     gc.disable()
@@ -82,10 +86,11 @@ def no_collection() -> Iterator[None]:
 
 
 class Pacer:
-    """Waits for the deadlines t0 + k * period.
+    """Timer that waits for the deadlines t0 + k * period (k = 1, 2, ...).
 
-    After a delay longer than one period, t0 is reset to the present time. So missed deadlines are
-    skipped, and not executed in quick succession. `overruns` counts these resets.
+    After a delay longer than one period, t0 is reset to the present time and k to 0. So missed
+    deadlines are skipped, and `wait` does not return several times in quick succession. `overruns`
+    counts these resets.
     """
 
     def __init__(self, period: int) -> None:
@@ -93,7 +98,7 @@ class Pacer:
         self.overruns = 0
         self.lateness = Histogram()
         self.late = 0
-        """Lateness at the last wake-up [ns]."""
+        """Delay of the last wake-up relative to its deadline [ns]."""
         self._deadline = 0
         self._environment = environment.present()
 

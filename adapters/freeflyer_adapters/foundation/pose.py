@@ -1,6 +1,7 @@
 """Rotations and pose distances in plain floating point, for use in every cycle.
 
-They take a tenth of the time of SciPy's rotations, with which the tests compare them.
+These functions take a tenth of the time of SciPy's rotations. The tests compare the functions with
+SciPy.
 """
 
 from __future__ import annotations
@@ -13,7 +14,11 @@ from freeflyer.fmi.component import Array
 
 
 def rotated(orientation: Array, vector: Array, *, back: bool = False) -> tuple[float, float, float]:
-    """Return R(q) v, or R(q)' v with `back`. `orientation` is a unit quaternion (4, xyzw)."""
+    """Rotate `vector` by `orientation`, a unit quaternion (4, xyzw).
+
+    With the rotation matrix R of `orientation`, the result is R v. If `back` is True, the result is
+    R^T v.
+    """
     x, y, z, w = orientation.tolist()
     a, b, c = vector.tolist()
     if back:
@@ -23,7 +28,7 @@ def rotated(orientation: Array, vector: Array, *, back: bool = False) -> tuple[f
 
 
 def twist_rotated(orientation: Array, twist: Array, *, back: bool = False) -> Array:
-    """Return a twist (6) with the linear and the angular part rotated by `rotated`."""
+    """Rotate the linear part and the angular part of a twist (6) by `rotated`."""
     return np.array(
         [*rotated(orientation, twist[:3], back=back), *rotated(orientation, twist[3:], back=back)]
     )
@@ -32,9 +37,10 @@ def twist_rotated(orientation: Array, twist: Array, *, back: bool = False) -> Ar
 def distance(
     position: Array, orientation: Array, other_position: Array, other_orientation: Array
 ) -> tuple[float, float]:
-    """Return distance [m] and angle [rad] between two poses.
+    """Return the distance [m] and the angle [rad] between two poses.
 
-    The angle is from the chord between unit quaternions, which is accurate near zero.
+    The angle is computed from the chord between the two unit quaternions. This method is accurate
+    for small angles.
     """
     gap = position - other_position
     q = orientation / math.sqrt(orientation @ orientation)

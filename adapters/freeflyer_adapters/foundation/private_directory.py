@@ -1,4 +1,4 @@
-"""Private directories for sockets, rings and files, without access for other users."""
+"""Private directories for sockets, ring buffers and files. Other users have no access."""
 
 from __future__ import annotations
 
@@ -7,7 +7,10 @@ from pathlib import Path
 
 
 def made(path: Path) -> str | None:
-    """Make a directory (mode 0700) unless it exists. Return why it must not be used, or None."""
+    """Make a directory with mode 0700, unless the directory exists.
+
+    Returns the reason why the directory must not be used, or None if it may be used.
+    """
     try:
         path.mkdir(mode=0o700, exist_ok=True)
         state = path.lstat()

@@ -1,4 +1,4 @@
-"""The activation of all devices of a run. No other code enables their power."""
+"""The activation of all devices of a run. No other code enables the power of the devices."""
 
 from __future__ import annotations
 
@@ -10,7 +10,11 @@ from freeflyer_adapters.device.device import Device, SafeStop
 
 
 def guarded(device: Device, call: Callable[[], object]) -> None:
-    """Call a driver. Raises its other exceptions as SafeStop, so that the recording is kept."""
+    """Call a function of a device's driver.
+
+    StepFailed and CosimError are raised unchanged. Every other exception is raised as SafeStop, so
+    that the recording is kept.
+    """
     try:
         call()
     except (StepFailed, CosimError):
@@ -20,12 +24,18 @@ def guarded(device: Device, call: Callable[[], object]) -> None:
 
 
 def clocks_first(devices: Sequence[Device]) -> list[Device]:
-    """Return the devices in the order of writing: the clock first, as the arm waits for it."""
+    """Return the devices in the order in which their commands are written.
+
+    If an arm is the clock of the loop, this arm is first, because the arm waits for its command.
+    """
     return sorted(devices, key=lambda device: not device.is_clock)
 
 
 def prepare(devices: Sequence[Device]) -> None:
-    """Check all start poses, then prepare all devices without power. Raises DeviceError."""
+    """Check all start poses, then prepare all devices without power.
+
+    Raises DeviceError if a start pose is not correct, or if a device cannot be prepared.
+    """
     for device in clocks_first(devices):
         guarded(device, device.check_start)
     for device in clocks_first(devices):
@@ -33,10 +43,10 @@ def prepare(devices: Sequence[Device]) -> None:
 
 
 def activate(devices: Sequence[Device], is_interrupted: Callable[[], bool]) -> bool:
-    """Activate all devices. Return False if the user has interrupted.
+    """Activate all devices. Return False if the user has interrupted the activation.
 
-    The arm is last, because it needs commands as soon as it is active. Raises DeviceError, or
-    SafeStop if a driver fails.
+    The arm is activated last, because it needs commands as soon as it is active. Raises DeviceError
+    if a device cannot be activated, and SafeStop if a driver fails.
     """
 
     def meanwhile() -> bool:

@@ -1,4 +1,4 @@
-"""The graded stop: brings every device to rest after any end of the loop."""
+"""The graded stop. It brings every device to rest, whatever the reason of the stop is."""
 
 from __future__ import annotations
 
@@ -10,16 +10,17 @@ from freeflyer_adapters.foundation import environment
 from freeflyer_adapters.foundation.pacing import Pacer
 
 LONGEST_STOP = 5.0
-"""Timeout of the graded stop [s]. After it, only the watchdogs of the devices can stop them."""
+"""Timeout of the graded stop [s]. After this time, only a device's own watchdog can stop it."""
 NOTHING_ACTIVE = "nothing was active"
 
 
 def stop(devices: Sequence[Device], period: int, reason: str, *, orderly: bool) -> str:
     """Bring all active devices to rest and close all devices. Return a sentence about the result.
 
-    `period` [ns] is the step without an active clock device. `orderly` means that nothing failed.
+    `period` [ns] is the time between two steps if no active device is the clock of the loop.
+    `orderly` is True if nothing has failed.
     """
-    # Without permits, only commands that reduce motion can be sent.
+    # Revoke all permits. Without a permit, only commands that reduce motion can be sent.
     for device in devices:
         with suppress(Exception):
             device.revoke(reason)
@@ -29,7 +30,8 @@ def stop(devices: Sequence[Device], period: int, reason: str, *, orderly: bool) 
         for device in devices
         if device.state.now is LifeCycle.active or device.may_have_power
     ]
-    # Ramp down all active devices together. A clock device sets the pace by itself.
+    # Ramp down all active devices together. If a device is the clock, it paces these steps. Without
+    # such a device, a pacer waits between the steps.
     now = environment.present().monotonic
     start = now()
     pacer = None if any(device.is_clock for device in active) else Pacer(period)
@@ -39,13 +41,14 @@ def stop(devices: Sequence[Device], period: int, reason: str, *, orderly: bool) 
         if pacer is not None:
             pacer.wait()
         elapsed = now() - start
-        # A device that has finished keeps holding until all have finished.
+        # A device that has finished the ramp-down holds its place. It is called until all devices
+        # have finished.
         done = [_ramped(device, elapsed, broken) for device in active]
         going = [device for device, is_done in zip(active, done, strict=True) if not is_done]
     took = now() - start
     unsure = [device.name for device in active if device in broken or not device.at_rest]
     for device in devices:
-        # A failing device must not prevent the deactivation of the others.
+        # If a device fails, the other devices must still be deactivated.
         with suppress(Exception):
             if device in active and (not orderly or device.name in unsure):
                 device.on_error(reason)
@@ -58,7 +61,11 @@ def stop(devices: Sequence[Device], period: int, reason: str, *, orderly: bool) 
 
 
 def _ramped(device: Device, elapsed: float, broken: list[Device]) -> bool:
-    """Ramp down one device. Return True if it has finished or its driver has failed (`broken`)."""
+    """Execute one step of the ramp-down of a device. Return True if no further step is needed.
+
+    This is the case if the ramp-down has finished, or if the driver has failed. A device with a
+    failed driver is added to `broken`.
+    """
     if device in broken:
         return True
     try:

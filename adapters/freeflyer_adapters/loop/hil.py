@@ -1,8 +1,9 @@
-"""Hardware in the loop: the scenario's controllers, with devices in place of the device models.
+"""Hardware in the loop: the controllers of a scenario run with devices instead of models.
 
-Devices are configured during the assembly, activated together and stopped together. The stop is
-the same for every reason: a damped ramp-down at the rate of the arm, then brakes. The state frames
-of the arm pace the loop. Without an arm, absolute deadlines pace it.
+The devices are configured when the scenario is assembled. All devices are activated together and
+stopped together. The stop is the same for every reason: a damped ramp-down at the rate of the arm,
+and then the brakes. The state frames of the arm are the clock of the loop: each state frame starts
+an instant. If no device is the clock, each instant starts at an absolute deadline.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ INTERRUPTED, FINISHED = "interrupted by the user", "scenario finished"
 
 @dataclass(frozen=True, kw_only=True)
 class LoopReport:
-    """Part of a result that only a run with devices has."""
+    """The part of a result that only a run with devices has."""
 
     granted: Sequence[str]
     times: Mapping[str, Mapping[str, float]]
@@ -47,9 +48,9 @@ class LoopReport:
     stop: str
     """Reason of the stop, and the final state of the devices."""
     remarks: Sequence[str] = ()
-    """Remarks for the operator, one sentence each."""
+    """Sentences with further information for the operator."""
     recording: Mapping[str, Any] | None = None
-    """Files of the recording, and missing data; None if nothing was recorded."""
+    """Files of the recording, and missing data. None if nothing was recorded."""
 
     def summary(self) -> dict[str, Any]:
         return {
@@ -65,13 +66,15 @@ class LoopReport:
 def with_devices(
     scenario: Scenario, *, simulated: bool = False, fmi: int | None = None
 ) -> Scenario:
-    """Replace components of the scenario by its devices of the same names.
+    """Replace components of the scenario by the devices with the same names.
 
-    A connection between two devices exists in hardware. It is removed unless its target is a
-    simulated device. `simulated`: run the model of every device in this process, paced by the wall
-    clock. `fmi`: FMI version of these models.
+    A connection between two devices exists in hardware. Therefore this connection is removed,
+    unless its target is a simulated device.
 
-    Raises DeviceError without devices, or for an exchange other than "sequential".
+    `simulated`: run the model of every device in this process, paced by the wall clock.
+    `fmi`: FMI version of these models.
+
+    Raises DeviceError if the scenario has no devices, or if its exchange is not "sequential".
     """
     if not scenario.devices:
         raise DeviceError(
@@ -81,7 +84,7 @@ def with_devices(
         raise DeviceError(
             f"scenario {scenario.name}: exchange is '{scenario.exchange}', but a device responds within the same instant; 'sequential' is expected"
         )
-    # The devices, or their models if `simulated`.
+    # Select the devices. If `simulated`, select the models of the devices.
     models = {spec.name: spec for spec in scenario.components}
     if simulated:
         specs = [
@@ -99,16 +102,18 @@ def with_devices(
     others = tuple(spec for spec in scenario.components if spec.name not in devices)
 
     def adapted(connection: Connection) -> Connection | None:
-        """Drop a connection between two devices, unless a simulated device is the target.
+        """Return the connection, or None if the connection exists in hardware.
 
-        A connection that is kept is optional: the source may lack this measurement.
+        A connection between two devices exists in hardware, unless its target is a simulated
+        device. Then the connection becomes optional, because the source device may not have this
+        measurement. All other connections are returned unchanged.
         """
         source, target = split(connection.source)[0], split(connection.target)[0]
         if source not in devices or target not in devices:
             return connection
         return replace(connection, optional=True) if devices[target].kind == SIMULATED else None
 
-    # Connections between the remaining components and the devices.
+    # Keep the connections between the remaining components and the devices.
     connections = tuple(filter(None, map(adapted, scenario.connections)))
     return replace(scenario, components=(*devices.values(), *others), connections=connections)
 
@@ -125,7 +130,10 @@ def _with_model(spec: ComponentSpec, model: ComponentSpec, fmi: int | None) -> C
 def _present_errors(
     scenario: Scenario, master: Master, values: Values
 ) -> dict[str, Callable[[], float]]:
-    """Return functions that compute the scenario's errors now, by names with units."""
+    """Return functions that compute the present errors of the scenario.
+
+    The keys are the names of the errors with their units.
+    """
 
     def error_now(measure: Measure) -> Callable[[], float]:
         ends = []
@@ -159,7 +167,10 @@ def run(
 
     `real_time`: use real-time priorities. `simulated`, `fmi`: see `with_devices`. `view`: open the
     live view. `notice` receives the reason of the stop before any other output. `show` prints a
-    line. Raises CosimError before anything moves. The result contains all later errors.
+    line.
+
+    Raises CosimError for an error that occurs before anything moves. Later errors are contained in
+    the result.
     """
     scenario = with_devices(scenario, simulated=simulated, fmi=fmi)
     pacing.prepare_links(real_time)
@@ -178,17 +189,17 @@ class Inspection:
     measured: Mapping[str, Array]
     units: Mapping[str, tuple[str | None, ...]]
     refusal: str | None
-    """Reason why the device cannot be activated now; None if it can."""
+    """Reason why the device cannot be activated now. None if it can be activated."""
     cannot_refuse: Sequence[str] = ()
-    """Unsafe commands that the device itself cannot reject, one sentence each."""
+    """Sentences about unsafe commands that the device itself cannot reject."""
 
 
 def inspect(
     scenario: Scenario, *, simulated: bool = False, fmi: int | None = None
 ) -> dict[str, Inspection]:
-    """Configure and read every device, and check whether it may be activated. Raises CosimError.
+    """Configure and read every device, and check whether the device can be activated.
 
-    No message changes the state of a device.
+    No message changes the state of a device. Raises CosimError if a device cannot be configured.
     """
     scenario = with_devices(scenario, simulated=simulated, fmi=fmi)
     found = {}
@@ -230,7 +241,8 @@ def _run(
     notice: StopNotice | None,
     show: Callable[[str], None],
 ) -> tuple[Result, LoopReport]:
-    # Devices are called once per communication step, so both periods must agree.
+    # A device is called once per communication step. So the step of the device must be equal to
+    # the communication step.
     metrics.check(scenario, master.graph.components)
     devices = [c.device for c in master.graph.components.values() if isinstance(c, DeviceComponent)]
     period = master.schedule.tick
@@ -238,9 +250,9 @@ def _run(
         step = seconds(master.schedule.ratios[device.name] * period)
         if abs(step - device.step) > 1e-9:
             raise DeviceError(
-                f"device {device.name} works in steps of {device.step:g} s; its step_s is {step:g} s"
+                f"device {device.name} works in steps of {device.step:g} s, but its step_s is {step:g} s"
             )
-    # Commands are written before the observation, which may take longer.
+    # The commands are written before the observation, because the observation may take longer.
     deadlines = Pacing(devices, period)
     observation = Observation(
         devices,
@@ -250,7 +262,7 @@ def _run(
         _present_errors(scenario, master, values),
     )
     hooks: list[InstantHook] = [deadlines, CommandWriting(devices, master), observation]
-    # Viewer and recorder must not inherit the priority of the links.
+    # The viewer and the recorder must not inherit the priority of the links.
     pacing.leave_real_time()
     outcome, end, recorded = master.outcome(), None, None
     stopping = _Stopping(devices, period, observation, notice, show)
@@ -282,7 +294,7 @@ def _run(
                 stopping.orderly = outcome.interrupted or outcome.cause is None
                 end = round(outcome.simulated * 1e9 / period)
         finally:
-            # The devices are stopped: close the viewer and the recorder.
+            # The devices have been stopped. Close the viewer and the recorder.
             if observation.view is not None:
                 observation.view.close()
             pacing.leave_real_time()
@@ -306,7 +318,7 @@ def _loop(
     hooks: Sequence[InstantHook],
     stop_requests: Sequence[float],
 ) -> Outcome:
-    """Activate the devices, then run to the end. `stop_requests` holds the times of SIGINT."""
+    """Activate the devices, then run to the end. `stop_requests`: times of received SIGINTs."""
     try:
         if activation.activate(devices, lambda: bool(stop_requests)):
             outcome = master.run(hooks=hooks)
@@ -329,7 +341,7 @@ def reason_of(error: BaseException) -> str:
 
 
 class _Stopping:
-    """Context manager that first stops the devices, then reports the reason, on any exit."""
+    """Context manager that stops the devices on every exit, and then reports the reason."""
 
     def __init__(
         self,
@@ -358,7 +370,7 @@ class _Stopping:
         with no_interrupts():
             self.left = stop(self._devices, self._period, self.reason, orderly=self.orderly)
             if self._observation.view is not None:
-                self._observation.view.end()  # it would overwrite the reason
+                self._observation.view.end()  # the view would overwrite the reason
             # The command prints an error that occurs before any device is active.
             quiet = error is not None and self.left == NOTHING_ACTIVE
             if self._notice is not None:

@@ -1,4 +1,4 @@
-"""Hooks of the real-time loop at each instant: pacing, command writing, observation."""
+"""Hooks that the real-time loop calls at each instant: pacing, command writing, observation."""
 
 from __future__ import annotations
 
@@ -41,7 +41,10 @@ class Pacing:
 
 
 class CommandWriting:
-    """Hook that writes the commands at the end of each instant, those of the arm first."""
+    """Hook that writes the commands at the end of each instant.
+
+    The commands of the arm are written first.
+    """
 
     def __init__(self, devices: Sequence[Device], master: Master) -> None:
         self._in_order, self._master = clocks_first(devices), master
@@ -56,7 +59,10 @@ class CommandWriting:
 
 
 class Observation:
-    """Hook for times, recording and live view, after the commands. It sends nothing to devices."""
+    """Hook that updates the measured times, the recording and the live view.
+
+    The hook runs after the commands are written. It sends nothing to the devices.
+    """
 
     def __init__(
         self,
@@ -111,12 +117,15 @@ class Observation:
             *times,
             *states,
             *self._errors,
-            *(f"least {name} [J]" for name in self._energies),
+            *(f"minimum {name} [J]" for name in self._energies),
             *counts,
         ]
 
     def numbers(self, k: int) -> list[float]:
-        """Return the values in the order of `names`. Times are the longest since the last call."""
+        """Return the values in the order of `names`.
+
+        Each time is the longest time since the last call of this method.
+        """
         now = self._environment.monotonic()
         rate = VIEW_EVERY / max(now - self._shown_at, 1e-9)
         self._shown_at = now

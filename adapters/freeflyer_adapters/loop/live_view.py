@@ -1,6 +1,6 @@
-"""The live terminal view of a running loop, in a separate process that reads shared memory.
+"""Live terminal view of a running loop. The view is a separate process that reads shared memory.
 
-The loop only copies numbers into a memory-mapped file. The reader cannot block or delay it.
+The loop only copies numbers into a memory-mapped file. The reader cannot block or delay the loop.
 """
 
 from __future__ import annotations
@@ -32,7 +32,10 @@ PERIOD = 0.2
 
 
 class LiveValues:
-    """The writer, in the loop: names are written once, values at any time."""
+    """Writer of the live values, in the process of the loop.
+
+    The names are written once. The values can be written at any time.
+    """
 
     def __init__(self, title: str, names: Sequence[str]) -> None:
         self.names = tuple(names)
@@ -42,7 +45,8 @@ class LiveValues:
         handle, path = tempfile.mkstemp(prefix="freeflyer-view-")
         self.path = Path(path)
         size = self._first + SEQUENCE.size + self._values.size
-        # Allocate the space: on a full disk, a write to unallocated mapped memory raises SIGBUS.
+        # Allocate the space now. If the disk is full, a write to mapped memory without allocated
+        # space raises SIGBUS.
         os.posix_fallocate(handle, 0, size) if hasattr(os, "posix_fallocate") else os.write(
             handle, bytes(size)
         )
@@ -60,9 +64,10 @@ class LiveValues:
         )
 
     def write(self, values: Sequence[float]) -> None:
-        """Write all values (seqlock: the sequence number is odd during the write).
+        """Write all values with a seqlock: the sequence number is odd during the write.
 
-        A wrong number of values is ignored: the view must not stop the loop.
+        If the number of values is wrong, nothing is written. No error is raised, because the view
+        must not stop the loop.
         """
         if len(values) != len(self.names):
             return
@@ -92,7 +97,7 @@ class LiveValues:
 
 
 class LiveReader:
-    """The reader, in the process of the viewer."""
+    """Reader of the live values, in the process of the viewer."""
 
     def __init__(self, path: Path) -> None:
         with path.open("rb") as file:
@@ -108,7 +113,7 @@ class LiveReader:
         self._values = struct.Struct(f"={len(self.names)}d")
 
     def read(self) -> Mapping[str, float]:
-        """Return one consistent set of values; empty before the first `write`."""
+        """Return one consistent set of values. The set is empty before the first `write`."""
         for _ in range(100):
             (before,) = SEQUENCE.unpack_from(self._memory, self._first)
             values = self._values.unpack_from(self._memory, self._first + SEQUENCE.size)
@@ -133,7 +138,7 @@ def picture(title: str, values: Mapping[str, float]) -> Table:
 
 
 def main(path: str) -> None:
-    """Show the view until the process of the loop ends, or terminates this process."""
+    """Show the view until the process of the loop ends, or until it terminates this process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the loop handles Ctrl-C
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     reader = LiveReader(Path(path))

@@ -1,6 +1,6 @@
 """Output of the reason of a stop to standard output, a preallocated file and the system log.
 
-It precedes all other file output of a run.
+After a stop, this output is written before all other files of a run.
 """
 
 from __future__ import annotations
@@ -24,20 +24,26 @@ from freeflyer_adapters.foundation import environment
 
 NAME = "stop.json"
 SIZE = 4096
-"""Constant size of stop.json [bytes]: overwriting it needs no disk space."""
+"""Constant size of stop.json [bytes]. So the file can be overwritten without new disk space."""
 LONGEST = {"scenario": 256, "reason": 2400, "left": 1000}
-"""Limits of these members in JSON [bytes]; the other members need less than 300."""
+"""Limits of these members of the JSON document [bytes].
+
+All other members together need less than 300 bytes.
+"""
 LONGEST_MESSAGE = 2048
-"""Size that every receiver of a system log should accept [bytes] (RFC 5424, 6.1)."""
+"""Message size that every receiver of a system log should accept [bytes] (RFC 5424, 6.1)."""
 PATIENCE = 1.0
-"""Time to wait for a blocked terminal or pipe [s]. After it, standard output is written last."""
+"""Time to wait for a blocked terminal or pipe [s].
+
+If standard output is still blocked after this time, it is written after the other outputs.
+"""
 
 
 class StopNotice:
     """The outputs of the reason of a stop: standard output, DIR/stop.json and the system log."""
 
     problems: list[str]
-    """One sentence for each output that failed, to be printed afterwards."""
+    """One sentence for each output that failed. The caller prints the sentences after the stop."""
 
     def __init__(
         self,
@@ -49,7 +55,8 @@ class StopNotice:
     ) -> None:
         """Open all outputs. `show` prints a line on standard output.
 
-        Raises DeviceError for `log_to`, or OutputError (exit code 2) without space for stop.json.
+        Raises DeviceError if `log_to` is not valid, or if this log is not available. Raises
+        OutputError (exit code 2) if stop.json cannot be reserved.
         """
         self.problems = []
         self._environment, self._show, self._given = environment.present(), show, False
@@ -78,8 +85,9 @@ class StopNotice:
     def give(self, reason: str, left: str, *, orderly: bool, quiet: bool = False) -> None:
         """Write the reason to all outputs. Only the first call has an effect.
 
-        With `quiet`, standard output is left out. A failing output does not raise and does not
-        affect the others. A blocked terminal or pipe is written last, and may block this call.
+        With `quiet`, nothing is written to standard output. If an output fails, no exception is
+        raised, and the other outputs are written. A blocked terminal or pipe is written last, and
+        may block this call.
         """
         if self._given:
             return
@@ -101,11 +109,12 @@ class StopNotice:
             "stopped_ns": stopped_ns,
             "after_s": after_s,
         }
-        # Standard output is first, unless it would block.
+        # Standard output is written first, unless it would block.
         is_writable = quiet or _is_writable(sentence)
         if is_writable and not quiet:
             self._put("standard output", lambda: self._print(sentence))
-        # The log precedes the file, because it never blocks. A failing disk may.
+        # The system log is written before the file. The log never blocks, but a failing disk may
+        # block.
         if (log := self._log) is not None:
             priority = SysLogHandler.LOG_NOTICE if orderly else SysLogHandler.LOG_WARNING
             self._put(f"the system log at {log.name!r}", lambda: log.send(sentence, priority))
@@ -126,24 +135,24 @@ class StopNotice:
     def _put(self, place: str, put: Callable[[], None]) -> None:
         try:
             put()
-        # A console may raise SystemExit without a terminal.
+        # Without a terminal, a console may raise SystemExit.
         except (Exception, SystemExit) as error:
             self.problems.append(f"{place} did not take the reason of the stop: {_message(error)}")
 
     def _print(self, sentence: str) -> None:
         self._show(sentence)
-        print(end="", flush=True)  # a pipe is buffered until the end of the process
+        print(end="", flush=True)  # without a flush, a pipe is buffered until the process ends
 
 
 class _SystemLog:
     """A client that sends datagrams to a system log.
 
-    SysLogHandler is not used: it reconnects with a blocking socket and resolves the host name for
-    each message.
+    The SysLogHandler of Python is not used for two reasons. It reconnects with a blocking socket,
+    and it resolves the host name for each message.
     """
 
     def __init__(self, log_to: str) -> None:
-        """Find the address. Raises DeviceError."""
+        """Find the address of the log. Raises DeviceError if the log is not available."""
         # Parse the option.
         expected = "'syslog', 'syslog:PATH' or 'syslog:HOST:PORT' is expected"
         log, colon, self.name = log_to.partition(":")
@@ -176,17 +185,17 @@ class _SystemLog:
             self._socket = socket.socket(family, socket.SOCK_DGRAM)
         except (OSError, ValueError) as error:  # ValueError: not a valid host name
             raise DeviceError(
-                f"--log-to {log_to!r}: no system log takes datagrams at {self.name!r}: {_message(error)}; start one there, or give "
+                f"--log-to {log_to!r}: no system log takes datagrams at {self.name!r}: {_message(error)}; start a system log there, or give "
                 "another 'syslog:PATH' or 'syslog:HOST:PORT'"
             ) from error
         self._socket.setblocking(False)
 
     def send(self, sentence: str, priority: int) -> None:
-        """Send a message without blocking. Raises OSError."""
+        """Send a message without blocking. Raises OSError if the message cannot be sent."""
         message = f"<{SysLogHandler.LOG_DAEMON << 3 | priority}>freeflyer: {sentence}".encode()[
             :LONGEST_MESSAGE
         ]
-        # The socket is not connected: a restarted daemon has a new socket of the same name.
+        # The socket is not connected, because a restarted daemon has a new socket of the same name.
         self._socket.sendto(message.decode(errors="ignore").encode(), self._address)
 
     def close(self) -> None:
@@ -199,13 +208,13 @@ def check_log_to(text: str) -> None:
 
 
 def one_line(text: str) -> str:
-    """Return `text` without line ends and control characters; invalid UTF-8 is escaped."""
+    """Return `text` without line ends and control characters. Invalid UTF-8 is escaped."""
     visible = text.encode(errors="backslashreplace").decode()
     return " ".join("".join(c if c.isprintable() else " " for c in visible).split())
 
 
 def _cut(text: str, size: int) -> str:
-    """Return `text` cut to `size` [bytes] of JSON."""
+    """Return `text`, shortened to at most `size` [bytes] of JSON."""
     whole, text = text, text[:size]
     while (
         excess := len(json.dumps(text + "..." * (text != whole), ensure_ascii=False).encode())
@@ -216,17 +225,18 @@ def _cut(text: str, size: int) -> str:
 
 
 def _document(fields: dict[str, Any]) -> bytes:
-    """Return SIZE bytes of JSON."""
+    """Return `fields` as JSON, padded to SIZE bytes."""
     return json.dumps(fields, ensure_ascii=False, indent=2).encode().ljust(SIZE - 1) + b"\n"
 
 
 def _reserved(path: Path, document: bytes) -> int:
-    """Write and sync a new file; return its descriptor. Raises OutputError."""
+    """Write and sync a new file. Return its descriptor. Raises OutputError if this fails."""
     partial = path.with_name(path.name + ".partial")
     file = -1
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        # A new file is renamed: an existing link or FIFO of this name is replaced, not opened.
+        # Write the file under another name, then rename the file. In this way an existing link or
+        # FIFO with the final name is replaced, and is never opened.
         partial.unlink(missing_ok=True)
         file = os.open(partial, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
         if hasattr(os, "posix_fallocate"):
@@ -249,7 +259,7 @@ def _reserved(path: Path, document: bytes) -> int:
 
 
 def _overwrite(file: int, document: bytes) -> None:
-    """Overwrite the file and sync it. Raises OSError."""
+    """Overwrite and sync the file. Raises OSError if this fails."""
     if os.pwrite(file, document, 0) != len(document):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     os.fsync(file)
@@ -269,9 +279,10 @@ def _is_writable(sentence: str) -> bool:
     """Return True if standard output can probably be written within PATIENCE."""
     try:
         writable = select.select([], [sys.stdout.fileno()], [], PATIENCE)[1]
-    except (AttributeError, OSError, ValueError):  # no standard output, or without a descriptor
+    except (AttributeError, OSError, ValueError):
+        # Standard output is missing, or has no file descriptor.
         return True
-    # A writable pipe only has space for PIPE_BUF bytes.
+    # If a pipe is writable, space for only PIPE_BUF bytes is guaranteed.
     return bool(writable) and len(sentence.encode()) < select.PIPE_BUF
 
 
