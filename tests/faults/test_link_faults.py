@@ -169,7 +169,7 @@ def test_every_kind_is_supported_by_a_device() -> None:
     [
         ({"faults": 3}, r"a list of tables, \[\[facility.faults\]\], is expected"),
         ({"faults": [{"kind": "los", "device": "a"}]}, "kind is 'los'; did you mean 'loss'?"),
-        ({"faults": [{"kind": "loss"}]}, r"device is None; the name of one of \[devices\] is expected"),
+        ({"faults": [{"kind": "loss"}]}, r"device is None; the name of a device in \[devices\] is expected"),
         ({"faults": [{"kind": "loss", "device": "a", "probability": 1.5}]}, "probability is 1.5; a number from 0 to 1 is expected"),
         ({"faults": [{"kind": "loss", "device": "a", "probability": float("nan")}]}, "probability is nan"),
         ({"faults": [{"kind": "loss", "device": "a", "bits": 3}]}, "bits does not apply to loss"),
@@ -184,7 +184,7 @@ def test_every_kind_is_supported_by_a_device() -> None:
         ({"random_faults": {"kinds": [["loss"]]}}, "kinds is"),
         ({"random_faults": {"count": 100_000_000}}, "count is 100000000; a whole number from 0 to 1000 is expected"),
         ({"faults": [{"device": "a"}]}, "kind is missing; one of loss, delay"),
-        ({"faults": [{"kind": "cut", "device": "a", "duration_s": 0.1}]}, "duration_s counts from begin_s, which is missing"),
+        ({"faults": [{"kind": "cut", "device": "a", "duration_s": 0.1}]}, "duration_s counts from begin_s, but begin_s is missing"),
         ({"random_faults": {"cout": 1}}, "cout is not known; did you mean 'count'?"),
     ],
 )  # fmt: skip

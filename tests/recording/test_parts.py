@@ -163,7 +163,7 @@ def test_a_kill_at_the_change_of_parts_loses_nothing(
 ) -> None:
     killed(tmp_path, filled(tmp_path), moment)
     (sentence,) = rescue()
-    assert "the end of its recording in" in sentence
+    assert "and the end of its recording in" in sentence
     frame = read_recording(tmp_path)
     assert frame["instant"].tolist() == list(range(COUNT))
     assert not frame.isna().any().any()

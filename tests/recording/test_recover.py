@@ -311,7 +311,7 @@ def test_the_command_reports_the_kept_messages_and_rejects_invalid_arguments(
     for path, sentence in (
         (tmp_path / "absent.mcap", "No such file"),
         (tmp_path, "--out"),
-        (Path(__file__), "has none of the names of a recording"),
+        (Path(__file__), "the name of a recording (.mcap)"),
         (cut, "is the damaged file itself"),
     ):
         code, error = run_command(capsys, "recover", str(path), "--out", str(cut))
@@ -425,6 +425,6 @@ def test_a_ring_from_another_directory_is_rejected_and_writes_nothing(
     writer.write(0, np.zeros(writer.width))
     writer.close()
     foreign = writer.path.rename(tmp_path / "elsewhere" / writer.path.name)
-    with pytest.raises(RecordError, match="but is neither in that directory nor in"):
+    with pytest.raises(RecordError, match="but the ring is neither in this directory nor in"):
         recover(foreign)
     assert not list((tmp_path / "target").iterdir())

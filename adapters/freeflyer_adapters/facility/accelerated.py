@@ -1,4 +1,4 @@
-"""A virtual facility in the process of the host and in virtual time."""
+"""Virtual facility that runs in virtual time, in the process of the host."""
 
 from __future__ import annotations
 
@@ -26,10 +26,11 @@ def _discard(text: str) -> None:
 def accelerated(
     scenario: Scenario, fmi: int | None = None, log: Callable[[str], None] = _discard
 ) -> Iterator[Accelerated]:
-    """Run a facility in virtual time within the context. Raises CosimError.
+    """Run a facility in virtual time within the context.
 
-    A control loop within the context (`freeflyer_adapters.loop.hil.run` without real time)
-    connects to this facility and uses its time.
+    Call `freeflyer_adapters.loop.hil.run` without real time within the context. This control loop
+    then connects to the facility and uses the virtual time. `log` receives one line per event.
+    Raises CosimError if the facility cannot be created.
     """
     time = VirtualTime()
     with (

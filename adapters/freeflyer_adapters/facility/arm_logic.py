@@ -1,6 +1,11 @@
 """Controller of the virtual arm: session handling, life cycle and watchdog.
 
-The module reads no clock and sends nothing. One call is one cycle.
+The module reads no clock and sends no frames. One call of `ArmLogic.begin` is one cycle. In every
+cycle, the arm sends one state frame, which contains the cycle number.
+
+Session: the time in which the arm accepts the commands of one controller. The command frames of
+this controller contain a session number. A session number expires when the arm leaves the state
+active, or when the controller commands the brakes.
 """
 
 from __future__ import annotations
@@ -17,12 +22,17 @@ from freeflyer_adapters.device.device import LifeCycle, State
 from freeflyer_adapters.device.ramp_down import RampDown
 
 MOST_USED = 64
-"""Maximum number of stored expired session numbers."""
+"""Maximum number of expired session numbers that are stored."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
-    """An accepted command frame; `torque` (n) [N m]."""
+    """A command from a valid frame.
+
+    `controller`: session number in the frame. `answered`: cycle number of the state frame from
+    which the command was computed. In this module, the command *answers* this state frame.
+    `torque` (n) [N m]: commanded joint torques.
+    """
 
     controller: int
     mode: Mode | None
@@ -33,11 +43,12 @@ class Command:
 class ArmLogic:
     """State machine of the arm's controller.
 
-    `watchdog` [cycles]: age of the last command at which the arm goes to safe stop.
-    `silence` [cycles]: time without a frame after which the arm releases its controller.
-    `cycles`: modulus of the cycle numbers.
-    `implicit`: the arm has no session numbers and no mode `activate`; a torque frame activates it.
-    `used`: expired session numbers, which cannot activate the arm; shared by all sessions.
+    `watchdog` [cycles]: at this age of the last command, the arm goes to the state safe_stop.
+    `silence` [cycles]: after this time without a frame of the controller, the session ends.
+    `cycles`: number of different cycle numbers. After the last number, counting starts at 0 again.
+    `implicit`: the arm has no session numbers and no mode `activate`. A torque frame activates the
+    arm.
+    `used`: expired session numbers, which cannot activate the arm. All sessions share this list.
     """
 
     def __init__(
@@ -58,42 +69,43 @@ class ArmLogic:
         self.used: deque[int] = deque(maxlen=MOST_USED) if used is None else used
         self.life = State("the virtual arm")
         self.life.to(LifeCycle.inactive)
-        # Contents of the state frame, and what acts on the model.
+        # Contents of the state frame, and values that act on the model.
         self.controller = 0
-        """Session number of the accepted controller, sent in every state frame; 0: none."""
+        """Session number of the present session. Sent in every state frame. 0: no session."""
         self.cycle = 0
         """Number of the last state frame."""
         self.echoed = 0
+        """Cycle number that the last accepted command answered. Sent in every state frame."""
         self.torque = np.zeros(joints)
         self.effort = np.full(joints, np.inf)
-        """Largest joint torques (n) [N m]; a command beyond them is rejected."""
+        """Largest accepted joint torques (n) [N m]. A command with a larger torque is rejected."""
         self.braked = True
         # Counters and events.
         self.lost = 0
-        """Cycles without a new command since the activation."""
+        """Number of cycles without a new command since the activation."""
         self.foreign = 0
-        """Commands of other controllers."""
+        """Number of commands from other controllers."""
         self.excessive = 0
-        """Commands beyond `effort`."""
+        """Number of commands with a torque larger than `effort`."""
         self.ignored = 0
-        """Torque frames outside the state active, and invalid activations."""
+        """Number of torque frames outside the state active, and of invalid activations."""
         self.total_lost = 0
         self.was_active = False
         self.events: list[tuple[int, str]] = []
         self._echoes = 0
-        """State frames sent with the present session number."""
+        """Number of state frames that have contained the present session number."""
         self._quiet = 0
-        """Cycles since the last frame of the controller."""
+        """Number of cycles since the last frame of the controller."""
         self._answered = 0
-        """Cycle number that the last command answered."""
+        """Cycle number that the last accepted command answered. Used by the watchdog."""
         self._stopping = 0
-        """Cycles since the start of the ramp-down."""
+        """Number of cycles since the start of the ramp-down."""
         self._stopping_torque = np.zeros(joints)
 
     def again(self) -> ArmLogic:
-        """Return the arm for a new session, inactive at its start pose.
+        """Return the controller for a new session, in the state inactive.
 
-        The cycle number continues, and the used session numbers are kept.
+        The cycle number continues, and the expired session numbers are kept.
         """
         made = ArmLogic(
             len(self.torque),
@@ -110,22 +122,23 @@ class ArmLogic:
 
     @property
     def command_age(self) -> int:
-        """Cycles from the state frame that the last command answered to the last state frame."""
+        """Number of cycles from the state frame that was answered last to the last state frame."""
         return (self.cycle - self._answered - 1) % self.cycles if self.was_active else 0
 
     @property
     def session_is_over(self) -> bool:
-        """Whether the arm was active and has no controller any more."""
+        """Whether the arm was active in this session and now has no controller."""
         return self.was_active and self.controller == 0
 
     def begin(self, commands: Sequence[Command], velocity: Array) -> None:
-        """Start a new cycle; afterwards `torque` and `braked` act until the next cycle.
+        """Start a new cycle. Afterwards `torque` and `braked` act until the next cycle.
 
-        `commands`: received since the last state frame. `velocity` (n) [rad/s]: last measured.
+        `commands`: commands received since the last state frame. `velocity` (n) [rad/s]: last
+        measured joint velocities.
         """
         for command in commands:
             self._handle(command)
-        # Watchdog: an old command stops the arm.
+        # Watchdog: stop the arm if the last command is too old.
         if self.life.now is LifeCycle.active:
             age = (self.cycle - self._answered) % self.cycles
             if age >= 1:
@@ -133,20 +146,20 @@ class ArmLogic:
                 self.total_lost += 1
             if age >= self.watchdog:
                 self._stop(f"no command for {age} cycles")
-        # Safe stop: the ramp-down needs no controller.
+        # State safe_stop: ramp the torque down without commands.
         if self.life.now is LifeCycle.safe_stop and not self.braked:
             elapsed = self._stopping * self.period
             self._stopping += 1
             self.torque = self.ramp.torque(self._stopping_torque, velocity, elapsed)
             if self.ramp.over(velocity, elapsed):
                 self._brake()
-        # A silent controller loses its session.
+        # End the session if the controller sends no frames.
         self._quiet += 1
         if self.controller and self._quiet > self.silence:
             self._note(f"controller {self.controller} is silent")
             self.controller = 0
         self.cycle = (self.cycle + 1) % self.cycles
-        # The state frame of this cycle contains the session number.
+        # Count the state frame of this cycle, because this frame contains the session number.
         self._echoes = min(self._echoes + 1, self.watchdog) if self.controller else 0
 
     def _handle(self, command: Command) -> None:
@@ -154,7 +167,7 @@ class ArmLogic:
             self.foreign += 1
             return
         self._quiet = 0
-        if not (np.abs(command.torque) <= self.effort).all():  # also rejects NaN
+        if not (np.abs(command.torque) <= self.effort).all():  # NaN is rejected, too
             self.excessive += 1
             return
         if command.mode is Mode.reset:
@@ -180,7 +193,8 @@ class ArmLogic:
     def _is_from_session(self, command: Command) -> bool:
         """Return whether a frame belongs to the present session.
 
-        A claim starts a session. So does any frame to an implicit arm.
+        If there is no session, a frame of mode `reset` with a new session number starts a session.
+        An implicit arm has no session numbers. Any frame starts a session of an implicit arm.
         """
         number = command.controller
         if number == 0 or number == self.controller:
@@ -212,7 +226,8 @@ class ArmLogic:
     def _is_activation(self, command: Command) -> bool:
         """Return whether the frame activates the arm.
 
-        The challenge is a recent state frame of this arm that contained the session number.
+        The frame must answer a recent state frame of this arm. If the arm has session numbers, this
+        state frame must have contained the present session number.
         """
         age = (self.cycle - command.answered) % self.cycles
         if self.implicit:
@@ -231,14 +246,14 @@ class ArmLogic:
         if self.life.now is not LifeCycle.active:
             self.ignored += 1
             return
-        # A command that answers an older cycle than the last one was delayed or reordered.
+        # A command was delayed or reordered if it answers an older cycle than the last command.
         older = (command.answered - self._answered) % self.cycles >= self.cycles // 2
         if (self.cycle - command.answered) % self.cycles < self.watchdog and not older:
             self.torque = command.torque
             self._answered = self.echoed = command.answered
 
     def fail(self, reason: str) -> None:
-        """Brake and go to fault, because the arm itself has failed."""
+        """Engage the brakes and go to the state fault, because the arm itself has failed."""
         if self.life.now is LifeCycle.fault:
             return
         self._to(LifeCycle.fault, reason)

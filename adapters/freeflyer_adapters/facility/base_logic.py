@@ -11,20 +11,24 @@ from freeflyer_adapters.device.device import LifeCycle, State
 from freeflyer_adapters.foundation.pose import distance
 
 MOST_USED = 64
-"""Maximum number of stored expired publishers."""
+"""Maximum number of expired publishers that are stored."""
 
 
 class BaseLogic:
-    """State machine of the base robot's controller; `tick` is called every `period` [s].
+    """State machine of the base robot's controller. `tick` is called every `period` [s].
+
+    The unit [calls] is the time between two calls of `tick`.
 
     `watchdog` [calls]: longest time without a set point, and largest age of a set point.
-    `silence` [calls]: time without a set point after which the session has ended.
-    `jump` [m, rad]: largest distance of the first set point from the robot, and between two set
-    points. `used`: expired publishers (GIDs), shared by all sessions.
+    `silence` [calls]: after this time without a set point, the session has ended.
+    `proof` [calls]: duration of the test of a new publisher.
+    `jump` [m, rad]: largest distance and angle between the robot and the first set point, and
+    between two set points.
+    `used`: GIDs of expired publishers. All sessions share this list. A GID identifies a publisher.
 
-    A publisher can activate the robot only once. Its set points activate the robot after they
-    have arrived for `proof` [calls] at the rate of their stamps. Delayed set points that arrive
-    in a burst do not activate it.
+    A publisher can activate the robot only once. Before the activation, the publisher is tested.
+    In the test, set points must arrive at the rate of their time stamps. Delayed set points that
+    arrive in a burst do not pass the test, so they do not activate the robot.
     """
 
     def __init__(
@@ -38,14 +42,14 @@ class BaseLogic:
         proof: int = 0,
     ) -> None:
         self.proof = proof
-        # The tolerance must be shorter than the proof.
+        # The tolerance [calls] must be shorter than the test.
         self.tolerance = min(watchdog, max(1, proof // 2)) if proof else watchdog
         self.period, self.watchdog, self.silence, self.jump = period, watchdog, silence, jump
         self.used: deque[bytes] = deque(maxlen=MOST_USED) if used is None else used
         self.life = State("the virtual base robot")
         self.life.to(LifeCycle.inactive)
         self.publisher = b""
-        """GID of the accepted publisher while the robot is active."""
+        """GID of the accepted publisher. Empty if the robot is not in the state active."""
         self.position, self.orientation, self.velocity = (
             np.zeros(3),
             np.array([0.0, 0.0, 0.0, 1.0]),
@@ -57,10 +61,12 @@ class BaseLogic:
         self.events: list[tuple[int, str]] = []
         self._calls = 0
         self._accepted_at = 0
-        """Call in which the last set point was accepted."""
+        """Number of the call in which the last set point was accepted."""
         self._candidate = (b"", 0.0, 0, 0)
-        """A publisher that may activate the robot: GID, stamp of its first set point [s], and the
-        calls in which its first and its last set point arrived."""
+        """Data of the publisher that is being tested.
+
+        The data are the GID, the time stamp of the first set point [s], and the numbers of the
+        calls in which the first set point and the last set point arrived."""
 
     @property
     def session_is_over(self) -> bool:
@@ -85,10 +91,11 @@ class BaseLogic:
         delay: float = 0.0,
         stamp: float = 0.0,
     ) -> bool | None:
-        """Return whether the set point is accepted; None: not yet, the proof is incomplete.
+        """Handle a set point. Return True if the set point is accepted, False if it is rejected.
 
-        `pose`: present position and orientation of the robot. `delay` [s]: age of the set point.
-        `stamp` [s]: its time stamp.
+        Return None while the test of the publisher is incomplete. `pose`: present position and
+        orientation of the robot. `delay` [s]: age of the set point. `stamp` [s]: time stamp of the
+        set point.
         """
         # Reject invalid values and old set points.
         finite = (
@@ -102,7 +109,7 @@ class BaseLogic:
         if delay > self.watchdog * self.period:
             self.refused += 1
             return False
-        # An active robot accepts only its publisher, without jumps.
+        # In the state active, reject other publishers, and set points that jump.
         if self.life.now is LifeCycle.active:
             step = distance(position, orientation, self.position, self.orientation)
             if publisher != self.publisher or any(
@@ -124,7 +131,7 @@ class BaseLogic:
         return True
 
     def refuse(self, publisher: bytes) -> None:
-        """Reject later activations by a publisher that sent while another one was accepted."""
+        """Mark `publisher` as expired, because it sent while another publisher was accepted."""
         if publisher != self.publisher and publisher not in self.used:
             self.used.append(publisher)
 
@@ -142,7 +149,7 @@ class BaseLogic:
         if any(gap > most for gap, most in zip(far, self.jump, strict=True)):
             if not self.refused:
                 self._note(
-                    f"a first set point {far[0]:.4f} m and {far[1]:.4f} rad away was rejected"
+                    f"a first set point was rejected: it is {far[0]:.4f} m and {far[1]:.4f} rad away from the robot"
                 )
             return False
         if not self._comes_in_time(publisher, stamp):
@@ -154,7 +161,10 @@ class BaseLogic:
         return True
 
     def _comes_in_time(self, publisher: bytes, stamp: float) -> bool:
-        """Return whether this publisher's set points have passed the proof."""
+        """Return whether this publisher has passed the test.
+
+        The test starts again if a set point arrives at a wrong time, or from another publisher.
+        """
         candidate, first, call, last = self._candidate
         passed = self._calls - call
         agrees = abs(stamp - first - passed * self.period) <= self.tolerance * self.period
@@ -164,7 +174,7 @@ class BaseLogic:
         return passed >= self.proof
 
     def tick(self) -> None:
-        """Advance one servo cycle; call it after the received set points were taken."""
+        """Advance by one servo cycle. Call `tick` after `take` has handled the set points."""
         self._calls += 1
         if self.life.now is LifeCycle.active and self._calls - self._accepted_at > self.watchdog:
             self._to(

@@ -1,4 +1,4 @@
-"""Faults on CAN: a bus with faults for a virtual arm, and the frames of a faulty sender."""
+"""Faults on CAN: a bus with faults for a virtual arm, and frames as a faulty sender sends them."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from freeflyer_adapters.facility.link_faults import TAMPERING, LinkFaults, Way
 FAULT_KINDS = ("loss", "delay", "jitter", "duplication", "reordering", "flipped_bits", "wrong_data_id", "stale_stamp",
                "frozen_counter", "out_of_range", "clock_jump", "cut", "bus_off", "hung", "dead", "device_fault")  # fmt: skip
 MOST_FRAMES = 256
-"""Maximum number of frames per call, so that a flood cannot block a virtual device."""
+"""Maximum number of frames per call, so that a flood of frames cannot block a virtual device."""
 OF_DRIVES = tuple(kind for kind in FAULT_KINDS if kind not in TAMPERING)
 STAMPS = {"to_controller": ("cycle",), "to_device": ("answered_cycle",)}
-"""Roles with the cycle number of a frame, by way."""
+"""Roles of the cycle number in a frame, by direction."""
 EXTREME = {"to_controller": "joint_position", "to_device": "joint_torque_command"}
 
 
 class CanTamper:
-    """Tampering with the command and state frames; other frames are unchanged. See `Tamper`."""
+    """Implementation of `Tamper` for command and state frames. Other frames are not changed."""
 
     def __init__(self, frames: ArmFrames, period: float) -> None:
-        # A frame object keeps its last packed values, so this class needs separate objects.
+        # A frame object stores the values that were packed last. So do not share it with the arm.
         self._frames = {frame.identifier: frame for frame in (frames.command, frames.state)}
         self._cycles, self._period = frames.cycles, period
 
@@ -72,7 +72,7 @@ class CanTamper:
     def _with_wrong_values(
         self, frame: Frame, packet: can.Message, fault: Fault, way: Way, memory: dict[str, Any]
     ) -> bytearray | None:
-        """Return other values with a correct E2E protection."""
+        """Return the data of a frame with changed values and a correct E2E protection."""
         numbers = frame.unpack(packet.data)
         if fault.kind == "out_of_range":
             role = EXTREME[way]
@@ -99,7 +99,10 @@ def _protected(data: bytearray, data_id: int, offset: int) -> bytearray:
 
 
 class Untouched:
-    """No tampering: CiA 402 drives have no protection beyond the CRC of classic CAN."""
+    """Implementation of `Tamper` for CiA 402 drives. It changes no frame.
+
+    The frames of CiA 402 have no E2E protection. Therefore a host could not detect a changed frame.
+    """
 
     def changed(
         self,
@@ -113,17 +116,17 @@ class Untouched:
 
 
 class FaultyBus:
-    """A bus with faults; it has only the methods that virtual devices call. `recv` never waits."""
+    """A bus with faults. It has only the methods that virtual devices call. `recv` never waits."""
 
     state = can.BusState.ACTIVE
 
     def __init__(self, bus: can.BusABC, faults: LinkFaults[can.Message]) -> None:
         self.bus, self.faults = bus, faults
         self.silent = False
-        """The device neither sends nor receives; incoming frames are lost."""
+        """Whether the device neither sends nor receives. Incoming frames are then lost."""
 
     def send(self, message: can.Message) -> None:
-        """Send a frame. Raises CanOperationError in the state bus off."""
+        """Send a frame. Raises CanOperationError while the fault `bus_off` is active."""
         if self.faults.acts("bus_off"):
             raise can.CanOperationError("bus off")
         if not self.silent:
@@ -131,12 +134,12 @@ class FaultyBus:
             self.flush()
 
     def flush(self) -> None:
-        """Send the delayed frames that are due."""
+        """Send the frames whose delay has ended."""
         while (message := self.faults.due("to_controller")) is not None:
             self.bus.send(message)
 
     def recv(self, timeout: float = 0.0) -> can.Message | None:
-        """Return the next frame that has passed the faults, or None; `timeout` is ignored."""
+        """Return the next frame, after faults were applied, or None. `timeout` is ignored."""
         for _ in range(MOST_FRAMES):
             message = self.bus.recv(0.0)
             if message is None:

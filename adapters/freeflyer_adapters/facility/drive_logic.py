@@ -1,6 +1,6 @@
-"""Virtual CiA 402 drive: state machine, torque, brake and watchdogs; and the drives of an arm.
+"""Virtual CiA 402 drives: state machine, torque, brake and watchdogs of the drives of an arm.
 
-The module reads no clock and sends nothing. One call is one tick.
+The module reads no clock and sends no messages. One call of `advance` is one tick.
 """
 
 from __future__ import annotations
@@ -19,50 +19,58 @@ STOPPING = (S.quick_stop_active, S.fault_reaction_active)
 
 
 class DriveLogic:
-    """Controller of one drive; `advance` is called every `tick` [s].
+    """Controller of one drive. `advance` is called every `tick` [s].
 
-    `watchdog`: number of SYNC periods without SYNC, or without a target, at which the drive fails.
-    `torque` [N m] at the joint: the target in Operation enabled, the ramp-down while the drive
-    stops, else zero.
+    `watchdog`: number of SYNC periods without SYNC, or without a target, after which an enabled
+    drive fails.
+    `torque`: torque at the joint [N m]. In the state `Operation enabled` it is the target. In the
+    states `Quick stop active` and `Fault reaction active` it is the torque of the ramp-down. In
+    all other states it is zero.
     """
 
     def __init__(self, *, tick: float, watchdog: int, ramp: RampDown) -> None:
         self.tick, self.watchdog, self.ramp = tick, watchdog, ramp
-        self.state = S.switch_on_disabled  # after transitions 0 and 1, the self-test
+        self.state = S.switch_on_disabled  # the self-test (transitions 0 and 1) is finished
         self.torque = 0.0
         self.error = 0
         self.new_error: int | None = None
-        """Error code for the next EMCY message; 0: all errors are reset. None: no message."""
+        """Error code for the next EMCY message. 0: all errors are reset. None: send no message."""
         self.sync_period = 0.0
-        """[s]; 0: not yet written by the host, and SYNC is not monitored."""
+        """SYNC period [s]. 0: the host has not written the period, and SYNC is not monitored."""
         self.heartbeat_timeout = 0.0
-        """Longest time [s] between two heartbeats of the host; 0: not monitored."""
+        """Longest time [s] between two heartbeats of the host. 0: heartbeats are not monitored."""
         self.syncs = 0
         self._controlword = 0
         self._since_sync = 0
         self._syncs_since_target = 0
         self._since_host = -1
-        """Ticks since the last heartbeat; -1 before the first one, as in CiA 301."""
+        """Number of ticks since the last heartbeat of the host.
+
+        -1: no heartbeat has arrived yet, and heartbeats are not monitored (as in CiA 301)."""
         self._stopping = 0
         self._stopping_torque = 0.0
 
     @property
     def braked(self) -> bool:
-        """Whether the brake is engaged: always while the drive function is disabled."""
+        """Whether the brake is engaged. It is engaged whenever the drive function is disabled."""
         return self.state is not S.operation_enabled and self.state not in STOPPING
 
     def restart_host_watchdog(self) -> None:
-        """Restart the heartbeat watchdog, after a heartbeat of the host."""
+        """Restart the watchdog of the host. Call this after each heartbeat of the host."""
         self._since_host = 0
 
     def disarm_host_watchdog(self) -> None:
-        """Disable the watchdog until the next heartbeat, after a reset or for a new session."""
+        """Disable the watchdog of the host until the next heartbeat.
+
+        Call this after a reset, and at the start of a session.
+        """
         self._since_host = -1
 
     def synchronise(self, controlword: int | None, target: float) -> None:
-        """Handle a SYNC: apply the last controlword and `target` [N m] at the joint.
+        """Handle a SYNC: apply the last controlword and the last target.
 
-        `controlword` is None if no RPDO was received since the last SYNC.
+        `controlword` is None if no RPDO was received since the last SYNC. `target` is the target
+        torque at the joint [N m].
         """
         self.syncs += 1
         self._since_sync = 0
@@ -73,7 +81,7 @@ class DriveLogic:
                 self.torque = target if np.isfinite(target) else 0.0
 
     def apply_controlword(self, controlword: int) -> None:
-        """Make the transition of CiA 402 that the controlword commands, if any."""
+        """Make the state transition that the controlword commands, if CiA 402 defines one."""
         before, self._controlword = self._controlword, controlword
         to = following(self.state, controlword, before)
         if to is self.state:
@@ -89,7 +97,10 @@ class DriveLogic:
         self.state = to
 
     def fail(self, code: int) -> None:
-        """Go to fault (transition 13); an enabled drive first ramps its torque down."""
+        """Go to the state `Fault` with the error code `code` (transition 13).
+
+        An enabled drive first ramps its torque down in the state `Fault reaction active`.
+        """
         if self.state in (S.fault, S.fault_reaction_active):
             return
         self.error = self.new_error = code
@@ -102,7 +113,7 @@ class DriveLogic:
         self.torque, self.state = 0.0, S.switch_on_disabled
 
     def advance(self, velocity: float) -> None:
-        """Advance one tick; `velocity` [rad/s] of the joint."""
+        """Advance by one tick. `velocity` is the velocity of the joint [rad/s]."""
         self._since_sync += 1
         if self._since_host >= 0:
             self._since_host += 1
@@ -164,11 +175,11 @@ class DriveGroup:
 
     @property
     def session_is_over(self) -> bool:
-        """Whether the arm was enabled and receives no SYNC any more."""
+        """Whether the arm was enabled in this session and now receives no SYNC."""
         return self.was_active and not self._has_host
 
     def advance(self, velocity: Array) -> None:
-        """Advance every drive by one tick; `velocity` (n) [rad/s]."""
+        """Advance every drive by one tick. `velocity` (n) [rad/s]: velocities of the joints."""
         for drive, speed in zip(self.drives, velocity.tolist(), strict=True):
             drive.advance(speed)
         self.cycle += 1
@@ -188,7 +199,7 @@ class DriveGroup:
             self._note("SYNC lost")
 
     def _note_changes(self) -> None:
-        """Note one line for all drives with the same transition in the same tick."""
+        """Add one event for all drives that made the same transition in this tick."""
         steps: dict[str, list[int]] = {}
         for j, (drive, before) in enumerate(zip(self.drives, self._states, strict=True)):
             if drive.state is not before:

@@ -1,7 +1,8 @@
-"""Kinds of faults of a virtual facility's links and devices, and the scenario tables for them.
+"""Faults of the links and devices of a virtual facility: kinds, and tables of a scenario.
 
-`[[facility.faults]]` schedules faults. `[facility.random_faults]` draws them with a seed.
-`link_faults` applies them to packets; `can_faults` and `zenoh_faults` implement each transport.
+The table `[[facility.faults]]` schedules faults. The table `[facility.random_faults]` draws random
+faults with a seed. The module `link_faults` applies faults to packets. The modules `can_faults`
+and `zenoh_faults` contain the changes of packets for each transport.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ DIRECTIONS: tuple[str, ...] = get_args(Direction)
 class Kind:
     """A kind of fault.
 
-    `takes`: the keys of `Fault` that apply to this kind. `whole_device`: it has no direction.
+    `takes`: the keys of `Fault` that apply to this kind. `whole_device`: the fault affects the
+    whole device and has no direction.
     """
 
     description: str
@@ -38,17 +40,17 @@ KINDS: Mapping[str, Kind] = {
     "duplication": Kind(description="a packet arrives twice", takes=("probability",)),
     "reordering": Kind(description="a packet arrives after its successor", takes=("probability",)),
     "flipped_bits": Kind(description="bits of a packet are inverted", takes=("probability", "bits")),
-    "wrong_data_id": Kind(description="a packet has another sender's ID: another E2E data ID, another publisher's GID", takes=("probability",)),
-    "stale_stamp": Kind(description="cycle number or time stamp does not change; the rest of the packet is correct"),
-    "frozen_counter": Kind(description="E2E counter or sequence number does not change; the rest of the packet is correct"),
-    "not_a_number": Kind(description="a packet's values are NaN", takes=("probability",)),
-    "out_of_range": Kind(description="a packet's values are the largest that its format can represent", takes=("probability",)),
-    "clock_jump": Kind(description="the sender's clock (cycle number, or time stamp) jumps by jump_s", takes=("jump_s",)),
+    "wrong_data_id": Kind(description="a packet has the ID of another sender (on CAN an E2E data ID, on Zenoh a publisher's GID)", takes=("probability",)),
+    "stale_stamp": Kind(description="the cycle number or the time stamp does not change; the rest of the packet is correct"),
+    "frozen_counter": Kind(description="the E2E counter or the sequence number does not change; the rest of the packet is correct"),
+    "not_a_number": Kind(description="the values in a packet are NaN", takes=("probability",)),
+    "out_of_range": Kind(description="the values in a packet are the largest values of the packet's format", takes=("probability",)),
+    "clock_jump": Kind(description="the clock of the sender (cycle number or time stamp) jumps by jump_s", takes=("jump_s",)),
     "cut": Kind(description="the link is interrupted for duration_s"),
-    "bus_off": Kind(description="the device's CAN controller is in the state bus off: it neither sends nor receives", whole_device=True),
-    "hung": Kind(description="the device's own controller hangs: it neither sends nor receives, and its last command continues to act", whole_device=True),
-    "dead": Kind(description="the device has no power: the brakes close, and it sends nothing more in this session", whole_device=True),
-    "device_fault": Kind(description="the device reports a fault of its own and brakes", whole_device=True),
+    "bus_off": Kind(description="the CAN controller of the device is in the state bus off: the device neither sends nor receives", whole_device=True),
+    "hung": Kind(description="the controller in the device hangs: the device neither sends nor receives, and the last command continues to act", whole_device=True),
+    "dead": Kind(description="the device has no power: the brakes engage, and the device sends nothing more in this session", whole_device=True),
+    "device_fault": Kind(description="the device reports an internal fault and engages its brakes", whole_device=True),
 }  # fmt: skip
 
 MOST = 1000
@@ -59,8 +61,8 @@ MOST = 1000
 class Fault:
     """A fault of one device.
 
-    `begin_s` counts from the first activation of the device in a session. None: the fault is
-    active from the start of the session.
+    `begin_s` counts from the first activation of the device in a session. If `begin_s` is None, the
+    fault is active from the start of the session.
     """
 
     kind: str
@@ -68,17 +70,17 @@ class Fault:
     direction: Direction = "both"
     begin_s: float | None = None
     duration_s: float = math.inf
-    """Rounded to whole cycles of the facility."""
+    """The duration is rounded to whole cycles of the facility."""
     probability: float = 1.0
     """Probability for each packet."""
     delay_s: float = 0.01
-    """Rounded up to whole cycles of the facility."""
+    """The delay is rounded up to whole cycles of the facility."""
     bits: int = 1
     jump_s: float = 1.0
-    """May be negative."""
+    """The jump may be negative."""
 
     def one_line(self) -> str:
-        """Describe the fault in one line, for the output at the start of the facility."""
+        """Describe the fault in one line. The facility prints this line at its start."""
         where = "" if KINDS[self.kind].whole_device else f", {self.direction.replace('_', ' ')}"
         when = "always" if self.begin_s is None else f"{self.begin_s:.4g} s after activation"
         lasting = "" if math.isinf(self.duration_s) else f", for {self.duration_s:.4g} s"
@@ -88,14 +90,18 @@ class Fault:
 
 @dataclass(frozen=True, kw_only=True)
 class RandomFaults:
-    """`count` faults that start within `within_s` after activation and last up to `longest_s`."""
+    """Settings of random faults.
+
+    `count` faults are drawn. They start within `within_s` [s] after the activation, and each fault
+    lasts at most `longest_s` [s].
+    """
 
     seed: int = 1
     count: int = 3
     within_s: float = 5.0
     longest_s: float = 0.3
     kinds: tuple[str, ...] = ()
-    """Empty: all kinds that a device supports."""
+    """Kinds to draw from. Empty: all kinds that a device supports."""
 
 
 ALLOWED = {
@@ -104,7 +110,7 @@ ALLOWED = {
     "probability": "a number from 0 to 1",
     "delay_s": "a number of seconds from 0 to 10",
     "bits": "a whole number from 1 to 64",
-    "jump_s": "a number of seconds, at most 1e6 either way",
+    "jump_s": "a number of seconds from -1e6 to 1e6",
 }
 
 
@@ -152,7 +158,7 @@ def _read_one(subject: str, entry: Mapping[str, Any]) -> Fault:
         )
     if not isinstance(entry.get("device"), str):
         raise DeviceError(
-            f"{subject}: device is {entry.get('device')!r}; the name of one of [devices] is expected"
+            f"{subject}: device is {entry.get('device')!r}; the name of a device in [devices] is expected"
         )
     direction = entry.get("direction", "both")
     if direction not in DIRECTIONS:
@@ -165,11 +171,11 @@ def _read_one(subject: str, entry: Mapping[str, Any]) -> Fault:
             raise DeviceError(f"{subject}: {key} is {value!r}; {ALLOWED[key]} is expected")
         if key in ALLOWED and key not in (*takes, "begin_s", "duration_s"):
             raise DeviceError(
-                f"{subject}: {key} does not apply to {kind}; it takes {', '.join((*takes, 'begin_s', 'duration_s'))}"
+                f"{subject}: {key} does not apply to {kind}; the keys of {kind} are {', '.join((*takes, 'begin_s', 'duration_s'))}"
             )
     if "duration_s" in entry and "begin_s" not in entry:
         raise DeviceError(
-            f"{subject}: duration_s counts from begin_s, which is missing; without both the fault is permanent"
+            f"{subject}: duration_s counts from begin_s, but begin_s is missing; add begin_s, or remove duration_s for a permanent fault"
         )
     if KINDS[kind].whole_device and direction != "both":
         raise DeviceError(
@@ -215,10 +221,10 @@ def read_random(raw: Any) -> RandomFaults:
 
 
 def draw(chosen: RandomFaults, devices: Mapping[str, Sequence[str]]) -> tuple[Fault, ...]:
-    """Draw random faults; the same seed gives the same faults.
+    """Draw random faults. The same seed gives the same faults.
 
-    `devices` maps a device name to its supported kinds. Raises DeviceError if no device supports
-    a chosen kind.
+    `devices` maps each device name to the kinds that the device supports. Raises DeviceError if no
+    device supports any of the kinds in `chosen`.
     """
     generator = random.Random(chosen.seed)
     offered = [
@@ -226,7 +232,7 @@ def draw(chosen: RandomFaults, devices: Mapping[str, Sequence[str]]) -> tuple[Fa
     ]
     if not offered:
         raise DeviceError(
-            "[facility.random_faults] kinds: no device of this facility supports any of them"
+            "[facility.random_faults] kinds: no device of this facility supports any of these kinds"
         )
     drawn = []
     for _ in range(chosen.count):
@@ -255,7 +261,7 @@ def draw(chosen: RandomFaults, devices: Mapping[str, Sequence[str]]) -> tuple[Fa
 
 
 def check(faults: Sequence[Fault], devices: Mapping[str, Sequence[str]]) -> None:
-    """Check devices and kinds. Raises DeviceError for an unknown device or unsupported kind."""
+    """Check the faults. Raises DeviceError if a device is unknown or does not support the kind."""
     for fault in faults:
         if fault.device not in devices:
             hint = (

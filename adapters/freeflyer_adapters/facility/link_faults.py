@@ -1,6 +1,6 @@
 """Faults on the packets of a device's link, independent of the transport.
 
-Times are counted in cycles of the facility; the module reads no clock.
+Times are counted in cycles of the facility. The module reads no clock.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ Way = Literal["to_controller", "to_device"]
 
 
 class Tamper(Protocol[P]):
-    """Tampering with the packets of a transport."""
+    """Interface of a class that changes packets of one transport for a fault."""
 
     def changed(
         self, fault: Fault, way: Way, packet: P, memory: dict[str, Any], generator: random.Random
     ) -> P | None:
-        """Return the changed packet; None if the fault does not apply to this packet.
+        """Return the changed packet, or None if the fault does not apply to this packet.
 
-        `memory` belongs to the fault and is empty when the fault starts.
+        `memory` keeps data of this fault between calls. It is empty when the fault starts.
         """
 
 
@@ -42,18 +42,18 @@ TAMPERING = (
 
 @dataclass
 class _Fault:
-    """A fault with separate random numbers, so that faults do not influence each other."""
+    """A fault with its own random generator, so that faults do not influence each other."""
 
     fault: Fault
     begin: int | None
-    """[cycles since activation]; None: always active."""
+    """Start [cycles since the activation]. None: the fault is always active."""
     end: float
     generator: random.Random
     memory: dict[str, Any]
     acts: bool = False
 
     def move(self, since_active: int | None) -> None:
-        """Update `acts` for a new cycle; clear the memory when the fault starts."""
+        """Update `acts` for a new cycle. Clear the memory when the fault starts."""
         acted = self.acts
         if self.begin is None:
             self.acts = True
@@ -66,8 +66,9 @@ class _Fault:
 class LinkFaults(Generic[P]):
     """The faults of one device in both directions of its link.
 
-    In every cycle call `begin_cycle`, then `pass_on` for every sent packet, then `due` for the
-    arriving packets. If `keeps` is set, `tampered` stores (way, original, changed) for tests.
+    Call these methods in every cycle, in this order: `begin_cycle`, `pass_on` for every sent
+    packet, and `due` for the arriving packets. If `keeps` is True, `tampered` stores each change
+    for tests: direction, original packet and changed packet.
     """
 
     def __init__(
@@ -81,7 +82,7 @@ class LinkFaults(Generic[P]):
             self._all.append(
                 _Fault(fault, begin, end, random.Random(f"{seed}/{i}/{fault.kind}"), {})
             )
-        # Flipped bits come last: the cable changes a packet after its sender has protected it.
+        # Flip bits last: a cable changes a packet after the sender has added the checksum.
         self._all.sort(key=lambda one: one.fault.kind == "flipped_bits")
         self.period, self._tamper = period, tamper
         self._queues: dict[Way, deque[tuple[int, P]]] = {
@@ -96,7 +97,11 @@ class LinkFaults(Generic[P]):
         self.tampered: list[tuple[Way, P, P]] = []
 
     def begin_cycle(self, since_active: int | None) -> None:
-        """Start a cycle; `since_active`: cycles since the first activation in this session."""
+        """Start a cycle.
+
+        `since_active`: number of cycles since the first activation in this session. None if the
+        device has not yet been activated.
+        """
         self._cycle += 1
         for one in self._all:
             one.move(since_active)
@@ -106,7 +111,7 @@ class LinkFaults(Generic[P]):
         return any(one.acts and one.fault.kind == kind for one in self._all)
 
     def reset(self) -> None:
-        """Discard all queued packets, for a new session."""
+        """Discard all queued packets and deactivate all faults, for a new session."""
         for way in self._queues:
             self._queues[way].clear()
             self._overtaken[way].clear()
@@ -114,7 +119,7 @@ class LinkFaults(Generic[P]):
             one.acts = False
 
     def pass_on(self, way: Way, packet: P) -> None:
-        """Send a packet into the link."""
+        """Send a packet into the link, and apply the active faults to the packet."""
         # Every active fault changes, drops, copies or delays the packet.
         queue, copies, delay, held_back = self._queues[way], 1, 0, False
         for one in self._all:
@@ -147,7 +152,7 @@ class LinkFaults(Generic[P]):
             else:
                 continue
             self.acted[fault.kind] += 1
-        # Except for reordering, a packet never overtakes an earlier one.
+        # Except for reordering, a packet never arrives before an earlier packet.
         due = self._cycle + delay
         if queue:
             due = max(due, queue[-1][0])
@@ -160,7 +165,7 @@ class LinkFaults(Generic[P]):
         overtaken.clear()
 
     def due(self, way: Way) -> P | None:
-        """Remove and return the next packet that arrives now."""
+        """Remove and return the next packet that arrives in this cycle, or return None."""
         queue = self._queues[way]
         if queue and queue[0][0] <= self._cycle:
             return queue.popleft()[1]

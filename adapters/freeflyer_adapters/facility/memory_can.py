@@ -1,4 +1,4 @@
-"""A CAN bus in memory and in virtual time; waiting for a frame advances the time."""
+"""CAN bus in memory. While a node waits for a frame, the virtual time advances."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from typing import Any, Protocol
 import can
 
 LONGEST = 10_000
-"""Maximum number of unread frames of a node; further frames are lost, as on a CAN controller."""
+"""Maximum number of unread frames of a node.
+
+Further frames are lost, in the same way as in a CAN controller whose receive buffer is full."""
 
 
 class Time(Protocol):
@@ -20,7 +22,10 @@ class Time(Protocol):
 
 
 class MemoryBus(can.BusABC):
-    """A node of a channel; `nodes` are all its nodes. Frames arrive without delay, in order."""
+    """A node of a channel. `nodes` lists all nodes of the channel.
+
+    Frames arrive without delay and in order.
+    """
 
     def __init__(
         self, channel: str, nodes: list[MemoryBus], time: Time, can_filters: Any = None
@@ -39,7 +44,10 @@ class MemoryBus(can.BusABC):
                 node._queue.append(frame)
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
-        """Return the next frame or None; `timeout` [s] of virtual time, None means no wait."""
+        """Return the next frame, or None if no frame arrives.
+
+        `timeout` is a virtual time [s]. If `timeout` is None or zero, `recv` does not wait.
+        """
         if not self._queue and timeout:
             self._time.pass_until(timeout, lambda: bool(self._queue))
         return self._queue.popleft() if self._queue else None

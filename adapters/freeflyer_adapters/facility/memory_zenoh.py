@@ -43,7 +43,7 @@ class _Reply:
 
 
 class _Subscriber:
-    """A subscriber that keeps only the latest sample, as RingChannel(1)."""
+    """A subscriber that keeps only the latest sample, as `zenoh.handlers.RingChannel(1)` does."""
 
     def __init__(self, subscribers: list[_Subscriber], key: str) -> None:
         self.key, self._subscribers = key, subscribers
@@ -106,7 +106,7 @@ class _Liveliness:
 
 
 class MemorySession:
-    """A session like `zenoh.Session`; all sessions of a `Net` are connected, without endpoints."""
+    """A replacement of `zenoh.Session`. All sessions of a `Net` are connected to each other."""
 
     def __init__(self, net: Net) -> None:
         self._net, self._number = net, next(_numbers)
@@ -116,7 +116,7 @@ class MemorySession:
         return self
 
     def peers_zid(self) -> list[str]:
-        """Return one peer, because all peers are in this process."""
+        """Return a constant peer, because a session in memory is always connected."""
         return ["here"]
 
     def routers_zid(self) -> list[str]:

@@ -1,8 +1,8 @@
 """Virtual facility: the device models of a scenario, connected by the protocols of the devices.
 
 The facility runs in a separate process. The scenario defines the models, their parameters and the
-connections between them. All connections to the controllers are links. Time is the number of
-cycles: a delayed process skips no cycle, so that data is lost only on a link.
+connections between the models. All connections to the controllers are links. Time is counted in
+cycles. A delayed process skips no cycle. Therefore data can be lost only on a link.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ class _SessionEnd:
 
 @dataclass(frozen=True, kw_only=True)
 class Prepared:
-    """Models for one session; `stack` closes them."""
+    """The models for one session. `stack` closes the models."""
 
     stack: ExitStack
     master: Master
@@ -93,10 +93,11 @@ class Prepared:
 
 
 class Facility:
-    """A facility with open links; `run` serves one session after another until interrupted.
+    """A facility with open links.
 
-    Raises DeviceError if the scenario or its table [facility] does not fit. Call `close` at the
-    end.
+    `run` serves one session after another until it is interrupted. Call `close` at the end. The
+    constructor raises DeviceError if the scenario, or its table [facility], is not valid for a
+    facility.
     """
 
     def __init__(self, scenario: Scenario, fmi: int | None = None) -> None:
@@ -149,9 +150,9 @@ class Facility:
     def cycles(
         self, log: Callable[[str], None], interruptions: Sequence[float] = ()
     ) -> Generator[None, None, None]:
-        """Run all sessions and yield after every cycle; the caller controls the time.
+        """Run all sessions and yield after every cycle. The caller controls the time.
 
-        The facility ends when `interruptions` is not empty, or when a model fails.
+        The generator ends when `interruptions` is not empty, or when a model fails.
         """
         while True:
             outcome = self.outcome = yield from self._session(log, interruptions)
@@ -187,7 +188,7 @@ class Facility:
 
     @contextmanager
     def _models(self) -> Iterator[tuple[Master, dict[str, dict[str, Array]]]]:
-        """Yield a master with the device models and link ends, and the parameters of each model."""
+        """Yield the master of device models and link ends, and the parameters of each model."""
         scenario, names = self.scenario, [device.name for device in self.devices]
         everything: dict[str, Component] = {}
         try:
@@ -202,7 +203,7 @@ class Facility:
             components |= models
             for device in self.devices:
                 components[f"{device.name}_outgoing"] = _Outgoing(device)
-            # A link end has the period of the facility.
+            # A link end (`_Incoming`, `_Outgoing`) has the period of the facility.
             steps = parameters.steps(scenario, everything, values)
             plan = schedule.build(
                 {name: steps.get(name, self.period) for name in components},
@@ -212,7 +213,7 @@ class Facility:
             )
             master = Master(graph.build(components, self._connections()), plan)
             master.initialise({name: values[name] for name in names})
-            # A device needs every parameter, those with default values included.
+            # A device needs all parameters of its model, including parameters with default values.
             full = {
                 name: {
                     p.name: parameters.current(everything, values, name, p.name)
@@ -229,7 +230,7 @@ class Facility:
 
     def _connections(self) -> list[Connection]:
         names = {device.name for device in self.devices}
-        # Connections between two device models are physics; all other connections are links.
+        # A connection between two device models is physical. All other connections are links.
         joined = [
             c
             for c in self.scenario.connections
@@ -283,7 +284,7 @@ def _cycle(scenario: Scenario) -> int:
     ]
     if not steps:
         raise DeviceError(
-            f"scenario {scenario.name}: at least one device model needs a number as its step; the smallest one is the facility's cycle"
+            f"scenario {scenario.name}: the step of at least one device model must be a number; the smallest of these steps is the cycle of the facility"
         )
     return min(steps)
 
@@ -301,7 +302,7 @@ def _factory(name: str, kind: str) -> Factory:
 def _with_drawn_faults(
     settings: FacilitySettings, factories: Mapping[str, Factory]
 ) -> FacilitySettings:
-    """Return settings with scheduled and random faults, checked against the device kinds."""
+    """Return the settings with all scheduled and random faults, after a check of the faults."""
     kinds: dict[str, tuple[str, ...]] = {
         name: getattr(factory, "fault_kinds", ()) for name, factory in factories.items()
     }

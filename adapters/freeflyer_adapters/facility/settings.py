@@ -16,7 +16,7 @@ WATCHDOG_CYCLES, WATCHDOG = (
     ("watchdog_cycles", "arm_watchdog_cycles"),
     ("watchdog", "base_watchdog_s"),
 )
-"""Parameter of a device, and key of [facility]."""
+"""Each pair contains a parameter of a device, and the key of [facility] with the same meaning."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,22 +24,25 @@ class FacilitySettings:
     """Settings of a virtual facility. The default values do not describe a real facility."""
 
     arm_watchdog_cycles: int = 4
-    """Age of the last command at which the arm goes to safe stop; a stop within five cycles."""
+    """Age of the last command [cycles] at which the arm goes to the state safe_stop.
+
+    With the default value, the arm goes to this state within five cycles after a command."""
     base_watchdog_s: float = 0.02
-    """Time without a set point after which the base holds its position."""
+    """Time without a set point [s] after which the base holds its position."""
     forget_after_s: float = 1.0
-    """Time without a message after which a session ends and the robots return to their start
-    poses."""
+    """Time without a message [s] after which the session ends. The robots then return to their
+    start poses."""
     base_jump_m: float = 0.01
     base_jump_rad: float = 0.02
-    """Largest distance and angle between the robot and a first set point."""
+    """Largest distance (`base_jump_m`) and angle (`base_jump_rad`) of a first set point from the
+    robot."""
     measure_every: int = 4
     """Arm cycles between two measurements of the base."""
     describe_every: int = 100
-    """Cycles between two description frames of an arm that is not active."""
+    """Cycles between two description frames of an arm that is not in the state active."""
     ramp_down_time_s: float = 0.25
     ramp_down_damping: float = 5.0
-    """[N m s/rad]"""
+    """Damping of the joint speeds during the ramp-down [N m s/rad]."""
     seed: int = 1
     """Seed of all random numbers of the faults."""
     faults: tuple[Fault, ...] = ()
@@ -53,8 +56,10 @@ class FacilitySettings:
 def with_watchdogs(scenario: Scenario) -> Scenario:
     """Return the scenario with the watchdogs of [facility] as device parameters.
 
-    The controllers then use the same watchdogs as the facility. A parameter `watchdog_cycles`
-    (arm) or `watchdog` (base) of a device has priority. Raises DeviceError for an invalid table.
+    With these parameters, the controllers use the same watchdogs as the facility. If a device
+    already has the parameter `watchdog_cycles` (arm) or `watchdog` (base), the value of this
+    parameter is kept.
+    Raises DeviceError if the table [facility] is invalid.
     """
     settings = read(scenario.facility)
     known = {"can_arm": WATCHDOG_CYCLES, "cia402_arm": WATCHDOG_CYCLES, "zenoh_base": WATCHDOG}

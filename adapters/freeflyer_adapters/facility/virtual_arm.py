@@ -1,6 +1,6 @@
 """Virtual arm: the device end of the CAN link, connected to an arm model.
 
-Frames, E2E protection and watchdog are those of a real arm.
+A real arm has the same frames, the same E2E protection and the same watchdog.
 """
 
 from __future__ import annotations
@@ -53,10 +53,10 @@ class VirtualArm(VirtualDevice[ArmLogic]):
         self.frames.check_activation(name, self.options.implicit)
         if settings.arm_watchdog_cycles >= self.frames.cycles // 2:
             raise DeviceError(
-                f"[facility] arm_watchdog_cycles is {settings.arm_watchdog_cycles}; less than half of the {self.frames.cycles} cycle numbers "
-                f"of {name} is expected"
+                f"[facility] arm_watchdog_cycles is {settings.arm_watchdog_cycles}; {name} has {self.frames.cycles} cycle numbers, "
+                f"and less than half of this number is expected"
             )
-        # Ports towards the model.
+        # Ports that are connected to the model.
         self.commands = (
             Port(
                 name="joint_torque_command",
@@ -74,12 +74,12 @@ class VirtualArm(VirtualDevice[ArmLogic]):
             Port(name=s, size=n, causality="input", units=(units[s],) * n) for s in SENSED
         )
         self.round_trip = Histogram()
-        """Time from sending a state frame to the receive time stamp of its answer."""
+        """Time from the sending of a state frame to the arrival of the command that answers it."""
         self._before: dict[str, float] = {}
         self._velocity = np.zeros(n)
         self._limits: dict[str, list[float]] = {}
         self._sent_at = 0.0
-        # The link, with faults between bus and device.
+        # The link. Faults are applied between the bus and the device.
         self.logic = self._first_logic()
         seen = [self.frames.command]
         self.faults = LinkFaults(
@@ -112,7 +112,7 @@ class VirtualArm(VirtualDevice[ArmLogic]):
         )
 
     def begin_session(self, parameters: Mapping[str, Array]) -> None:
-        """Start a session with the limits of the model; the cycle number continues."""
+        """Start a session with the limits of the model. The cycle number continues."""
         self._limits = {
             role: list(map(float, parameters[role])) for role in LIMIT_ROLES if role in parameters
         }
@@ -137,7 +137,7 @@ class VirtualArm(VirtualDevice[ArmLogic]):
         self.logic.fail("a drive has failed")
 
     def _commands(self) -> list[Command]:
-        """Return the commands since the last state frame, at most `MOST_FRAMES`."""
+        """Return the commands since the last state frame. Read at most `MOST_FRAMES` frames."""
         commands = []
         for _ in range(MOST_FRAMES):
             message = self._next()

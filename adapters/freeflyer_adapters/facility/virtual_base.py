@@ -24,11 +24,14 @@ from freeflyer_adapters.facility.zenoh_faults import FAULT_KINDS, FaultyOdometry
 from freeflyer_adapters.foundation.pose import twist_rotated
 
 PROOF = 0.04
-"""[s] for which set points must arrive at the rate of their stamps before one is accepted."""
+"""Duration of the test of a new publisher [s].
+
+During the test, set points must arrive at the rate of their time stamps. Only then is the first
+set point accepted."""
 
 
 class VirtualBase(VirtualDevice[BaseLogic]):
-    """A virtual base robot. It listens on the endpoints to which the host connects."""
+    """A virtual base robot. The robot listens on the endpoints to which the host connects."""
 
     fault_kinds = FAULT_KINDS
 
@@ -42,7 +45,7 @@ class VirtualBase(VirtualDevice[BaseLogic]):
     ) -> None:
         self.name, self.settings, self.period = name, settings, period
         self.options = o = link_options.options_from(name, raw, directory)
-        # Ports towards the model.
+        # Ports that are connected to the model.
         self.commands = (
             Port(
                 name="position_setpoint", size=3, causality="output", units=("m",) * 3, sampled=True
@@ -68,7 +71,7 @@ class VirtualBase(VirtualDevice[BaseLogic]):
             ),
             Port(name="base_velocity", size=6, causality="input", units=TWIST),
         )
-        # The controller, then the session with the link and its faults.
+        # Create the controller, then the Zenoh session, then the link and its faults.
         self._used: deque[bytes] = deque(maxlen=MOST_USED)
         """Expired publishers of all sessions."""
         self.logic = self._new_logic()
@@ -92,7 +95,7 @@ class VirtualBase(VirtualDevice[BaseLogic]):
         )
 
     def begin_session(self, parameters: Mapping[str, Array]) -> None:
-        """Start a session; the robot holds the model's start pose until set points arrive."""
+        """Start a session. The robot holds the model's start pose until set points arrive."""
         self.logic = self._new_logic()
         self.begin_faults(self.faults, self._link)
         self._link.reset_source()
@@ -110,7 +113,8 @@ class VirtualBase(VirtualDevice[BaseLogic]):
                 self.logic.refuse(self._link.other_source)
             self._link.report_obeyed(is_active)
             if was_active and not is_active:
-                self._link.reset_source()  # used up: the next publisher may be another
+                # The session of this publisher has ended. Accept a different publisher next.
+                self._link.reset_source()
         values["position_setpoint"][:] = self.logic.position
         values["orientation_setpoint"][:] = self.logic.orientation
         values["velocity_setpoint"][:] = self.logic.velocity
@@ -119,7 +123,7 @@ class VirtualBase(VirtualDevice[BaseLogic]):
         self.logic.hold(*self._pose)
 
     def _take(self, received: Received) -> bool | None:
-        """Return whether the set point is accepted; None: not yet. See `BaseLogic.take`."""
+        """Pass a set point to the controller. Return the result of `BaseLogic.take`."""
         odometry = received.odometry
         if not is_usable(odometry):
             return False

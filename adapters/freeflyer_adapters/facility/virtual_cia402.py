@@ -1,9 +1,10 @@
 """Virtual CiA 402 drives, connected to an arm model: one bus, one CANopen node per joint.
 
-LocalNode of canopen provides the SDO server, the object dictionary and the NMT slave. It sends no
-PDO on SYNC, and its heartbeat is a thread. This module therefore sends PDOs and heartbeats in the
-cycle of the facility. In a cycle all received frames are handled in their order. A SYNC sends the
-measurements of the last cycle as TPDOs and applies the targets that were received before it.
+`LocalNode` of canopen provides the SDO server, the object dictionary and the NMT slave. `LocalNode`
+sends no PDO on SYNC, and it sends heartbeats from a thread. Therefore this module sends PDOs and
+heartbeats itself, in the cycle of the facility. In each cycle, all received frames are handled in
+the order of their arrival. On a SYNC, the measurements of the last cycle are sent as TPDOs. Then
+the targets that were received before the SYNC are applied.
 """
 
 from __future__ import annotations
@@ -35,14 +36,14 @@ from freeflyer_adapters.foundation.histogram import Histogram
 
 INITIALISING, PRE_OPERATIONAL, OPERATIONAL = 0, 127, 5
 MOST_TORQUE = 3000
-"""6072h: peak torque as a fraction of the rated torque [per mille], typical for servo motors."""
+"""Object 6072h: peak torque [per mille of the rated torque], typical for servo motors."""
 VALUE_RANGE, WRONG_STATE = 0x06090030, 0x08000022
 """SDO abort codes."""
 MEASURED = (objects.POSITION.index, objects.VELOCITY.index, objects.ACTUAL_TORQUE.index)
 
 
 class VirtualDrive:
-    """A CANopen node: a `DriveLogic` with the local node of canopen."""
+    """A CANopen node: a `DriveLogic`, and a `LocalNode` of canopen for its communication."""
 
     def __init__(
         self,
@@ -55,14 +56,14 @@ class VirtualDrive:
         self.node_id = node_id
         self.options, self.motor, self.logic = options, options.motors[joint], logic
         self.raw: dict[int, int] = dict.fromkeys(MEASURED, 0)
-        """Measurements of the last cycle in the drive's units."""
+        """Measurements of the last cycle in the drive's units, by object index."""
         self.node = canopen.LocalNode(node_id, objects.dictionary(options.eds, node_id))
         self.node.add_read_callback(self._read)  # type: ignore[no-untyped-call]
         self.node.add_write_callback(self._written)  # type: ignore[no-untyped-call]
         network.add_node(self.node)
         self._network = network
         self._pending: dict[int, int] = {}
-        """Objects of the RPDOs since the last SYNC."""
+        """Values from the RPDOs since the last SYNC, by object index."""
         self._since_heartbeat = 0.0
         self._was_operational = False
         for maps in (self.node.rpdo, self.node.tpdo):
@@ -71,7 +72,7 @@ class VirtualDrive:
         self._power_on()
 
     def _power_on(self) -> None:
-        """Set the objects to nameplate and default values; a boot-up message follows."""
+        """Set the objects to rated and default values. `advance` then sends a boot-up message."""
         m = self.motor
         self.node.data_store.clear()
         for entry, value in (
@@ -108,7 +109,7 @@ class VirtualDrive:
         return self.raw.get(index)
 
     def _written(self, *, index: int, subindex: int, od: Any, data: bytes) -> None:
-        """Check an SDO download before canopen stores it. Raises SdoAbortedError to reject it."""
+        """Check an SDO download, before canopen stores it. Raises SdoAbortedError to reject it."""
         value = int.from_bytes(
             data, "little", signed=index in (objects.MODE.index, objects.QUICK_STOP.index)
         )
@@ -124,7 +125,7 @@ class VirtualDrive:
     # Frames
 
     def _take(self, pdo: Any) -> None:
-        """Store the objects of an RPDO for the next SYNC; apply an asynchronous RPDO now."""
+        """Store the values of an RPDO for the next SYNC. Apply an asynchronous RPDO at once."""
         if (
             self.node.nmt._state != OPERATIONAL
             or pdo not in self.node.rpdo.values()
@@ -169,19 +170,19 @@ class VirtualDrive:
         self._pending.clear()
 
     def on_host_heartbeat(self, can_id: int) -> None:
-        """Restart the watchdog if the heartbeat is that of the host in object 1016h."""
+        """Restart the watchdog if the heartbeat is from the host that object 1016h names."""
         watched = self.get(objects.CONSUMER_HEARTBEAT)
         self.logic.heartbeat_timeout = 1e-3 * (watched & 0xFFFF)
         if can_id == process_data.HEARTBEAT + (watched >> 16 & 0x7F):
             self.logic.restart_host_watchdog()
 
     def advance(self) -> None:
-        """Handle NMT, heartbeat and EMCY; called once per tick."""
+        """Handle NMT, heartbeat and EMCY. Call this once per tick."""
         nmt = self.node.nmt
         if nmt._state == INITIALISING:
             self._power_on()
             self.logic.disarm_host_watchdog()
-            nmt.send_command(0x81)  # a slave sends its boot-up message
+            nmt.send_command(0x81)  # the node then sends its boot-up message
             nmt.state = "PRE-OPERATIONAL"
         if (nmt._state == OPERATIONAL) != self._was_operational:
             self._was_operational = nmt._state == OPERATIONAL
@@ -207,7 +208,7 @@ class VirtualDrive:
         self.logic.sync_period = 1e-6 * self.get(objects.SYNC_PERIOD)
 
     def _leave(self) -> None:
-        """Stop an enabled drive, because outside NMT state operational it receives no PDO."""
+        """Stop an enabled drive. Outside the NMT state Operational, a drive receives no PDO."""
         if not self.logic.braked:
             self.logic.fail(objects.SYNC_LOST)
 
@@ -230,7 +231,7 @@ class VirtualCia402(VirtualDevice[DriveGroup]):
         self.options = o = options_from(name, raw, directory)
         n = o.joints
         self.scaling = Scaling(o.motors)
-        # Ports towards the model.
+        # Ports that are connected to the model.
         self.commands = (
             Port(
                 name="joint_torque_command",
@@ -250,7 +251,7 @@ class VirtualCia402(VirtualDevice[DriveGroup]):
         self.syncs = 0
         self.answers = Histogram()
         """Time from the kernel's time stamp of a SYNC to the sending of the last TPDO."""
-        # The bus with faults, and one node per joint on it.
+        # Create the bus with faults, then one node per joint on this bus.
         self._velocity = np.zeros(n)
         self.logic = self._new_logic()
         self.faults = LinkFaults(settings.faults_of(name), period, settings.seed, Untouched())
@@ -268,7 +269,7 @@ class VirtualCia402(VirtualDevice[DriveGroup]):
         except BaseException:
             network.disconnect()
             raise
-        # A heartbeat of any other node may be that of the host.
+        # Any node that is not a drive may be the host. Receive the heartbeats of all such nodes.
         network.subscribe(process_data.SYNC, self._on_sync)
         for node in range(1, 128):
             if node not in o.node_ids:
@@ -284,7 +285,7 @@ class VirtualCia402(VirtualDevice[DriveGroup]):
         return DriveGroup(drives, round(s.forget_after_s / self.period))
 
     def begin_session(self, parameters: Mapping[str, Array]) -> None:
-        """Start a session: the robot is at its start pose, and the drives restart."""
+        """Start a session. The robot is at its start pose, and the drives restart."""
         self.logic = self._new_logic()
         self.begin_faults(self.faults, self._bus)
         self._velocity[:] = 0.0
@@ -293,7 +294,7 @@ class VirtualCia402(VirtualDevice[DriveGroup]):
             drive.node.nmt._state = INITIALISING
 
     def fail(self, joint: int = 1, code: int = 0x2310) -> None:
-        """Cause a fault: joint from 1, error code of CiA 402."""
+        """Cause a fault. `joint` counts from 1. `code` is an error code of CiA 402."""
         self.logic.drives[joint - 1].fail(code)
 
     def power_off(self) -> None:

@@ -1,4 +1,4 @@
-"""Interface of a virtual device: the device end of a link."""
+"""Interface of virtual devices. A virtual device is the device end of a link."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class Logic(Protocol):
     """Controller of a virtual device."""
 
     events: list[tuple[int, str]]
-    """Cycle and event."""
+    """Cycle and text of each event."""
     was_active: bool
 
     @property
@@ -24,7 +24,7 @@ class Logic(Protocol):
 
 class LinkEnd(Protocol):
     silent: bool
-    """The device neither sends nor receives."""
+    """Whether the device neither sends nor receives."""
 
 
 L = TypeVar("L", bound=Logic)
@@ -33,23 +33,23 @@ L = TypeVar("L", bound=Logic)
 class VirtualDevice(ABC, Generic[L]):
     """A virtual device.
 
-    The facility calls `begin_session` first. Every cycle is `receive`, the step of the model, and
-    `send`.
+    The facility calls `begin_session` first. In every cycle, the facility then calls `receive`,
+    steps the model, and calls `send`.
     """
 
     name: str
     fault_kinds: ClassVar[tuple[str, ...]] = ()
-    """Supported kinds of `freeflyer_adapters.facility.faults.KINDS`."""
+    """Kinds in `freeflyer_adapters.facility.faults.KINDS` that the device supports."""
     logic: L
     commands: tuple[Port, ...]
-    """Received values for inputs of the model."""
+    """Ports of the received values. They are connected to inputs of the model."""
     measurements: tuple[Port, ...]
-    """Sent values from outputs of the model."""
+    """Ports of the sent values. They are connected to outputs of the model."""
 
     # Faults of the whole device
 
     def begin_faults(self, faults: LinkFaults[Any], end: LinkEnd) -> None:
-        """Deactivate all faults for a new session; `end` is the device end of the link."""
+        """Deactivate all faults for a new session. `end` is the device end of the link."""
         self._faults, self._end = faults, end
         self._cycles = 0
         self._active_since: int | None = None
@@ -57,7 +57,7 @@ class VirtualDevice(ABC, Generic[L]):
         end.silent = False
 
     def begin_cycle(self) -> bool:
-        """Apply faults of the whole device; call it first in a cycle.
+        """Apply the faults of the whole device. Call this method first in every cycle.
 
         Return whether the controller of the device runs in this cycle.
         """
@@ -77,14 +77,17 @@ class VirtualDevice(ABC, Generic[L]):
         return not hung
 
     def power_off(self) -> None:
-        """Remove the power; only the brakes act."""
+        """Remove the power, so that only the brakes act."""
 
     def fail(self) -> None:
         """Cause a fault of the device itself."""
 
     @abstractmethod
     def begin_session(self, parameters: Mapping[str, Array]) -> None:
-        """Start a session with the robots at their start poses; `parameters` of the model."""
+        """Start a session with the robots at their start poses.
+
+        `parameters`: parameters of the model.
+        """
 
     @abstractmethod
     def receive(self, values: Mapping[str, Array]) -> None:

@@ -1,9 +1,9 @@
-"""Virtual time for a facility and its host in one process: fast and reproducible.
+"""Virtual time for a facility and its host in one process. Runs are fast and reproducible.
 
 The code of the host and the bytes of frames and samples are the same as in real time. There are
-three differences. Buses and Zenoh sessions are in memory. Computation takes no time. The facility
-runs its next cycle when the host waits. Reactions to faults are therefore exact in time, and
-10,000 schedules of faults take minutes.
+three differences. Buses and Zenoh sessions are in memory. Computation takes no virtual time. The
+facility runs its next cycle when the host waits. Therefore the times of reactions to faults are
+exact. A test of 10,000 schedules of faults takes minutes.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from freeflyer_adapters.facility.memory_zenoh import MemorySession, Net
 from freeflyer_adapters.foundation.environment import Environment
 
 START = 1_000_000_000
-"""Start [ns] of both clocks; not zero, because zero may mean that a time is not set."""
+"""Start of both clocks [ns]. It is not zero, because zero may mean that a time is not set."""
 
 
 class VirtualTime(Environment):
@@ -56,15 +56,17 @@ class VirtualTime(Environment):
         return MemorySession(self._net)
 
     def pass_until(self, duration: float, happened: Callable[[], bool]) -> bool:
-        """Advance by `duration` [s], or until `happened` returns True; return its last value.
+        """Advance by `duration` [s], or until `happened` returns True.
 
-        Raises RuntimeError if the facility itself waits.
+        Return whether `happened` has returned True. Raises RuntimeError if the facility itself
+        calls this method.
         """
         if self._is_stepping:
             raise RuntimeError(
                 "the facility itself waits in virtual time; this wait would never end"
             )
-        # At least 1 ns: a caller that waits for a rounded remainder must not loop without end.
+        # Advance by at least 1 ns. Otherwise a caller could loop without end: it waits for a
+        # remaining time that is rounded to zero, and the time does not advance.
         end = self._now + max(1, round(duration * 1e9))
         while self._facility is not None and self._next <= end:
             self._now = self._next
@@ -73,7 +75,7 @@ class VirtualTime(Environment):
             try:
                 next(self._facility)
             except StopIteration:
-                self._facility = None  # its model has failed
+                self._facility = None  # a model of the facility has failed
             finally:
                 self._is_stepping = False
             if happened():

@@ -21,7 +21,11 @@ Sample = tuple[bytes, bytes]
 
 
 class ZenohTamper:
-    """Tampering with samples; see `Tamper`. A sample with a sender fault has a valid checksum."""
+    """Implementation of `Tamper` for samples.
+
+    The fault `flipped_bits` does not correct the checksum. All other faults are faults of the
+    sender. After such a fault, the changed sample has a correct checksum.
+    """
 
     def changed(
         self,
@@ -48,7 +52,7 @@ class ZenohTamper:
                 attachment, sequence=memory.setdefault("sequence", attachment.sequence)
             )
         elif fault.kind == "stale_stamp":
-            # The receiver accepts a repeated stamp with a new sequence number, but no older stamp.
+            # All samples of this fault have the same stamp, 1 ns before that of the first sample.
             attachment = replace(attachment, stamp=memory.setdefault("stamp", attachment.stamp - 1))
         elif fault.kind == "clock_jump":
             attachment = replace(attachment, stamp=attachment.stamp + round(fault.jump_s * 1e9))
@@ -59,9 +63,9 @@ class ZenohTamper:
 
 
 def _with_numbers(payload: bytes, value: float) -> bytes:
-    """Replace the three numbers of the position.
+    """Replace the three numbers of the position by `value`.
 
-    The message ends with less than eight bytes of padding.
+    `NUMBERS` numbers are at the end of the message. Less than eight bytes of padding follow them.
     """
     place = 4 + (len(payload) - 4 - 8 * NUMBERS) // 8 * 8
     order = "<" if payload[1] else ">"
@@ -73,7 +77,7 @@ class FaultyOdometryLink(OdometryLink):
 
     faults: LinkFaults[Sample]
     silent = False
-    """The device neither sends nor receives; incoming samples are lost."""
+    """Whether the device neither sends nor receives. Incoming samples are then lost."""
 
     def put(self, payload: bytes, attachment: bytes) -> None:
         if not self.silent:
@@ -81,7 +85,7 @@ class FaultyOdometryLink(OdometryLink):
             self.flush()
 
     def flush(self) -> None:
-        """Send the delayed samples that are due."""
+        """Send the samples whose delay has ended."""
         while (sample := self.faults.due("to_controller")) is not None:
             super().put(*sample)
 
@@ -91,5 +95,5 @@ class FaultyOdometryLink(OdometryLink):
                 self.faults.pass_on("to_device", sample)
         latest = None
         while (sample := self.faults.due("to_device")) is not None:
-            latest = sample  # as RingChannel(1) of a session
+            latest = sample  # keep only the latest sample, as RingChannel(1) does
         return latest

@@ -18,7 +18,7 @@ from freeflyer_adapters.recording.wall_clock import WallClock
 
 FORMATS = ("blf", "asc")
 COMPRESSION = 1
-"""Fastest level: 2000 frames per second must need only a small part of a core."""
+"""Fastest compression level: 2000 frames per second must need only a small part of a CPU core."""
 BUFFER = 2**20
 MOST = 5000
 """Maximum number of frames per call, so that a busy channel cannot block the recorder."""
@@ -27,8 +27,9 @@ MOST = 5000
 class WholeBlfWriter(can.BLFWriter):
     """A BLF writer that writes the open container and the file header with every `save`.
 
-    The base class writes a container only after 128 KiB, and the header, with the start time of
-    all frames, only at the end. A killed logger would lose seconds of frames, and the date.
+    The base class writes a container only after 128 KiB. It writes the header with the start time
+    only at the end. Without `save`, a killed logger would lose the frames of the last seconds and
+    the date of all frames.
     """
 
     def save(self) -> None:
@@ -44,11 +45,11 @@ class WholeBlfWriter(can.BLFWriter):
 class CanLog:
     """The log of one channel.
 
-    Raises OSError if the file cannot be written, DeviceError if the bus cannot be opened.
+    Raises OSError if the file cannot be written. Raises DeviceError if the bus cannot be opened.
     """
 
     def __init__(self, channel: CanChannel, path: Path, clock: WallClock | None = None) -> None:
-        """Open the bus and the file; without `clock`, times are those of the interface."""
+        """Open the bus and the file. If `clock` is None, the times of the interface are used."""
         self.path = path
         self.frames = 0
         self._times: FrameTimes | None = None
@@ -69,14 +70,14 @@ class CanLog:
             raise
 
     def take(self) -> None:
-        """Write all received frames and flush them, so that they survive this process."""
+        """Write all received frames and flush the file. Flushed frames survive a killed process."""
         frames: list[can.Message] = []
         while len(frames) < MOST and (frame := self._received()) is not None:
             frames.append(frame)
         if self._times is not None:
             frames = self._times.corrected(frames, is_all=len(frames) < MOST)
         for frame in frames:
-            # python-can adds one to the channel, and needs a number.
+            # python-can needs a number as the channel, and adds 1 to this number.
             frame.channel = 0
             self._writer.on_message_received(frame)
             self.frames += 1

@@ -1,4 +1,8 @@
-"""Recording client of the loop: starts the recorder and writes one row per instant."""
+"""Recording client of the loop: starts the recorder and writes one row per instant.
+
+The rows are written to a ring (`freeflyer_adapters.recording.ring`). A ring is a ring buffer in
+shared memory, which the recorder reads.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +37,7 @@ from freeflyer_adapters.recording.ring import RingReader, RingWriter
 from freeflyer_adapters.recording.wall_clock import WallClock
 
 COUNTERS_EVERY = 10
-"""Number of instants between two readings of the counters; states are read at every instant."""
+"""Number of instants between two readings of the counters. States are read at every instant."""
 TIMEOUT = 30.0
 """Timeout of the recorder's start and end [s]. No device is active during the wait."""
 
@@ -44,14 +48,14 @@ class Recording:
 
     directory: Path
     everything: bool = True
-    """Record the whole run and the CAN channels, not only the last seconds."""
+    """True: record the whole run and the CAN channels. False: record only the last seconds."""
     can: bool = True
-    """Record the CAN channels; False if they exist only in the memory of this process."""
+    """Record the CAN channels. False if the channels exist only in the memory of this process."""
     can_format: str = "blf"
 
 
 def can_channels(devices: Sequence[Device]) -> list[CanChannel]:
-    """Return the CAN channels in the options of the devices, each channel once."""
+    """Return the CAN channels in the options of the devices, without repetition."""
     found: dict[tuple[str, str], CanChannel] = {}
     for device in devices:
         options = getattr(device, "options", None)
@@ -69,9 +73,9 @@ def can_channels(devices: Sequence[Device]) -> list[CanChannel]:
 
 
 class RecordingClient:
-    """Client of one recorder process, connected by a ring of rows in shared memory.
+    """Client of one recorder process. A ring in shared memory connects client and recorder.
 
-    Create it before the loop starts, call `write` at every instant, and always call `close`.
+    Create the client before the loop starts. Call `write` at every instant. Always call `close`.
     """
 
     def __init__(
@@ -82,11 +86,11 @@ class RecordingClient:
         values: Values,
         devices: Sequence[Device],
     ) -> None:
-        """Start the recorder; `close` reports a failed start.
+        """Start the recorder. If the start fails, `close` reports this.
 
-        Raises RecordError if there is no memory for the ring.
+        Raises RecordError if there is not enough memory for the ring.
         """
-        # A row: all signals of the master, the states, then the counters.
+        # A row contains all signals of the master, then the states, then the counters.
         places = master.slaves.places
         ports = {name: component.ports for name, component in master.graph.components.items()}
         signals = []
@@ -123,12 +127,12 @@ class RecordingClient:
             can=can_channels(devices) if wanted.everything and wanted.can else [],
             can_format=wanted.can_format,
         )
-        # Views of one row, which `write` fills in place.
+        # Views of one row. `write` fills this row in place.
         self._line = np.zeros(header.width)
         width = self._now.size
         self._signals, self._states = self._line[:width], self._line[width : width + len(states)]
         self._counts = self._line[width + len(states) :]
-        # The recorder opens the ring, so the ring is created first.
+        # Create the ring before the recorder, because the recorder opens the ring at its start.
         self._directory = wanted.directory.absolute()
         self._missing: list[str] = []
         if wanted.everything:
@@ -152,7 +156,7 @@ class RecordingClient:
             self._missing.append(f"the recorder has not started: {error.strerror}")
 
     def _await_start(self) -> None:
-        """Wait for the recorder's imports to finish."""
+        """Wait until the recorder has finished its imports."""
         assert self._recorder is not None
         assert self._recorder.stdout is not None
         ready, _, _ = select.select([self._recorder.stdout], [], [], TIMEOUT)
@@ -161,7 +165,7 @@ class RecordingClient:
 
     @property
     def recorder(self) -> int | None:
-        """Process id of the recorder; None if it did not start."""
+        """Process ID of the recorder, or None if the recorder did not start."""
         return None if self._recorder is None else self._recorder.pid
 
     def write(self, k: int) -> None:
@@ -185,9 +189,11 @@ class RecordingClient:
     def close(self, reason: str, k: int | None = None) -> Mapping[str, Any]:
         """End the recording. Return the written files and the missing data, for the result.
 
-        `reason` is that of the stop. `k` is the last instant; its row is written if it is missing.
+        `reason` is the reason of the stop. `k` is the last instant. If the ring does not contain
+        the row of instant `k`, this row is written now.
         """
-        with contextlib.suppress(Exception):  # a failed driver must not prevent the row
+        # A driver that has failed must not prevent the writing of the last row.
+        with contextlib.suppress(Exception):
             self._update_counters()
         if k is not None and k > self._ring.last_instant >= 0:
             self._signals[:] = self._now
@@ -195,7 +201,8 @@ class RecordingClient:
                 self._states[i] = device.state.now
             self._ring.write(k, self._line)
         self._ring.set_reason(reason)
-        # The recorder reports clock steps with times. The total step is used if it reports none.
+        # The recorder reports each clock step with its time. If the recorder reports no clock step,
+        # the total step is reported instead.
         written = self._written(self._clock.total_step())
         self._ring.close()
         return {**asdict(written), "missing": [*self._missing, *written.missing]}
@@ -212,7 +219,7 @@ class RecordingClient:
             )
 
     def _written(self, clock_steps: list[str]) -> Written:
-        """Return what the recorder wrote; write here what it did not write.
+        """Return the result of the recorder. Write the files that the recorder has not written.
 
         `clock_steps` is used if the recorder reports no clock steps.
         """
@@ -223,7 +230,7 @@ class RecordingClient:
             try:
                 answer, _ = self._recorder.communicate(GOODBYE, timeout=TIMEOUT)
             except subprocess.TimeoutExpired:
-                why = f"the recorder (process {self._recorder.pid}) has not responded for {TIMEOUT:g} s; it ends by itself when it continues"
+                why = f"the recorder (process {self._recorder.pid}) has not responded for {TIMEOUT:g} s; the recorder ends by itself when it runs again"
             except (OSError, ValueError):
                 pass
         try:
@@ -233,7 +240,7 @@ class RecordingClient:
         written.clock_steps = written.clock_steps or clock_steps
         if written.flight is not None or self._ring.last_instant < 0:
             return written
-        # No flight recording yet: save it from the ring.
+        # The recorder has not saved the flight recording. Save it here from the ring.
         try:
             with closing(RingReader(self._ring.path)) as reader:
                 flight = save_flight(

@@ -1,6 +1,7 @@
 """Reader for truncated, damaged or untrusted CAN logs in BLF.
 
-Only intact containers are passed to the reader of python-can.
+A BLF file consists of containers, and the containers contain the frames. Only intact containers
+are passed to the reader of python-can.
 """
 
 from __future__ import annotations
@@ -27,9 +28,11 @@ from freeflyer.foundation.errors import RecordError
 
 SIGNATURE, OBJECT = b"LOGG", b"LOBJ"
 LARGEST = 16 * 2**20
-"""Maximum size of a container [bytes], compressed or not; writers use 128 KiB."""
+"""Maximum size of a container [bytes], compressed or decompressed. Writers use 128 KiB."""
 UNPACKED, UNPACKED_A_BYTE = 4 * 2**20, 200
-"""Decompression limit of a file [bytes]: a constant, plus a factor per byte of the file."""
+"""Limit of the decompressed data of a file [bytes].
+
+The limit is `UNPACKED`, plus `UNPACKED_A_BYTE` for each byte of the file."""
 WINDOW = 2**20
 TRIES = 100
 LATEST = 253_402_300_799.0
@@ -39,12 +42,13 @@ LATEST = 253_402_300_799.0
 def copy_frames(
     path: Path, file: BinaryIO, output: BinaryIO | None
 ) -> tuple[int, int | None, int | None, str, bool]:
-    """Copy all frames of intact containers to a new log; without `output`, only check the file.
+    """Copy all frames of intact containers to a new log. If `output` is None, only check the file.
 
-    Return the number of frames, their first and last time [ns since the epoch], a message about
-    lost data, and whether the file is complete. Raises RecordError if it is not a BLF file.
+    Return the number of frames, the earliest time and the latest time [ns since the epoch], a
+    message about lost data, and whether the file is complete. Raises RecordError if the file is
+    not a BLF file.
     """
-    # The reader needs the true size of the file header; other sizes come from other versions.
+    # The reader needs the true size of the file header. Other versions of BLF write another size.
     file.seek(0)
     head = file.read(FILE_HEADER_SIZE)
     if len(head) < FILE_HEADER_SIZE or head[:4] != SIGNATURE:
@@ -54,7 +58,8 @@ def copy_frames(
     size = FILE_HEADER_STRUCT.unpack_from(head)[10]
     head = head[:4] + struct.pack("<L", FILE_HEADER_SIZE) + head[8:]
     log = _Log(file)
-    # Copy frame by frame; an invalid object ends its section.
+    # Copy frame by frame. A section is a sequence of intact containers. After an invalid object,
+    # the rest of its section is lost.
     kept, begin, end, broken = 0, None, None, 0
     writer = None if output is None else can.BLFWriter(output)
     try:
@@ -63,7 +68,7 @@ def copy_frames(
             try:
                 for message in frames:
                     if not 0.0 <= message.timestamp < LATEST:
-                        raise BlfError("time out of range")  # python-can could not write it
+                        raise BlfError("time out of range")  # python-can cannot write it
                     if writer is not None:
                         writer.on_message_received(message)
                     stamp = round(message.timestamp * 1e9)
@@ -75,7 +80,7 @@ def copy_frames(
     finally:
         if writer is not None:
             writer.stop()
-    # Describe the losses.
+    # Describe the lost data.
     parts = []
     if log.skipped:
         parts.append(
@@ -89,11 +94,15 @@ def copy_frames(
 
 
 class BlfError(Exception):
-    """Invalid content of an intact container, which python-can does not check."""
+    """Error for invalid content of an intact container. python-can does not check the content."""
 
 
 class _Log:
-    """The containers of a file. Call `sections` once; then `skipped` and `places` are complete."""
+    """The containers of a file.
+
+    Call `sections` once. Afterwards `skipped` is the number of skipped bytes, and `places` is the
+    number of damaged places.
+    """
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
@@ -105,7 +114,7 @@ class _Log:
     def sections(self, head: bytes) -> Iterator[BinaryIO]:
         """Yield each sequence of intact containers as a separate log with the header `head`.
 
-        An object may continue in the next container, but not after a damaged place.
+        An object may continue in the next container. It cannot continue after a damaged place.
         """
         place, section, after_gap = FILE_HEADER_SIZE, _new_section(head), False
         while place < self.length:
@@ -137,7 +146,10 @@ class _Log:
         yield section
 
     def _container(self, place: int) -> tuple[bytes, bytes, bytes] | None:
-        """Return header, compressed and decompressed content; None for no intact container."""
+        """Return the header, the compressed content and the decompressed content of a container.
+
+        Return None if there is no intact container at `place`.
+        """
         self._file.seek(place)
         base = self._file.read(OBJ_HEADER_BASE_STRUCT.size)
         if len(base) < OBJ_HEADER_BASE_STRUCT.size:
@@ -180,9 +192,11 @@ def _uncompressed_container(content: bytes) -> bytes:
 
 
 def _first_object(content: bytes) -> int:
-    """Return the offset of the first object from which a chain of objects reaches the end.
+    """Return the offset of the first object whose start is in `content`.
 
-    The bytes before it belong to an object whose start is lost.
+    From this offset to the end of `content`, each object is followed by the next object. The bytes
+    before this offset belong to an object whose start is lost. If there is no such object, return
+    the length of `content`.
     """
     begin = content.find(OBJECT)
     for _ in range(TRIES):
@@ -203,7 +217,7 @@ def _first_object(content: bytes) -> int:
 
 
 def _unpacked(data: bytes, allowance: int) -> bytes | None:
-    """Return the decompressed content of a container; None if it is damaged or too large."""
+    """Return the decompressed content, or None if the container is damaged or too large."""
     method, size = LOG_CONTAINER_STRUCT.unpack_from(data)
     packed = data[LOG_CONTAINER_STRUCT.size :]
     if size > min(LARGEST, allowance):
@@ -222,7 +236,10 @@ def _unpacked(data: bytes, allowance: int) -> bytes | None:
 
 
 class _Reader(can.BLFReader):
-    """A reader that rejects objects of size zero, for which python-can loops without end."""
+    """A reader that rejects objects that are smaller than their header.
+
+    At an object of size 0, the reader of python-can would loop without end.
+    """
 
     def _parse_container(self, data: bytes) -> Iterator[can.Message]:
         whole, place = self._tail + data, 0

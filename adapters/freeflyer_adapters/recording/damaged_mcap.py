@@ -1,9 +1,10 @@
-"""Reader for truncated, damaged or untrusted MCAP files; it returns only intact records.
+"""Reader for truncated, damaged or untrusted MCAP files. It returns only intact records.
 
-Messages are read from chunks with a correct checksum. A message outside chunks has no checksum and
-is read only if the file has no chunk. After a damaged place the reader searches for the next chunk.
-Memory is limited by the largest chunk. Time is limited by the file size: decompressed data and
-repeated reading have limits.
+Messages are read from chunks with a correct checksum. A message outside a chunk has no checksum.
+Such messages are read only if the file has no intact chunk. After a damaged place, the reader
+searches for the next chunk. The reader needs memory for only one chunk at a time, and the size of a
+chunk is limited. The amounts of decompressed data and of read data are limited, too. These limits
+depend on the size of the file. Therefore an untrusted file cannot block the reader.
 """
 
 from __future__ import annotations
@@ -32,13 +33,15 @@ FOOTER_SIZE = 20
 LARGEST = 16 * 2**20
 """Maximum size of a record, and of a decompressed chunk [bytes]."""
 UNPACKED, UNPACKED_A_BYTE = 4 * 2**20, 200
-"""Decompression limit of all chunks [bytes]: a constant, plus a factor per byte of the file."""
+"""Limit of the decompressed data of all chunks [bytes].
+
+The limit is `UNPACKED`, plus `UNPACKED_A_BYTE` for each byte of the file."""
 MOST_DEFINITIONS = 2**16 - 1
-"""Maximum number of schemas, and of channels; their IDs have two bytes and start at one."""
+"""Maximum number of schemas, and of channels. The IDs have two bytes and start at one."""
 MOST_OTHERS = 100_000
-"""Maximum number of metadata records and attachments, whose index a writer keeps in memory."""
+"""Maximum number of metadata records and attachments. A writer keeps their index in memory."""
 WORK, WORK_A_BYTE = 4 * 2**20, 8
-"""Limit of bytes that are read: a constant, plus a factor for each byte of the file."""
+"""Limit of the bytes that are read: `WORK`, plus `WORK_A_BYTE` for each byte of the file."""
 DEFINITIONS = 64 * 2**20
 """Maximum size of all schemas and channels [bytes]."""
 NEXT_CHUNK = re.compile(rb"\x06[\s\S]{4}\x00{4}")
@@ -59,7 +62,7 @@ R = TypeVar("R", Schema, Channel, Metadata, Attachment, Statistics)
 
 @dataclass(frozen=True)
 class WholeMessage:
-    """An intact message with its definitions; times in ns since the epoch."""
+    """An intact message with its channel and schema. Times are in ns since the epoch."""
 
     channel: Channel
     schema: Schema | None
@@ -76,14 +79,14 @@ Whole = WholeMessage | Metadata | Attachment
 class Damage:
     """Damage of a file.
 
-    `is_whole`: the file has a correct end, and nothing was skipped. `expected`: number of messages
-    in the file's statistics.
+    `is_whole`: the file has a correct end, and nothing was skipped. `places`: number of damaged
+    places. `expected`: number of messages in the file's statistics.
     """
 
     is_whole: bool = False
     places: int = 0
     skipped: int = 0
-    """Bytes."""
+    """Number of skipped bytes."""
     undefined: int = 0
     """Number of messages whose channel or schema is missing in the file."""
     expected: int | None = None
@@ -93,7 +96,7 @@ class Damage:
 
 @dataclass
 class DamagedMcap:
-    """A damaged file. Call `records` once; `damage` is complete afterwards."""
+    """A damaged file. Call `records` once. Afterwards `damage` is complete."""
 
     file: BinaryIO
     damage: Damage = field(default_factory=Damage)
@@ -114,14 +117,16 @@ class DamagedMcap:
     def records(self, tail: int | None = None) -> Iterator[Whole]:
         """Yield all intact records.
 
-        With `tail`, skip chunks before the last `tail` bytes; `damage` is then not meaningful.
+        If `tail` is given, skip the chunks before the last `tail` bytes of the file. In this case,
+        `damage` is not meaningful.
         """
-        # Definitions at the end of the file replace damaged ones at the start.
+        # Read the definitions at the end of the file first. The definitions at the start may be
+        # damaged.
         self._take_summary()
         damage, place = self.damage, len(MAGIC) if self.has_magic else 0
         if not self.has_magic:
             place = self._skip(0, 0)
-        # Read record by record; skip what is not intact.
+        # Read record by record, and skip damaged places.
         first_record = place
         while place < self.size and not self._ended:
             length = self._length(place)
@@ -151,7 +156,7 @@ class DamagedMcap:
         return self.file.read(size)
 
     def _length(self, place: int) -> int | None:
-        """Return the length of the record at `place`; None if no record can start there."""
+        """Return the length of the record at `place`, or None if no record can start at `place`."""
         head = self._read(place, HEAD.size)
         if len(head) < HEAD.size:
             return None
@@ -176,13 +181,16 @@ class DamagedMcap:
         return bool(length == CHUNK.size + name + 8 + data)
 
     def _taken(self, place: int, length: int) -> list[Whole] | Iterator[Whole] | None:
-        """Return the records to yield; None if the record at `place` is damaged."""
-        # Every read counts against the limit.
+        """Read the record at `place` and return the records to yield.
+
+        Return None if the record at `place` is damaged.
+        """
+        # The limit applies to the sum of all reads.
         self._work_left -= length
         if self._work_left < 0:
             self.damage.exhausted = True
             return None
-        # Records without content for the caller.
+        # The content of these records is not needed.
         opcode = self._read(place, 1)[0]
         if (
             opcode
@@ -203,7 +211,7 @@ class DamagedMcap:
             if self._others > MOST_OTHERS:
                 self.damage.exhausted = True
                 return None
-        # Records whose content is parsed.
+        # The content of the following records is parsed.
         body = self._read(place + HEAD.size, length)
         match opcode:
             case Opcode.CHUNK:
@@ -239,9 +247,10 @@ class DamagedMcap:
         )
 
     def _define(self, opcode: int, body: bytes, *, checked: bool = False) -> bool:
-        """Store a schema or channel; return whether it is valid.
+        """Store a schema or channel. Return whether the record is valid.
 
-        The first definition of an ID is kept, but one with a checksum replaces one without.
+        If an ID has several definitions, the first definition is kept. But a definition with a
+        checksum (`checked`) replaces a definition without a checksum.
         """
         schema = _parsed(Schema, body) if opcode == Opcode.SCHEMA else None
         channel = _parsed(Channel, body) if opcode == Opcode.CHANNEL else None
@@ -304,7 +313,7 @@ class DamagedMcap:
         return WholeMessage(channel, schema, sequence, log_time, publish_time, body[MESSAGE.size :])
 
     def _outside_chunks(self, place: int) -> Iterator[Whole]:
-        """Yield messages of a file without chunks, up to its first damaged place."""
+        """Yield the messages of a file without chunks, up to the first damaged place."""
         while place < self.size:
             length = self._length(place)
             if length is None:
@@ -318,9 +327,10 @@ class DamagedMcap:
     # Damaged places
 
     def _skip(self, place: int, length: int | None) -> int:
-        """Return where reading continues after a damaged place.
+        """Return the place at which reading continues after a damaged place.
 
-        This is the next record if the length is correct, else the next chunk, else the end.
+        If the length of the damaged record is correct, reading continues at the next record.
+        Otherwise reading continues at the next chunk, or at the end if there is no further chunk.
         """
         self.damage.places += 1
         following = self.size
@@ -339,7 +349,7 @@ class DamagedMcap:
         return following
 
     def _next_chunk(self, place: int) -> int:
-        size = FIRST_WINDOW  # small at first, because damaged places may be close to each other
+        size = FIRST_WINDOW  # a small window first: damaged places may be close to each other
         while place < self.size:
             window = self._read(place, size + HEAD.size - 1)
             for found in NEXT_CHUNK.finditer(window):
@@ -379,7 +389,7 @@ def _inside(data: bytes) -> Iterator[tuple[int, int, int]]:
 
 
 def _unpacked(compression: bytes, packed: bytes, size: int) -> bytes:
-    """Decompress a chunk to at most `size` + 1 bytes, whatever size the data claims."""
+    """Decompress a chunk. Stop after `size` + 1 bytes, even if there is more data."""
     if compression == b"":
         return packed
     if compression == b"lz4":
@@ -392,9 +402,9 @@ def _unpacked(compression: bytes, packed: bytes, size: int) -> bytes:
 
 
 def _parsed(kind: type[R], body: bytes) -> R | None:
-    """Parse a record with mcap; return None if mcap would not write the same bytes.
+    """Parse a record with mcap. Return None if mcap would not write the same bytes.
 
-    Fields of later versions may follow.
+    Further bytes at the end are permitted, because later versions of MCAP may add fields.
     """
     try:
         record: R = kind.read(ReadDataStream(BytesIO(body)))

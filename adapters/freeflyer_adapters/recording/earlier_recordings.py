@@ -1,4 +1,4 @@
-"""Recordings of earlier runs in the directory of a new run: unfinished ones are renamed."""
+"""Renaming or removal of earlier recordings in the directory of a new run."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ from freeflyer_adapters.recording.recording_file import RECORDING
 def set_aside(directory: Path, channels: Sequence[CanChannel], can_format: str) -> None:
     """Prepare the directory of a run for a new recording.
 
-    An unfinished recording of an earlier run is renamed: all its parts and its CAN log. The parts
-    of a finished one are removed, so that they cannot be confused with parts of the new run.
+    If the earlier recording is unfinished, all its parts and its CAN logs are renamed. If the
+    earlier recording is finished, its parts are removed. Otherwise these parts could be confused
+    with the parts of the new run.
     """
     with contextlib.suppress(OSError):
         found = parts(directory)

@@ -20,22 +20,24 @@ from freeflyer_adapters.recording.recording_file import RUN, STARTED, STOP
 from freeflyer_adapters.recording.topics import COLUMNS, LOOP
 
 FIRST = 20
-"""Offset of the numbers in a message with an empty frame ID: after encapsulation, stamp, text and
-alignment."""
+"""Offset of the numbers in a message with an empty frame ID [bytes].
+
+The encapsulation header, the stamp, the frame ID and padding are before the numbers."""
 LOOP_NUMBERS = ("monotonic_ns", "instant", "time")
-"""First numbers of the loop's message: two integers and the time of the scenario."""
+"""First numbers in a message of the loop: two integers, then the time of the scenario [s]."""
 
 Found = dict[tuple[str, str], tuple[str, str, list[int], list[bytes]]]
-"""Topic, columns, times and messages, by topic and columns."""
+"""Topic, columns, times and messages of each topic. The key contains the topic and the columns."""
 
 
 def read_recording(path: str | Path) -> pandas.DataFrame:
     """Read a file, or all parts of the recording in the directory of a run.
 
-    The table has one row per instant and one column per element: `time` [s], the signals, the
-    states and counters of the loop, and the clocks. `.attrs` contains `units`, `run` and `stop`;
-    the last two are empty if the file lacks them. The intact data of unfinished or damaged files
-    is read. Raises RecordError if the file is not a recording of a loop.
+    The table has one row per instant. The columns are `time` [s], the elements of the signals, the
+    states and counters of the loop, and the clocks. The attribute `attrs` of the table contains
+    `units`, `run` and `stop`. `run` and `stop` are empty if the file does not contain them. If a
+    file is unfinished or damaged, its intact data is read. Raises RecordError if the file is not a
+    recording of a loop.
     """
     path = Path(path)
     found: Found = {}
@@ -52,13 +54,11 @@ def read_recording(path: str | Path) -> pandas.DataFrame:
         return _joined(found, metadata)
     except (ValueError, TypeError, KeyError, RecursionError, OverflowError, MemoryError) as error:
         text = " ".join(str(error).split())[:200]
-        raise RecordError(
-            f"{path}: its messages are not those of a recording of a loop: {text}"
-        ) from error
+        raise RecordError(f"{path} is not a valid recording of a loop: {text}") from error
 
 
 def _take(path: Path, found: Found, metadata: dict[str, dict[str, str]]) -> None:
-    """Add messages and metadata of a file; stop if the file belongs to another run."""
+    """Add the messages and metadata of a file. Stop if the file belongs to another run."""
     with path.open("rb") as file:
         for record in DamagedMcap(file).records():
             if isinstance(record, WholeMessage):
@@ -116,7 +116,9 @@ def _table(
         any(s.size < 1 or len(s.units) != s.size for s in signals)
         or sum(s.size for s in signals) > WIDEST
     ):
-        raise ValueError("sizes and units of its columns do not match, or it has too many columns")
+        raise ValueError(
+            "the sizes and units of the columns do not match, or there are too many columns"
+        )
     names = [column for signal in signals for column in signal.columns]
     units = dict(
         zip(names, (unit or "" for signal in signals for unit in signal.units), strict=True)
@@ -124,7 +126,7 @@ def _table(
     before = LOOP_NUMBERS if topic == LOOP else ()
     width = len(before) + len(names)
     if any(len(message) != FIRST + 8 * width for message in data):
-        raise ValueError("the length of a message does not match its columns")
+        raise ValueError("the length of a message does not match the columns")
     integers = np.frombuffer(b"".join(message[FIRST:] for message in data), dtype="<i8").reshape(
         len(data), width
     )

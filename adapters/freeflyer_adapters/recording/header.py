@@ -1,6 +1,7 @@
-"""Recording header: description of a recording as JSON at the start of its ring.
+"""Recording header: a description of the recording, stored as JSON at the start of a ring.
 
-With the header a ring can be read after all processes of its run have ended.
+A ring is a ring buffer in shared memory (`freeflyer_adapters.recording.ring`). With the header, a
+ring can be read even after all processes of the run have ended.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from freeflyer.foundation.errors import RecordError
 from freeflyer.master.record import Signal
 
 WIDEST = 100_000
-"""Maximum number of columns of a row; a header with more is rejected."""
+"""Maximum number of columns of a row. A header with more columns is rejected."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,8 +33,8 @@ class CanChannel:
 class RecordingHeader:
     """The header of a recording.
 
-    `tick`: time between two instants [ns]. `loop`: columns of the loop after the signals, states
-    first, then counters.
+    `tick`: time between two instants [ns]. `loop`: names of the columns after the signals. The
+    states of the devices are first, then the counters.
     """
 
     scenario: str
@@ -49,15 +50,17 @@ class RecordingHeader:
     """Names of the signals that `[record]` selects."""
     loop: Sequence[str]
     origin: Mapping[str, Any]
-    """See freeflyer.master.provenance.Provenance."""
+    """Provenance of the run, see freeflyer.master.provenance.Provenance."""
     versions: Mapping[str, str]
     records: bool = True
-    """Whether the whole run is recorded, or only its last seconds."""
+    """True: the whole run is recorded. False: only the last seconds are recorded."""
     can: Sequence[CanChannel] = ()
     can_format: str = "blf"
     clock_offset: int | None = None
-    """Wall clock minus monotonic clock at the start [ns]; None if the recorder has other clocks,
-    and in rings of earlier versions."""
+    """Wall clock minus monotonic clock at the start [ns].
+
+    None if the recorder cannot read the clocks of the loop (virtual time). Also None in rings of
+    earlier versions."""
 
     @property
     def width(self) -> int:
@@ -104,16 +107,20 @@ class RecordingHeader:
             if not all(isinstance(text, str) for text in texts) or not isinstance(
                 head.origin, dict
             ):
-                raise ValueError("a text has another type")
+                raise ValueError("a value that must be a text has another type")
             if (
                 type(head.tick) is not int
                 or head.tick <= 0
                 or type(head.started) is not int
                 or not 0 < head.width <= WIDEST
             ):
-                raise ValueError("a number has another type or is out of range")
+                raise ValueError(
+                    "a value that must be a number has another type or is out of range"
+                )
             if head.clock_offset is not None and type(head.clock_offset) is not int:
-                raise ValueError("a number has another type or is out of range")
+                raise ValueError(
+                    "a value that must be a number has another type or is out of range"
+                )
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
             raise RecordError(f"the header of a ring is invalid: {error}") from error
         return head

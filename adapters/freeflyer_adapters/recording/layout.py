@@ -31,11 +31,11 @@ class Place:
 class Layout:
     """The layout of a message.
 
-    Add the fields in the order of the message definition; `bytes_of` then serialises rows.
+    Add the fields in the order of the message definition. Then `bytes_of` serialises rows.
     """
 
     def __init__(self, frame: str) -> None:
-        """Start the message with a std_msgs/Header with the frame ID `frame`."""
+        """Start the message with a std_msgs/Header, whose frame ID is `frame`."""
         self._template = bytearray(ENCAPSULATION + bytes(8))
         self._places: list[Place] = []
         self.text(frame)
@@ -47,7 +47,7 @@ class Layout:
         self._template += struct.pack("<I", len(data)) + data
 
     def length(self, count: int) -> None:
-        """Add the length of a sequence whose elements follow."""
+        """Add the length of a sequence. Add the elements after this call."""
         self._align(4)
         self._template += struct.pack("<I", count)
 
@@ -59,7 +59,7 @@ class Layout:
             self._template += bytes(8 * size)
 
     def zeros(self, size: int) -> None:
-        """Add `size` zeros of eight bytes."""
+        """Add `size` numbers of eight bytes that are zero."""
         self._align(8)
         self._template += bytes(8 * size)
 

@@ -1,7 +1,7 @@
-"""Parts of a long recording: `recording.mcap`, `recording_2.mcap`, ..., each a complete file.
+"""Parts of a long recording: `recording.mcap`, `recording_2.mcap`, and so on.
 
-The mcap writer keeps the index of all chunks in memory until the end of the file. A new part
-therefore starts before a file is large.
+Each part is a complete MCAP file. The mcap writer keeps the index of all chunks in memory until the
+end of the file. Therefore a new part is started before this index is large.
 """
 
 from __future__ import annotations
@@ -33,10 +33,14 @@ from freeflyer_adapters.recording.ring import RingReader, Rows
 from freeflyer_adapters.recording.topics import topics
 
 PART_SECONDS = 300.0
-"""Length of a part in real time. The index grows by some MiB per minute. Writing it takes 0.08 to
-0.15 s (26 topics); in this time no CAN frame is read, and the sockets buffer 0.3 s at 1 kHz."""
+"""Length of a part in real time [s].
+
+The index grows by some MiB per minute. Writing the index takes 0.08 to 0.15 s (26 topics). During
+this time no CAN frame is read. The sockets buffer the frames of 0.3 s at 1 kHz."""
 NEXT = "freeflyer.next"
-"""Metadata with the name of the next part, at the end of every part except the last."""
+"""Name of the metadata at the end of every part except the last part.
+
+This metadata contains the file name of the next part."""
 PART = re.compile(rf"{Path(RECORDING).stem}_([1-9][0-9]{{0,5}})\.mcap")
 
 
@@ -57,7 +61,7 @@ def parts(directory: Path) -> list[Path]:
 
 
 class PartedRecording:
-    """Writer of a recording in parts. All methods raise the OSError of the disk."""
+    """Writer of a recording in parts. All methods raise OSError if the disk reports an error."""
 
     def __init__(self, head: RecordingHeader) -> None:
         self._head, self._signals = head, chosen(head)
@@ -77,7 +81,7 @@ class PartedRecording:
         return file
 
     def add(self, rows: Rows) -> None:
-        """Add rows; start the next part when the present one is full."""
+        """Add rows. Start the next part when the present part is full."""
         while len(rows):
             if not self._left:
                 self._change()
@@ -86,9 +90,10 @@ class PartedRecording:
             self._left -= len(now)
 
     def _change(self) -> None:
-        """Start the next part, then finish the previous one.
+        """Start the next part, then finish the previous part.
 
-        In this order a run that is killed in between has an unfinished part.
+        A run may be killed between these two steps. In this order, at least one part is then
+        unfinished, so the recording is recognised as unfinished.
         """
         with self._stream:
             before, self._file = self._file, self._next()
@@ -97,7 +102,8 @@ class PartedRecording:
     def flush(self) -> None:
         """Flush complete chunks.
 
-        Raises OSError also if the file was deleted or replaced, because its data would be lost.
+        Raises OSError also if the file was deleted or replaced, because all further data would be
+        lost.
         """
         self._file.flush()
         found = os.stat(self.paths[-1])
@@ -111,7 +117,7 @@ class PartedRecording:
 
 
 def started(path: Path) -> str | None:
-    """Return the start of the run from the metadata of a part; None if it is missing."""
+    """Return the start of the run from the metadata of a part, or None if it is missing."""
     try:
         with path.open("rb") as file:
             for record in DamagedMcap(file).records():
@@ -125,10 +131,10 @@ def started(path: Path) -> str | None:
 
 
 def save_rest(ring: RingReader, recorder: str, clock_steps: Sequence[str] = ()) -> Path | None:
-    """Write the rows that are in the ring but not in the recording as a further part.
+    """Write a further part with the rows that are in the ring but not in the recording.
 
-    Return its path; None if nothing is missing, or if the run is not recorded. Raises OutputError
-    if the part cannot be written.
+    Return the path of this part. Return None if no row is missing, or if the run is not recorded.
+    Raises OutputError if the part cannot be written.
     """
     head = ring.head
     rows = ring.everything()
@@ -137,9 +143,9 @@ def save_rest(ring: RingReader, recorder: str, clock_steps: Sequence[str] = ()) 
     directory = Path(head.directory)
     there = parts(directory) if directory.is_dir() else []
     ours = [path for path in there if started(path) == str(head.started)]
-    # Find the topics that the last two parts lack at each instant of the ring.
+    # For each instant in the ring, find the topics that are missing in the last two parts.
     made = topics(head, chosen(head))
-    # Upper limit of the size of these rows; compression makes them smaller.
+    # Upper limit of the size of these rows in a file. Compression makes the rows smaller.
     enough = (len(rows) + 1000) * sum(topic.layout.size + MESSAGE_OVERHEAD for topic in made)
     has = _recorded(ours[-2:], set(rows.times[:, 0].tolist()), enough)
     every = {topic.name for topic in made}
@@ -151,13 +157,12 @@ def save_rest(ring: RingReader, recorder: str, clock_steps: Sequence[str] = ()) 
         file = RecordingFile(stream, head, chosen(head), CHUNK_SECONDS)
         whole = np.array([names == every for names in absent])
         for i in np.flatnonzero([bool(names) and names != every for names in absent]):
-            file.add(
-                rows.where(np.arange(len(rows)) == i), absent[i]
-            )  # a chunk ended in the middle of this instant
+            # The last chunk in the recording ended in the middle of this instant.
+            file.add(rows.where(np.arange(len(rows)) == i), absent[i])
         file.add(rows.where(whole))
         file.finish(stop_of(ring, recorder, clock_steps))
 
-    # Parts of another run are not continued; the rows then go to a file of another name.
+    # Do not add a part to the recording of another run. Use a file with another name instead.
     if len(ours) == len(there):
         return save(part(directory, number_of(there[-1]) + 1 if there else 1), write)
     return save(directory / f"{Path(RECORDING).stem}_of_{head.started}_rest.mcap", write)
@@ -170,7 +175,7 @@ def number_of(path: Path) -> int:
 
 
 def _recorded(paths: list[Path], times: set[int], tail: int) -> dict[int, set[str]]:
-    """Return the topics at the end of the parts, by time [ns since the epoch]."""
+    """Return the topics in the last `tail` bytes of the parts, by time [ns since the epoch]."""
     found: dict[int, set[str]] = defaultdict(set)
     for path in paths:
         with path.open("rb") as file:

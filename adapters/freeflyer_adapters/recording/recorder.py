@@ -1,8 +1,10 @@
 """Recorder: a separate process that reads the ring of a loop and writes the recording.
 
-The recorder survives the loop. The end of the loop, or its crash, closes the pipe between them.
-The recorder then writes the remaining rows, index, summary and the flight recording. It reports
-the written files in one line of JSON and removes the ring. Its errors do not affect the loop.
+A ring is a ring buffer in shared memory (`freeflyer_adapters.recording.ring`). When the loop ends
+or crashes, the pipe between loop and recorder is closed. The recorder then writes the remaining
+rows, the index, the summary and the flight recording. The flight recording contains the last
+seconds before the stop. The recorder removes the ring, and reports the written files in one line
+of JSON. Errors of the recorder do not affect the loop.
 """
 
 from __future__ import annotations
@@ -29,12 +31,12 @@ from freeflyer_adapters.recording.wall_clock import WallClock
 PERIOD = 0.05
 """Time between two reads of the ring [s]."""
 NICE = -10
-"""Nice value, where permitted."""
+"""Nice value of the recorder, if the system permits it."""
 BATCH = 1000
-"""Rows per read."""
+"""Maximum number of rows per read."""
 READY = "ready"
 GOODBYE = b"."
-"""Sent by the loop at its regular end."""
+"""Byte that the loop sends at its regular end."""
 
 
 @dataclass(kw_only=True)
@@ -57,7 +59,7 @@ class Written:
 class Recorder:
     """The recorder of a loop. Call `step` while the loop runs, then `finish`.
 
-    Errors of the disk or a bus are reported, never raised.
+    Errors of a disk or of a bus are reported and never raised.
     """
 
     def __init__(self, ring: RingReader, complain: Callable[[str], None]) -> None:
@@ -84,7 +86,7 @@ class Recorder:
 
     @contextlib.contextmanager
     def _watched(self, subject: str) -> Iterator[None]:
-        """Report an error once and add it to the result; the other outputs continue."""
+        """Report an error once and add the error to the result. The other outputs continue."""
         try:
             yield
         except (OSError, CosimError, DeviceError) as error:
@@ -94,12 +96,13 @@ class Recorder:
 
     def step(self) -> None:
         """Write all frames and rows since the last call."""
-        self._take_frames()  # first, because frame buffers are smaller than the ring
+        # Take the frames first, because the buffers of the frames are smaller than the ring.
+        self._take_frames()
         self._check_clock()
         behind = True
         while behind:
             rows = self.ring.take(BATCH)
-            # Stop at an incomplete batch; new rows might otherwise keep this loop running.
+            # Stop at an incomplete batch. Otherwise new rows might keep this loop running.
             behind = len(rows) == BATCH
             if self._file is not None:
                 file, self._file = self._file, None
@@ -149,7 +152,10 @@ class Recorder:
 
 
 def follow(recorder: Recorder, pipe: int, loop: int) -> None:
-    """Record until the loop sends `GOODBYE` or closes the pipe; `loop` is its process ID."""
+    """Record until the loop sends `GOODBYE` or closes the pipe.
+
+    `loop` is the process ID of the loop.
+    """
     waiting = select.poll()
     waiting.register(pipe, select.POLLIN | select.POLLHUP)
     has_priority = False
@@ -157,7 +163,8 @@ def follow(recorder: Recorder, pipe: int, loop: int) -> None:
         recorder.step()
         if recorder.written.rows and not has_priority:
             has_priority = True
-            # CAN frames are lost on a busy machine; a loop under SCHED_FIFO still runs first.
+            # On a busy machine, a recorder with normal priority loses CAN frames. A loop under
+            # SCHED_FIFO still has a higher priority than the recorder.
             with contextlib.suppress(OSError, AttributeError):
                 if os.sched_getscheduler(loop) == os.SCHED_FIFO:
                     os.nice(NICE)
@@ -171,7 +178,7 @@ def main(path: str) -> int:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     if hasattr(signal, "SIGXFSZ"):
-        # A file that exceeds the limit then raises OSError, which is reported.
+        # If a file exceeds the size limit, writing now raises OSError. This error is reported.
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     pacing.leave_real_time()
 
@@ -186,7 +193,8 @@ def main(path: str) -> int:
     follow(recorder, sys.stdin.fileno(), os.getppid())
     written = recorder.finish()
     if written.flight is not None or ring.written == 0:
-        ring.remove()  # otherwise the ring is the only copy of the data
+        # Without a flight recording, the ring is not removed: it is the only copy of the data.
+        ring.remove()
     with contextlib.suppress(OSError):
         print(json.dumps(asdict(written)), flush=True)
     with contextlib.suppress(OSError):

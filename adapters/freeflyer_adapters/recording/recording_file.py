@@ -25,16 +25,21 @@ from freeflyer_adapters.recording.ring import RingReader, Rows
 from freeflyer_adapters.recording.topics import topics
 
 CHUNK_SECONDS = 0.05
-"""Length of a chunk in real time; an incomplete chunk is lost if its writer is killed."""
+"""Length of a chunk in real time [s]. An incomplete chunk is lost if the writer is killed."""
 DEFINITIONS_EVERY = 5.0
-"""Time after which schemas and channels are repeated [s], for reading after a damaged place."""
+"""Time after which the schemas and channels are written again [s].
+
+A reader needs them to read the messages after a damaged place."""
 FLIGHT_SECONDS = 2.0
 RECORDING, FLIGHT = "recording.mcap", "flight_recording.mcap"
 RUN, STOP = "freeflyer.run", "freeflyer.stop"
-"""Metadata of a file: the run, at the start; the reason of the stop, at the end."""
+"""Names of metadata in a file.
+
+`RUN` describes the run and is at the start of the file. `STOP` contains the reason of the stop and
+is at the end of the file."""
 STARTED = "started_ns"
 CLOCK_STEPS = "clock steps"
-"""Key of the metadata at the end: one line for each step of the wall clock, if any."""
+"""Key in the metadata `STOP`. The value has one line for each step of the wall clock."""
 ORIGIN = "origin.json"
 MESSAGE_OVERHEAD = 31
 """Bytes of a message record in addition to its data."""
@@ -43,7 +48,7 @@ SILENT = "the controllers' process ended without a reported reason"
 
 @cache
 def library() -> str:
-    """Return name and version of the writing software."""
+    """Return the names and versions of the software that writes the file."""
     return f"freeflyer-cosim {version('freeflyer-cosim')}; mcap {version('mcap')}"
 
 
@@ -60,7 +65,7 @@ class RecordingFile:
         self._topics = topics(head, signals)
         a_row = sum(topic.layout.size + MESSAGE_OVERHEAD for topic in self._topics)
         rows = max(1, round(chunk_seconds * 1e9 / head.tick))
-        # The mcap writer ends a chunk by its size; all rows have the same size.
+        # The mcap writer ends a chunk when it has a given size. All rows have the same size.
         self._writer = Writer(stream, chunk_size=a_row * rows - 1, compression=CompressionType.ZSTD)
         self._stream, self._number, self._repeated = stream, 0, -1
         self._writer.start(profile="ros2", library=library())
@@ -102,7 +107,10 @@ class RecordingFile:
         self._repeat_rows = max(1, round(DEFINITIONS_EVERY * 1e9 / head.tick))
 
     def add(self, rows: Rows, only: Collection[str] | None = None) -> None:
-        """Add the messages of all rows, or only of the topics `only`, with the rows' wall time."""
+        """Add the messages of all rows. The time of a message is the wall time of its row.
+
+        If `only` is given, add only the messages of these topics.
+        """
         if not len(rows):
             return
         if self._number // self._repeat_rows > self._repeated:
@@ -121,15 +129,15 @@ class RecordingFile:
             self._number += 1
 
     def flush(self) -> None:
-        """Flush complete chunks, so that they survive this process."""
+        """Flush complete chunks. Flushed chunks survive a killed process."""
         self._stream.flush()
 
     def finish(self, stop: Mapping[str, str]) -> None:
-        """Write the reason of the stop, index and summary."""
+        """Write the reason of the stop, the index and the summary."""
         self.end(stop, STOP)
 
     def end(self, last: Mapping[str, str], name: str) -> None:
-        """Write the metadata `last` with this name, index and summary."""
+        """Write the metadata `last` with the name `name`, the index and the summary."""
         self._writer.add_metadata(name, dict(last))
         self._writer.finish()  # type: ignore[no-untyped-call]
         self._stream.flush()
@@ -141,7 +149,7 @@ def chosen(head: RecordingHeader) -> list[Signal]:
 
 
 def stop_of(ring: RingReader, recorder: str, clock_steps: Sequence[str] = ()) -> dict[str, str]:
-    """Return the metadata `STOP`; `clock_steps`: messages about steps of the wall clock."""
+    """Return the metadata `STOP`. `clock_steps`: messages about steps of the wall clock."""
     stop = {
         "reason": ring.reason or SILENT,
         "rows written by the loop": str(ring.written),
@@ -154,9 +162,9 @@ def stop_of(ring: RingReader, recorder: str, clock_steps: Sequence[str] = ()) ->
 def save_flight(
     ring: RingReader, recorder: str, name: str = FLIGHT, clock_steps: Sequence[str] = ()
 ) -> Path | None:
-    """Write all signals of the last seconds before the stop; return the path of the file.
+    """Write all signals of the last seconds before the stop. Return the path of the file.
 
-    Return None if the ring has no row. See `save` for another directory and errors.
+    Return None if the ring has no row. `save` describes the directory of the file and the errors.
     """
     rows = ring.last(FLIGHT_SECONDS)
     if not len(rows):
@@ -175,16 +183,17 @@ def write_rows(
     recorder: str,
     clock_steps: Sequence[str] = (),
 ) -> None:
-    """Write a complete file with rows of a ring."""
+    """Write a complete MCAP file with the rows `rows` of a ring."""
     file = RecordingFile(stream, ring.head, signals, FLIGHT_SECONDS / 4)
     file.add(rows)
     file.finish(stop_of(ring, recorder, clock_steps))
 
 
 def save(path: Path, write: Callable[[BinaryIO], object]) -> Path:
-    """Write a file to `path`; if that fails, to a private temporary directory.
+    """Write a file to `path`. If this fails, write it to a private temporary directory.
 
-    Return the path of the file. Raises OutputError if both fail.
+    Return the path of the written file. Raises OutputError if the file cannot be written to either
+    place.
     """
 
     def write_partial(partial: Path) -> None:
@@ -205,7 +214,7 @@ def save(path: Path, write: Callable[[BinaryIO], object]) -> Path:
 def fallback() -> Path:
     """Return a private directory for files of runs whose directory cannot be written.
 
-    Raises OutputError if it cannot be created.
+    Raises OutputError if this private directory cannot be created.
     """
     path = Path(tempfile.gettempdir()) / f"freeflyer-recordings-{os.getuid()}"
     if refused := private_directory.made(path):

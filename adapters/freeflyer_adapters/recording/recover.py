@@ -36,8 +36,9 @@ Progress = Callable[[int, int], None]
 class Recovered:
     """The result of a recovery.
 
-    `kept`: number of messages or frames from `begin` to `end` [ns since the epoch]. `path`: the
-    new file; None if none was necessary.
+    `kept`: number of recovered messages or frames. `begin`, `end`: earliest and latest time of
+    these messages or frames [ns since the epoch]. `path`: the new file. It is None if no new file
+    was necessary.
     """
 
     source: Path
@@ -70,9 +71,10 @@ class Recovered:
 def recover(path: Path, out: Path | None = None, progress: Progress | None = None) -> Recovered:
     """Recover a recording, a CAN log or a ring.
 
-    Raises RecordError if the file is none of them, OutputError if the result cannot be written.
+    Raises RecordError if the file is not a recording, a CAN log or a ring. Raises OutputError if
+    the result cannot be written.
     """
-    # A ring becomes files in the directory of its run.
+    # The data of a ring is written to files in the directory of the run.
     suffix = path.suffix.lower()
     if suffix == ".ring":
         if out is not None:
@@ -82,14 +84,14 @@ def recover(path: Path, out: Path | None = None, progress: Progress | None = Non
         return _ring_result(path, saved)
     if suffix not in SUFFIXES:
         raise RecordError(
-            f"{path} has none of the names of a recording (.mcap), a CAN log (.blf) or a ring (.ring)"
+            f"{path}: the name of a recording (.mcap), a CAN log (.blf) or a ring (.ring) is expected"
         )
-    # A file is copied only if a first pass finds damage, or if `out` is given.
+    # A file is copied if a first pass finds damage, or if `out` is given.
     target = out or path.with_name(f"{path.stem}_recovered{path.suffix}")
     with _opened(path) as file:
         if target.exists() and os.path.samefile(target, path):
             raise RecordError(
-                f"--out {target} is the damaged file itself, which is not changed; another name is expected"
+                f"--out {target} is the damaged file itself, but a recovery must write a new file; choose another name"
             )
         found: list[Recovered] = []
         if out is None:
@@ -111,24 +113,33 @@ def recover(path: Path, out: Path | None = None, progress: Progress | None = Non
 
 
 def _reject_foreign_ring(path: Path) -> None:
-    """Raise RecordError for an untrusted ring, because its header chooses the output directory."""
+    """Raise RecordError if a ring is not trusted.
+
+    The header of a ring selects the directory of the output. A ring is trusted if it is in this
+    directory, or in the user's directory of rings.
+    """
     if path.absolute().parent not in (folder().absolute(), _directory_of(path)):
         raise RecordError(
-            f"ring {path} would write into {_directory_of(path)}, but is neither in that directory nor in {folder()}; move it to {folder()} "
-            f"if you trust it"
+            f"ring {path} would be saved in {_directory_of(path)}, but the ring is neither in this directory nor in {folder()}; "
+            f"move the ring to {folder()} if you trust it"
         )
 
 
 def copy_whole(
     path: Path, file: BinaryIO, output: BinaryIO | None, progress: Progress | None = None
 ) -> Recovered:
-    """Copy the intact data of a CAN log (.blf) or recording; without `output`, only check it."""
+    """Copy the intact data of a CAN log (.blf) or of a recording to `output`.
+
+    If `output` is None, only check the file.
+    """
     copy = _copy_frames if path.suffix.lower() == ".blf" else _copy_messages
     return copy(path, file, output, progress)
 
 
 def unfinished(directory: Path) -> Iterator[Path]:
-    """Yield the files in the directory of a run that `recover` accepts, and the run's old rings.
+    """Yield the rings of ended runs in `directory`, then the files that `recover` accepts.
+
+    The results of earlier recoveries are left out.
 
     Raises RecordError if the directory cannot be read.
     """
@@ -141,7 +152,7 @@ def unfinished(directory: Path) -> Iterator[Path]:
 
 
 def rings_of(directory: Path) -> Iterator[Path]:
-    """Yield the rings of runs in this directory whose loop and recorder have both ended."""
+    """Yield the rings of runs in this directory, if loop and recorder of the run have ended."""
     for path in sorted(folder().glob("*.ring")):
         try:
             if is_left_behind(path) and _directory_of(path) == directory.absolute():
@@ -186,7 +197,7 @@ def _opened(path: Path) -> Iterator[BinaryIO]:
 def _copy_messages(
     path: Path, file: BinaryIO, stream: BinaryIO | None, progress: Progress | None
 ) -> Recovered:
-    """Copy all intact messages to a new file; without `stream`, only check the file."""
+    """Copy all intact messages to a new file. If `stream` is None, only check the file."""
     source = DamagedMcap(file)
     kept, begin, end, others = 0, LATEST, EARLIEST, 0
     output = None if stream is None else _Output(stream)
@@ -224,13 +235,15 @@ def _lost(damage: Damage, kept: int) -> str:
             f"{damage.skipped} bytes in {damage.places} place{'s' * (damage.places > 1)} could not be read"
         )
     if damage.undefined:
-        parts.append(f"{damage.undefined} messages lost because the file lacks their definition")
+        parts.append(
+            f"{damage.undefined} messages lost because their definition is missing in the file"
+        )
     if damage.exhausted:
         parts.append(
             "reading was aborted: the file needs more memory or time than the limits for its size"
         )
     if not parts and not damage.is_whole:
-        parts.append("the end was missing; index and summary are new")
+        parts.append("the end was missing; the index and the summary were written again")
     return ", ".join(parts)
 
 

@@ -1,17 +1,27 @@
 """Ring buffer in shared memory with the last seconds of a loop: one row for every instant.
 
-The buffer is a file in the user's runtime directory or /dev/shm and survives the loop. A write only
-copies numbers, without lock, system call or allocation. The file contains a page with the numbers
-below, the recording header as JSON, and the rows. A row is [number + 1, wall time (ns), monotonic
-clock (ns), instant k], the values, and number + 1 again. Both copies are zero while the row is
-written, so that a reader can reject a torn row. (On x86 stores are visible in order. On other
-processors the second copy makes a torn row unlikely, but not impossible.)
+The buffer is a file in the user's runtime directory or in /dev/shm. The file remains when the loop
+ends. A write only copies numbers. It needs no lock, no system call and no allocation.
 
-The wall time is the monotonic clock plus a constant offset, `clock_offset` of the header. It does
-not jump when the wall clock is set. Rings of earlier versions contain the wall clock itself.
+The file contains a page with fixed numbers (`FIXED`, `WRITTEN`), the recording header as JSON, and
+the rows. The loop counts its rows, and the number of a row starts at 0. A row contains, in this
+order:
 
-Every process that uses a ring holds a shared lock on its file. The lock ends with the process. A
-ring without a lock was left behind by processes that have ended.
+- the number of the row plus 1, the wall time [ns], the monotonic clock [ns] and the instant k
+- the values
+- the number of the row plus 1 again
+
+While a row is being written, both copies of its number are zero. So a reader can reject a row that
+is only partly written. This check is reliable on x86, where other processes see the stores in the
+order of the program. On other processors, a reader could accept a partly written row. The second
+copy makes this unlikely.
+
+The wall time is the monotonic clock plus a constant offset, `clock_offset` in the header.
+Therefore the wall time does not jump when the wall clock is set. Rings of earlier versions contain
+the wall clock itself.
+
+Every process that uses a ring holds a shared lock on the file of the ring. The lock ends with the
+process. If a ring has no lock, all processes that used the ring have ended.
 """
 
 from __future__ import annotations
@@ -39,11 +49,13 @@ MAGIC = b"FFRING1\n"
 FIXED = struct.Struct("<8sQQQQ")
 """Magic bytes, number of rows, values per row, size of the JSON header, offset of the first row."""
 WRITTEN = struct.Struct("<Q")
-"""Total number of written rows; the size and the text of the reason of the stop follow."""
+"""Total number of written rows.
+
+The reason of the stop follows this number: first the size of the text, then the text."""
 WRITTEN_AT, REASON_AT, LONGEST_REASON = 64, 72, 2000
 PAGE = 4096
 TIMES = 4
-"""64-bit numbers before the values of a row; one more follows the values."""
+"""Number of 64-bit numbers before the values of a row. One 64-bit number follows the values."""
 SECONDS = 8.0
 LARGEST = 256 * 2**20
 """Maximum size of all rows [bytes]."""
@@ -55,7 +67,8 @@ MOST_WRITTEN = 2**60
 class Rows:
     """Rows of a ring.
 
-    `times` (rows, 3): wall time [ns], monotonic clock [ns], instant. `values` (rows, width).
+    `times` (rows, 3): wall time [ns], monotonic clock [ns] and instant of each row. `values`
+    (rows, width): values of each row.
     """
 
     times: NDArray[np.int64]
@@ -65,23 +78,26 @@ class Rows:
         return len(self.times)
 
     def where(self, chosen: NDArray[np.bool_]) -> Rows:
-        """Return the rows that a mask (rows) selects."""
+        """Return the rows that the mask `chosen` (rows) selects."""
         return Rows(self.times[chosen], self.values[chosen])
 
     def split(self, count: int) -> tuple[Rows, Rows]:
-        """Return the first `count` rows and the others."""
+        """Return the first `count` rows, and the remaining rows."""
         return Rows(self.times[:count], self.values[:count]), Rows(
             self.times[count:], self.values[count:]
         )
 
     @staticmethod
     def none(width: int) -> Rows:
-        """Return no rows."""
+        """Return an empty object for rows of `width` values."""
         return Rows(np.zeros((0, 3), dtype=np.int64), np.zeros((0, width)))
 
 
 def folder() -> Path:
-    """Return the user's private directory of rings. Raises RecordError if it cannot be created."""
+    """Return the user's private directory of rings.
+
+    Raises RecordError if this directory cannot be created.
+    """
     chosen = os.environ.get("XDG_RUNTIME_DIR") or (
         "/dev/shm" if os.access("/dev/shm", os.W_OK) else tempfile.gettempdir()
     )
@@ -99,7 +115,7 @@ class RingWriter:
 
         Raises RecordError if there is not enough memory.
         """
-        # Sizes: the header fills whole pages, the rows at most `LARGEST` bytes.
+        # The header fills whole pages. The rows fill at most `LARGEST` bytes.
         text = head.to_json()
         self.width = head.width
         row_bytes = 8 * (TIMES + self.width + 1)
@@ -138,11 +154,11 @@ class RingWriter:
         self._offset = (
             offset_of(self._environment) if head.clock_offset is None else head.clock_offset
         )
-        # Write the magic bytes last; without them the file is not yet a valid ring.
+        # Write the magic bytes last. Without the magic bytes the file is not a valid ring.
         self._memory[: FIXED.size] = FIXED.pack(MAGIC, self.rows, self.width, len(text), first)
 
     def write(self, k: int, line: Array) -> None:
-        """Write `line` (width) at instant k with the present time."""
+        """Write the values `line` (width) as the row of instant `k`, with the present time."""
         count = self._count
         row = self._integers[count % self.rows]
         row[0] = row[-1] = 0
@@ -156,19 +172,20 @@ class RingWriter:
 
     @property
     def last_instant(self) -> int:
-        """Instant of the last row; -1 before the first row."""
+        """Instant of the last row, or -1 if there is no row."""
         return int(self._integers[(self._count - 1) % self.rows][3]) if self._count else -1
 
     def set_reason(self, reason: str) -> None:
-        """Store the reason of the stop; no row is written afterwards."""
+        """Store the reason of the stop. Do not write rows after this call."""
         text = reason.encode(errors="replace")[:LONGEST_REASON]
         self._memory[REASON_AT + 8 : REASON_AT + 8 + len(text)] = text
         self._memory[REASON_AT : REASON_AT + 8] = WRITTEN.pack(len(text))
 
     def close(self) -> None:
-        """Release the lock; the file remains."""
+        """Release the lock. The file remains."""
         if self._lock >= 0:
-            fcntl.flock(self._lock, fcntl.LOCK_UN)  # needed: the memory map has another descriptor
+            # Unlock explicitly: `os.close` keeps the lock, as the memory map has a descriptor, too.
+            fcntl.flock(self._lock, fcntl.LOCK_UN)
             os.close(self._lock)
             self._lock = -1
 
@@ -213,7 +230,7 @@ class RingReader:
         self.head = RecordingHeader.from_json(self._memory[PAGE : PAGE + length])
         if self.head.width != width:
             raise RecordError(
-                f"{self.path} is a damaged ring: its rows have {width} values, its header {self.head.width}"
+                f"{self.path} is a damaged ring: its rows have {width} values, but its header describes {self.head.width} values"
             )
         if self.written > MOST_WRITTEN:
             raise RecordError(
@@ -236,7 +253,7 @@ class RingReader:
 
     @property
     def reason(self) -> str | None:
-        """Reason of the stop, stored by the loop; None if there is none."""
+        """Reason of the stop that the loop has stored, or None if it has stored no reason."""
         (length,) = WRITTEN.unpack_from(self._memory, REASON_AT)
         place = REASON_AT + 8
         return (
@@ -246,9 +263,12 @@ class RingReader:
         )
 
     def take(self, most: int) -> Rows:
-        """Return the next intact rows, at most `most`, oldest first; count the overwritten ones."""
+        """Return the next intact rows, the oldest row first. Read at most `most` rows.
+
+        Rows that were overwritten before this call are added to `lost`.
+        """
         written = self.written
-        # Skip the row that is overwritten next.
+        # Do not read the oldest row in the ring, because it is overwritten next.
         oldest = max(0, written - self.rows + 1)
         if self.next < oldest:
             self.lost += oldest - self.next
@@ -257,26 +277,26 @@ class RingReader:
         if self.next >= last:
             return Rows.none(self.head.width)
         numbers = np.arange(self.next, last)
-        taken = self._integers[numbers % self.rows]  # a copy
+        taken = self._integers[numbers % self.rows]  # this is a copy
         again = self._integers[numbers % self.rows, 0]
         whole = (
             (taken[:, 0] == numbers + 1) & (taken[:, -1] == numbers + 1) & (again == numbers + 1)
         )
-        whole &= (taken[:, 1:TIMES] >= 0).all(axis=1)  # a file has no negative times
+        whole &= (taken[:, 1:TIMES] >= 0).all(axis=1)  # a valid ring has no negative times
         self.lost += int((~whole).sum())
         self.next = last
         taken = taken[whole]
         return Rows(taken[:, 1:TIMES], taken[:, TIMES:-1].view("<f8"))
 
     def last(self, seconds: float) -> Rows:
-        """Return the intact rows of the last seconds before the newest row [s, monotonic clock]."""
+        """Return the intact rows of the last `seconds` [s], up to the newest row."""
         rows = self.everything()
         if not len(rows):
             return rows
         return rows.where(rows.times[:, 1] >= rows.times[-1, 1] - round(seconds * 1e9))
 
     def everything(self) -> Rows:
-        """Return all intact rows in the ring, read before or not."""
+        """Return all intact rows in the ring, including rows that were already read."""
         at, lost = self.next, self.lost
         self.next = max(0, self.written - self.rows + 1)
         rows = self.take(self.rows)
@@ -284,9 +304,10 @@ class RingReader:
         return rows
 
     def close(self) -> None:
-        """Release the lock; the file remains."""
+        """Release the lock. The file remains."""
         if self._lock >= 0:
-            fcntl.flock(self._lock, fcntl.LOCK_UN)  # needed: the memory map has another descriptor
+            # Unlock explicitly: `os.close` keeps the lock, as the memory map has a descriptor, too.
+            fcntl.flock(self._lock, fcntl.LOCK_UN)
             os.close(self._lock)
             self._lock = -1
 
@@ -312,7 +333,7 @@ def is_left_behind(path: Path) -> bool:
 
 
 def left_behind(directory: Path | None = None) -> Iterator[Path]:
-    """Yield the rings of runs whose loop and recorder have both ended."""
+    """Yield the rings of runs whose loop and recorder have ended."""
     with contextlib.suppress(RecordError):
         for path in sorted((directory or folder()).glob("*.ring")):
             if is_left_behind(path):

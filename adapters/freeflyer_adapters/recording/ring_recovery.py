@@ -1,4 +1,4 @@
-"""Recovery of rings in shared memory that killed loops have left."""
+"""Recovery of the rings that killed loops have left in shared memory."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from freeflyer_adapters.recording.ring import RingReader, is_left_behind, left_b
 class Saved:
     """Files that were written from a ring.
 
-    `flight`: the flight recording; None if the ring has no row. `rest`: the missing end of the
-    recording; None if nothing was missing.
+    `flight`: the flight recording, or None if the ring has no row. `rest`: the end of the recording
+    that was missing on disk, or None if nothing was missing.
     """
 
     flight: Path | None
@@ -26,7 +26,7 @@ class Saved:
 
 
 def rescue(directory: Path | None = None) -> Iterator[str]:
-    """Save the last seconds of runs that were killed; yield a message for each."""
+    """Save the last seconds of all runs that were killed. Yield one message for each run."""
     for path in left_behind(directory):
         try:
             saved = save_ring(path)
@@ -35,20 +35,22 @@ def rescue(directory: Path | None = None) -> Iterator[str]:
         else:
             if saved.flight is not None:
                 rest = (
-                    f", the end of its recording in {saved.rest}" if saved.rest is not None else ""
+                    f", and the end of its recording in {saved.rest}"
+                    if saved.rest is not None
+                    else ""
                 )
                 yield f"an earlier run ended without a reported reason; its last seconds are in {saved.flight}{rest}"
 
 
 def save_ring(path: Path) -> Saved:
-    """Write the flight recording and the missing end of the recording; then remove the ring.
+    """Write the flight recording and the missing end of the recording. Then remove the ring.
 
-    The files are in the directory of the run. Raises RecordError if the file is not a ring or is in
-    use, OutputError if a file cannot be written.
+    The files are written to the directory of the run. Raises RecordError if the file is not a ring,
+    or if the ring is in use. Raises OutputError if a file cannot be written.
     """
     if not is_left_behind(path):
         raise RecordError(
-            f"the loop of ring {path} is still running; its last seconds are saved when it ends"
+            f"the loop of ring {path} is still running; the last seconds are saved when the loop ends"
         )
     ring = RingReader(path)
     try:

@@ -1,7 +1,7 @@
 """Message definitions of ROS 2 for the schemas of a recording (encoding ros2msg).
 
-A schema contains the definition of a message, then the definitions of its field types. Comments
-are omitted. Fields and their order are tested against the definitions of rosbags.
+A schema contains the definition of a message, then the definitions of the types of its fields.
+Comments are omitted. Tests compare the fields and their order with the definitions in rosbags.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import re
 from collections.abc import Sequence
 
 PACKAGE = "freeflyer_cosim"
-"""Package of the messages that are generated from a scenario."""
+"""ROS package of the messages that are generated from a scenario."""
 SEPARATOR = "=" * 80
 PLAIN = frozenset({"float64", "int64", "uint64", "int32", "uint32", "string"})
 
@@ -41,7 +41,7 @@ DEFINITIONS = {
 
 
 def full_text(definition: str) -> str:
-    """Return a definition followed by the definitions of all its field types, each once."""
+    """Return `definition`, then the definition of each field type. No definition is repeated."""
     found: dict[str, str] = {}
     waiting = [definition]
     while waiting:
@@ -59,7 +59,7 @@ def full_text(definition: str) -> str:
 
 
 def message_name(text: str) -> str:
-    """Return a component name as a ROS message name: ArmDrive for arm_drive."""
+    """Convert a component name to a ROS message name, for example arm_drive to ArmDrive."""
     parts = re.findall(r"[A-Za-z0-9]+", text)
     return "M" * (not parts or not parts[0][0].isalpha()) + "".join(
         part[0].upper() + part[1:] for part in parts

@@ -1,9 +1,10 @@
-"""Topics and messages of a run's signals, from the name, size and unit of each variable.
+"""Topics and messages of a run's signals, selected by the names, sizes and units of variables.
 
-Each component has one topic /COMPONENT, which contains all its signals unchanged. Its message
-definition is generated from the scenario and gives the units in comments. The topic /loop contains
-the states and counters of the loop. Signals that fit a standard ROS message are also written to a
-topic /COMPONENT/PREFIX/NAME of this message, which tools display without configuration:
+Each component has one topic /COMPONENT with all signals of the component. The signals are not
+changed. The message definition of this topic is generated from the scenario and contains the units
+in comments. The topic /loop contains the states and counters of the loop. Some signals fit a
+standard ROS message. These signals are also written to a topic /COMPONENT/PREFIX/NAME with this
+message. Tools display such a topic without configuration. The table shows the standard messages:
 
 | variables of one component (PREFIX may be empty) | size, unit | message, NAME |
 |---|---|---|
@@ -15,9 +16,9 @@ topic /COMPONENT/PREFIX/NAME of this message, which tools display without config
 | PREFIXwrench | 6 N, N.m | geometry_msgs/WrenchStamped, wrench |
 
 A body is a base if the prefix, split at "_", contains "base". If the prefix is empty or "true_",
-the name of the component is used instead. Frames have the same names as on the link: I is
-"inertial". The twist of an Odometry is expressed in its child frame "base", as its definition
-requires.
+the name of the component is used instead of the prefix. The frames have the same names as on the
+Zenoh link: the frame I has the name "inertial". The twist of a nav_msgs/Odometry is expressed in
+the child frame "base", because the definition of nav_msgs/Odometry requires this.
 """
 
 from __future__ import annotations
@@ -45,7 +46,9 @@ from freeflyer_adapters.recording.ros_definitions import (
 
 INERTIAL, BASE = "inertial", "base"
 COLUMNS = "freeflyer.columns"
-"""Metadata key of the component topics: JSON [{name, size, units}, ...] in field order."""
+"""Metadata key of the topics with all signals.
+
+The value is JSON, [{name, size, units}, ...], in the order of the fields."""
 COVARIANCE = 36
 LOOP = "/loop"
 
@@ -54,7 +57,7 @@ LOOP = "/loop"
 class Topic:
     name: str
     message: str
-    """Type name of ROS 2, with /msg/."""
+    """Type name in ROS 2, for example nav_msgs/msg/Odometry."""
     definition: str
     layout: Layout
     metadata: Mapping[str, str] = field(default_factory=dict)
@@ -96,8 +99,8 @@ def _loop_topic(header: RecordingHeader) -> Topic:
     lines = [
         "std_msgs/Header header",
         "int64 monotonic  # [ns] CLOCK_MONOTONIC of the instant",
-        "int64 instant  # its number",
-        "float64 time  # [s] of the scenario",
+        "int64 instant  # number of the instant",
+        "float64 time  # [s] time in the scenario",
     ]
     for name, text in zip(
         field_names(["monotonic", "instant", "time", *header.loop])[3:], header.loop, strict=True
@@ -139,7 +142,7 @@ def _component_topic(component: str, variables: Mapping[str, Signal]) -> Topic:
 
 
 def _standard_topics(component: str, variables: Mapping[str, Signal]) -> list[Topic]:
-    """Return the topics of all variables that fit a standard message; a variable is used once."""
+    """Return topics of all variables that fit a standard message. Use each variable only once."""
     found: list[Topic] = []
     done: set[str] = set()
     for variable in variables:
@@ -215,7 +218,7 @@ def _pose(
         layout.text(BASE)
         layout.numbers(3, _columns(position))
         layout.numbers(4, _columns(orientation))
-        layout.zeros(COVARIANCE)  # zeros mean unknown
+        layout.zeros(COVARIANCE)  # zeros: the covariance is unknown
         layout.numbers(6, _in_body(_columns(orientation), _columns(velocity)))
         layout.zeros(COVARIANCE)
         return _topic(component, prefix, "odometry", "nav_msgs/Odometry", layout), set(names)
@@ -228,7 +231,7 @@ TopicFactory = Callable[[str, str, Mapping[str, Signal]], tuple[Topic | None, se
 
 
 def _twist_like(kind: str) -> TopicFactory:
-    """Return a function that creates the topic of one linear and angular vector (6)."""
+    """Return a function that creates the topic of a vector (6): linear part, angular part."""
     ending = {"Twist": "velocity", "Accel": "acceleration", "Wrench": "wrench"}[kind]
 
     def create(

@@ -1,8 +1,9 @@
 """Detection of steps of the wall clock during a recording.
 
-The times of a recording are those of the monotonic clock plus an offset, which is measured at the
-start of the run. Slewing by NTP changes the rate of both clocks, so their difference is constant
-until the wall clock is set. Such a step is reported and does not change the times.
+The times of a recording are the times of the monotonic clock plus an offset. The offset is measured
+at the start of the run. Slewing by NTP changes the rates of both clocks equally. Therefore the
+difference of the clocks is constant until the wall clock is set to another time (a step). Steps
+are reported. They do not change the times of the recording.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from freeflyer_adapters.foundation.environment import Environment
 SMALLEST_REPORTED = 100_000_000
 """Smallest step that is reported [ns]."""
 MOST_REPORTED = 100
-"""Maximum number of reported steps, so that a clock that is set often cannot fill the result."""
+"""Maximum number of reported steps. The clock may be set often, but the result stays small."""
 READINGS = 3
 
 
@@ -30,16 +31,21 @@ def offset_of(clocks: Environment) -> int:
 
 
 def sentence(step: int, when: str) -> str:
-    """Return the message about a step [ns]; it is positive if the wall clock was set forward."""
+    """Return the message about a step of the wall clock.
+
+    `step` [ns] is positive if the wall clock was set forward. `when` is the time of the step, as a
+    text.
+    """
     direction = "back" if step < 0 else "forward"
     size = f"{abs(step) * 1e-9:.3f} s"
-    return f"this machine's clock was set {direction} by {size}, {when}; the recording's times continue from the clock at its start"
+    return f"this machine's clock was set {direction} by {size}, {when}; the times in the recording do not contain this step"
 
 
 class WallClock:
     """Monitor of the wall clock.
 
-    `offset` [ns]: wall clock minus monotonic clock at the start. `started` [ns since the epoch].
+    `offset` [ns]: wall clock minus monotonic clock at the start. `started`: start of the run [ns
+    since the epoch].
     """
 
     def __init__(self, offset: int, started: int) -> None:
@@ -58,15 +64,15 @@ class WallClock:
 
     @property
     def is_system_clock(self) -> bool:
-        """Whether other processes have the same clocks; False in virtual time."""
+        """Whether other processes have the same clocks. False in virtual time."""
         return type(self._environment) is Environment
 
     def now(self) -> int:
-        """Return the time of the recording [ns since the epoch], which has no steps."""
+        """Return the time of the recording [ns since the epoch]. This time has no steps."""
         return self._environment.monotonic_ns() + self.offset
 
     def step(self) -> int:
-        """Return the total step of the wall clock since the start [ns]; positive: forward."""
+        """Return the total step since the start [ns]. It is positive after a step forward."""
         return offset_of(self._environment) - self.offset
 
     def check(self) -> str | None:
