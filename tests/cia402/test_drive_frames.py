@@ -111,7 +111,7 @@ def test_the_load_of_six_drives_is_the_sum_of_the_bits() -> None:
             0.001,
             1e6,
             True,
-            "take up to 228 % of a CAN bus of 1000 kbit/s, 80 % is the limit: a cycle of 3 ms fits",
+            "take up to 228 % of a CAN bus of 1000 kbit/s, but the limit is 80 %: a cycle of 3 ms fits",
         ),
         (0.001, 1e6, False, "take up to 171 %"),
         (0.002, 1e6, False, "take up to 86 %"),

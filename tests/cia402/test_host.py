@@ -247,9 +247,9 @@ def test_without_tpdo2_the_speed_is_estimated_from_positions(
 @pytest.mark.parametrize(
     ("drives", "host", "sentence"),
     [
-        ({"rated_torque": [0.5, 0.25]}, {}, "drive of joint 2 (node 7): its rated torque (6076h) is 0.25 N m, but the scenario's is 0.2 N m"),
-        ({"gear_ratio": 50}, {}, "drive of joint 1 (node 3): its gear ratio (6091h:01) is 50, but the scenario's is 100"),
-        ({"encoder_resolution": 8192}, {}, "its encoder resolution (608Fh:01) is 8192 increments, but the scenario's is 4096 increments"),
+        ({"rated_torque": [0.5, 0.25]}, {}, "drive of joint 2 (node 7): its rated torque (6076h) is 0.25 N m, but the scenario has 0.2 N m"),
+        ({"gear_ratio": 50}, {}, "drive of joint 1 (node 3): its gear ratio (6091h:01) is 50, but the scenario has 100"),
+        ({"encoder_resolution": 8192}, {}, "its encoder resolution (608Fh:01) is 8192 increments, but the scenario has 4096 increments"),
         ({}, {"joint_effort_limit": (200.0, 40.0)}, "its max torque (6072h) is 150 N m at the joint, but the scenario's joint_effort_limit is 200 N m"),
         ({"node_ids": [3, 8]}, {}, "drive of joint 2 (node 7) does not return device type (1000h): no answer within 0.3 s; is the drive"),
     ],
@@ -326,7 +326,9 @@ def test_a_fault_that_remains_after_its_reset_is_reported_and_nothing_is_switche
         bench.joints.virtual.fail(2, 0x4310)
         monkeypatch.setattr(bench.logics[1], "apply_controlword", lambda word: None)
         refused(
-            bench, "drive of joint 2 (node 7) stays in Fault (statusword 0x0218", bench.prepared
+            bench,
+            "drive of joint 2 (node 7) stays in the state Fault (statusword 0x0218",
+            bench.prepared,
         )
         bench.host.deactivate()
         bench.joints.tick()
@@ -345,7 +347,7 @@ def test_a_drive_that_does_not_become_enabled_is_named_with_its_state_and_error(
         with pytest.raises(
             DeviceError,
             match=re.escape(
-                "drive of joint 2 (node 7) does not reach Operation enabled: it is in Fault"
+                "drive of joint 2 (node 7) does not reach the state Operation enabled: it is in the state Fault"
             ),
         ) as caught:
             bench.host.activate(lambda: False)
@@ -415,7 +417,7 @@ def test_no_cyclic_frame_resets_a_fault(monkeypatch: pytest.MonkeyPatch) -> None
         bench.activated()
         bench.cycles(10, 1.0, 1.0)
         bench.joints.virtual.fail(2, 0x2310)
-        stopped(bench, "left Operation enabled by itself")
+        stopped(bench, "left the state Operation enabled by itself")
         ramped_down(bench)
         bench.host.on_error("tried")
         bench.host.deactivate()
@@ -451,7 +453,7 @@ def test_a_drive_fault_stops_the_loop_with_its_state_and_ramps_the_others_down(
         bench.joints.virtual.fail(2, 0x2310)
         stopped(
             bench,
-            "drive of joint 2 (node 7) left Operation enabled by itself: it is in Fault reaction active",
+            "drive of joint 2 (node 7) left the state Operation enabled by itself: it is in the state Fault reaction active",
         )
         ramped_down(bench)
         assert bench.host.at_rest
@@ -467,7 +469,7 @@ def test_an_emergency_stops_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
         bench.drives[0].node.emcy.send(0x3210, 1)
         stopped(
             bench,
-            "drive of joint 1 (node 3) sent an emergency: it is in Operation enabled (statusword 0x1237, EMCY 0x3210 (",
+            "drive of joint 1 (node 3) sent an emergency: it is in the state Operation enabled (statusword 0x1237, EMCY 0x3210 (",
         )
 
 
@@ -531,7 +533,7 @@ def test_syncs_without_targets_stop_the_drives(monkeypatch: pytest.MonkeyPatch) 
     with pair(monkeypatch) as bench:
         bench.activated()
         bench.host_end.dropped = {0x203, 0x207}
-        stopped(bench, "left Operation enabled by itself")
+        stopped(bench, "left the state Operation enabled by itself")
         assert bench.logics[0].error == objects.RPDO_LOST
 
 
@@ -541,7 +543,7 @@ def test_the_drives_stop_when_the_heartbeat_of_the_host_ends(
     with pair(monkeypatch) as bench:
         bench.activated()
         bench.host_end.dropped = {0x700 + 127}
-        stopped(bench, "left Operation enabled by itself")
+        stopped(bench, "left the state Operation enabled by itself")
         assert bench.logics[0].error == objects.HEARTBEAT_LOST
 
 
@@ -558,7 +560,7 @@ def test_a_second_controller_is_rejected_while_the_first_sends_sync_or_has_enabl
         with pytest.raises(
             DeviceError,
             match=re.escape(
-                "(node 3) is in Operation enabled already: another controller drives it"
+                "(node 3) is in the state Operation enabled already: another controller drives it"
             ),
         ):
             bench.host.configure()

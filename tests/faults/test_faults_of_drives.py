@@ -19,13 +19,13 @@ BEGIN = 0.1
 
 FAULTS: list[tuple[str, dict[str, object], str | None]] = [
     ("cut", {}, "cycles? in a row were lost"),
-    ("cut", {"direction": "to_device"}, "EMCY|left Operation enabled|fault|lost"),
+    ("cut", {"direction": "to_device"}, "EMCY|left the state Operation enabled|fault|lost"),
     ("cut", {"direction": "to_controller"}, "cycles? in a row were lost"),
     ("loss", {"probability": 0.01, "direction": "to_controller"}, None),
     ("bus_off", {}, "cycles? in a row were lost"),
     ("hung", {}, "cycles? in a row were lost"),
     ("dead", {}, "cycles? in a row were lost"),
-    ("device_fault", {}, "left Operation enabled by itself: it is in Fault"),
+    ("device_fault", {}, "left the state Operation enabled by itself: it is in the state Fault"),
 ]
 
 

@@ -494,7 +494,7 @@ def test_an_arm_that_stops_by_itself_gets_no_command(active: tuple[CanArm, Scrip
 def test_an_unknown_state_number_is_a_fault(active: tuple[CanArm, ScriptedArm]) -> None:
     arm, there = active
     there.send(life_cycle=(7.0,))
-    with pytest.raises(SafeStop, match="went to a state of the unknown number 7 by itself"):
+    with pytest.raises(SafeStop, match="went to a state with the unknown number 7 by itself"):
         arm.read()
 
 
@@ -863,7 +863,7 @@ def test_a_reason_to_stop_discards_the_frames_queued_in_the_interface(
 def test_lost_cycles_during_a_flood_report_the_flood(active: tuple[CanArm, ScriptedArm]) -> None:
     arm, _ = active
     arm._states.others = 10 * arm._states.receiver.accepted
-    reason = r"cycles in a row were lost.*; a flood of frames: \d+ with other identifiers were received beside"
+    reason = r"cycles in a row were lost.*; a flood of frames: \d+ frames with other identifiers were received beside"
     with pytest.raises(SafeStop, match=reason):  # noqa: PT012
         for _ in range(20):
             arm.read()

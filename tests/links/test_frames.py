@@ -341,7 +341,7 @@ def test_a_standard_and_an_extended_identifier_with_one_number_differ(tmp_path: 
 @pytest.mark.parametrize(
     ("values", "sentence"),
     [
-        ({"activate": 3}, "mode_values: .* has the number 3, and so has another"),
+        ({"activate": 3}, "mode_values: .* has the number 3, but another name has the same"),
         ({"activate": 256}, "activate has the number 256, but its signal Order holds 255 at most"),
         ({"activated": 4}, "did you mean 'activate'"),
     ],

@@ -1,4 +1,16 @@
-"""Device driver of an arm on CAN: one command answers each state frame, which paces the loop."""
+"""Device driver of an arm on CAN.
+
+The arm sends one state frame in each cycle. The state frames are the clock of the loop: each cycle
+of the loop starts with a state frame. The host answers each state frame with one command frame.
+
+Terms in this file:
+
+- Session: one activation of the arm by this host. Each session has a random session number.
+- Claim: a command frame with a new session number. The arm accepts the claim if it echoes the
+  number in its state frames.
+- Permit: permission of the host to send frames that give power to the arm (`permit.py`).
+- Graded stop: the torque decreases to zero, then the brakes engage.
+"""
 
 from __future__ import annotations
 
@@ -27,13 +39,17 @@ from freeflyer_adapters.foundation.histogram import Histogram
 
 MEASURED = ("joint_position", "joint_velocity", "joint_torque")
 BRAKE_TIMEOUT = 4.0
-"""Longest wait for the brakes in ramp-down times; after it, only the arm's watchdog remains."""
+"""Longest duration of the graded stop, as a multiple of the ramp-down time.
+
+After this time, the host no longer waits for the brakes. Then only the watchdog of the arm can
+engage the brakes.
+"""
 FRAME_TIMEOUT = 1.5
-"""Cycles since the last state frame after which the next one counts as lost."""
+"""Time since the last state frame [cycles] after which the next state frame counts as lost."""
 
 
 class CanArm:
-    """Host side of an arm on CAN; implements `freeflyer_adapters.device.device.Device`."""
+    """Host side of an arm on CAN. Implements `freeflyer_adapters.device.device.Device`."""
 
     is_clock = True
 
@@ -88,7 +104,7 @@ class CanArm:
 
     @property
     def cannot_refuse(self) -> list[str]:
-        """What this arm cannot reject or report by itself: one sentence for each limit."""
+        """Sentences for the user about what this arm cannot reject or report by itself."""
         return self.frames.cannot_refuse(self.implicit)
 
     @property
@@ -110,7 +126,7 @@ class CanArm:
         self.monitor = QualityMonitor.of(f"state frames of {self.name}", v, self.cycle)
         self.ramp = RampDown.of(v)
         self._age_limit = float(v["state_age_limit"][0])
-        # The signals of the DBC must hold the range of every command and measurement.
+        # Check that the DBC signals can represent the ranges of all commands and measurements.
         effort = v["joint_effort_limit"]
         self.frames.check_ranges({
             "joint_torque_command": [(-e, e) for e in effort],
@@ -118,7 +134,7 @@ class CanArm:
             "joint_position": list(zip(v["joint_lower_limit"], v["joint_upper_limit"], strict=True)),
             "joint_velocity": [(-w, w) for w in v["joint_velocity_limit"]],
         })  # fmt: skip
-        # Open the bus. Command frames are received too, to detect a second controller.
+        # Open the bus. Command frames are also received, to detect a second controller.
         o = self.options
         description = self.frames.description
         received = [
@@ -130,7 +146,8 @@ class CanArm:
         self._sender = Sender(self._bus, self.frames.command)
         self._states = StateFrames(self._bus, self.frames, self._sender, self._take)
         self.session = self._new_session()
-        # Compare the arm with the scenario, then observe the bus before the first transmission.
+        # Compare the arm with the scenario. Then receive state frames for some time before the
+        # first transmission, to detect a second arm or a second controller.
         if description is not None:
             described = self._described(Receiver(description))
             compare(self._where, description, described, v, o.joints)
@@ -142,9 +159,11 @@ class CanArm:
         return f"{self.name} on CAN {self.options.interface}:{self.options.channel}"
 
     def _described(self, receiver: Receiver) -> dict[str, list[float]]:
-        """Wait for a description frame, and return its values by role.
+        """Wait for a description frame. Return the values of the frame: role -> values [SI].
 
-        An active arm sends no description. Its state frames then show the other controller.
+        An arm in the state active sends no description frames. The state frames of such an arm
+        contain the session number of its controller. Therefore the state frames are checked, too.
+        Raises DeviceError if no description frame arrives, and in the cases of `_check_conflicts`.
         """
         end = self._deadline()
         while (left := end - self._environment.monotonic()) > 0.0:
@@ -167,9 +186,10 @@ class CanArm:
         return f"{self._where} {self._states.silence(what, receiver, float(self.values['configure_timeout'][0]))}"
 
     def _observe(self, frames: int) -> None:
-        """Read this number of state frames without sending.
+        """Receive `frames` state frames, and send nothing.
 
-        Raises DeviceError if none arrives, and for a second arm or controller.
+        Raises DeviceError if a state frame does not arrive in time, and in the cases of
+        `_check_conflicts`.
         """
         end = self._deadline() + 2 * frames * self.cycle
         self._states.drain()
@@ -179,7 +199,10 @@ class CanArm:
             self._check_conflicts()
 
     def _check_conflicts(self) -> None:
-        """Raise DeviceError for a second arm, a second controller, or an arm that is active."""
+        """Raise DeviceError if a second arm or a second controller is detected.
+
+        Also raise DeviceError if the arm is in the state active and this run has not activated it.
+        """
         session = self.session
         if self._states.problem:
             raise DeviceError(f"{self._where}: {self._states.problem}")
@@ -202,7 +225,7 @@ class CanArm:
         return self.session.permit.reports_state
 
     def stay(self) -> None:
-        """Send a command while other devices are activated, to keep the session alive."""
+        """Send a command, so that the session does not end while other devices are activated."""
         if self.session.phase is Phase.claiming or self.state.now is LifeCycle.active:
             self._states.wait(0.0)
             self._send(np.zeros(self.options.joints))
@@ -213,9 +236,10 @@ class CanArm:
             raise DeviceError(f"{self._where}: {reason}")
 
     def prepare(self) -> None:
-        """Claim a session number, which takes the arm from safe stop or fault to inactive.
+        """Claim a new session number, and wait until the arm accepts the claim.
 
-        The brakes stay engaged. Raises DeviceError if the arm does not accept the claim.
+        A claim also changes the arm from the state safe_stop or fault to the state inactive. The
+        brakes stay engaged. Raises DeviceError if the arm does not accept the claim.
         """
         self.session = session = self._new_session()
         self._released, self._stopping_torque = False, None
@@ -238,7 +262,11 @@ class CanArm:
                 )
 
     def activate(self, meanwhile: Callable[[], bool]) -> None:
-        """Activate the arm. The first torque beyond gravity is zero, which the braked arm holds."""
+        """Activate the arm. The first torque command is zero, as in the braked arm.
+
+        Torque commands do not include the torque that carries the weight of the arm. The arm itself
+        adds this torque.
+        """
         session = self.session
         self._states.drain()
         if session.permit.lost:
@@ -250,7 +278,8 @@ class CanArm:
             self._released = True
             self._send(self._last_torque)
             received = self._states.wait(min(2 * self.cycle, end - self._environment.monotonic()))
-            # During a long silence, the arm may have become active, stopped and ended the session.
+            # If no state frame arrives for a long time, revoke the permit. In this time, the arm
+            # may have become active, stopped by itself, and ended the session.
             silent = 0 if received else silent + 1
             if 2 * silent * self.cycle > self._age_limit:
                 session.permit.lose(self._silence("state", self._states.receiver))
@@ -262,13 +291,13 @@ class CanArm:
                 )
             self._check_conflicts()
             if meanwhile():
-                return  # the loop ends before its first instant; `deactivate` engages the brakes
+                return  # the user stops the run before its first cycle; `deactivate` brakes the arm
         self._released = True
         self._send(self._last_torque)
         self.state.to(LifeCycle.active)
 
     def revoke(self, reason: str) -> None:
-        """End the permission for power: from now on only frames of the graded stop are sent."""
+        """Revoke the permit. From now on, only frames of the graded stop are sent."""
         self.session.permit.lose(reason)
         flush(self._bus)
 
@@ -279,13 +308,14 @@ class CanArm:
         left = self._arrived * 1e-9 + FRAME_TIMEOUT * self.cycle - self._environment.monotonic()
         before = self._cycle_number
         received = self._states.wait(max(left, 0.0))
-        # Report a delay of the loop first: it causes the other errors.
+        # Check for a delay of the loop first, because a delay causes the errors checked below.
         if sentence := permit.hold_up(self._environment.monotonic_ns()):
             raise SafeStop(self.name, f"{sentence}{self._states.flood}")
         # Count lost frames.
         if received:
-            # Missing cycle numbers are lost frames. Those that were counted as silence are not
-            # counted again. After a pause of the arm itself, no number is missing.
+            # Each missing cycle number is a lost frame. Frames that were already counted when they
+            # did not arrive are not counted again. If the arm itself has paused, no number is
+            # missing.
             gap = (self._cycle_number - before) % self.frames.cycles
             missing = gap - 1 - self._silent_cycles
             reason = self.monitor.lose(max(missing, 0))
@@ -298,7 +328,8 @@ class CanArm:
             reason = reason or (
                 f"the last state frame is {self._silent_cycles * self.cycle:.4g} s old, its limit is {self._age_limit:g} s"
             )
-        # Stop for conflicts on the bus, for lost frames, and for a state other than active.
+        # Stop if there is a second arm or controller, if too many frames were lost, or if the arm
+        # has left the state active.
         if self._states.problem:
             raise SafeStop(self.name, self._states.problem)
         if reason:
@@ -310,7 +341,7 @@ class CanArm:
             )
         if permit.lost:
             raise SafeStop(self.name, self._lost_permit())
-        # Stop at the limits of position and speed.
+        # Stop if a measured position or speed exceeds its limit.
         reason = self.limits.measured(self.values["joint_position"], self.values["joint_velocity"])
         if reason:
             raise SafeStop(self.name, reason)
@@ -324,7 +355,10 @@ class CanArm:
         return f"{self.session.permit.lost}{self._states.errors}"
 
     def _expect_next(self) -> None:
-        """Move the deadline by one cycle. The answered cycle number stays the last received one."""
+        """Move the deadline for the next state frame by one cycle.
+
+        Commands still answer the cycle number of the last received state frame.
+        """
         self._arrived += round(self.cycle * 1e9)
         self._silent_cycles += 1
 
@@ -350,7 +384,7 @@ class CanArm:
             return True
         if self._stopping_torque is None:
             self._stopping_torque = self._last_torque.copy()
-        if self._stops_itself:  # send nothing: a command would end the arm's own ramp early
+        if self._stops_itself:  # send nothing: a command would end the ramp-down of the arm early
             self._states.wait(FRAME_TIMEOUT * self.cycle)
             return self.at_rest or elapsed > BRAKE_TIMEOUT * self.ramp.time
         velocity = self.values["joint_velocity"]
@@ -367,14 +401,16 @@ class CanArm:
 
     @property
     def _stops_itself(self) -> bool:
-        """Whether the arm reports a stop that it started itself."""
+        """Whether the arm reports that it has started a stop by itself."""
         return self._reports_state and self.session.state in STOPPED
 
     @property
     def at_rest(self) -> bool:
-        """Whether the arm reports standstill.
+        """Whether the arm is known to be at rest.
 
-        For an arm that reports no state: whether a state frame followed the brake command.
+        If the arm reports its brakes, the brakes must be engaged. If the arm reports only its life
+        cycle state, this state must not be active. If the arm reports neither of these, a state
+        frame must have arrived after the brake command.
         """
         if "brakes" in self.frames.state:
             return self._braked
@@ -390,7 +426,7 @@ class CanArm:
     def deactivate(self) -> None:
         if self._bus is None:
             return
-        if self._released:  # including an incomplete activation
+        if self._released:  # also after an incomplete activation
             self._brake()
         if self.state.now in (LifeCycle.active, LifeCycle.safe_stop):
             self.state.to(LifeCycle.inactive)
@@ -421,14 +457,18 @@ class CanArm:
     # Frames
 
     def _is_stale(self, numbers: Mapping[str, list[float]]) -> bool:
-        """Whether the frame has the cycle number of the last one, or an earlier number."""
+        """Return whether the frame has the cycle number of the last frame, or an earlier number.
+
+        The result is False if the device is not in the state active.
+        """
         ahead = (int(numbers["cycle"][0]) - self._cycle_number) % self.frames.cycles
         return self.state.now is LifeCycle.active and not 0 < ahead < self.frames.cycles // 2
 
     def _take(self, numbers: Numbers, now: int, empty_at: int) -> bool:
-        """Process a state frame. Return whether it is used (a stale frame is not).
+        """Process a state frame. Return True if it is used, or False if it is stale.
 
-        `now` [ns]: when it was read; `empty_at` [ns]: it was not sent before this time.
+        `now` [ns]: time when the frame was read. `empty_at` [ns]: earliest time when the frame can
+        have been sent.
         """
         if self._is_stale(numbers):
             self._states.receiver.rejected["stale"] += 1
@@ -436,7 +476,7 @@ class CanArm:
         late = self._environment.time_ns() * 1e-9 - self._states.stamp
         if 0.0 <= late < 1.0 and self.state.now is LifeCycle.active:
             self.wake_up.add(int(late * 1e9))
-        # Measurements and cycle numbers.
+        # Store the measurements and the cycle numbers.
         for name in MEASURED:
             self.values[name][:] = numbers[name]
         self._cycle_number = int(numbers["cycle"][0]) % self.frames.cycles
@@ -447,7 +487,7 @@ class CanArm:
             echoed = int(numbers["echoed_cycle"][0]) % self.frames.cycles
             if self.state.now is LifeCycle.active and session.state is LifeCycle.active:
                 self.late_commands += echoed != (self._cycle_number - 1) % self.frames.cycles
-        # State of the arm, for the session.
+        # Pass the state of the arm to the session.
         self._command_age = numbers.get("command_age", (0.0,))[0]
         self._braked = numbers.get("brakes", (0.0,))[0] > 0.5
         state: LifeCycle | None = None
@@ -455,7 +495,7 @@ class CanArm:
             number = numbers["life_cycle"][0]
             state = self.frames.life_cycle(number)
             self._state_text = (
-                f"a state of the unknown number {number:g}" if state is None else state.name
+                f"a state with the unknown number {number:g}" if state is None else state.name
             )
             # An unknown number counts as a fault.
             state = LifeCycle.fault if state is None else state
@@ -463,7 +503,10 @@ class CanArm:
         return True
 
     def _send(self, torque: Array, *, brake: bool = False) -> None:
-        """Send a command of the mode that the session allows; only mode torque uses `torque`."""
+        """Send a command with the mode that the session allows.
+
+        Only a command of the mode torque contains `torque`.
+        """
         self._put(self.session.answer(self._environment.monotonic_ns(), brake=brake), torque)
 
     def _put(self, mode: Mode, torque: Array) -> None:
@@ -473,7 +516,7 @@ class CanArm:
             and mode is not Mode.torque
             and not session.permits(Mode.torque, clock())
         ):
-            return  # without modes, every frame is a torque frame
+            return  # for an arm without modes, every command frame is a torque command
         if mode is not Mode.torque:
             torque = np.zeros_like(torque)
         self._brake_sent = mode is Mode.brake

@@ -1,4 +1,4 @@
-"""The entry point of kind "can_arm"."""
+"""Entry point for devices of the kind "can_arm"."""
 
 from __future__ import annotations
 

@@ -21,19 +21,23 @@ def compare(
     expected: Mapping[str, Array],
     joints: int,
 ) -> None:
-    """Raise DeviceError, with both values, if they differ by more than the frame's resolution.
+    """Raise DeviceError if a described value differs from the value in the scenario.
 
-    `where`: name of the arm in errors; `described`: values of `frame` by role [SI]; `expected`:
-    settings of `freeflyer_adapters.device.settings.ARM`, one value per joint. The speed and torque
-    limits of the scenario may be lower than those of the arm. The position limits must be equal, as
-    they identify the arm.
+    Differences up to the resolution of the signal are accepted. The speed limits and torque limits
+    of the scenario may be lower than the limits of the arm. The position limits must be equal,
+    because different position limits indicate a different arm. The error message contains both
+    values.
+
+    `where`: name of the arm in error messages. `described`: role -> values of `frame` in SI units.
+    `expected`: settings of `freeflyer_adapters.device.settings.ARM`, one value per joint. `joints`:
+    number of joints in the scenario.
     """
     count, period = int(described["joint_count"][0]), float(expected["period"][0])
     if count != joints:
         raise DeviceError(f"{where} has {count} joints, but the scenario's robot has {joints}")
     if "cycle_time" in described and abs(described["cycle_time"][0] - period) > 1e-9:
         raise DeviceError(
-            f"{where} has a cycle of {described['cycle_time'][0]:g} s, but the scenario's is {period:g} s"
+            f"{where} has a cycle of {described['cycle_time'][0]:g} s, but the scenario has a cycle of {period:g} s"
         )
     for role in LIMIT_ROLES:
         for j, (actual, limit) in enumerate(

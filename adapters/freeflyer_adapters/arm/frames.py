@@ -1,8 +1,11 @@
-"""Command, state and description frames of an arm, and the mapping of their roles to DBC signals.
+"""Command, state and description frames of an arm.
 
-The shipped `arm.dbc` needs no mapping. A user's DBC needs the names of its messages and signals.
-Both ends of a link use `ArmFrames`: the host packs commands and unpacks states, the virtual arm
-does the opposite.
+Role: name of a quantity in a frame, for example `joint_position`. A mapping assigns the signals of
+a DBC to the roles. The shipped `arm.dbc` needs no mapping. For a user's DBC, the mapping contains
+the names of the messages and signals.
+
+Both ends of a link use `ArmFrames`. The host packs commands and unpacks states. The virtual arm
+unpacks commands and packs states.
 """
 
 from __future__ import annotations
@@ -21,7 +24,7 @@ from freeflyer_adapters.device.device import DeviceError, LifeCycle
 SHIPPED_DBC = Path(__file__).parent / "arm.dbc"
 CYCLE_ROLES = ("cycle", "answered_cycle", "echoed_cycle")
 FEWEST_CYCLES = 64
-"""Smallest accepted number of cycle numbers."""
+"""Smallest accepted modulus of the cycle numbers."""
 
 
 class Mode(IntEnum):
@@ -31,14 +34,22 @@ class Mode(IntEnum):
     torque = 1
     brake = 2
     reset = 3
-    """Claims the session number, and takes the arm from safe stop or fault to inactive."""
+    """Claims the session number.
+
+    An arm in the state safe_stop or fault also changes to the state inactive.
+    """
     activate = 4
     """Releases the brakes of an inactive arm that has echoed the session number."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Role:
-    """Quantity in a frame: one signal, or one signal per joint (`{}`: the number of the joint)."""
+    """Quantity in a frame.
+
+    `signal`: name of the signal in the shipped DBC. `per_joint`: whether each joint has one signal.
+    Then `{}` in the name stands for the number of the joint. `required`: whether every DBC must
+    contain this role.
+    """
 
     name: str
     signal: str
@@ -79,17 +90,17 @@ ROLES: Mapping[str, tuple[Role, ...]] = {
     ),
 }
 CONSEQUENCES: Mapping[str, str] = {
-    "mode_values.activate": "a torque frame alone activates the arm, even a late one",
+    "mode_values.activate": "a single torque frame activates the arm, even if the frame is late",
     "controller": "the arm accepts commands of an earlier run, or of another controller",
     "obeyed_controller": "the controllers cannot detect that the arm accepts commands from another run or controller",
-    "answered_cycle": "the arm cannot distinguish a late command from a fresh one",
+    "answered_cycle": "the arm cannot distinguish a late command from a new command",
     "life_cycle": "the controllers cannot detect that the arm has stopped by itself",
-    "brakes": "the controllers cannot detect whether the brakes are engaged, and take the end of the ramp-down as standstill",
-    "echoed_cycle": "the controllers do not count late commands, and accept a delayed state frame as a fresh one",
+    "brakes": "the controllers cannot detect whether the brakes are engaged, and assume that the arm is at rest at the end of the ramp-down",
+    "echoed_cycle": "the controllers do not count late commands, and accept a delayed state frame as a new state frame",
 }
 """Effect of a missing role, or of a missing number for the mode `activate`."""
 NEEDED = ("mode_values.activate", "controller", "obeyed_controller", "answered_cycle", "life_cycle")
-"""Without any one of these, the arm cannot reject an activation that no run has requested."""
+"""If one of these is missing, the arm cannot reject an activation that no run has requested."""
 MESSAGES = {"command": "ArmCommand", "state": "ArmState", "description": "ArmDescription"}
 LIMIT_ROLES = (
     "joint_lower_limit",
@@ -101,12 +112,17 @@ LIMIT_ROLES = (
 
 @dataclass(frozen=True, kw_only=True)
 class FrameMapping:
-    """DBC of a scenario, and the names in it. Empty tables select the names of the shipped DBC.
+    """DBC of a scenario, and the names and numbers in this DBC.
 
-    `signals`: role -> signal name, with `{}` for the number of the joint, or a list of names;
-    `data_ids`: frame -> E2E data ID, where the DBC has no attribute E2eDataId;
-    `mode_values`, `life_cycle_values`: raw numbers of the DBC, where they differ from the shipped
-    ones.
+    An empty table selects the names and numbers of the shipped DBC.
+
+    - `messages`: frame -> message name.
+    - `signals`: role -> signal name. For a role with one signal per joint, the name contains `{}`
+      for the number of the joint. A list of names is also possible.
+    - `data_ids`: frame -> E2E data ID. Needed if the DBC has no attribute E2eDataId.
+    - `e2e_offset`: first byte of the E2E header.
+    - `mode_values`, `life_cycle_values`: name -> raw number in the DBC. Needed if the number
+      differs from the number in the shipped DBC.
     """
 
     dbc: Path = SHIPPED_DBC
@@ -119,7 +135,7 @@ class FrameMapping:
 
     @property
     def has_shipped_names(self) -> bool:
-        """Whether messages and signals have the shipped names, in the shipped DBC or in a copy."""
+        """Whether the messages and signals have the names of the shipped DBC."""
         if self.dbc == SHIPPED_DBC:
             return True
         if self.messages or self.signals:
@@ -127,7 +143,7 @@ class FrameMapping:
         return self._names_all("command", "state")
 
     def _names_all(self, *kinds: str) -> bool:
-        """Whether the DBC has all shipped message and signal names of these frames."""
+        """Return whether the DBC has all shipped message and signal names of the frames `kinds`."""
         frames = {
             message.name: {signal.name for signal in message.signals}
             for message in load(self.dbc).messages
@@ -140,7 +156,10 @@ class FrameMapping:
 
     @property
     def has_description(self) -> bool:
-        """Whether the arm sends a description frame: a mapped message, or the shipped one."""
+        """Whether the arm sends a description frame.
+
+        The description frame is a mapped message or the message of the shipped DBC.
+        """
         if "description" in self.messages or self.dbc == SHIPPED_DBC:
             return True
         return self.has_shipped_names and self._names_all("description")
@@ -166,13 +185,14 @@ def _frame(kind: str, mapping: FrameMapping, joints: int) -> Frame:
 
 
 def _names(role: Role, mapping: FrameMapping, joints: int, present: set[str]) -> list[str]:
-    """Return the signal names of a role; [] if an optional role is not mapped.
+    """Return the signal names of a role, or [] if an optional role is not mapped.
 
-    Raises DeviceError for a name that is not in `present`.
+    `present`: names of all signals in the message. Raises DeviceError if the mapping of the role is
+    invalid, or if a name is not in `present`.
     """
     given = mapping.signals.get(role.name)
     if given is None and not role.required and not mapping.has_shipped_names:
-        return []  # in a user's DBC, only mapped signals are used
+        return []  # optional signals of a user's DBC are used only if they are mapped
     pattern = role.signal if given is None else given
     if not role.per_joint:
         if not isinstance(pattern, str):
@@ -185,7 +205,7 @@ def _names(role: Role, mapping: FrameMapping, joints: int, present: set[str]) ->
     else:
         if not isinstance(pattern, list) or not all(isinstance(name, str) for name in pattern):
             raise DeviceError(
-                f"signals.{role.name} is {pattern!r}; a pattern with {{}} for the number of the joint, or a list of names, is expected"
+                f"signals.{role.name} is {pattern!r}; expected: a name with {{}} for the number of the joint, or a list of names"
             )
         names = list(pattern)
         if len(names) != joints:
@@ -201,11 +221,11 @@ def _names(role: Role, mapping: FrameMapping, joints: int, present: set[str]) ->
 
 
 def _check_values(title: str, numbers: Mapping[Any, int], fields: Sequence[Field] | None) -> None:
-    """Raise DeviceError for a number that is used twice, or that its signal cannot hold."""
+    """Raise DeviceError if a number is used twice, or if its signal cannot represent the number."""
     for name, number in numbers.items():
         if list(numbers.values()).count(number) > 1:
             raise DeviceError(
-                f"{title}: {name.name} has the number {number}, and so has another; distinct numbers are expected, including the defaults"
+                f"{title}: {name.name} has the number {number}, but another name has the same number; all numbers must differ, including the defaults"
             )
         if fields and not fields[0].least <= number <= fields[0].most:
             raise DeviceError(
@@ -214,9 +234,9 @@ def _check_values(title: str, numbers: Mapping[Any, int], fields: Sequence[Field
 
 
 def check_mapping(mapping: FrameMapping) -> None:
-    """Raise DeviceError for unknown names and invalid values in the mapping's tables.
+    """Raise DeviceError if a table of the mapping has an unknown name or an invalid value.
 
-    The DBC is not read.
+    This check does not read the DBC.
     """
     roles = [role.name for rows in ROLES.values() for role in rows]
     for table, known in (
@@ -247,11 +267,11 @@ def check_mapping(mapping: FrameMapping) -> None:
 
 
 class ArmFrames:
-    """Command and state frame of an arm, and its description frame if the DBC has one."""
+    """Command frame, state frame and optional description frame of an arm."""
 
     def __init__(self, mapping: FrameMapping, joints: int) -> None:
-        """Bind the roles to signals. Raises DeviceError if the DBC or the mapping is unusable."""
-        # Two nodes cannot send the same identifier.
+        """Assign signals to the roles. Raises DeviceError if the DBC or mapping cannot be used."""
+        # The frames need different identifiers: two nodes must not send the same identifier.
         check_mapping(mapping)
         self.mapping, self.joints = mapping, joints
         self.command = _frame("command", mapping, joints)
@@ -267,7 +287,8 @@ class ArmFrames:
         self.description: Frame | None = None
         if mapping.has_description:
             self.description = _frame("description", mapping, joints)
-        # The narrowest signals limit the cycle numbers and the session numbers.
+        # Several signals contain a cycle number. The shortest of these signals limits the cycle
+        # numbers. The same applies to the session numbers.
         numbers = [
             f.fields[r][0].most for f in (self.command, self.state) for r in CYCLE_ROLES if r in f
         ]
@@ -275,8 +296,8 @@ class ArmFrames:
         """Modulus of the cycle numbers."""
         if self.cycles < FEWEST_CYCLES:
             raise DeviceError(
-                f"DBC {mapping.dbc}: a cycle number of {int(min(numbers)).bit_length()} bits is too narrow; at least {FEWEST_CYCLES} "
-                f"cycle numbers are expected"
+                f"DBC {mapping.dbc}: the cycle number has only {int(min(numbers)).bit_length()} bits; at least {FEWEST_CYCLES} "
+                f"different cycle numbers are expected"
             )
         named = [
             f.fields[r][0].most
@@ -285,7 +306,7 @@ class ArmFrames:
         ]
         self.controllers = int(min(named, default=0xFFFF))
         """Largest session number."""
-        # Raw numbers of modes and states.
+        # Store the raw numbers of the modes and states.
         self._modes = {mode: int(mapping.mode_values.get(mode.name, mode)) for mode in Mode}
         if not mapping.has_shipped_names and "activate" not in mapping.mode_values:
             del self._modes[Mode.activate]
@@ -300,33 +321,37 @@ class ArmFrames:
         )
         if len(self._states) < len(LifeCycle):
             raise DeviceError(
-                "life_cycle_values: two states have the same number; distinct numbers are expected, including the defaults"
+                "life_cycle_values: two states have the same number; all numbers must differ, including the defaults"
             )
         self._mode_of = {raw: mode for mode, raw in self._modes.items()}
         self._state_of = {state: raw for raw, state in self._states.items()}
 
     @property
     def missing(self) -> list[str]:
-        """The keys of `CONSEQUENCES` that the DBC or its mapping does not have."""
+        """Keys of `CONSEQUENCES` that are missing in the DBC or in the mapping."""
         present = {"mode_values.activate": Mode.activate in self._modes and "mode" in self.command}
         roles = {*self.command.fields, *self.state.fields}
         return [name for name in CONSEQUENCES if not present.get(name, name in roles)]
 
     def check_activation(self, subject: str, implicit: bool) -> None:
-        """Raise DeviceError if the arm cannot reject an unrequested activation.
+        """Raise DeviceError if the arm cannot reject an activation that no run has requested.
 
-        `subject`: name of the arm in the error; `implicit`: the scenario accepts such an arm.
+        `subject`: name of the arm in the error message. `implicit`: whether the scenario accepts an
+        arm that cannot reject such an activation.
         """
         missing = [name for name in self.missing if name in NEEDED]
         if missing and not implicit:
             raise DeviceError(
                 f"{subject}: DBC {self.mapping.dbc} has no {', '.join(missing)}, so that the arm cannot refuse a late activation "
-                f'itself (interface control document, "What a DBC may lack"); map what the arm has, or write '
+                f'itself (interface control document, "What a DBC may lack"); map all signals that the arm has, or write '
                 f'activation = "implicit"'
             )
 
     def cannot_refuse(self, implicit: bool) -> list[str]:
-        """Return what this arm cannot reject or report by itself: one sentence for each limit."""
+        """Return sentences about what this arm cannot reject or report by itself.
+
+        `implicit`: whether the scenario has the option `activation = "implicit"`.
+        """
         limits = [f"without {name}, {CONSEQUENCES[name]}" for name in self.missing]
         if implicit and not any(name in NEEDED for name in self.missing):
             limits.append(f'with activation = "implicit", {CONSEQUENCES["mode_values.activate"]}')
@@ -349,9 +374,9 @@ class ArmFrames:
         return self._states.get(int(number))
 
     def check_ranges(self, needed: Mapping[str, Sequence[tuple[float, float]]]) -> None:
-        """Raise DeviceError if a signal cannot hold the range that the robot needs.
+        """Raise DeviceError if a signal cannot represent the range that the robot needs.
 
-        `needed`: role -> (smallest, largest) value per joint [SI].
+        `needed`: role -> one pair (smallest value, largest value) per joint, in SI units.
         """
         for frame in (self.command, self.state):
             for role, ranges in needed.items():

@@ -1,6 +1,7 @@
-"""Options of a scenario's `[devices.NAME]` of kind "can_arm"; both ends of the link use them.
+"""Options of a device of the kind "can_arm", from the table `[devices.NAME]` of a scenario.
 
-The numbers in `parameters` are in `freeflyer_adapters.device.settings`.
+Both ends of the link use these options. The numeric settings of the table `parameters` are defined
+in `freeflyer_adapters.device.settings`.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ ACTIVATIONS = ("explicit", "implicit")
 class ArmOptions:
     """Options of the link to one arm.
 
-    `bus`: further arguments of the python-can interface, for example bit rates; `joints`: number of
+    `bus`: further arguments of the python-can interface, for example bit rates. `joints`: number of
     joints of the robot.
     """
 
@@ -31,11 +32,17 @@ class ArmOptions:
     joints: int = 6
     frames: FrameMapping = field(default_factory=FrameMapping)
     implicit: bool = False
-    """`activation = "implicit"`: the arm has no mode `activate`; a torque frame activates it."""
+    """True for `activation = "implicit"`.
+
+    Such an arm has no mode `activate`. A torque frame activates the arm.
+    """
 
 
 def options_from(name: str, raw: Mapping[str, Any], directory: Path) -> ArmOptions:
-    """The device's table as options; DeviceError for a key or value that is none."""
+    """Return the options from the device's table.
+
+    Raises DeviceError for an unknown key or an invalid value.
+    """
     known_keys(name, raw, ("interface", "channel", "bus", "joints", "dbc", "messages", "signals", "data_ids", "e2e_offset",
                            "mode_values", "life_cycle_values", "activation"))  # fmt: skip
     dbc = checked(name, raw, "dbc", str, "")

@@ -1,8 +1,14 @@
-"""Session of the host with an arm: determines the mode of the next command frame.
+"""Session of the host with an arm. The session determines the mode of the next command frame.
 
-One session is one activation with its own session number. Its phases follow the interface control
-document: claim the number until the arm echoes it, activate until the arm reports active, then
-command. After the first reason to stop, only frames of the graded stop are allowed.
+A session is one activation of the arm, with its own session number. A session has these phases, as
+in the interface control document:
+
+1. Claiming: the host sends the session number until the arm echoes this number.
+2. Activating: the host requests the activation until the arm reports the state active.
+3. Commanding: the host sends torque commands.
+
+After the first reason to stop, only frames of the graded stop are allowed. In a graded stop, the
+torque decreases to zero, then the brakes engage.
 """
 
 from __future__ import annotations
@@ -15,9 +21,15 @@ from freeflyer_adapters.device.device import LifeCycle
 from freeflyer_adapters.device.permit import Permit
 
 CLAIMS = 100
-"""Claims without an echo after which a new number is used: the arm may have expired this one."""
+"""Number of claims without an echo after which the host uses a new session number.
+
+The arm does not echo a session number that has already expired.
+"""
 REMEMBERED = 32
-"""Number of answers whose send time is stored: half of the smallest number of cycle numbers."""
+"""Number of answers whose send times are stored.
+
+This is half of the smallest accepted modulus of the cycle numbers.
+"""
 STOPPED = (LifeCycle.safe_stop, LifeCycle.fault)
 
 
@@ -31,11 +43,11 @@ class Phase(Enum):
 
 
 class ArmSession:
-    """Decision logic of a session; it reads no clock and sends nothing.
+    """Decision logic of a session. This class reads no clock and sends nothing.
 
-    Times are [ns] of the monotonic clock. `numbers` returns a new session number. `implicit`: the
-    arm has no mode `activate`; torque frames activate it. `echoes`: the state frames of the arm
-    echo the accepted session number.
+    Times are [ns] of the monotonic clock. `numbers` returns a new session number. `implicit`:
+    whether the arm has no mode `activate`. Torque frames activate such an arm. `echoes`: whether
+    the state frames of the arm echo the accepted session number.
     """
 
     def __init__(
@@ -52,7 +64,7 @@ class ArmSession:
         self.number = numbers()
         self.state = LifeCycle.unconfigured if permit.reports_state else LifeCycle.inactive
         self.echoed_number = 0
-        """The session number that the arm echoes; 0: none."""
+        """Session number that the arm echoes. 0: the arm has no session."""
         self._answered_at: dict[int, int] = {}
         self._claims = 0
         self._was_claimed = False
@@ -61,7 +73,7 @@ class ArmSession:
 
     @property
     def is_claimed(self) -> bool:
-        """Whether the arm echoes the number of this session, and can be activated."""
+        """Whether the arm echoes the number of this session and can be activated."""
         echoed = self.echoed_number == self.number or not self.echoes
         return echoed and (self.implicit or self.state is LifeCycle.inactive)
 
@@ -71,7 +83,10 @@ class ArmSession:
         return self.echoed_number not in (0, self.number)
 
     def wrote(self, answered: int, now: int) -> None:
-        """Record that a command frame for the state frame of cycle `answered` was sent at `now`."""
+        """Record that a command frame was sent at `now`.
+
+        `answered`: cycle number of the state frame that the command frame answers.
+        """
         self.permit.wrote(now)
         self._answered_at[answered] = now
         if len(self._answered_at) > REMEMBERED:
@@ -82,15 +97,16 @@ class ArmSession:
     ) -> None:
         """Process a state frame that was received at `at` or later.
 
-        `state`: None for an arm that does not report it; `number`: echoed session number;
-        `echoed_cycle`: cycle number of the last answer that the arm accepted.
+        `state`: reported state, or None if the arm does not report its state. `number`: echoed
+        session number. `echoed_cycle`: cycle number of the last answer that the arm accepted.
         """
         if echoed_cycle is not None:
-            # The frame is newer than that answer, but may have been delayed: use the answer's time.
+            # The arm has sent this frame after it accepted the echoed answer. The frame may have
+            # been delayed on the bus. Therefore use the send time of the echoed answer.
             at = self._answered_at.get(echoed_cycle, 0)
         if state is None:
-            # The arm counts as active while it echoes recent answers of this session. An arm that
-            # echoes none counts as active while its frames arrive.
+            # If the arm echoes answers, it counts as active while it echoes recent answers of this
+            # session. If the arm echoes no answers, it counts as active while its frames arrive.
             is_recent = at > 0 and self.permit.last_write - at <= self.permit.watchdog
             state = LifeCycle.active if is_recent or echoed_cycle is None else LifeCycle.inactive
         self.state, self.echoed_number = state, number
@@ -103,7 +119,8 @@ class ArmSession:
             and not self._activation_requested
             and state is not LifeCycle.inactive
         ):
-            # The claim has reset the earlier stop or fault, so this one is new.
+            # The claim has already reset any earlier stop or fault. Therefore the reported stop or
+            # fault is new.
             self.permit.lose(f"{self.permit.subject} went to {state.name} before it was activated")
         self._was_claimed = self._was_claimed or (self.phase is Phase.claiming and self.is_claimed)
         if self.phase is Phase.activating:
@@ -125,7 +142,7 @@ class ArmSession:
         self.phase = Phase.commanding if self.state is LifeCycle.active else Phase.activating
 
     def answer(self, now: int, *, brake: bool = False) -> Mode:
-        """Return the mode of the next command frame; `brake`: engage the brakes now."""
+        """Return the mode of the next command frame. `brake`: whether the arm must brake now."""
         if self.phase in (Phase.listening, Phase.claiming):
             is_claiming = self.phase is Phase.claiming and self.permit.lost is None and not brake
             return self._claim() if is_claiming else Mode.brake if brake else Mode.idle
@@ -133,14 +150,17 @@ class ArmSession:
             if self.phase is Phase.commanding:
                 return Mode.torque
             return self._request_activation()
-        # Graded stop: decreasing torque while the arm is recently reported active. Otherwise no
-        # torque is sent, and the arm's watchdog stops it.
+        # Graded stop: send decreasing torques while recent state frames report the state active.
+        # Otherwise send no torque. Then the watchdog of the arm stops the arm.
         if self.phase is Phase.commanding and not brake:
             return Mode.torque if self.permit.may_ramp_down(now) else Mode.idle
         return Mode.brake
 
     def permits(self, mode: Mode, now: int) -> bool:
-        """Whether a frame of this mode may still be sent; the last check before transmission."""
+        """Return whether a frame of this mode may still be sent.
+
+        This is the last check before the transmission.
+        """
         if mode is Mode.torque:
             return self.permit.allows(now) or self.permit.may_ramp_down(now)
         return mode is not Mode.activate or self.permit.allows(now)

@@ -1,6 +1,7 @@
 """Reception of state frames by the host, and detection of other senders on the bus.
 
-Every wait is limited in frames and in time, so that a flood of frames cannot block the loop.
+Every wait is limited to a number of frames and to a duration. Therefore a flood of frames cannot
+block the loop.
 """
 
 from __future__ import annotations
@@ -15,22 +16,27 @@ from freeflyer_adapters.can.link import Receiver, Sender, driver_message
 from freeflyer_adapters.foundation import environment
 
 MOST_FRAMES = 64
-"""Largest number of frames per wait. The next cycles read the rest of a backlog."""
+"""Largest number of frames that one wait reads. Later waits read the remaining frames."""
 FOREIGN, WITHIN = 3, 20
-"""FOREIGN command frames of another controller within WITHIN cycles are a second controller."""
+"""Condition for a second controller.
+
+A second controller is detected if FOREIGN command frames of another controller arrive within
+WITHIN cycles.
+"""
 FLOOD = 10
-"""Frames of other identifiers per state frame from which errors report a flood."""
+"""Number of other frames per state frame from which an error message reports a flood."""
 SLICE = 2e-4
-"""Sleep during a flood [s]."""
+"""Duration of one sleep during a flood [s]."""
 Numbers = Mapping[str, list[float]]
 
 
 class StateFrames:
     """Reader of the state frames of one arm.
 
-    `take(numbers, now, empty_at)` processes a new state frame, and returns whether it is used.
-    `numbers`: values by role [SI]; `now` [ns]: when the frame was read; `empty_at` [ns]: time of
-    the last empty receive buffer, before which the frame was not sent.
+    `take(numbers, now, empty_at)` processes a new state frame, and returns whether the frame is
+    used. `numbers`: role -> values in SI units. `now` [ns]: time when the frame was read.
+    `empty_at` [ns]: last time when the receive buffer was empty. The frame was not sent before
+    this time.
     """
 
     def __init__(
@@ -48,7 +54,7 @@ class StateFrames:
         self.error = ""
         """The driver's message for the last failed reception."""
         self.stamp = 0.0
-        """Time stamp of the newest frame, from the interface [s]."""
+        """Time stamp [s] of the newest frame, set by the CAN interface."""
         self._commands = Receiver(frames.command)
         self._foreign: deque[int] = deque(maxlen=FOREIGN)
         self._foreign_number: float | None = None
@@ -56,7 +62,7 @@ class StateFrames:
 
     @property
     def problem(self) -> str | None:
-        """Message about a second arm or a second controller; None if neither was detected."""
+        """Message about a second arm or a second controller, or None if there is neither."""
         state, command = self._frames.state, self._frames.command
         if self.receiver.senders.found:
             first, second = self.receiver.senders.counters
@@ -77,7 +83,10 @@ class StateFrames:
 
     @property
     def errors(self) -> str:
-        """The driver's errors as the end of a sentence; empty if there are none."""
+        """Text about errors of the driver, for the end of a message.
+
+        The text is empty if there are no errors.
+        """
         errors = []
         if self._sender.failed:
             errors.append(f"{self._sender.failed} frames could not be sent: {self._sender.error}")
@@ -87,10 +96,13 @@ class StateFrames:
 
     @property
     def flood(self) -> str:
-        """Note about a flood of other frames as the end of a sentence; empty if there is none."""
+        """Text about a flood of other frames, for the end of a message.
+
+        The text is empty if there is no flood.
+        """
         if self.others < FLOOD * self.receiver.accepted:
             return ""
-        return f"; a flood of frames: {self.others} with other identifiers were received beside {self.receiver.accepted} state frames"
+        return f"; a flood of frames: {self.others} frames with other identifiers were received beside {self.receiver.accepted} state frames"
 
     def silence(self, what: str, receiver: Receiver, waited: float) -> str:
         """Return an error message for a frame type that was not received within `waited` [s]."""
@@ -119,12 +131,12 @@ class StateFrames:
         end = before + max(1, int(timeout * 1e9))
         used, taken = False, 0
         while True:
-            # After MOST_FRAMES, wait on only if no state frame was used and time is left.
+            # After MOST_FRAMES frames, continue only if no state frame was used and time is left.
             left = end - before
             if taken >= MOST_FRAMES and (used or left <= 0):
                 return used
             taken += 1
-            # Once a state frame was used, read only what is pending.
+            # After a state frame was used, read only the pending frames.
             try:
                 message = bus.recv(0.0 if used or left <= 0 else left * 1e-9)
             except can.CanError as error:
@@ -132,7 +144,7 @@ class StateFrames:
             else:
                 if message is None:
                     self._empty_at = before
-            # `take` decides about state frames; other frames are counted.
+            # `take` decides whether a state frame is used. Other frames are counted.
             now = clock()
             if message is None:
                 if used or now >= end:
@@ -145,12 +157,13 @@ class StateFrames:
                 elif message.arbitration_id != identifier:
                     self._note_other(message)
                     if self.others and self.others % MOST_FRAMES == 0 and not used:
-                        # In a flood, sleep: the kernel throttles a real-time loop that never does.
+                        # Sleep during a flood, because the kernel throttles a real-time process
+                        # that never sleeps.
                         self._environment.sleep(min(SLICE, max(left * 1e-9, 0.0)))
             before = now
 
     def _note_other(self, message: can.Message) -> None:
-        """Count a frame of another identifier, and record a command frame of another controller."""
+        """Record a command frame of another controller. Count a frame with another identifier."""
         command = self._frames.command
         if (
             message.arbitration_id != command.identifier
@@ -158,7 +171,7 @@ class StateFrames:
         ):
             self.others += 1
             return
-        # Some interfaces echo the frames that this controller has sent.
+        # Ignore frames that this controller has sent: some interfaces return them.
         if not message.is_rx or message.data in self._sender.recent:
             return
         numbers = self._commands.take(message)
@@ -167,7 +180,10 @@ class StateFrames:
             self._foreign_number = numbers["controller"][0] if "controller" in numbers else None
 
     def receive(self, timeout: float) -> tuple[can.Message | None, bool]:
-        """Return a frame or None after `timeout` [s], and whether the reception failed."""
+        """Return a frame, and whether the reception failed.
+
+        The frame is None if no frame arrives within `timeout` [s].
+        """
         try:
             return self._bus.recv(max(timeout, 0.0)), False
         except can.CanError as error:
@@ -175,7 +191,7 @@ class StateFrames:
             return None, True
 
     def drain(self) -> None:
-        """Discard the pending frames, up to a limit."""
+        """Discard the pending frames. The number of discarded frames is limited."""
         for _ in range(16 * MOST_FRAMES):
             before = self._environment.monotonic_ns()
             message, failed = self.receive(0.0)

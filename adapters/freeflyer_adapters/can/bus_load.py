@@ -10,8 +10,9 @@ def bus_load(
 ) -> float:
     """Return the worst-case bus load (a fraction) of frames that are each sent once per cycle.
 
-    `frames`: (payload bytes, is CAN FD); `cycle` [s]; `nominal`, `data`: bit rates [bit/s]. All
-    possible stuff bits are counted.
+    `frames`: one pair (payload [bytes], whether it is a CAN FD frame) for each frame. `cycle` [s]:
+    period of the frames. `nominal`, `data`: bit rates [bit/s]. The largest possible number of stuff
+    bits is counted.
     """
     return sum(frame_time(size, is_fd, nominal, data) for size, is_fd in frames) / cycle
 
@@ -19,12 +20,14 @@ def bus_load(
 def frame_time(size: int, is_fd: bool, nominal: float = 1e6, data: float = 5e6) -> float:
     """Return the longest transmission time [s] of a frame with an 11-bit identifier.
 
-    `size`: payload [bytes]; `nominal`, `data`: bit rates [bit/s]. The interframe space is included
-    (ISO 11898-1:2015). A CAN FD frame switches the bit rate:
+    `size`: payload [bytes]. `nominal`, `data`: bit rates [bit/s]. The interframe space is included
+    (ISO 11898-1:2015). A CAN FD frame has three parts:
 
-    - Arbitration phase: SOF, identifier, r1, IDE, FDF, r0, BRS with stuff bits.
-    - Data phase: ESI, DLC and data with stuff bits, stuff count, CRC with fixed stuff bits.
-    - At the nominal rate again: CRC delimiter, ACK, EOF, intermission.
+    - Arbitration phase, at the nominal bit rate: SOF, identifier, r1, IDE, FDF, r0 and BRS. This
+      part has stuff bits.
+    - Data phase, at the data bit rate: ESI, DLC, data, stuff count and CRC. ESI, DLC and data have
+      stuff bits. The CRC has fixed stuff bits.
+    - End of the frame, at the nominal bit rate: CRC delimiter, ACK, EOF and intermission.
     """
     if not is_fd:
         bits = 44 + 8 * size

@@ -1,7 +1,9 @@
-"""End-to-end protection by AUTOSAR E2E profile 5: a CRC-16 over data and data ID, and a counter.
+"""End-to-end protection by AUTOSAR E2E profile 5.
+
+The profile adds a counter and a CRC-16 to each frame. The CRC covers the data and the data ID.
 
 Reference: AUTOSAR FO, Specification of E2E Protocol (document 849), profile 5. The `autosar-e2e`
-package computes the CRC. This module checks the counter (repetition, loss, wrong sequence).
+package computes the CRC. This module checks the counter for repetition, loss and wrong sequence.
 """
 
 from __future__ import annotations
@@ -12,7 +14,7 @@ from enum import Enum
 from e2e.p05 import e2e_p05_check, e2e_p05_protect
 
 HEADER_BYTES = 3
-"""CRC (2, little-endian) and counter (1)."""
+"""Size of the E2E header: a little-endian CRC of 2 bytes, then a counter of 1 byte."""
 
 
 class Status(Enum):
@@ -30,7 +32,7 @@ class Status(Enum):
 
 
 class Protector:
-    """Sender side: adds a CRC and a counter to every frame.
+    """Sender side. Adds a CRC and a counter to every frame.
 
     `offset`: first byte of the E2E header in the frame.
     """
@@ -48,10 +50,10 @@ class Protector:
 
 @dataclass
 class Checker:
-    """Receiver side: checks the CRC and the counter of every frame.
+    """Receiver side. Checks the CRC and the counter of every frame.
 
-    `offset`: first byte of the E2E header; `most_lost`: MaxDeltaCounter, the largest step of the
-    counter since the last valid frame.
+    `offset`: first byte of the E2E header. `most_lost`: MaxDeltaCounter of the profile. This is the
+    largest accepted step of the counter since the last valid frame.
     """
 
     data_id: int
@@ -61,7 +63,10 @@ class Checker:
     _counter: int | None = None
 
     def reset(self) -> None:
-        """Accept any counter in the next valid frame, after frames were discarded unread."""
+        """Accept any counter in the next valid frame.
+
+        Call this method after frames were discarded without a check.
+        """
         self._counter = None
 
     def check(self, data: bytes | bytearray) -> Status:
@@ -84,5 +89,6 @@ class Checker:
             return Status.repeated
         if step == 1:
             return Status.ok
-        # After too large a gap the frame is rejected, but its counter is the new reference.
+        # If the step is too large, the frame is rejected. Its counter is still the reference for
+        # the next frame.
         return Status.some_lost if step <= self.most_lost else Status.wrong_sequence

@@ -1,4 +1,7 @@
-"""Conversion between one DBC message and its values in SI units, by role name."""
+"""Conversion between the bytes of a DBC message and values in SI units.
+
+Role: name of a quantity in a frame. A role does not depend on the signal names of the DBC.
+"""
 
 from __future__ import annotations
 
@@ -13,13 +16,21 @@ CAN_FD_SIZES = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 
 
 class Frame:
-    """DBC message with a signal, or one signal per joint, for each role.
+    """DBC message whose signals are assigned to roles.
 
-    `fields`: the signals by role; `subject`: name of the message in errors; `e2e_offset`: first
-    byte of the E2E header. `data_id`: data ID of E2E profile 5. None selects the attribute
-    E2eDataId of the message; a message without it is not protected.
-    Raises DeviceError for a signal that is mapped twice, for a size that is not a CAN FD frame
-    size, and for a signal inside the E2E header.
+    A role has one signal, or one signal per joint.
+
+    - `fields`: role -> signals.
+    - `subject`: name of the message in error messages.
+    - `data_id`: data ID of E2E profile 5. If `data_id` is None, the attribute E2eDataId of the
+      message is used. A message without a data ID is not protected.
+    - `e2e_offset`: first byte of the E2E header.
+
+    Raises DeviceError in these cases:
+
+    - A signal is mapped more than once.
+    - The size of the message is not a CAN FD frame size.
+    - The E2E header exceeds the message or overlaps a mapped signal.
     """
 
     def __init__(
@@ -67,9 +78,10 @@ class Frame:
         return role in self.fields
 
     def pack(self, numbers: Mapping[str, Sequence[float]]) -> bytearray:
-        """Return the frame's bytes for values in SI units, by role.
+        """Return the bytes of the frame. `numbers`: role -> values in SI units.
 
-        Each value is clamped to the range of its signal. An omitted role keeps its last value.
+        Each value is clamped to the range of its signal. A role that is not in `numbers` keeps its
+        last values.
         """
         values = self._values
         for role, given in numbers.items():
@@ -78,7 +90,7 @@ class Frame:
         return bytearray(self._codec.encode(values, strict=False))
 
     def unpack(self, data: bytes | bytearray) -> dict[str, list[float]]:
-        """Return the values of a frame in SI units, by role."""
+        """Return the values of a frame: role -> values in SI units."""
         values = self._codec.decode(bytes(data), decode_choices=False)
         return {
             role: [f.factor * values[f.name] for f in fields]
@@ -90,7 +102,7 @@ def _check_header(message: Any, subject: str, bound: set[str], offset: int) -> N
     """Raise DeviceError if the E2E header exceeds the frame or overlaps a mapped signal."""
     if not 0 <= offset <= message.length - HEADER_BYTES:
         raise DeviceError(
-            f"{subject} has {message.length} bytes; the E2E header of {HEADER_BYTES} bytes at e2e_offset = {offset} is not within them"
+            f"{subject} has {message.length} bytes; the E2E header of {HEADER_BYTES} bytes at e2e_offset = {offset} does not fit into the frame"
         )
     header = set(range(8 * offset, 8 * (offset + HEADER_BYTES)))
     for signal in message.signals:

@@ -1,4 +1,7 @@
-"""Transmission and reception of protected frames on a python-can bus, for both ends of a link."""
+"""Transmission and reception of protected frames on a python-can bus.
+
+Both ends of a link use this module.
+"""
 
 from __future__ import annotations
 
@@ -17,13 +20,14 @@ from freeflyer_adapters.device.device import DeviceError
 from freeflyer_adapters.foundation import environment
 
 FILTERING = ("local", "socketcan")
-"""Interfaces that filter before `recv` returns a frame.
+"""Interfaces that get a filter. These interfaces filter frames before `recv` returns.
 
-With the others, `recv` with timeout 0 would return None after a filtered frame. They get no filter.
-`Receiver.take` compares identifiers for every interface.
+The other interfaces filter inside `recv`. If such a `recv` with timeout 0 has removed a frame, it
+returns None, even if further frames are waiting. Therefore these interfaces get no filter.
+`Receiver.take` compares the identifiers for every interface.
 """
 RECENT = 32
-"""Number of sent frames that `Sender.recent` keeps."""
+"""Number of sent frames that `Sender.recent` stores."""
 
 
 def open_bus(
@@ -33,9 +37,10 @@ def open_bus(
     identifiers: Sequence[Frame],
     options: Mapping[str, Any],
 ) -> can.BusABC:
-    """Return an open bus of any python-can interface; `identifiers`: the frames to receive.
+    """Open and return a bus of any python-can interface.
 
-    `options`: further arguments of the interface. Raises DeviceError if it cannot be opened.
+    `identifiers`: frames to receive. `options`: further arguments of the interface. Raises
+    DeviceError if the bus cannot be opened.
     """
     valid = sorted(can.VALID_INTERFACES)
     if interface not in valid:
@@ -58,7 +63,7 @@ def open_bus(
             can_filters=filters if interface in FILTERING else None,
             **options,
         )
-    except Exception as error:  # each interface raises its own types, and those of its driver
+    except Exception as error:  # each interface and each driver raises its own exception types
         raise DeviceError(
             f"CAN interface {interface!r}, channel {channel!r}, cannot be opened: {driver_message(error)}"
         ) from error
@@ -83,7 +88,10 @@ class Sending(Protocol):
 
 
 class Sender:
-    """Sender of one frame type; protected by E2E profile 5 if the frame has a data ID."""
+    """Sender of one frame type.
+
+    If the frame type has a data ID, E2E profile 5 protects the frames.
+    """
 
     def __init__(self, bus: Sending, frame: Frame) -> None:
         self.bus, self.frame = bus, frame
@@ -95,15 +103,20 @@ class Sender:
         """The driver's message for the last failure."""
         self.sent = 0
         self.recent: deque[bytearray] = deque(maxlen=RECENT)
-        """The last sent frames, to recognise them where an interface echoes own frames."""
+        """The last sent frames.
+
+        Some interfaces return the frames that they have sent. Such a frame is recognised because it
+        is in this list.
+        """
 
     def send(
         self, numbers: Mapping[str, Sequence[float]], permitted: Callable[[], bool] | None = None
     ) -> bool:
-        """Send a frame of these values [SI], by role. Return whether the interface accepted it.
+        """Send one frame. Return whether the interface accepted the frame.
 
-        A frame that the interface rejects counts as lost. `permitted` is called once the frame is
-        ready; the frame is sent only if it returns True.
+        `numbers`: role -> values in SI units. If the interface rejects the frame, the frame counts
+        as lost. When the frame is ready, `permitted` is called. The frame is sent only if
+        `permitted` returns True.
         """
         data = self.frame.pack(numbers)
         if self._protector is not None:
@@ -130,12 +143,12 @@ class Sender:
 
 
 class Receiver:
-    """Receiver of one frame type; `rejected` counts rejected frames by reason."""
+    """Receiver of one frame type. `rejected`: reason -> number of rejected frames."""
 
     def __init__(self, frame: Frame) -> None:
         self.frame = frame
         self._checker = None if frame.data_id is None else Checker(frame.data_id, frame.e2e_offset)
-        # Without E2E protection, the cycle number of a state frame replaces the counter.
+        # Without E2E protection, the cycle number of a state frame replaces the E2E counter.
         self._counts_cycles = self._checker is None and "cycle" in frame
         self._counters = (
             1 << max(int(frame.fields["cycle"][0].most).bit_length(), 5)
@@ -145,7 +158,12 @@ class Receiver:
         self.rejected: Counter[str] = Counter()
         self.accepted = 0
         self.senders = SecondSender(self._counters)
-        """Checks every complete frame, including the rejected ones."""
+        """Detector of a second sender of this frame type.
+
+        The detector uses all frames with the correct size and CRC, including frames that are
+        rejected for another reason. Without E2E protection, the detector uses the cycle number.
+        Frames without E2E protection and without a cycle number are not checked.
+        """
 
     @property
     def refused(self) -> int:
@@ -153,13 +171,19 @@ class Receiver:
         return sum(self.rejected.values())
 
     def reset(self) -> None:
-        """Accept any counter in the next frame, after frames were discarded unread."""
+        """Accept any counter in the next frame.
+
+        Call this method after frames were discarded without a check.
+        """
         if self._checker is not None:
             self._checker.reset()
         self.senders.reset()
 
     def take(self, message: can.Message) -> dict[str, list[float]] | None:
-        """Return the values of a frame by role [SI], or None if it is rejected."""
+        """Return the values of a frame: role -> values in SI units.
+
+        Return None if the frame is rejected or has another identifier.
+        """
         data = message.data
         if (
             message.arbitration_id != self.frame.identifier
@@ -167,7 +191,7 @@ class Receiver:
         ):
             return None
         if message.is_error_frame or message.is_remote_frame:
-            self.rejected["no data frame"] += 1
+            self.rejected["not a data frame"] += 1
             return None
         if len(data) != self.frame.size:
             self.rejected["wrong size"] += 1

@@ -1,17 +1,18 @@
-"""`interface = "local"`: a CAN bus between processes of one machine, without a kernel driver.
+"""CAN bus between processes of one machine, without a kernel driver (`interface = "local"`).
 
-Every bus object listens on a Unix socket (SOCK_SEQPACKET) in the directory of its channel, and
-connects to all other sockets there. No server process is needed. A packet is one `struct
-canfd_frame` (linux/can.h, 72 bytes).
+Every bus object listens on a Unix socket (SOCK_SEQPACKET) in the directory of its channel. It also
+connects to all other sockets in this directory. No server process is needed. Each packet is one
+`struct canfd_frame` (linux/can.h, 72 bytes).
 
-Limits, as the interface is for tests:
-- It has no bit timing, no arbitration and no acknowledgement.
-- A peer that does not read loses frames once its socket buffer is full, as a CAN controller does
-  when its receive buffer overflows.
-- The order of frames is kept for each sender only.
-- It needs Linux: other systems have no SOCK_SEQPACKET for Unix sockets.
+This interface is for tests. It has these limits:
 
-Only processes of the same user can connect: the directory has mode 0700.
+- There is no bit timing, no arbitration and no acknowledgement.
+- If a peer does not read its frames, its socket buffer becomes full. Then further frames to this
+  peer are lost. In the same way, a CAN controller loses frames when its receive buffer overflows.
+- The frames of one sender arrive in order. The frames of different senders may be reordered.
+- The interface needs Linux, because other systems have no SOCK_SEQPACKET for Unix sockets.
+
+Only processes of the same user can connect, because the directory has mode 0700.
 """
 
 from __future__ import annotations
@@ -35,14 +36,17 @@ from can import BusABC, CanInitializationError, CanOperationError, CanProtocol, 
 from freeflyer_adapters.foundation import private_directory
 
 FRAME = struct.Struct("=IBBBB64s")
-"""can_id with its flags, length, flags, two reserved bytes, data."""
+"""Fields: can_id with the flags of the identifier, length, flags, two reserved bytes, data."""
 EXTENDED, REMOTE, ERROR = 0x80000000, 0x40000000, 0x20000000
 BIT_RATE_SWITCH, ERROR_STATE, FD_FORMAT = 0x01, 0x02, 0x04
 CHANNEL = re.compile(r"[A-Za-z0-9._-]{1,32}")
 IGNORED = ("bitrate", "data_bitrate", "timing", "state", "single_handle", "ignore_config")
-"""Settings of real interfaces that this one accepts and ignores."""
+"""Settings of real interfaces that this interface accepts and ignores."""
 MOST_UNWANTED, MOST_PEERS = 64, 16
-"""Limits of filtered frames and of new nodes per receive call; they bound its duration."""
+"""Limits that bound the duration of a receive call.
+
+MOST_UNWANTED: largest number of filtered frames. MOST_PEERS: largest number of new nodes.
+"""
 SLICE = 2e-4
 """Sleep [s] after MOST_UNWANTED filtered frames."""
 SO_TIMESTAMPNS = 35
@@ -50,9 +54,10 @@ TIMESPEC = struct.Struct("=qq")
 
 
 def directory(channel: str) -> Path:
-    """Create and return the directory with the sockets of a channel, private to the user.
+    """Create the directory for the sockets of a channel, and return its path.
 
-    Raises CanInitializationError for an invalid channel name or an unsafe directory.
+    Only the user can access the directory. Raises CanInitializationError for an invalid channel
+    name or an unsafe directory.
     """
     if not CHANNEL.fullmatch(channel) or set(channel) == {"."}:
         raise CanInitializationError(
@@ -79,8 +84,9 @@ class LocalBus(BusABC):
         can_filters: Any = None,
         **kwargs: object,
     ) -> None:
-        """Join a channel. `fd`: enable CAN FD; a classic node neither sends nor receives FD frames.
+        """Join a channel. `fd`: whether to enable CAN FD.
 
+        A node without CAN FD neither sends nor receives CAN FD frames.
         Raises CanInitializationError for an unknown setting, or if the channel cannot be opened.
         """
         # Check the settings and the system.
@@ -89,7 +95,7 @@ class LocalBus(BusABC):
             raise CanInitializationError(f"the local CAN interface has no setting {unknown[0]!r}")
         if not hasattr(socket, "SOCK_SEQPACKET") or not hasattr(select, "epoll"):
             raise CanInitializationError("the local CAN interface needs Linux")
-        # State: one socket per peer, and the listener.
+        # Create the listener. The node has one further socket for each peer.
         self.channel_info = f"local channel {channel!r}"
         self._fd = fd
         self._can_protocol = CanProtocol.CAN_FD if fd else CanProtocol.CAN_20
@@ -97,11 +103,11 @@ class LocalBus(BusABC):
         self._own: socket.socket | None = None
         self._echo: socket.socket | None = None
         self.dropped = 0
-        """Frames that were lost because a peer's socket buffer was full."""
+        """Number of frames that were lost because the socket buffer of a peer was full."""
         self._epoll = select.epoll()
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._path: Path | None = None
-        # Join the channel. After a failure, no socket may be left.
+        # Join the channel. If this fails, close all sockets.
         try:
             self._join(directory(str(channel)))
             if receive_own_messages:
@@ -121,7 +127,10 @@ class LocalBus(BusABC):
     # Joining and leaving
 
     def _join(self, folder: Path) -> None:
-        """Listen, then connect to all other nodes; the lock prevents double connections."""
+        """Listen for connections, then connect to all other nodes.
+
+        The lock prevents two connections between the same two nodes.
+        """
         with _locked(folder / "lock"):
             path = folder / f"{os.getpid()}-{id(self):x}-{time.monotonic_ns():x}"
             self._listener.bind(str(path))
@@ -140,7 +149,7 @@ class LocalBus(BusABC):
             peer.connect(str(path))
         except ConnectionRefusedError:
             peer.close()
-            path.unlink(missing_ok=True)  # left by a process that was killed
+            path.unlink(missing_ok=True)  # the process of this socket was killed
         except OSError:
             peer.close()
             raise
@@ -203,9 +212,10 @@ class LocalBus(BusABC):
     # Frames
 
     def send(self, msg: Message, timeout: float | None = None) -> None:
-        """Send a frame to all other nodes without blocking (see `dropped`).
+        """Send a frame to all other nodes without blocking.
 
-        Raises CanOperationError for a frame that this node cannot send.
+        `dropped` counts the frames that a node could not take. Raises CanOperationError if this
+        node cannot send the frame.
         """
         self._check_open()
         packet = self._packed(msg)
@@ -216,7 +226,7 @@ class LocalBus(BusABC):
             except BlockingIOError:
                 self.dropped += 1
             except OSError as error:
-                # A closed peer is removed by `_take`, after its last frames were read.
+                # `_take` removes a closed peer after the last frames of the peer were read.
                 if error.errno not in (
                     errno.EPIPE,
                     errno.ECONNRESET,
@@ -234,15 +244,17 @@ class LocalBus(BusABC):
         unwanted = 0
         while True:
             left = -1.0 if deadline is None else max(0.0, deadline - time.monotonic())
-            # One event per poll: the kernel cycles through ready peers, so each gets its turn. The
-            # descriptor of `fileno` stays readable while frames are pending.
+            # Request only one event per poll. The kernel selects the ready peers in turn, so the
+            # frames of every peer are read. The descriptor of `fileno` stays readable while frames
+            # are pending.
             events = self._epoll.poll(left, 1)
             for descriptor, _ in events:
                 if descriptor == self._listener.fileno():
                     self._accept()
                     continue
                 message = self._take(self._peers[descriptor])
-                # Filter here: otherwise a filtered frame would end a `recv` with timeout 0.
+                # Apply the filters here. If `recv` applied them, `recv` with timeout 0 would return
+                # None after a filtered frame.
                 if message is not None and self._matches_filters(message):
                     return message, True
                 unwanted += message is not None
@@ -250,7 +262,7 @@ class LocalBus(BusABC):
                     time.sleep(SLICE)  # let other processes run during a flood of frames
             if deadline is not None and unwanted >= MOST_UNWANTED and time.monotonic() >= deadline:
                 raise CanOperationError(
-                    f"{self.channel_info}: a flood of frames, {unwanted} were rejected by the filters in one receive call"
+                    f"{self.channel_info}: a flood of frames; the filters have rejected {unwanted} frames in one receive call"
                 )
             if not events and deadline is not None and time.monotonic() >= deadline:
                 return None, True
@@ -259,11 +271,12 @@ class LocalBus(BusABC):
         try:
             packet, extra, _, _ = peer.recvmsg(FRAME.size + 1, 64)
         except (BlockingIOError, ConnectionResetError):
-            # ECONNRESET: the peer closed with unread frames; its last frames and EOF still follow.
+            # ECONNRESET: the peer has closed its socket with unread frames. The last frames of the
+            # peer and the end of file are read later.
             return None
         except OSError:
             packet, extra = b"", []
-        if not packet:  # the peer has left or died
+        if not packet:  # the peer has left the channel, or its process has ended
             self._remove(peer)
             return None
         if len(packet) != FRAME.size:
@@ -280,7 +293,7 @@ class LocalBus(BusABC):
             )
         if len(data) > (64 if msg.is_fd else 8):
             raise CanOperationError(
-                f"a frame of {len(data)} bytes cannot be sent: at most {64 if msg.is_fd else 8} are possible"
+                f"a frame of {len(data)} bytes cannot be sent: at most {64 if msg.is_fd else 8} bytes are possible"
             )
         identifier = msg.arbitration_id
         identifier |= EXTENDED if msg.is_extended_id else 0
@@ -328,7 +341,10 @@ class LocalBus(BusABC):
 
 
 def _stamp(extra: list[Any]) -> float:
-    """Return the kernel's time stamp of a frame [s, CLOCK_REALTIME], or the present time."""
+    """Return the kernel's time stamp of a frame [s, CLOCK_REALTIME].
+
+    If the frame has no time stamp, return the present time.
+    """
     for _, _, data in extra:
         if len(data) >= TIMESPEC.size:
             whole, nanoseconds = TIMESPEC.unpack_from(data)

@@ -3,24 +3,28 @@
 from __future__ import annotations
 
 REACH = 8
-"""Largest distance between a frame's counter and the last counter of its stream.
+"""Largest distance between the counter of a frame and the last counter of its stream.
 
-The frame is then late, or follows a loss. A link that delays frames by up to 8 places mixes the
-frames before and after a restart or a long loss over 16 frames."""
+A frame within this distance may be late, or may follow a loss of frames. After a restart of the
+sender or a long loss, the counter jumps. If the link delays frames by up to 8 places, frames from
+before and after the jump are mixed. The mixture is 16 frames long."""
 EVIDENCE = 3
-"""Pieces of evidence that are needed, each more than REACH frames after the previous one.
+"""Number of pieces of evidence that are needed to detect a second sender.
 
-One mixture of frames (see REACH) gives one piece."""
+Each piece of evidence must be more than REACH frames after the previous piece. Therefore one
+mixture of frames (see REACH) gives only one piece of evidence."""
 ALONE, OLD = 16, 32
-"""ALONE: consecutive frames of one stream after which the other stream has ended.
+"""Numbers of frames after which the evidence is discarded.
 
-OLD: frames without new evidence after which the earlier evidence is discarded."""
+ALONE: number of consecutive frames of one stream after which the other stream counts as ended. OLD:
+number of frames without new evidence after which the earlier evidence is too old."""
 REMEMBERED = 64
 """Number of recent frames whose content is kept for each stream."""
 LISTEN = 160
-"""Frames to receive before the first transmission.
+"""Number of frames to receive before the first transmission.
 
-Two senders are detected within them, also where they send in bursts of up to seven frames."""
+Two senders are detected within this number of frames, even if they send in bursts of up to seven
+frames."""
 
 Content = bytes | bytearray
 
@@ -33,41 +37,55 @@ class Stream:
     def __init__(self, counter: int, mask: int, content: Content | None) -> None:
         self.following = (counter + 1) & mask
         self.advanced = 0
-        """Counter steps since the second stream started, without those of the present run."""
+        """Number of counter steps since the second stream started.
+
+        The steps in the present run are not included. Run: consecutive frames of one stream.
+        """
         self.last_contents: list[Content | None] = [None] * REMEMBERED
         self.last_contents[counter % REMEMBERED] = content
 
 
 class SecondSender:
-    """Detector of a second sender of one identifier. `found`: two counters both advance.
+    """Detector of a second sender of one identifier.
 
-    `counters`: number of counter values, a power of two. Frames with a wrong CRC must not be added.
+    `counters`: number of counter values, a power of two. `found`: whether two senders were
+    detected. Frames with a wrong CRC must not be added.
 
-    Method: on a CAN bus one node sends an identifier (ISO 11898-1). A sender increments its counter
-    with each frame (AUTOSAR E2E profile 5: 8 bit), so two senders give two alternating streams.
-    A frame is evidence if it continues the stream that the previous frame did not belong to, and:
-    - its counter was received before with different content, or
-    - the counters of the two streams do not overlap.
+    Method: On a CAN bus, only one node may send an identifier (ISO 11898-1). A sender increments
+    its counter with each frame (AUTOSAR E2E profile 5: 8 bits). Therefore the frames of two senders
+    form two streams, and the two streams alternate. A frame is evidence of a second sender under
+    two conditions. First, the frame continues one stream, and the previous frame belonged to the
+    other stream. Second, at least one of these statements is true:
 
-    Loss, duplication, reordering by up to REACH places, delay, a counter that stops, and an
-    occasional restart do not make two streams alternate for long enough. The contents are compared
-    completely, and kept by reference.
+    - A frame with the same counter and different content was received before.
+    - The counters of the two streams do not overlap.
 
-    Detection takes 15 frames of each sender (median). The maximum is 24 where they alternate, 27 in
-    changing order, 39 in bursts of up to four. At 20 % loss it takes 16 received frames of each
-    (median; 99.9 % within 30 where they alternate).
+    Faults of one sender or of the link do not make two streams alternate for long enough. These
+    faults are loss, duplication, reordering by up to REACH places, delay, a counter that stops, and
+    an occasional restart. The contents of frames are compared completely. The detector stores
+    references to the contents, not copies.
 
-    Not detected:
-    - equal counters with equal content;
-    - a second sender with less than a fifteenth of the rate of the first one;
-    - bursts of more than seven frames with equal counters;
-    - three or more senders whose counters are all far apart.
+    Number of frames of each sender until the detection:
 
-    False detections:
-    - a sender that repeats a counter with different content in every eighth frame or more often;
-    - one sender of which only about every 128th frame is received;
-    - once in thousands of trials: restarts or long losses within 32 frames of each other, all
-      reordered.
+    - Without loss, the median is 15 frames. The maximum is 24 frames if the two senders alternate.
+      The maximum is 27 frames if the order of the senders changes. The maximum is 39 frames if the
+      senders send bursts of up to four frames.
+    - With 20 % loss, the median is 16 received frames. If the two senders alternate, 99.9 % of the
+      detections take at most 30 received frames.
+
+    Cases that are not detected:
+
+    - Two senders have equal counters and equal content.
+    - The second sender has less than a fifteenth of the rate of the first sender.
+    - Two senders with equal counters send bursts of more than seven frames.
+    - Three or more senders have counters that are all far apart.
+
+    Cases of a false detection:
+
+    - One sender repeats a counter with different content in every eighth frame or more often.
+    - Only about every 128th frame of one sender is received.
+    - Restarts or long losses occur within 32 frames of each other, each with reordered frames. This
+      case gives a false detection once in thousands of trials.
     """
 
     def __init__(self, counters: int = 256) -> None:
@@ -81,7 +99,10 @@ class SecondSender:
         self.reset()
 
     def reset(self) -> None:
-        """Discard all streams and evidence. Call it for a new run, or after discarded frames."""
+        """Discard all streams and all evidence.
+
+        Call this method before a new run, and after frames were discarded without a check.
+        """
         self.found = False
         self._current: Stream | None = None
         self._other: Stream | None = None
@@ -89,7 +110,7 @@ class SecondSender:
 
     @property
     def counters(self) -> tuple[int, int]:
-        """The last counters of the two streams, for messages; -1 for a missing stream."""
+        """Last counters of the two streams, for messages. -1: this stream does not exist."""
         return self._last(self._current), self._last(self._other)
 
     def observe(self, counter: int, content: Content) -> bool:
@@ -103,24 +124,27 @@ class SecondSender:
         return self.found or self._observe_irregular(counter, content)
 
     def _observe_irregular(self, counter: int, content: Content) -> bool:
-        """Add a frame that does not continue the current stream. Return as `observe`."""
+        """Add a frame that does not continue the current stream.
+
+        Return whether two senders were detected.
+        """
         current, other = self._current, self._other
         if current is None:
             self._current = Stream(counter, self._mask, content)
             return False
-        # A frame with counter and content of an earlier one is a duplicate.
+        # A frame with the counter and the content of an earlier frame is a duplicate.
         earlier = self._earlier(current, counter)
         earlier_of_other = None if other is None else self._earlier(other, counter)
         if content in (earlier, earlier_of_other):
             return False
         ahead = (counter - current.following) & self._mask
         fits = earlier is None and self._belongs(current, counter)
-        # The frame continues the other stream, if it is closer to that one.
+        # The frame continues the other stream if its counter is closer to the other stream.
         if other is not None and earlier_of_other is None:
             ahead_of_other = (counter - other.following) & self._mask
             if ahead_of_other < REACH and (ahead_of_other < ahead or not fits):
                 return self._change(current, other, counter, content, earlier is not None, fits)
-        # Otherwise it belongs to the current stream, or starts a new one.
+        # Otherwise the frame belongs to the current stream, or starts a new stream.
         if fits:
             self._add(current, counter, content)
             self._run += 1
@@ -139,9 +163,9 @@ class SecondSender:
         repeated: bool,
         fits: bool,
     ) -> bool:
-        """Make the other stream the current one. Return whether two senders are detected.
+        """Make the other stream the current stream. Return whether two senders were detected.
 
-        The change is no evidence if one stream may consist of late frames of the other one.
+        The change is not evidence if one stream may consist of late frames of the other stream.
         """
         current.advanced += self._run
         if self._run >= ALONE or self._since >= OLD:
@@ -164,7 +188,7 @@ class SecondSender:
         self._run = self._since = self._evidence = 0
 
     def _earlier(self, stream: Stream, counter: int) -> Content | None:
-        """Return the content of an earlier frame with this counter, or None."""
+        """Return the content of an earlier frame with this counter, or None if there is none."""
         behind = (stream.following - 1 - counter) & self._mask
         return stream.last_contents[counter % REMEMBERED] if behind < self._remembered else None
 

@@ -1,4 +1,7 @@
-"""Messages and signals of a DBC file, read by `cantools`; every error is one DeviceError."""
+"""Messages and signals of a DBC file.
+
+`cantools` reads the file. Every error is reported by a DeviceError.
+"""
 
 from __future__ import annotations
 
@@ -22,12 +25,12 @@ LARGEST = 4 << 20
 LARGEST_MESSAGE = 1785
 """Largest message in a DBC [bytes]: a multi-packet message of SAE J1939."""
 MOST_BITS = 53
-"""Largest signal [bits]: the significand of a double."""
+"""Largest signal [bits]. This is the size of the significand of a double."""
 MOST_VALUES = 100_000
 """Largest number of multiplexer values in a DBC."""
 TOKEN = re.compile(r'"(?:\\"|[^"])*"|//[^\n]*|[A-Za-z0-9_.+-]+|\S')
 ENCODING = "cp1252"
-"""Encoding of a DBC, as DBC editors write it."""
+"""Encoding that DBC editors use for a DBC file."""
 SPELLINGS = {"Nm": "N.m", "°": "deg", "°/s": "deg/s", "degrees": "deg"}
 """Units in DBC files, and their FMI names."""
 
@@ -36,8 +39,8 @@ SPELLINGS = {"Nm": "N.m", "°": "deg", "°/s": "deg/s", "degrees": "deg"}
 class Field:
     """One signal of a message.
 
-    `factor` converts the signal's unit to the requested one. `least`, `most` (the range) and
-    `resolution` are in the requested unit.
+    `factor` converts a value from the unit of the signal to the requested unit. `least` and `most`
+    are the limits of the range. `least`, `most` and `resolution` are in the requested unit.
     """
 
     name: str
@@ -48,12 +51,15 @@ class Field:
 
 
 def field_of(message: Any, name: str, unit: str | None, path: Path) -> Field:
-    """Return the signal `name` of a message, converted to `unit` (None: no conversion).
+    """Return the signal `name` of a message, with its range in `unit`.
 
-    Raises DeviceError if the signal is missing, is not a scaled integer, is multiplexed, has an
-    invalid scale or size, or has a unit that cannot be converted.
+    If `unit` is None, the unit is not converted. Raises DeviceError in these cases:
+
+    - The signal is missing, is multiplexed, or is not a scaled integer.
+    - The scale or the size of the signal is invalid.
+    - The unit of the signal cannot be converted.
     """
-    # The signal must exist, and be an integer that every frame contains.
+    # The signal must exist, must be an integer, and must be in every frame.
     names: Mapping[str, Any] = {signal.name: signal for signal in message.signals}
     if name not in names:
         raise DeviceError(
@@ -68,7 +74,7 @@ def field_of(message: Any, name: str, unit: str | None, path: Path) -> Field:
         raise DeviceError(
             f"DBC {path}: signal {name} of {message.name} is multiplexed; a signal in every frame is expected"
         )
-    # cantools accepts infinite scales and negative positions.
+    # cantools accepts infinite scales and negative start bits. Therefore check both here.
     scale, offset = float(signal.scale), float(signal.offset)
     if not (scale and math.isfinite(scale) and math.isfinite(offset)):
         raise DeviceError(
@@ -80,7 +86,7 @@ def field_of(message: Any, name: str, unit: str | None, path: Path) -> Field:
         raise DeviceError(
             f"DBC {path}: signal {name} of {message.name} starts at bit {signal.start}; 0 or more is expected"
         )
-    # A double must hold every raw value exactly, and every value in SI must be finite.
+    # A double must represent every raw value exactly. Every value in SI units must be finite.
     bits = int(signal.length)
     if bits > MOST_BITS:
         raise DeviceError(
@@ -109,7 +115,10 @@ def _conversion(signal: Any, unit: str | None, path: Path) -> float:
 
 
 def occupied_bits(signal: Any) -> set[int]:
-    """Return the bits of a signal in the frame, numbered from the least significant of byte 0."""
+    """Return the numbers of the bits that a signal occupies in the frame.
+
+    Bit 0 is the least significant bit of byte 0.
+    """
     if signal.byte_order == "little_endian":
         return set(range(signal.start, signal.start + signal.length))
     byte, bit = divmod(int(signal.start), 8)
@@ -119,16 +128,19 @@ def occupied_bits(signal: Any) -> set[int]:
 
 @functools.lru_cache(maxsize=16)
 def _parsed(text: str) -> Any:
-    """Parse a DBC. Cached, as both ends of a link and each of their frames load the same file."""
+    """Parse a DBC file.
+
+    The result is cached, because both ends of a link load the same file for each frame type.
+    """
     _check_sizes(text)
     return cantools.database.load_string(text, database_format="dbc", strict=True)
 
 
 def only(message: Any, names: Set[str]) -> Any:
-    """Return the same message with these signals only.
+    """Return a copy of `message` that contains only the signals `names`.
 
-    Other signals of a sender, such as invalid multiplexer values, then cannot cause a decoding
-    error.
+    All other signals are not decoded. Therefore an invalid value in such a signal, for example in a
+    multiplexer, cannot cause an error.
     """
     return cantools.database.Message(
         frame_id=message.frame_id,
@@ -141,9 +153,10 @@ def only(message: Any, names: Set[str]) -> Any:
 
 
 def _check_sizes(text: str) -> None:
-    """Raise ValueError for a DBC with oversized messages, signals or multiplexer ranges.
+    """Raise ValueError if a message, a signal or a multiplexer range of a DBC is too large.
 
-    cantools allocates lists of as many bits and values as the file declares.
+    cantools allocates memory for all bits and values that the file declares. Without this check, a
+    small file could fill the memory.
     """
     tokens = [token for token in TOKEN.findall(text) if not token.startswith(('"', "//"))]
     sizes, values = [], 0
@@ -162,7 +175,7 @@ def _check_sizes(text: str) -> None:
     for size in sizes:
         if size.isdigit() and (len(size) > 6 or int(size) > 8 * LARGEST_MESSAGE):
             raise ValueError(
-                f"a message or signal of {size[:20]} bytes or bits; at most {LARGEST_MESSAGE} bytes are expected"
+                f"a message or signal has a size of {size[:20]} (bytes or bits); at most {LARGEST_MESSAGE} bytes are expected"
             )
     if values > MOST_VALUES:
         raise ValueError(f"more than {MOST_VALUES} multiplexer values")
@@ -171,7 +184,8 @@ def _check_sizes(text: str) -> None:
 def load(path: Path) -> Any:
     """Return the cantools database of a DBC file. Raises DeviceError if it is not a valid DBC.
 
-    The other formats of cantools, and its cache of pickled databases, are not used.
+    Other file formats of cantools are rejected. The cache of cantools (pickled databases) is not
+    used.
     """
     if path.suffix.lower() != ".dbc":
         raise DeviceError(f"DBC {path}: a file whose name ends in .dbc is expected")
@@ -179,7 +193,7 @@ def load(path: Path) -> Any:
         return _parsed(content(path, LARGEST).decode(ENCODING))
     except OSError as error:
         raise DeviceError(f"DBC {path} cannot be read: {error.strerror or error}") from error
-    except Exception as error:  # cantools and its parser raise several types for a malformed file
+    except Exception as error:  # cantools and its parser raise several exception types
         raise DeviceError(
             f"DBC {path} cannot be used: {' '.join(str(error).split())[:300]}"
         ) from error

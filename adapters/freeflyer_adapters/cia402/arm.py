@@ -1,9 +1,18 @@
 """Device driver of an arm with one CiA 402 drive per joint, in cyclic synchronous torque mode.
 
-CANopen has no frame for the whole arm that could pace the loop. The host is the producer of SYNC,
-and the loop waits for absolute deadlines (`is_clock = False`). In each cycle, `read` sends SYNC
-first, so that its jitter is only that of the wake-up. Then it waits for the TPDOs of all drives.
-`write` sends the targets, which the drives apply at the next SYNC.
+In CANopen, no single frame contains the state of the whole arm. Therefore no frame can be the clock
+of the loop, and the loop waits for absolute deadlines (`is_clock = False`). The host is the
+producer of SYNC.
+
+In each cycle, `read` first sends SYNC, before any computation. Therefore the jitter of SYNC is only
+the jitter of the host's wake-up. Then `read` waits for the TPDOs of all drives. `write` sends the
+target torques. The drives apply these targets at the next SYNC.
+
+Terms in this file:
+
+- Permit: permission of the host to send frames that give power to the drives (`permit.py`).
+- Graded stop: the torque decreases to zero, then a quick stop disables the drives. The brakes of
+  disabled drives are engaged.
 """
 
 from __future__ import annotations
@@ -32,20 +41,27 @@ from freeflyer_adapters.foundation.histogram import Histogram
 from freeflyer_adapters.foundation.pacing import Pacer
 
 ANSWER_SHARE = 0.6
-"""Share of the cycle for the TPDOs of a SYNC; the rest is for the controllers and the targets."""
+"""Share of the cycle in which the TPDOs must arrive.
+
+The rest of the cycle is for the controllers and for sending the targets.
+"""
 LISTEN = 0.1
-"""Smallest time [s] for the detection of another SYNC producer before the first transmission."""
+"""Shortest time [s] of reception before the first transmission, to detect another controller."""
 BRAKE_TIMEOUT = 4.0
-"""Longest wait for the brakes in ramp-down times; after it, only the watchdogs remain."""
+"""Longest duration of the graded stop, as a multiple of the ramp-down time.
+
+After this time, the host no longer waits for the brakes. Then only the watchdogs of the drives can
+engage the brakes.
+"""
 STOP_SDO_TIMEOUT = 0.05
-"""Timeout of an SDO response in the graded stop [s]."""
+"""Timeout for an SDO response during a graded stop [s]."""
 FOREIGN_FRAMES = "SYNC, targets, or the host's heartbeat"
 OPERATIONAL = b"\x05"
-"""NMT state operational in a heartbeat."""
+"""Data of a heartbeat in the NMT state operational."""
 
 
 class Cia402Arm:
-    """Host side of the drives; implements `freeflyer_adapters.device.device.Device`."""
+    """Host side of the drives. Implements `freeflyer_adapters.device.device.Device`."""
 
     is_clock = False
 
@@ -66,7 +82,10 @@ class Cia402Arm:
         self._last_torque = np.zeros(n)
         self._stopping_torque: Array | None = None
         self._is_prepared = False
-        """Whether the drives are in NMT state operational, in which they process PDOs."""
+        """Whether the drives are in the NMT state operational.
+
+        Drives process PDOs only in this state.
+        """
         self._powered = False
         """Whether a controlword may have switched a drive on."""
         self._is_enabling = False
@@ -75,11 +94,14 @@ class Cia402Arm:
         self._cycles = 0
         self._silent = np.zeros(n, dtype=int)
         self._has_position = np.zeros(n, dtype=bool)
-        """Joints with an earlier position, from which a speed can be estimated."""
+        """For each joint, whether an earlier position is known.
+
+        An earlier position is needed to estimate a speed.
+        """
         self._foreign_frames = 0
         self._failed = 0
         self._is_host = False
-        """Whether SYNC is sent in every cycle, together with the host's heartbeats."""
+        """Whether the host sends SYNC in every cycle. The host then also sends its heartbeats."""
 
     @property
     def woken(self) -> int:
@@ -103,10 +125,10 @@ class Cia402Arm:
 
     @property
     def cannot_refuse(self) -> list[str]:
-        """What drives of this profile cannot reject by themselves: one sentence for each limit."""
+        """Sentences for the user about what CiA 402 drives cannot reject by themselves."""
         return [
-            "CiA 402 has no session number: a drive in NMT state operational accepts the controlwords of any controller; between runs, "
-            "NMT state pre-operational prevents that"
+            "CiA 402 has no session number: a drive in the NMT state operational accepts the controlwords of any controller; between runs, "
+            "the drives are in the NMT state pre-operational and ignore PDOs"
         ]
 
     @property
@@ -132,7 +154,7 @@ class Cia402Arm:
         self.limits = ArmLimits(v, self.cycle)
         self.monitor = QualityMonitor.of(f"TPDOs of {self.name}", v, self.cycle)
         self.ramp = RampDown.of(v)
-        objects.dictionary(o.eds, o.node_ids[0])  # report errors in the EDS before the bus is open
+        objects.dictionary(o.eds, o.node_ids[0])  # report errors in the EDS before opening the bus
         # Open the bus, and check for another controller before the first transmission.
         timeout = float(v["configure_timeout"][0])
         self._network = PolledNetwork(
@@ -157,13 +179,13 @@ class Cia402Arm:
         self.state.to(LifeCycle.inactive)
 
     def _measure(self) -> None:
-        """Read the measurements of all drives by SDO, without a change of any object."""
+        """Read the measurements of all drives by SDO. This changes no object of a drive."""
         for drive in self.drives:
             drive.measure()
         self._take()
 
     def _listen(self) -> None:
-        """Raise DeviceError if another controller (a SYNC producer) is on the bus."""
+        """Receive without sending. Raises DeviceError if another controller is on the bus."""
         assert self._network is not None
         end = self._environment.monotonic() + max(
             LISTEN, 3 * self.cycle, 1.5 * self.options.heartbeat
@@ -173,7 +195,10 @@ class Cia402Arm:
             self._check_single_controller()
 
     def _on_foreign_frame(self, can_id: int, data: object, timestamp: float) -> None:
-        """Count a frame of another controller. The interface must not echo own frames."""
+        """Count a frame of another controller.
+
+        The CAN interface must not return frames that this host has sent.
+        """
         self._foreign_frames += 1
 
     def _check_single_controller(self) -> None:
@@ -184,7 +209,10 @@ class Cia402Arm:
             )
 
     def _first_measurement(self) -> None:
-        """Send SYNC until all drives respond. Raises DeviceError after `configure_timeout`."""
+        """Send SYNC until all drives respond.
+
+        Raises DeviceError if a drive does not respond within `configure_timeout`.
+        """
         end = self._environment.monotonic() + float(self.values["configure_timeout"][0])
         while True:
             self._exchange(max(ANSWER_SHARE * self.cycle, 0.05))
@@ -200,7 +228,8 @@ class Cia402Arm:
     def stay(self) -> None:
         """Send SYNC and targets while other devices are activated.
 
-        SYNC prevents a watchdog stop of enabled drives, and shows other hosts that the bus is used.
+        Without SYNC, the watchdogs would stop enabled drives. SYNC also shows other hosts that this
+        host uses the bus.
         """
         is_held_up = self.permit.hold_up(self._environment.monotonic_ns())
         is_idle = self._is_prepared and not self._is_enabling and not is_held_up
@@ -218,9 +247,10 @@ class Cia402Arm:
             raise DeviceError(f"{self._where}: {reason}")
 
     def prepare(self) -> None:
-        """Configure every drive, reset faults, then start NMT state operational.
+        """Configure every drive, reset faults, then change to the NMT state operational.
 
-        The drives stay in Switch on disabled. Raises DeviceError if a drive does not respond.
+        The drives stay in the state Switch on disabled. Raises DeviceError if a drive does not
+        respond, rejects its configuration, or remains in the state Fault.
         """
         for drive in self.drives:
             drive.set_up(self.cycle)
@@ -232,31 +262,35 @@ class Cia402Arm:
         self._first_measurement()
 
     def activate(self, meanwhile: Callable[[], bool]) -> None:
-        """Enable all drives. The torque beyond gravity is zero, which the braked joints hold."""
+        """Enable all drives. The first target torques are zero, as in braked joints.
+
+        Target torques do not include the torques that carry the weight of the arm.
+        """
         self._last_torque = np.zeros(self.options.joints)
         self.scaling.reset()
-        # The first heartbeat starts the drives' heartbeat monitors: start with uninterrupted
-        # cycles.
+        # The first heartbeat of the host starts the heartbeat monitors of the drives. Therefore the
+        # host sends its first heartbeat now, because the cycles are not interrupted from now on.
         self._is_host, self._cycles = True, 0
         for drive in self.drives:
             drive.emergency = 0
         self.permit.take(self._environment.monotonic_ns())
         self._powered = True
         if not self._enable(meanwhile):
-            return  # the loop ends before its first instant; `deactivate` disables the drives
+            return  # the user stops the run before its first cycle; `deactivate` disables drives
         self._silent[:] = 0
         self._send_targets(self._last_torque)
         self.state.to(LifeCycle.active)
 
     def revoke(self, reason: str) -> None:
-        """End the permission for power: from now on only frames of the graded stop are sent."""
+        """Revoke the permit. From now on, only frames of the graded stop are sent."""
         self.permit.lose(reason)
         flush(None if self._network is None else self._network.bus)
 
     def _enable(self, meanwhile: Callable[[], bool]) -> bool:
-        """Send one state transition per cycle to each drive, until all are in Operation enabled.
+        """Command one state transition per cycle, until all drives are in Operation enabled.
 
-        Return False if the user stops it. Raises DeviceError with the drive that is not enabled.
+        Return False if the user requests a stop. Raises DeviceError if a drive does not reach the
+        state Operation enabled. The message names the drive.
         """
         zero = np.zeros(self.options.joints)
         pacer = Pacer(round(self.cycle * 1e9))
@@ -266,7 +300,8 @@ class Cia402Arm:
             while not all(drive.state is DriveState.operation_enabled for drive in self.drives):
                 self._send_targets(zero)
                 pacer.wait()
-                # SYNC applies the targets: do not send it after a delay of the loop.
+                # The drives apply the targets at SYNC. Do not send SYNC after a delay of the loop,
+                # because the targets are too old after the delay.
                 if self.permit.allows(self._environment.monotonic_ns()):
                     self._exchange(ANSWER_SHARE * self.cycle)
                 self._check_single_controller()
@@ -279,7 +314,7 @@ class Cia402Arm:
                     )
                     why = f": {self.permit.lost}" if self.permit.lost else late.error_code
                     raise DeviceError(
-                        f"{late.where} does not reach {DriveState.operation_enabled.value}: it is in {late.status_text}{why}"
+                        f"{late.where} does not reach the state {DriveState.operation_enabled.value}: it is in {late.status_text}{why}"
                     )
             return True
         finally:
@@ -288,12 +323,12 @@ class Cia402Arm:
     # In every cycle
 
     def read(self) -> None:
-        # Report a delay of the loop first: it causes the other errors.
+        # Check for a delay of the loop first, because a delay causes the errors checked below.
         self._stop_if_held_up()
         self._exchange(ANSWER_SHARE * self.cycle)
         self._stop_if_held_up()
         self._targets_due = True
-        # Stop after too many lost TPDOs, and for a measurement that is too old.
+        # Stop if too many cycles were lost, or if a measurement is too old.
         silent = [drive for drive in self.drives if not drive.fresh]
         reason = self.monitor.observe(lost=bool(silent))
         if reason:
@@ -310,12 +345,12 @@ class Cia402Arm:
                 f"the last TPDO of joint {oldest + 1} is {self._silent[oldest] * self.cycle:.4g} s old, its limit is "
                 f"{float(self.values['state_age_limit'][0]):g} s",
             )
-        # Stop for the state, an emergency or a missing heartbeat of any drive.
+        # Stop if a drive is not enabled, has sent an emergency, or sends no heartbeats.
         for drive in self.drives:
             if drive.state is not DriveState.operation_enabled:
                 raise SafeStop(
                     self.name,
-                    f"{drive.label} left Operation enabled by itself: it is in {drive.status_text}",
+                    f"{drive.label} left the state Operation enabled by itself: it is in {drive.status_text}",
                 )
             if drive.emergency:
                 raise SafeStop(
@@ -327,10 +362,11 @@ class Cia402Arm:
             ):
                 raise SafeStop(
                     self.name,
-                    f"{drive.label} has sent no heartbeat for {drive.cycles_since_heartbeat * self.cycle:.3g} s; one every "
+                    f"{drive.label} has sent no heartbeat for {drive.cycles_since_heartbeat * self.cycle:.3g} s; a heartbeat every "
                     f"{self.options.heartbeat:g} s is expected",
                 )
-        # Stop for a second controller, and at the limits of position and speed.
+        # Stop if there is a second controller, or if a measured position or speed exceeds its
+        # limit.
         if self._foreign_frames:
             raise SafeStop(self.name, f"another controller sends {FOREIGN_FRAMES} on this bus")
         reason = self.limits.measured(self.values["joint_position"], self.values["joint_velocity"])
@@ -342,7 +378,10 @@ class Cia402Arm:
             raise SafeStop(self.name, sentence)
 
     def _exchange(self, timeout: float) -> None:
-        """Send one SYNC, and receive until all drives have responded, at most `timeout` [s]."""
+        """Send one SYNC, then receive until all drives have responded.
+
+        The reception takes at most `timeout` [s].
+        """
         network = self._network
         assert network is not None
         network.drain()  # pending frames belong to an earlier SYNC
@@ -365,14 +404,18 @@ class Cia402Arm:
         if not missing and self.state.now is LifeCycle.active:
             self.answers.add(self._environment.monotonic_ns() - self._synced)
         if not missing:
-            # The TPDOs respond to this SYNC, so they are newer than it.
+            # The drives sent these TPDOs after this SYNC, so the time of SYNC is a lower bound for
+            # the time of the report.
             self.permit.report(
                 all(d.state is DriveState.operation_enabled for d in self.drives), self._synced
             )
         self._take()
 
     def _take(self) -> None:
-        """Convert the raw numbers to SI. Without a new TPDO, the last measurement stays."""
+        """Convert the raw numbers to SI units.
+
+        A joint without a new TPDO keeps its last measurement.
+        """
         v, s = self.values, self.scaling
         fresh = np.array([drive.fresh for drive in self.drives])
         cycles = self._silent + 1
@@ -404,7 +447,11 @@ class Cia402Arm:
         self._last_torque = torque
 
     def _send_targets(self, torque: Array, *, brake: bool = False) -> None:
-        """Send one target to every drive, with the command that its session allows now."""
+        """Send one RPDO to every drive, with the command that the session of the drive allows now.
+
+        All target torques are zero unless the sessions of all drives allow the command "enable
+        operation".
+        """
         now = self._environment.monotonic_ns()
         commands = [drive.session.answer(now, brake=brake) for drive in self.drives]
         if not all(command is Command.enable_operation for command in commands):
@@ -424,8 +471,8 @@ class Cia402Arm:
         if self._stopping_torque is None:
             self._stopping_torque = self._last_torque.copy()
         if self.permit.hold_up(self._environment.monotonic_ns()):
-            # Do not send SYNC: it would apply the targets from before the delay. The watchdogs have
-            # stopped the drives by now.
+            # Do not send SYNC, because the drives would then apply the targets from before the
+            # delay. The watchdogs have already stopped the drives.
             for drive in self.drives:
                 drive.node.sdo.RESPONSE_TIMEOUT = STOP_SDO_TIMEOUT
             self._measure()
@@ -442,7 +489,7 @@ class Cia402Arm:
 
     @property
     def at_rest(self) -> bool:
-        """Whether all drives report that the drive function is off, which engages the brakes."""
+        """Whether all drives report that the drive function is off. Then the brakes are engaged."""
         return bool(self.drives) and all(
             drive.state is not None and not drive.powered and not silent
             for drive, silent in zip(self.drives, self._silent, strict=True)
@@ -456,9 +503,10 @@ class Cia402Arm:
     def deactivate(self) -> None:
         if self._network is None:
             return
-        if self._powered:  # including an incomplete activation
+        if self._powered:  # also after an incomplete activation
             self._stop_now()
-        if self._is_prepared:  # in pre-operational, the drives ignore PDOs of every controller
+        # In the NMT state pre-operational, the drives ignore the PDOs of every controller.
+        if self._is_prepared:
             for drive in self.drives:
                 drive.node.nmt.state = "PRE-OPERATIONAL"
         self._is_prepared = False

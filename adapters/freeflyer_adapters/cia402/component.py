@@ -1,4 +1,4 @@
-"""The entry point of kind "cia402_arm"."""
+"""Entry point for devices of the kind "cia402_arm"."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Session of the host with a drive: determines the command of the next controlword."""
+"""Session of the host with a drive. The session determines the command of the next controlword."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ from freeflyer_adapters.device.permit import Permit
 
 
 class DriveSession:
-    """Decision logic of a session; it reads no clock and sends nothing.
+    """Decision logic of a session. This class reads no clock and sends nothing.
 
-    All drives of an arm share one permit. Times are [ns] of the monotonic clock. Each step towards
-    Operation enabled responds to the statusword of the previous step. Cyclic frames never reset a
-    fault.
+    All drives of an arm share one permit: the permission of the host to send commands that give
+    power. Times are [ns] of the monotonic clock. On the way to the state Operation enabled, each
+    command is chosen from the statusword that followed the previous command. Cyclic frames never
+    reset a fault.
     """
 
     def __init__(self, permit: Permit, subject: str) -> None:
@@ -20,23 +21,27 @@ class DriveSession:
         self._was_enabled = False
 
     def report(self, state: DriveState | None) -> None:
-        """Process the state from a statusword; None: unknown."""
+        """Process the state from a statusword. None: the statusword contains no known state."""
         self.state = state
         if state is DriveState.operation_enabled:
             self._was_enabled = True
         elif self._was_enabled:
-            self.permit.lose(f"{self.subject} left Operation enabled by itself")
+            self.permit.lose(f"{self.subject} left the state Operation enabled by itself")
 
     def answer(self, now: int, *, brake: bool = False) -> Command:
-        """Return the command of the next controlword; `brake`: the graded stop has ended."""
+        """Return the command of the next controlword.
+
+        `brake`: whether the drive must now stop by itself, without torque commands of the host.
+        """
         if not brake:
             if self.permit.allows(now):
                 if self.state is None:
                     return Command.disable_voltage
                 return TOWARDS_ENABLED.get(self.state, Command.disable_voltage)
-            # Graded stop: decreasing torque, while all drives are recently reported enabled.
+            # Graded stop: the host sends decreasing torques while recent statuswords report all
+            # drives as enabled.
             if self.permit.may_ramp_down(now) and self.state is DriveState.operation_enabled:
                 return Command.enable_operation
-        # Quick stop: an enabled drive ramps down by itself, then disables power. Other drives
-        # disable power immediately.
+        # After a quick stop command, an enabled drive ramps down by itself, then disables power. A
+        # drive that was never enabled disables power immediately.
         return Command.quick_stop if self._was_enabled else Command.disable_voltage

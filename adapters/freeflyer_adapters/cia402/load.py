@@ -1,4 +1,4 @@
-"""Worst-case load of a classic CAN bus by the frames of the drives, and its check."""
+"""Worst-case load of a classic CAN bus by the frames of the drives, and check of this load."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ from freeflyer_adapters.cia402.process_data import ACTUAL, SPEED, TARGET
 from freeflyer_adapters.device.device import DeviceError
 
 SDO_FRAMES = 2
-"""Reserve per cycle: one SDO request and one response of 8 bytes, or an EMCY."""
+"""Number of further frames per cycle that are included in the load. Each frame has 8 bytes.
+
+The further frames are one SDO request and one SDO response, or an EMCY.
+"""
 LONGEST = 0.1
 """Longest cycle that an error message suggests [s]."""
 
@@ -17,10 +20,10 @@ LONGEST = 0.1
 def load(
     joints: int, cycle: float, bitrate: float, heartbeat: float, *, measured_velocity: bool
 ) -> float:
-    """Return the worst-case bus load (a fraction): SYNC, PDOs, SDO reserve and heartbeats.
+    """Return the worst-case bus load as a fraction.
 
-    `cycle`, `heartbeat`: periods [s]; `bitrate` [bit/s]; `measured_velocity`: whether TPDO2 is
-    sent.
+    The load includes SYNC, PDOs, SDO_FRAMES further frames and heartbeats. `cycle`, `heartbeat`:
+    periods [s]. `bitrate` [bit/s]. `measured_velocity`: whether the drives send TPDO2.
     """
 
     def taken(size: int) -> float:
@@ -41,7 +44,10 @@ def check(
     *,
     measured_velocity: bool,
 ) -> float:
-    """Return the bus load. Raises DeviceError, with possible remedies, if it is above `largest`."""
+    """Return the bus load. Raises DeviceError if the bus load is above `largest`.
+
+    The message contains possible remedies.
+    """
     share = load(joints, cycle, bitrate, heartbeat, measured_velocity=measured_velocity)
     if share <= largest:
         return share
@@ -63,7 +69,7 @@ def check(
         remedies.append("1 Mbit/s fits")
     raise DeviceError(
         f"device {name}: {joints} drives at a cycle of {1e3 * cycle:g} ms take up to {100 * share:.0f} % of a CAN bus of "
-        f"{bitrate / 1e3:g} kbit/s, {100 * largest:.0f} % is the limit: {'; '.join(remedies) or 'use several buses'}"
+        f"{bitrate / 1e3:g} kbit/s, but the limit is {100 * largest:.0f} %: {'; '.join(remedies) or 'use several buses'}"
     )
 
 
@@ -72,7 +78,7 @@ def table(
     cycles: Sequence[int] = (1, 2, 3, 4, 5, 8),
     heartbeat: float = 0.1,
 ) -> list[str]:
-    """Return the Markdown table of bus loads in docs/cia402.md: `cycles` [ms], at 1 Mbit/s."""
+    """Return the Markdown table of bus loads at 1 Mbit/s in docs/cia402.md. `cycles` [ms]."""
     rows = [
         "| cycle | " + " | ".join(f"{n} drives | {n} drives, with TPDO2" for n in joints) + " |",
         "|---|" + "---|---|" * len(joints),

@@ -1,9 +1,11 @@
 """canopen network without threads: the caller polls for frames, and every transmission is a call.
 
-canopen's `connect` starts a python-can Notifier, whose thread takes the GIL from the loop at each
-received frame. Its periodic tasks are threads too. Here the loop receives (`poll`) and passes each
-frame to canopen's `notify`. SDO clients poll while they wait. The sender of a heartbeat counts
-cycles.
+The function `connect` of canopen starts a Notifier of python-can. The thread of the Notifier takes
+the GIL from the loop at each received frame. The periodic tasks of canopen are threads, too.
+
+This module starts no threads. The loop receives each frame (`poll`) and passes it to the function
+`notify` of canopen. SDO clients poll the network while they wait. The sender of a heartbeat counts
+the cycles between two heartbeats.
 """
 
 from __future__ import annotations
@@ -19,22 +21,22 @@ from freeflyer_adapters.can.link import driver_message
 from freeflyer_adapters.foundation import environment
 
 MOST_FRAMES = 512
-"""Largest number of frames per `drain`."""
+"""Largest number of frames that one call of `drain` processes."""
 
 
 class PolledNetwork(canopen.Network):
-    """Network on an open bus; `disconnect` closes the bus."""
+    """Network on an open bus. `disconnect` closes the bus."""
 
     def __init__(self, bus: Any) -> None:
-        """Use `bus`, an object with `send`, `recv` and `shutdown` of python-can."""
+        """Use `bus`: an object with the methods `send`, `recv` and `shutdown` of python-can."""
         super().__init__(bus)
         self.failed = 0
-        """Number of frames that the interface rejected; they count as lost."""
+        """Number of frames that the interface rejected. These frames count as lost."""
         self.error = ""
         """The driver's message for the last failed transmission or reception."""
 
     def poll(self, timeout: float) -> bool:
-        """Receive one frame and process it. Return False if none arrived within `timeout` [s]."""
+        """Receive and process one frame. Return False if no frame arrived within `timeout` [s]."""
         assert self.bus is not None
         try:
             message = self.bus.recv(max(timeout, 0.0))
@@ -53,7 +55,10 @@ class PolledNetwork(canopen.Network):
         return True
 
     def drain(self) -> None:
-        """Process the pending frames, up to a limit, so that a flood cannot block the loop."""
+        """Process the pending frames.
+
+        The number of processed frames is limited, so that a flood cannot block the loop.
+        """
         for _ in range(MOST_FRAMES):
             if not self.poll(0.0):
                 return
@@ -71,7 +76,7 @@ class PolledNetwork(canopen.Network):
             self.error = driver_message(error)
 
     def send_periodic(self, can_id: int, data: Any, period: float, remote: bool = False) -> Any:
-        """Return a task that sends nothing: the caller sends in its own cycle."""
+        """Return a task that sends nothing. The caller itself sends the frames, in its cycles."""
         return _NotPeriodic()
 
 
@@ -82,7 +87,7 @@ class _NotPeriodic:
 
 
 class PolledSdo(SdoClient):
-    """SDO client that polls the network for its response, up to RESPONSE_TIMEOUT."""
+    """SDO client that polls the network for its response, for at most RESPONSE_TIMEOUT."""
 
     network: PolledNetwork
 

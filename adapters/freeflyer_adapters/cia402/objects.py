@@ -20,19 +20,23 @@ LARGEST_EDS = 4 * 2**20
 SHIPPED_EDS = Path(__file__).with_name("drive.eds")
 CYCLIC_SYNCHRONOUS_TORQUE = 10
 SUPPORTS_TORQUE = 1 << 9
-"""Bit of mode 10 in 6502h, supported drive modes."""
+"""Bit of mode 10 in the object 6502h (supported drive modes)."""
 SERVO_DRIVE = 0x0002_0192
 """Value of 1000h: additional information "servo drive", device profile 402."""
 RAMP_AND_DISABLE = 2
 """Value of 605Ah and 605Eh: slow down on the quick stop ramp, then disable power."""
 
-# Without a handler of the user, canopen's log is discarded. DeviceError reports its errors.
+# Discard the log of canopen if the user has installed no handler. Errors of canopen are reported by
+# DeviceError.
 logging.getLogger("canopen").addHandler(logging.NullHandler())
 
 
 @dataclass(frozen=True, kw_only=True)
 class Entry:
-    """Object in a drive's dictionary; `optional`: a drive without it is accepted."""
+    """Object in the dictionary of a drive.
+
+    `use`: how the host uses the object. `optional`: whether a drive without the object is accepted.
+    """
 
     index: int
     sub: int = 0
@@ -45,7 +49,7 @@ class Entry:
         return f"{self.index:04X}h" + (f":{self.sub:02X}" if self.sub else "")
 
 
-DEVICE_TYPE = Entry(index=0x1000, name="Device type", use="compared: profile 402")
+DEVICE_TYPE = Entry(index=0x1000, name="Device type", use="compared with profile 402")
 SYNC_PERIOD = Entry(
     index=0x1006,
     name="Communication cycle period",
@@ -58,16 +62,18 @@ CONSUMER_HEARTBEAT = Entry(
     sub=1,
     name="Consumer heartbeat time",
     unit="ms",
-    use="written: the host's node and the timeout",
+    use="written: the host's node number and the timeout",
 )
-PRODUCER_HEARTBEAT = Entry(index=0x1017, name="Producer heartbeat time", unit="ms", use="written")
+PRODUCER_HEARTBEAT = Entry(
+    index=0x1017, name="Producer heartbeat time", unit="ms", use="written: the heartbeat period"
+)
 ERROR_CODE = Entry(index=0x603F, name="Error code", use="read for error messages", optional=True)
 CONTROLWORD = Entry(index=0x6040, name="Controlword", use="RPDO1")
 STATUSWORD = Entry(index=0x6041, name="Statusword", use="TPDO1")
 QUICK_STOP = Entry(
-    index=0x605A, name="Quick stop option code", use="written: 2, ramp and power off"
+    index=0x605A, name="Quick stop option code", use="written: 2 (ramp, then power off)"
 )
-MODE = Entry(index=0x6060, name="Modes of operation", use="written: 10, cyclic synchronous torque")
+MODE = Entry(index=0x6060, name="Modes of operation", use="written: 10 (cyclic synchronous torque)")
 MODE_DISPLAY = Entry(index=0x6061, name="Modes of operation display", use="compared with 10")
 POSITION = Entry(index=0x6064, name="Position actual value", unit="increments", use="TPDO1")
 VELOCITY = Entry(index=0x606C, name="Velocity actual value", unit="increments/s", use="TPDO2")
@@ -76,33 +82,46 @@ MAX_TORQUE = Entry(
     index=0x6072,
     name="Max torque",
     unit="0.001 rated torque",
-    use="compared: at least the joint's effort limit",
+    use="compared: must be at least the effort limit of the joint",
 )
 RATED_TORQUE = Entry(
-    index=0x6076, name="Motor rated torque", unit="mN m", use="compared: scales torques"
+    index=0x6076,
+    name="Motor rated torque",
+    unit="mN m",
+    use="compared with the scenario; used to convert torques",
 )
 ACTUAL_TORQUE = Entry(
     index=0x6077, name="Torque actual value", unit="0.001 rated torque", use="TPDO1"
 )
 ENCODER_INCREMENTS = Entry(
-    index=0x608F, sub=1, name="Encoder increments", use="compared: scales positions"
+    index=0x608F,
+    sub=1,
+    name="Encoder increments",
+    use="compared with the scenario; used to convert positions",
 )
-ENCODER_TURNS = Entry(index=0x608F, sub=2, name="Motor revolutions", use="compared")
+ENCODER_TURNS = Entry(
+    index=0x608F, sub=2, name="Motor revolutions", use="compared with the scenario"
+)
 GEAR_MOTOR_TURNS = Entry(
     index=0x6091,
     sub=1,
     name="Motor shaft revolutions",
-    use="compared: scales torques and positions",
+    use="compared with the scenario; used to convert torques and positions",
 )
-GEAR_SHAFT_TURNS = Entry(index=0x6091, sub=2, name="Driving shaft revolutions", use="compared")
+GEAR_SHAFT_TURNS = Entry(
+    index=0x6091, sub=2, name="Driving shaft revolutions", use="compared with the scenario"
+)
 PERIOD_VALUE = Entry(
     index=0x60C2, sub=1, name="Interpolation time period value", use="written: the cycle"
 )
 PERIOD_INDEX = Entry(
-    index=0x60C2, sub=2, name="Interpolation time index", use="written: its power of ten"
+    index=0x60C2,
+    sub=2,
+    name="Interpolation time index",
+    use="written: the power of ten of 60C2h:01",
 )
 SUPPORTED_MODES = Entry(
-    index=0x6502, name="Supported drive modes", use="compared: bit 9", optional=True
+    index=0x6502, name="Supported drive modes", use="compared: bit 9 must be 1", optional=True
 )
 
 ENTRIES: Sequence[Entry] = (
@@ -122,11 +141,14 @@ ERRORS: Mapping[int, str] = {
     RPDO_LOST: "no target between two SYNCs",
     SYNC_LOST: "no SYNC",
 }
-"""Error codes (603Fh, EMCY) of the virtual drive, and common ones of real drives."""
+"""Error codes (603Fh, EMCY) of the virtual drive, and common error codes of real drives."""
 
 
 def error_text(code: int) -> str:
-    """Return an error code with its meaning, or with its error class of CiA 301."""
+    """Return a text with the error code and its meaning.
+
+    If the meaning of a code is unknown, the text contains the error class of CiA 301.
+    """
     known = ERRORS.get(code) or canopen.emcy.EmcyError(code, 0, b"", 0.0).get_desc().lower()
     return f"0x{code:04X}" + (f" ({known})" if known else "")
 
@@ -134,7 +156,7 @@ def error_text(code: int) -> str:
 def dictionary(path: Path, node_id: int) -> Any:
     """Return canopen's ObjectDictionary of an EDS or DCF file.
 
-    Raises DeviceError if the file is unusable, or if a required object is missing.
+    Raises DeviceError if the file cannot be used, or if a required object is missing.
     """
     try:
         if path.suffix.lower() not in (".eds", ".dcf"):
@@ -146,7 +168,7 @@ def dictionary(path: Path, node_id: int) -> Any:
         raise
     except OSError as error:
         raise DeviceError(f"EDS {path} cannot be read: {error.strerror or error}") from error
-    except Exception as error:  # canopen and its parser raise several types
+    except Exception as error:  # canopen and its parser raise several exception types
         text = " ".join(str(error).split())[:300] or type(error).__name__
         raise DeviceError(f"EDS {path} cannot be used: {text}") from error
     for entry in ENTRIES:

@@ -1,6 +1,7 @@
-"""Options of a scenario's `[devices.NAME]` of kind "cia402_arm"; both ends of the bus use them.
+"""Options of a device of the kind "cia402_arm", from the table `[devices.NAME]` of a scenario.
 
-The numbers in `parameters` are in `freeflyer_adapters.cia402.settings`.
+Both ends of the bus use these options. The numeric settings of the table `parameters` are defined
+in `freeflyer_adapters.cia402.settings`.
 """
 
 from __future__ import annotations
@@ -24,10 +25,14 @@ VELOCITIES = ("measured", "estimated")
 class DriveOptions:
     """Options of a bus with one drive per joint.
 
-    `bus`: further arguments of the python-can interface; `bitrate` [bit/s]; `node_ids`, `motors`:
-    joint by joint; `eds`: object dictionary of the drives; `measured_velocity`: from TPDO2, else
-    estimated from positions; `heartbeat`: period for drives and host [s]; `largest_load`: largest
-    allowed bus load (a fraction).
+    - `bus`: further arguments of the python-can interface.
+    - `bitrate` [bit/s].
+    - `node_ids`, `motors`: one value for each joint.
+    - `eds`: file with the object dictionary of the drives.
+    - `measured_velocity`: whether velocities are measured (TPDO2). Otherwise they are estimated
+      from positions.
+    - `heartbeat`: heartbeat period of the drives and of the host [s].
+    - `largest_load`: largest allowed bus load, as a fraction.
     """
 
     interface: str = "local"
@@ -87,7 +92,10 @@ def options_from(name: str, raw: Mapping[str, Any], directory: Path) -> DriveOpt
 
 
 def _nodes(name: str, raw: Mapping[str, Any], joints: int) -> dict[str, Any]:
-    """Return the node numbers of the drives and of the host: all different, 1 to 127."""
+    """Return the node numbers of the drives and of the host.
+
+    Raises DeviceError if two numbers are equal, or if a number is not from 1 to 127.
+    """
     nodes = checked(name, raw, "node_ids", list, list(range(1, joints + 1)))
     host = checked(name, raw, "host_node_id", int, 127)
     if len(nodes) != joints:
@@ -121,11 +129,11 @@ def _number(
 def _per_joint(
     name: str, raw: Mapping[str, Any], key: str, joints: int, default: float | None
 ) -> list[float]:
-    """Return one number per joint, from a list or from one number for all joints."""
+    """Return one number per joint. The value of `key` is a list, or one number for all joints."""
     value = raw.get(key, default)
     if value is None:
         raise DeviceError(
-            f"device {name}: {key} is missing; the value of the drives is expected, one number or a list with one for each joint"
+            f"device {name}: {key} is missing; expected: one number for all drives, or a list with one number for each joint"
         )
     values = value if isinstance(value, list) else [value] * joints
     if len(values) != joints:

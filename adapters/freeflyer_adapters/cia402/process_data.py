@@ -1,6 +1,6 @@
 """Cyclic frames in the predefined connection set of CiA 301.
 
-They are SYNC, one RPDO to each drive, and one or two TPDOs from each drive.
+The cyclic frames are SYNC, one RPDO to each drive, and one or two TPDOs from each drive.
 """
 
 from __future__ import annotations
@@ -13,17 +13,23 @@ from freeflyer_adapters.cia402 import objects
 from freeflyer_adapters.cia402.objects import Entry
 
 NMT, SYNC, HEARTBEAT = 0x000, 0x080, 0x700
-"""COB-IDs. An EMCY has SYNC plus the node number; a heartbeat, HEARTBEAT plus the node number."""
+"""COB-IDs. An EMCY has the COB-ID SYNC plus the node number.
+
+A heartbeat has the COB-ID HEARTBEAT plus the node number.
+"""
 ON_SYNC = 1
-"""Transmission type: at every SYNC. A drive applies a target at the SYNC after its reception."""
+"""Transmission type: at every SYNC.
+
+When a drive has received a target, the drive applies the target at the next SYNC.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ProcessData:
     """One PDO of a drive.
 
-    `number`: from 1; `base`: the COB-ID without the node number; `mapping`: objects with their
-    bits; `layout`: of the data.
+    `number`: number of the PDO; the first PDO is 1. `base`: COB-ID without the node number.
+    `mapping`: objects in the PDO, with their sizes [bits]. `layout`: format of the data bytes.
     """
 
     name: str

@@ -1,4 +1,8 @@
-"""Host side of one drive: identification and configuration by SDO, process data in every cycle."""
+"""Host side of one drive.
+
+The host identifies and configures the drive by SDO. In every cycle, the host and the drive exchange
+process data.
+"""
 
 from __future__ import annotations
 
@@ -25,14 +29,14 @@ from freeflyer_adapters.device.permit import Permit
 NOT_VALID = 1 << 31
 """Bit of a PDO's COB-ID: the PDO is disabled."""
 HEARTBEATS_MISSED = 2.5
-"""Timeout of a heartbeat in heartbeat periods, at both ends."""
+"""Timeout for a heartbeat, in heartbeat periods. The host and the drives use this timeout."""
 
 
 class RemoteDrive:
     """One drive of an arm.
 
     `torque`, `position`, `velocity`: raw numbers of the newest TPDOs. `fresh`: whether all TPDOs of
-    the present SYNC were received. `timeout`: of an SDO response [s].
+    the present SYNC were received. `timeout`: timeout for an SDO response [s].
     """
 
     def __init__(
@@ -70,7 +74,10 @@ class RemoteDrive:
 
     @property
     def state(self) -> DriveState | None:
-        """State of the drive; None before the first statusword, and for an undefined pattern."""
+        """State of the drive.
+
+        None: no statusword was received, or the last statusword contains no defined state.
+        """
         return self.session.state
 
     # Before the activation
@@ -78,7 +85,8 @@ class RemoteDrive:
     def identify(self) -> None:
         """Check by SDO that the device is a drive with torque mode, and that it is not enabled.
 
-        Raises DeviceError with the actual and the expected value.
+        Raises DeviceError if the device is another device, or if the drive is enabled. The message
+        contains the value that was read.
         """
         device_type = self.read(objects.DEVICE_TYPE)
         if device_type & 0xFFFF != 402:
@@ -95,7 +103,7 @@ class RemoteDrive:
         self._read_state()
         if self.state is not None and self.powered:
             raise DeviceError(
-                f"{self.where} is in {self.state.value} already: another controller drives it; stop the other controller first"
+                f"{self.where} is in the state {self.state.value} already: another controller drives it; stop the other controller first"
             )
 
     def _read_state(self) -> None:
@@ -103,7 +111,7 @@ class RemoteDrive:
         self.session.report(state_of(self.statusword))
 
     def measure(self) -> None:
-        """Read statusword and measurements by SDO, without a change of any object."""
+        """Read statusword and measurements by SDO. This changes no object of the drive."""
         self._read_state()
         self.torque, self.position = self.read(objects.ACTUAL_TORQUE), self.read(objects.POSITION)
         if self.options.measured_velocity:
@@ -111,9 +119,10 @@ class RemoteDrive:
         self._received |= {ACTUAL.number, SPEED.number}
 
     def reset_fault(self) -> None:
-        """Reset a fault once, by a rising edge of controlword bit 7, before PDOs are processed.
+        """Reset a fault once, by a rising edge of bit 7 of the controlword.
 
-        Raises DeviceError if the fault remains.
+        The controlword is written by SDO, because the drive does not process PDOs yet. Raises
+        DeviceError if the fault remains.
         """
         if self.state is not DriveState.fault:
             return
@@ -128,7 +137,10 @@ class RemoteDrive:
 
     @property
     def error_code(self) -> str:
-        """The drive's error code as the end of a sentence; empty if there is no error."""
+        """Text with the error code of the drive, for the end of a message.
+
+        The text is empty if there is no error.
+        """
         if objects.ERROR_CODE.index not in self.node.object_dictionary:
             return ""
         try:
@@ -140,9 +152,10 @@ class RemoteDrive:
         )
 
     def compare(self, effort: float) -> None:
-        """Compare the drive's scales and torque limit with the scenario.
+        """Compare the drive's conversion factors and torque limit with the scenario.
 
-        `effort`: effort limit of the joint [N m]. Raises DeviceError with both values.
+        `effort`: effort limit of the joint [N m]. Raises DeviceError if the drive does not match
+        the scenario. The message contains both values.
         """
         m = self.motor
         rated = 1e-3 * self.read(objects.RATED_TORQUE)
@@ -176,7 +189,7 @@ class RemoteDrive:
         if not abs(actual - expected) <= tolerance:
             raise DeviceError(
                 f"{self.where}: its {what} ({entry}) is {actual:.9g} {unit}".rstrip()
-                + f", but the scenario's is {expected:.9g} {unit}".rstrip()
+                + f", but the scenario has {expected:.9g} {unit}".rstrip()
                 + "; it is another drive, or one of the two values is wrong"
             )
 
@@ -187,9 +200,9 @@ class RemoteDrive:
         return self.read(above) / divisor
 
     def set_up(self, cycle: float) -> None:
-        """Write mode, cycle [s], heartbeats and PDOs, in NMT state pre-operational.
+        """Write mode, cycle [s], heartbeats and PDOs, in the NMT state pre-operational.
 
-        Raises DeviceError if the drive does not accept them.
+        Raises DeviceError if the drive does not accept a value.
         """
         self.node.nmt.state = "PRE-OPERATIONAL"
         self.write(objects.MODE, objects.CYCLIC_SYNCHRONOUS_TORQUE)
@@ -217,7 +230,7 @@ class RemoteDrive:
         self.cycles_since_heartbeat = 0
 
     def _disable_other_pdos(self) -> None:
-        """Disable the drive's other PDOs, whose bus load is not accounted for."""
+        """Disable the other PDOs of the drive. The computed bus load does not include them."""
         for maps, used in (
             (self.node.rpdo, {TARGET.number}),
             (self.node.tpdo, {ACTUAL.number, SPEED.number}),
@@ -236,7 +249,11 @@ class RemoteDrive:
                     ) from error
 
     def _map(self, maps: Any, pdo: ProcessData, *, used: bool) -> None:
-        """Write the mapping of a PDO: PDO off, count 0, entries, count, PDO on if `used`."""
+        """Write the mapping of a PDO.
+
+        The PDO is disabled and the count is set to 0. Then the entries and the count are written.
+        Finally, the PDO is enabled if `used` is True.
+        """
         what = f"the mapping of {pdo.name}"
         try:
             chosen = maps[pdo.number]
@@ -257,8 +274,8 @@ class RemoteDrive:
         except SdoError as error:
             raise DeviceError(self._sdo_message("does not accept", what, error)) from error
         finally:
-            # Remove canopen's own handlers, which copy every frame under a lock. `_on_actual` and
-            # `_on_speed` process these frames.
+            # Remove the handlers of canopen, because they copy every frame under a lock. Here
+            # `_on_actual` and `_on_speed` process the frames instead.
             for subscribers in self._network.subscribers.values():
                 subscribers[:] = [
                     s
@@ -270,7 +287,7 @@ class RemoteDrive:
         return self.node.object_dictionary.get_variable(entry.index, entry.sub) is not None
 
     def read(self, entry: Entry) -> int:
-        """Read one object by SDO. Raises DeviceError with the drive and the object."""
+        """Read one object by SDO. Raises DeviceError if the drive does not return a value."""
         try:
             return int(self._variable(entry).raw)
         except (SdoError, ValueError, TypeError) as error:
@@ -279,7 +296,7 @@ class RemoteDrive:
             ) from error
 
     def write(self, entry: Entry, value: int) -> None:
-        """Write one object by SDO. Raises DeviceError with the drive and the object."""
+        """Write one object by SDO. Raises DeviceError if the drive does not accept the value."""
         try:
             self._variable(entry).raw = value
         except (SdoError, ValueError) as error:
@@ -306,7 +323,7 @@ class RemoteDrive:
     # In every cycle
 
     def expect(self) -> None:
-        """Start a cycle: discard the TPDOs of the last SYNC."""
+        """Start a new cycle. The TPDOs of the previous SYNC no longer count as received."""
         self._received.clear()
         self.cycles_since_heartbeat += 1
 
@@ -343,8 +360,8 @@ class RemoteDrive:
 
     @property
     def status_text(self) -> str:
-        """The drive's state with its statusword and its last emergency, for messages."""
-        state = "an undefined state" if self.state is None else self.state.value
+        """Text with the state, the statusword and the last emergency of the drive, for messages."""
+        state = "an undefined state" if self.state is None else f"the state {self.state.value}"
         emergency = f", EMCY {objects.error_text(self.emergency)}" if self.emergency else ""
         return f"{state} (statusword 0x{self.statusword:04X}{emergency})"
 
@@ -354,9 +371,9 @@ class RemoteDrive:
 
 
 def _period(cycle: float) -> tuple[int, int]:
-    """Return value and power of ten of a period [s] for 60C2h.
+    """Return a period [s] as a value and a power of ten, for the object 60C2h.
 
-    Raises DeviceError if a byte cannot hold the value.
+    Raises DeviceError if the value does not fit into one byte.
     """
     for index in (-3, -4, -5, -6):
         value = cycle / 10.0**index

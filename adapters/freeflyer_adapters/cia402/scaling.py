@@ -14,11 +14,12 @@ MOST_RAW_TORQUE = 0x7FFF
 
 @dataclass(frozen=True, kw_only=True)
 class Motor:
-    """Motor, encoder and gear of one joint, as in the objects of the drive.
+    """Motor, encoder and gear of one joint. Most values are objects of the drive.
 
-    `rated_torque`: at the motor [N m] (6076h); `encoder_resolution`: increments per motor
-    revolution (608Fh); `gear_ratio`: motor revolutions per joint revolution (6091h);
-    `velocity_scale`: units of 606Ch per increment per second.
+    - `rated_torque`: rated torque of the motor [N m] (6076h).
+    - `encoder_resolution`: increments per motor revolution (608Fh).
+    - `gear_ratio`: motor revolutions per joint revolution (6091h).
+    - `velocity_scale`: number of units of 606Ch for a velocity of one increment per second.
     """
 
     rated_torque: float
@@ -33,17 +34,23 @@ class Motor:
 
     @property
     def torque_step(self) -> float:
-        """One unit of 6071h and 6077h (per mille of rated torque) at the joint [N m]."""
+        """Torque at the joint [N m] for one unit of 6071h and 6077h.
+
+        One unit is 0.001 of the rated torque of the motor.
+        """
         return self.joint_torque / 1000.0
 
     @property
     def position_step(self) -> float:
-        """One unit of 6064h (an increment) at the joint [rad]."""
+        """Angle of the joint [rad] for one unit of 6064h (one increment)."""
         return 2.0 * np.pi / (self.encoder_resolution * self.gear_ratio)
 
 
 class Scaling:
-    """Scales of all joints: N m, rad and rad/s per raw unit, shape (n)."""
+    """Conversion factors of all joints. n: number of joints.
+
+    The factors are arrays of shape (n), with N m, rad and rad/s per raw unit.
+    """
 
     def __init__(self, motors: Sequence[Motor]) -> None:
         self.torque_step = np.array([m.torque_step for m in motors])
@@ -56,10 +63,10 @@ class Scaling:
         self._left[:] = 0.0
 
     def raw_torque(self, torque: Array) -> Array:
-        """Return joint torques, shape (n) [N m], in whole raw units.
+        """Convert joint torques, shape (n) [N m], to whole raw units.
 
-        The rounding error is added to the torque of the next cycle, so that the mean is exact. The
-        torques of a slow motion are only a few units.
+        The rounding error is added to the torque of the next cycle. Therefore the mean torque is
+        exact. This is necessary because the torques of a slow motion are only a few raw units.
         """
         wanted = torque / self.torque_step + self._left
         raw: Array = np.minimum(np.maximum(np.rint(wanted), -MOST_RAW_TORQUE), MOST_RAW_TORQUE)

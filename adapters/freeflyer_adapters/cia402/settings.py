@@ -1,4 +1,7 @@
-"""Settings of an arm of drives (`[devices.NAME.parameters]`), with defaults for a slower cycle."""
+"""Settings of an arm with CiA 402 drives, from the table `[devices.NAME.parameters]`.
+
+The settings are the same as for other arms. Some defaults differ, because the cycle is slower.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +11,10 @@ from freeflyer_adapters.device import settings
 
 DEFAULTS = {"period": (0.004,), "state_age_limit": (0.04,), "lost_consecutive": (5.0,)}
 DESCRIPTIONS = {
-    "period": "Cycle of SYNC, and the arm's communication step",
+    "period": "Period of SYNC. This is also the communication step of the device",
     "state_age_limit": "Largest age of a drive's last TPDO",
-    "lost_consecutive": "Lost cycles in a row (20 ms, as libfranka's 20 of 1 ms)",
-    "configure_timeout": "Longest time for a response of a drive, and for all drives to become enabled",
+    "lost_consecutive": "Number of consecutive lost cycles at which the loop stops. The default is 20 ms, as for libfranka (20 cycles of 1 ms)",
+    "configure_timeout": "Longest wait for a response of a drive, and longest time until all drives are enabled",
 }
 
 DRIVES = tuple(

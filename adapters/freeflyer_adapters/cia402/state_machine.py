@@ -1,7 +1,7 @@
 """State machine of a power drive system (CiA 402-2; IEC 61800-7-201, "FSA") as tables.
 
-The tables are statusword, controlword and transitions. The host and the virtual drive use the same
-tables.
+The tables define the statusword, the controlword and the transitions. FSA: finite state automaton.
+The host and the virtual drive use the same tables.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from enum import Enum
 
 
 class DriveState(Enum):
-    """State with its name in the standard; the value is its text in messages."""
+    """State of a drive. The value is the name of the state in the standard and in messages."""
 
     not_ready_to_switch_on = "Not ready to switch on"
     switch_on_disabled = "Switch on disabled"
@@ -35,17 +35,20 @@ STATUSWORD: Mapping[DriveState, tuple[int, int]] = {
     S.fault_reaction_active: (0x4F, 0x0F),
     S.fault: (0x4F, 0x08),
 }
-"""Mask and value of the statusword (6041h) by state. Bit 5 is 0 while a quick stop is active."""
+"""State -> mask and value of the statusword (6041h). Bit 5 is 0 in the state Quick stop active."""
 
 VOLTAGE_ENABLED, REMOTE, LIMIT_ACTIVE, FOLLOWS_COMMAND = 1 << 4, 1 << 9, 1 << 11, 1 << 12
-"""Further bits of the statusword. Bit 12 in mode CST: the drive follows the command value."""
+"""Further bits of the statusword.
+
+In the mode CST (cyclic synchronous torque), bit 12 means that the drive follows the target torque.
+"""
 
 POWERED = frozenset({S.operation_enabled, S.quick_stop_active, S.fault_reaction_active})
 """States with torque. In all other states the torque is zero and the brake is engaged."""
 
 
 def state_of(statusword: int) -> DriveState | None:
-    """Return the state in a statusword; None for an undefined pattern."""
+    """Return the state in a statusword, or None if the bits are not a defined state."""
     for state, (mask, value) in STATUSWORD.items():
         if statusword & mask == value:
             return state
@@ -53,15 +56,16 @@ def state_of(statusword: int) -> DriveState | None:
 
 
 def statusword_of(state: DriveState, *, limit_active: bool = False) -> int:
-    """Return the statusword of a drive in mode CST with its supply on."""
+    """Return the statusword of a drive in the mode CST if the supply voltage is on."""
     bits = STATUSWORD[state][1] | VOLTAGE_ENABLED | REMOTE
     bits |= LIMIT_ACTIVE if limit_active else 0
     return bits | (FOLLOWS_COMMAND if state is S.operation_enabled else 0)
 
 
 class Command(Enum):
-    """Command in bits 0 to 3 of the controlword (6040h); the value is what the host sends.
+    """Command in bits 0 to 3 of the controlword (6040h).
 
+    The value is the controlword that the host sends for the command.
     A rising edge of bit 7 resets a fault.
     """
 
@@ -69,7 +73,7 @@ class Command(Enum):
     quick_stop = 0x02
     shutdown = 0x06
     switch_on = 0x07
-    """In Operation enabled, the same bits mean "disable operation"."""
+    """In the state Operation enabled, the same bits mean "disable operation"."""
     enable_operation = 0x0F
 
 
@@ -81,7 +85,7 @@ def command_of(controlword: int) -> Command:
     """Return the command in a controlword.
 
     Bit 0: switch on; bit 1: enable voltage; bit 2: quick stop (active low); bit 3: enable
-    operation. The modes define the other bits.
+    operation. The meaning of the other bits depends on the mode of the drive.
     """
     if not controlword & 0x02:
         return C.disable_voltage
@@ -95,7 +99,8 @@ def command_of(controlword: int) -> Command:
 TRANSITIONS: Mapping[tuple[DriveState, Command], tuple[int, DriveState]] = {
     (S.switch_on_disabled, C.shutdown): (2, S.ready_to_switch_on),
     (S.ready_to_switch_on, C.switch_on): (3, S.switched_on),
-    # Enable operation includes the bits of switch on. The next controlword causes the second step.
+    # The command "enable operation" includes the bits of "switch on". Therefore the first
+    # controlword causes transition 3. The next controlword causes transition 4.
     (S.ready_to_switch_on, C.enable_operation): (3, S.switched_on),
     (S.switched_on, C.enable_operation): (4, S.operation_enabled),
     (S.operation_enabled, C.switch_on): (5, S.switched_on),
@@ -109,10 +114,12 @@ TRANSITIONS: Mapping[tuple[DriveState, Command], tuple[int, DriveState]] = {
     (S.operation_enabled, C.quick_stop): (11, S.quick_stop_active),
     (S.quick_stop_active, C.disable_voltage): (12, S.switch_on_disabled),
 }
-"""Number in the standard and next state, by state and command.
+"""State and command -> number of the transition in the standard, and next state.
 
-Automatic transitions: 0 and 1 at power on, 12 at the end of a quick stop, 13 at a fault, 14 after
-the fault reaction. 15 is the fault reset. 16 (back from a quick stop) is optional and not used."""
+Some transitions are automatic. Transitions 0 and 1 occur at power on. Transition 12 occurs at the
+end of a quick stop, 13 at a fault, and 14 after the fault reaction. Transition 15 is the fault
+reset. Transition 16 enables the drive again after a quick stop. Transition 16 is optional and is
+not used here."""
 
 TOWARDS_ENABLED: Mapping[DriveState, Command] = {
     S.switch_on_disabled: C.shutdown,
@@ -121,15 +128,16 @@ TOWARDS_ENABLED: Mapping[DriveState, Command] = {
     S.operation_enabled: C.enable_operation,
     S.quick_stop_active: C.disable_voltage,
 }
-"""Next command of the host towards Operation enabled, by state.
+"""State -> next command of the host on the way to the state Operation enabled.
 
-In the other states the host waits, or resets the fault."""
+In all other states, the host waits or resets the fault."""
 
 
 def following(state: DriveState, controlword: int, before: int) -> DriveState:
-    """Return the next state after a controlword; the same state if no transition is defined.
+    """Return the next state after a controlword.
 
-    `before`: the previous controlword, for the edge of the fault reset.
+    If no transition is defined, the state does not change. `before`: previous controlword, which is
+    needed to detect the rising edge of the fault reset.
     """
     if state is S.fault:
         rises = controlword & FAULT_RESET and not before & FAULT_RESET

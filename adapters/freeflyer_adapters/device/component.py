@@ -1,6 +1,8 @@
-"""Device as a component of the master. Its step reads the measurements.
+"""Component of the master for one device.
 
-The loop writes the commands at the end of the instant (`freeflyer_adapters.loop`).
+A step of the component reads the measurements of the device. The loop (`freeflyer_adapters.loop`)
+writes the commands to the device at the end of each instant. Instant: a point in time at which the
+master steps components.
 """
 
 from __future__ import annotations
@@ -10,7 +12,10 @@ from freeflyer_adapters.device.device import Device
 
 
 class DeviceComponent(PythonComponent):
-    """Component of one device. Initialisation configures it; `loop.hil` activates it."""
+    """Component of one device. The initialisation configures the device.
+
+    `loop.hil` activates the device.
+    """
 
     variable_step = False
 
@@ -25,7 +30,7 @@ class DeviceComponent(PythonComponent):
         self.device.read()
 
     def step(self, time: float, size: float) -> None:
-        self.advance(time, size)  # the device checks its measurements
+        self.advance(time, size)  # no further check: the device itself checks its measurements
 
     def close(self) -> None:
         self.device.deactivate()

@@ -1,10 +1,14 @@
 """Interface of simulated, virtual and real devices: life cycle, call order and errors.
 
-The loop calls `configure`, `check_start`, `prepare` and `activate` in this order. It then
-calls `read` and `write` in every cycle, and finally `revoke`, `ramp_down` and `deactivate`. It may
-call `on_error` at any time; the device is then in safe stop or fault. The option `--check` ends
-after `check_start`. Up to this call, no message changes the state of the device. Both ends of a
-link, the host and the device, follow `TRANSITIONS`.
+The loop calls the methods of a device in this order:
+
+1. `configure`, `check_start`, `prepare` and `activate`.
+2. `read` and `write` in every cycle.
+3. `revoke`, `ramp_down` and `deactivate`.
+
+The loop may call `on_error` at any time. An active device is then in the state safe_stop or fault.
+With the option `--check`, the run ends after `check_start`. Until the end of `check_start`, no
+message changes the state of the device. The host and the device both follow `TRANSITIONS`.
 """
 
 from __future__ import annotations
@@ -19,9 +23,9 @@ from freeflyer_adapters.foundation.histogram import Histogram
 
 
 class LifeCycle(IntEnum):
-    """Device states, as in ros2_control and KUKA's FRI.
+    """Life cycle states of a device, as in ros2_control and KUKA's FRI.
 
-    A new activation leaves safe stop. Only a reset leaves fault.
+    A new activation ends the state safe_stop. Only a reset ends the state fault.
     """
 
     unconfigured = 0
@@ -41,17 +45,20 @@ TRANSITIONS: Mapping[LifeCycle, frozenset[LifeCycle]] = {
 
 
 STATE = ": state"
-"""Suffix of the names of reported numbers that are life cycle states."""
+"""Suffix of a name in the live view. A value with this suffix is a life cycle state."""
 SIMULATED = "simulated"
 """Kind of a device whose model runs in the host process."""
 
 
 class DeviceError(CosimError):
-    """Error of a device that cannot be configured or activated. Nothing has moved."""
+    """Error of a device that cannot be configured or activated. The device has not moved."""
 
 
 class SafeStop(StepFailed):
-    """Request for a stop: a violated limit, lost cycles, or a report of the device."""
+    """Request for a stop.
+
+    Possible reasons are a violated limit, lost cycles, or a report of the device.
+    """
 
 
 class State:
@@ -77,19 +84,22 @@ class Device(Protocol):
 
     name: str
     is_clock: bool
-    """True if `read` waits for the cycle of the device. The device then paces the loop."""
+    """True if `read` waits for the next cycle of the device.
+
+    The device is then the clock of the loop.
+    """
     state: State
     ports: Mapping[str, Port]
     """Settings (parameters), commands (inputs) and measurements (outputs), in SI units.
 
-    The names state the frames.
+    The name of a port states the coordinate frame of its values.
     """
     values: dict[str, Array]
     """Arrays of the ports (`freeflyer.fmi.component.memory`). The master reads and writes them."""
 
     @property
     def woken(self) -> int:
-        """Arrival time of the last measurement [ns, CLOCK_MONOTONIC]; 0 if not `is_clock`."""
+        """Arrival time of the last measurement [ns, CLOCK_MONOTONIC]; 0 if `is_clock` is False."""
 
     @property
     def step(self) -> float:
@@ -97,77 +107,93 @@ class Device(Protocol):
 
     @property
     def may_have_power(self) -> bool:
-        """True after any message that may have given power, even if the activation failed."""
+        """True after a message that may have given power to the device.
+
+        This is also True if the activation failed after this message.
+        """
 
     @property
     def cannot_refuse(self) -> Sequence[str]:
-        """Unsafe commands and faults that the device cannot reject or report, one sentence each.
+        """Sentences about unsafe commands and faults that the device cannot reject or report.
 
-        Valid after `configure`.
+        The sentences are valid after `configure`.
         """
 
     @property
     def remarks(self) -> Sequence[str]:
-        """Remarks for the operator after a run, one sentence each."""
+        """Sentences for the operator after a run."""
 
     def configure(self) -> None:
         """Open the link, compare the device with the scenario, and read the first measurement.
 
-        Raises DeviceError if they differ, or if the device does not respond.
+        Raises DeviceError if the device differs from the scenario, or if it does not respond.
         """
 
     def check_start(self) -> None:
-        """Check that the device may be activated now. Called for all devices before `prepare`.
+        """Check that the device may be activated now.
 
-        Raises DeviceError with the measured and the expected value.
+        The loop calls this method for all devices before it calls `prepare` for the first device.
+        Raises DeviceError if the device must not be activated. The message contains the measured
+        value and the expected value.
         """
 
     def prepare(self) -> None:
-        """Do the part of the activation that gives no power, for all devices before `activate`.
+        """Do the part of the activation that gives no power to the device.
 
-        Raises DeviceError if it fails.
+        The loop calls this method for all devices before it calls `activate` for the first device.
+        Raises DeviceError if this part fails.
         """
 
     def stay(self) -> None:
         """Keep the present state for one cycle, while another device is being activated."""
 
     def activate(self, meanwhile: Callable[[], bool]) -> None:
-        """Activate without a bump: the first command equals the measurement.
+        """Activate the device without a jump. The first command equals the measurement.
 
         `meanwhile` is called in every cycle of the activation. It returns True if the user
         requested a stop. Raises DeviceError if the activation fails.
         """
 
     def read(self) -> None:
-        """Read the latest measurements. Raises SafeStop for a limit or for lost cycles."""
+        """Read the latest measurements.
+
+        Raises SafeStop if a measurement violates a limit, or if too many cycles were lost.
+        """
 
     def write(self) -> None:
-        """Send the commands within their limits. Raises SafeStop if they must not be sent."""
+        """Limit and send the commands. Raises SafeStop if the commands must not be sent."""
 
     def revoke(self, reason: str) -> None:
-        """Revoke the power of this activation permanently; `reason` is the reason of the stop.
+        """Permanently revoke the permission for power of this activation.
 
-        From now on, only commands that lower the power are sent.
+        `reason`: reason of the stop. From now on, only commands that lower the power are sent.
         """
 
     def ramp_down(self, elapsed: float) -> bool:
-        """Run a cycle of the graded stop, `elapsed` [s] after its start. Return True at its end."""
+        """Run one cycle of the graded stop. Return True at the end of the graded stop.
+
+        Graded stop: the commands bring the device to rest, then the device holds its position.
+        `elapsed` [s]: time since the start of the graded stop.
+        """
 
     @property
     def at_rest(self) -> bool:
         """True if the device has confirmed that it is at rest and holds its position."""
 
     def on_error(self, reason: str) -> None:
-        """Go from active to safe stop after a failure of the loop."""
+        """Change from the state active to the state safe_stop after a failure of the loop."""
 
     def deactivate(self) -> None:
-        """Leave the device inactive and holding its position, and close the link.
+        """Change to the state inactive, and close the link. The device holds its position.
 
-        May be called in any state, and repeatedly.
+        This method may be called in any state, and more than once.
         """
 
     def report(self) -> Mapping[str, float]:
-        """Return the counters of the summary and the live view. Must be fast: the loop calls it."""
+        """Return the counters for the summary and the live view.
+
+        This method must be fast, because the loop calls it.
+        """
 
     def histograms(self) -> Mapping[str, Histogram]:
         """Return the histograms of the times that the device measures."""

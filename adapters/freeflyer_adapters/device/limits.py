@@ -1,7 +1,7 @@
 """Limits between controllers and devices. This module reads no clock and sends nothing.
 
-A clamping limit counts how often it acts. A stopping limit returns the reason to stop, with value
-and unit.
+A clamping limit reduces a command to the allowed range, and counts how often this happens. A
+stopping limit returns the reason to stop. The reason contains the value and the unit.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from freeflyer_adapters.foundation.pose import distance
 
 
 class ArmLimits:
-    """Limits of one arm; `settings` as in `freeflyer_adapters.device.settings.ARM`."""
+    """Limits of one arm. `settings`: values of `freeflyer_adapters.device.settings.ARM`."""
 
     def __init__(self, settings: Mapping[str, Array], cycle: float) -> None:
         self.effort = np.array(settings["joint_effort_limit"])
@@ -30,23 +30,24 @@ class ArmLimits:
         self.acted: Counter[str] = Counter(joint_effort_limit=0, torque_rate_limit=0)
 
     def command(self, wanted: Array, before: Array) -> tuple[Array, str | None]:
-        """Clamp the torque `wanted` (n) [N m]; `before` is the torque of the last cycle.
+        """Clamp the torque `wanted` (n) [N m]. n: number of joints.
 
-        Return the torque to send, and a reason to stop or None.
+        `before` (n) [N m]: torque of the last cycle. Return the torque to send, and a reason to
+        stop or None.
         """
         if not np.isfinite(wanted).all():
             return (
                 before,
                 f"the commanded joint torque is {_listed(wanted)} N m; finite numbers are expected",
             )
-        # np.minimum and np.maximum are several times faster than np.clip for so few numbers.
+        # For small arrays, np.minimum and np.maximum are several times faster than np.clip.
         held = np.minimum(np.maximum(wanted, -self.effort), self.effort)
         if (held != wanted).any():
             self.acted["joint_effort_limit"] += 1
         slewed = np.minimum(np.maximum(held, before - self.change), before + self.change)
         if (slewed != held).any():
             self.acted["torque_rate_limit"] += 1
-        # `before` may be outside the effort limit.
+        # Clamp to the effort limit again, because `before` may be outside the effort limit.
         return np.minimum(np.maximum(slewed, -self.effort), self.effort), None
 
     def measured(self, position: Array, velocity: Array) -> str | None:
@@ -54,7 +55,7 @@ class ArmLimits:
 
         Return a reason to stop, or None.
         """
-        # NaN fails `<=`, so it is rejected as well.
+        # NaN is rejected as well, because every comparison with NaN is False.
         if not ((np.abs(velocity) <= self.velocity).all()):
             joint = int(np.argmax(np.nan_to_num(np.abs(velocity) / self.velocity, nan=np.inf)))
             return f"joint {joint + 1} moves at {velocity[joint]:.4g} rad/s, its limit is {self.velocity[joint]:.4g} rad/s"
@@ -67,7 +68,10 @@ class ArmLimits:
         return None
 
     def start(self, values: Mapping[str, Array]) -> str | None:
-        """Return why the arm is too far from the scenario's start for an activation, or None."""
+        """Return the reason why the arm must not be activated in its present position, or None.
+
+        Each joint must be close to the start position of the scenario.
+        """
         position, start = values["joint_position"], values["start_joint_position"]
         tolerance = float(values["start_tolerance"][0])
         gap = np.abs(position - start)
@@ -76,7 +80,7 @@ class ArmLimits:
         j = int(np.argmax(gap))
         return (
             f"joint {j + 1} is at {position[j]:.4f} rad, the scenario starts at {start[j]:.4f} rad, and {tolerance:g} rad "
-            f"is the largest distance allowed: move the arm there"
+            f"is the largest allowed distance: move the arm to the start position"
         )
 
     def report(self) -> dict[str, float]:
@@ -85,7 +89,7 @@ class ArmLimits:
 
 
 class BaseLimits:
-    """Limits of one base robot; `settings` as in `freeflyer_adapters.device.settings.BASE`."""
+    """Limits of one base robot. `settings`: values of `freeflyer_adapters.device.settings.BASE`."""
 
     def __init__(self, settings: Mapping[str, Array]) -> None:
         self.lower, self.upper = (
@@ -103,10 +107,10 @@ class BaseLimits:
         velocity: Array,
         before: tuple[Array, Array] | None,
     ) -> str | None:
-        """Check a set point; return a reason not to send it, or None.
+        """Check a set point. Return the reason why it must not be sent, or None.
 
-        Position (3) [m], orientation (4, quaternion xyzw), velocity (6) [m/s, rad/s]. `before` is
-        the previous position and orientation.
+        `position` (3) [m]. `orientation` (4): quaternion x, y, z, w. `velocity` (6) [m/s, rad/s].
+        `before`: position and orientation of the previous set point, or None.
         """
         if not (
             np.isfinite(position).all()
@@ -136,7 +140,10 @@ class BaseLimits:
     def measured(
         self, position: Array, orientation: Array, setpoint: tuple[Array, Array]
     ) -> str | None:
-        """Check the measured pose; return a reason to stop or None."""
+        """Check the measured pose. Return a reason to stop, or None.
+
+        `setpoint`: position and orientation of the set point.
+        """
         if not (np.isfinite(position).all() and np.isfinite(orientation).all()):
             return f"the base's measured pose is {_listed([*position, *orientation])}; finite numbers are expected"
         for size, limit, unit in zip(

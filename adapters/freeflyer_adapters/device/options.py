@@ -1,4 +1,4 @@
-"""Checks of the keys in a device's table of a scenario."""
+"""Checks of the keys in the table of a device (`[devices.NAME]`) of a scenario."""
 
 from __future__ import annotations
 
@@ -22,7 +22,10 @@ def known_keys(name: str, raw: Mapping[str, Any], keys: Sequence[str]) -> None:
 
 
 def checked(name: str, raw: Mapping[str, Any], key: str, kind: type[T], default: T) -> T:
-    """Return the value of `key`, or `default`. Raises DeviceError for another type than `kind`."""
+    """Return the value of `key`, or `default` if the key is missing.
+
+    Raises DeviceError if the type of the value is not `kind`.
+    """
     value = raw.get(key, default)
     if not isinstance(value, kind) or isinstance(value, bool):
         raise DeviceError(f"device {name}: {key} is {value!r}; {KINDS[kind]} is expected")

@@ -1,27 +1,31 @@
-"""Permit: the interlock on the host between a run and the power of a device.
+"""Permit: permission of the host to send frames that give power to a device.
 
-Every activation takes a new permit. The permit is lost at the first reason to stop, after a delay
-of the loop longer than the device's watchdog, and when the device reports a state other than
-active. A lost permit cannot be taken again. Without a permit, only frames that lower the power of
-the device are sent.
+Every activation takes a new permit. A permit is lost permanently in these cases:
+
+- There is a reason to stop.
+- The loop is delayed for longer than the watchdog time of the device.
+- The device reports a state other than active.
+
+A lost permit cannot be taken again. Without a permit, the host sends only frames that lower the
+power of the device.
 """
 
 from __future__ import annotations
 
 
 class Permit:
-    """Decision logic of the permit: reads no clock and sends nothing.
+    """Decision logic of the permit. This class reads no clock and sends nothing.
 
-    Times are [ns] of the monotonic clock. `watchdog` [ns] is the time that the device continues
-    without a command. After a longer delay of the loop, the device counts as stopped.
-    `reports_state`: whether the device reports its life cycle state. If it does not, every
-    measurement counts as a report of the state active.
+    Times are [ns] of the monotonic clock. `watchdog` [ns]: longest time for which the device
+    continues without a command. After a longer delay of the loop, the device counts as stopped.
+    `reports_state`: whether the device reports its life cycle state. If the device reports no
+    state, every measurement counts as a report of the state active.
     """
 
     def __init__(self, subject: str, *, watchdog: int, reports_state: bool = True) -> None:
         self.subject, self.watchdog, self.reports_state = subject, watchdog, reports_state
         self.lost: str | None = None
-        """Reason of the loss; None before it."""
+        """Reason why the permit was lost, or None if it was not lost."""
         self._hold_up = ""
         self._is_taken = self._was_active = False
         self._wrote: int | None = None
@@ -29,7 +33,10 @@ class Permit:
 
     @property
     def last_write(self) -> int:
-        """Time when the loop last sent a frame or took the permit [ns]; 0 before."""
+        """Time when the loop last sent a frame or took the permit [ns].
+
+        0: the permit was not taken yet.
+        """
         return self._wrote or 0
 
     @property
@@ -70,16 +77,18 @@ class Permit:
                 f"({self.watchdog * 1e-9:g} s); the device has stopped"
             )
             self.lose(self._hold_up)
-        return self._is_taken and self.lost is None  # `is_held` without a call: hot path
+        return self._is_taken and self.lost is None  # same as `is_held`, but faster
 
     @property
     def was_held_up(self) -> bool:
         return bool(self._hold_up)
 
     def hold_up(self, now: int) -> str:
-        """Return the reason to stop if the loop was held up, else an empty string.
+        """Return the reason to stop if the loop was held up, or an empty string.
 
-        This reason takes precedence over every other: the delay is the cause.
+        Held up: the loop was delayed for longer than the watchdog time of the device. This reason
+        takes precedence over all other reasons, because the delay of the loop causes the other
+        reasons.
         """
         self.allows(now)
         return self._hold_up
@@ -92,9 +101,10 @@ class Permit:
             self._wrote = now
 
     def may_ramp_down(self, now: int) -> bool:
-        """Return whether the device is still active, from reports within its watchdog time.
+        """Return whether the torques of a graded stop may be sent.
 
-        Otherwise the torques of a graded stop could activate it again.
+        The last report of the state active must not be older than the watchdog time. Without such a
+        report, the device may have stopped, and a torque could activate the device again.
         """
         if self.hold_up(now) and not self.reports_state:
             return False

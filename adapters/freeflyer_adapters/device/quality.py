@@ -1,6 +1,7 @@
-"""Quality of a link: the number of lost cycles, in a row or within a window, that stops the loop.
+"""Monitor of the quality of a link. Too many lost cycles stop the loop.
 
-The monitor counts cycles and reads no clock. It works in real time and at any simulated speed.
+The monitor counts cycles and reads no clock. Therefore it works in real time and at any simulated
+speed.
 """
 
 from __future__ import annotations
@@ -14,8 +15,9 @@ from freeflyer.fmi.component import Array
 class QualityMonitor:
     """Monitor of the lost cycles of one link.
 
-    It requests a stop after `consecutive` lost cycles in a row, or after `within` lost cycles in
-    the last `window` cycles (`within` = 0: disabled). `cycle` [s] and `subject` are for messages.
+    The monitor requests a stop after `consecutive` lost cycles in a row. It also requests a stop
+    after `within` lost cycles in the last `window` cycles. If `within` is 0, this second condition
+    is disabled. `cycle` [s] and `subject` are used only in messages.
     """
 
     def __init__(

@@ -15,7 +15,10 @@ AT_REST = 0.01
 
 @dataclass(frozen=True, kw_only=True)
 class RampDown:
-    """Ramp of the torque to zero in `time` [s], with `damping` [N m s/rad] of the joint speeds."""
+    """Ramp of the torque to zero, with damping of the joint speeds.
+
+    `time` [s]: duration of the ramp. `damping` [N m s/rad]: damping of each joint.
+    """
 
     time: float
     damping: float
@@ -27,15 +30,20 @@ class RampDown:
         return cls(time=time, damping=damping)
 
     def torque(self, last: Array, velocity: Array, elapsed: float) -> Array:
-        """Return the torque (n) [N m] at `elapsed` [s] after the start.
+        """Return the torque (n) [N m] at the time `elapsed` [s] after the start of the ramp.
 
-        `last` (n) [N m] is the torque at the start, `velocity` (n) [rad/s] is measured.
+        `last` (n) [N m]: torque at the start of the ramp. `velocity` (n) [rad/s]: measured joint
+        velocities.
         """
         left = max(0.0, 1.0 - elapsed / self.time) if self.time > 0.0 else 0.0
         return left * last - self.damping * np.nan_to_num(velocity)
 
     def over(self, velocity: Array, elapsed: float) -> bool:
-        """Return whether to brake: after the ramp if at rest, and always after twice its time."""
+        """Return whether the brakes must engage.
+
+        The brakes must engage after the ramp if the arm is at rest. After twice the duration of the
+        ramp, the brakes must always engage.
+        """
         return elapsed >= self.time and (
             bool((np.abs(velocity) < AT_REST).all()) or elapsed >= 2.0 * self.time
         )

@@ -1,7 +1,7 @@
-"""Settings of a device, `[devices.NAME.parameters]` of a scenario, with default, unit and effect.
+"""Settings of a device, from the table `[devices.NAME.parameters]` of a scenario.
 
-Settings are ports, like the parameters of an FMU. Units, references ("=COMPONENT.PARAMETER") and
-errors are handled in the same way.
+A setting has a default, a unit and an effect. Settings are ports, like the parameters of an FMU.
+Therefore units, references ("=COMPONENT.PARAMETER") and errors are handled as for an FMU.
 """
 
 from __future__ import annotations
@@ -19,8 +19,13 @@ from freeflyer_adapters.device.device import DeviceError
 class Setting:
     """One setting of a device.
 
-    `effect` of a limit: "clips" (counted and reported), "stops" (the loop) or "refuses" (the
-    activation). It is empty if the setting is not a limit.
+    `effect`: effect of a limit.
+
+    - "clips": the command is limited to the allowed range. Limited commands are counted and
+      reported.
+    - "stops": the loop stops.
+    - "refuses": the activation is rejected.
+    - Empty text: the setting is not a limit.
     """
 
     name: str
@@ -33,13 +38,16 @@ class Setting:
     above: float | None = 0.0
     """Exclusive lower bound; None: no bound."""
     least: float | None = None
-    """Inclusive lower bound, in place of `above`."""
+    """Inclusive lower bound. If it is not None, it replaces `above`."""
     whole: bool = False
     most: float = 1e6
     """Inclusive upper bound of the absolute value."""
 
     def check(self, device: str, values: Array) -> None:
-        """Check `values`. Raises DeviceError with name, value and unit if one is out of range."""
+        """Check `values`. Raises DeviceError if a value is out of range.
+
+        The message contains the name, the value and the unit.
+        """
         for value in values:
             unit = f" {self.unit}" if self.unit and " " not in self.unit else ""
             if self.whole and value != int(value):
@@ -73,7 +81,7 @@ class Setting:
 
 
 def check(device: str, settings: Sequence[Setting], values: Mapping[str, Array]) -> None:
-    """Check all settings. Raises DeviceError if one is out of range."""
+    """Check all settings. Raises DeviceError if a setting is out of range."""
     for setting in settings:
         setting.check(device, values[setting.name])
 
@@ -96,40 +104,40 @@ def arm_ports(joints: int, settings: Sequence[Setting]) -> dict[str, Port]:
 
 
 ARM = (
-    Setting(name="period", most=1.0, default=(0.001,), unit="s", description="Cycle of the arm's state frames, and its communication step"),
+    Setting(name="period", most=1.0, default=(0.001,), unit="s", description="Period of the arm's state frames. This is also the communication step of the device"),
     Setting(name="joint_effort_limit", default=(10.0,), per_joint=True, unit="N.m", effect="clips",
             description="Largest commanded joint torque"),
     Setting(name="torque_rate_limit", default=(1000.0,), per_joint=True, unit="N.m/s", effect="clips",
-            description="Largest rate of commanded joint torque (1 kN m/s: libfranka's)"),
+            description="Largest rate of commanded joint torque. The default is the limit of libfranka (1 kN m/s)"),
     Setting(name="joint_velocity_limit", default=(1.0,), per_joint=True, unit="rad/s", effect="stops",
             description="Largest measured joint speed"),
     Setting(name="joint_lower_limit", above=None, default=(-np.pi,), per_joint=True, unit="rad", effect="stops",
-            description="Least measured joint position"),
+            description="Smallest measured joint position"),
     Setting(name="joint_upper_limit", above=None, default=(np.pi,), per_joint=True, unit="rad", effect="stops",
             description="Largest measured joint position"),
     Setting(name="joint_limit_margin", least=0.0, most=1.0, default=(0.02,), unit="rad", effect="stops",
-            description="Distance from the ends of the joint range at which the loop stops"),
+            description="Margin at the ends of the joint range. The loop stops if a joint is within this margin"),
     Setting(name="state_age_limit", most=60.0, default=(0.02,), unit="s", effect="stops",
             description="Largest age of the last accepted state frame"),
     Setting(name="lost_consecutive", whole=True, default=(20.0,), unit=None, effect="stops",
-            description="Lost cycles in a row (libfranka: 20)"),
+            description="Number of consecutive lost cycles at which the loop stops (libfranka: 20)"),
     Setting(name="lost_in_window", whole=True, least=0.0, default=(0.0,), unit=None, effect="stops",
-            description="Lost cycles within the window; 0: off"),
-    Setting(name="window", most=60.0, default=(0.2,), unit="s", description="Window of lost_in_window"),
+            description="Number of lost cycles within `window` at which the loop stops; 0: no limit"),
+    Setting(name="window", most=60.0, default=(0.2,), unit="s", description="Duration of the window of `lost_in_window`"),
     Setting(name="watchdog_cycles", whole=True, most=1e5, default=(4.0,), unit=None, effect="stops",
-            description="Watchdog of the arm: cycles without a command after which the arm stops by itself. The loop stops as well if it is delayed for longer"),
+            description="Watchdog of the arm: number of cycles without a command after which the arm stops by itself. If the loop is delayed for longer, the loop stops as well"),
     Setting(name="start_joint_position", above=None, default=(0.0,), per_joint=True, unit="rad",
             description="Expected joint positions at activation"),
     Setting(name="start_tolerance", default=(0.02,), unit="rad", effect="refuses",
             description="Largest deviation of a joint from `start_joint_position`"),
     Setting(name="ramp_down_time", most=60.0, default=(0.25,), unit="s", description="Damped ramp-down: time until the torque is zero"),
     Setting(name="ramp_down_damping", least=0.0, most=1e4, default=(5.0,), unit="N.m.s/rad", description="Damped ramp-down: damping of the joint speeds"),
-    Setting(name="configure_timeout", most=3600.0, default=(3.0,), unit="s", description="Timeout of the first response of the arm"),
+    Setting(name="configure_timeout", most=3600.0, default=(3.0,), unit="s", description="Longest wait for the first response of the arm"),
 )  # fmt: skip
 
 BASE = (
-    Setting(name="period", most=1.0, default=(0.001,), unit="s", description="Communication step: period of reading the latest sample"),
-    Setting(name="cycle", most=1.0, default=(0.004,), unit="s", description="Cycle of set points and measurements"),
+    Setting(name="period", most=1.0, default=(0.001,), unit="s", description="Communication step: period at which the host reads the latest sample"),
+    Setting(name="cycle", most=1.0, default=(0.004,), unit="s", description="Period of the set points and measurements"),
     Setting(name="workspace_lower", above=None, default=(-0.5, -0.5, -0.5), unit="m", effect="stops", description="Lower limit of the set-point position"),
     Setting(name="workspace_upper", above=None, default=(0.5, 0.5, 0.5), unit="m", effect="stops", description="Upper limit of the set-point position"),
     Setting(name="velocity_limit", default=(0.2, 0.5), unit="m/s rad/s", effect="stops", description="Largest set-point speeds"),
@@ -139,16 +147,17 @@ BASE = (
             description="Largest distance of the measured pose from the set point"),
     Setting(name="age_limit", most=60.0, default=(0.02,), unit="s", effect="stops", description="Largest age of the last accepted sample"),
     Setting(name="lost_consecutive", whole=True, default=(2.0,), unit=None, effect="stops",
-            description="Lost cycles in a row (KUKA's external control: 2)"),
-    Setting(name="lost_in_window", whole=True, least=0.0, default=(3.0,), unit=None, effect="stops", description="Lost cycles within the window; 0: off"),
-    Setting(name="window", most=60.0, default=(0.2,), unit="s", description="Window of lost_in_window"),
+            description="Number of consecutive lost cycles at which the loop stops (KUKA's external control: 2)"),
+    Setting(name="lost_in_window", whole=True, least=0.0, default=(3.0,), unit=None, effect="stops",
+            description="Number of lost cycles within `window` at which the loop stops; 0: no limit"),
+    Setting(name="window", most=60.0, default=(0.2,), unit="s", description="Duration of the window of `lost_in_window`"),
     Setting(name="watchdog", most=60.0, default=(0.02,), unit="s", effect="stops",
-            description="Watchdog of the base: time without a set point after which the base holds its position. The loop stops if it is delayed for longer"),
+            description="Watchdog of the base: time without a set point after which the base holds its position. If the loop is delayed for longer, the loop stops"),
     Setting(name="start_position", above=None, default=(0.0, 0.0, 0.0), unit="m", description="Expected base position at activation"),
     Setting(name="start_orientation", above=None, default=(0.0, 0.0, 0.0, 1.0), unit="1", description="Expected base orientation at activation, quaternion x, y, z, w"),
     Setting(name="start_tolerance", default=(0.005, 0.01), unit="m rad", effect="refuses",
             description="Largest deviation of the base from `start_position` and `start_orientation`"),
-    Setting(name="approach", above=None, boolean=True, default=(0.0,), unit=None, description="Move a base that is further away to the start pose by a ramp, with the arm braked"),
-    Setting(name="approach_speed", default=(0.02, 0.05), unit="m/s rad/s", description="Speeds of the approach ramp, and of the correction of a deviation within the tolerance"),
-    Setting(name="configure_timeout", most=3600.0, default=(3.0,), unit="s", description="How long the base may take to answer at first"),
+    Setting(name="approach", above=None, boolean=True, default=(0.0,), unit=None, description="Whether to move the base to the start pose by a ramp if its deviation is larger than `start_tolerance`. The arm stays braked"),
+    Setting(name="approach_speed", default=(0.02, 0.05), unit="m/s rad/s", description="Speeds of the approach ramp. A deviation within `start_tolerance` is corrected with the same speeds"),
+    Setting(name="configure_timeout", most=3600.0, default=(3.0,), unit="s", description="Longest wait for the first response of the base"),
 )  # fmt: skip

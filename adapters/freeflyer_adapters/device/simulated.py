@@ -1,9 +1,10 @@
-"""Model in the host process as a device: kind = "simulated". The wall clock paces the loop.
+"""Device that is simulated by a model in the host process (`kind = "simulated"`).
 
-An arm model has `joint_torque_command` and `joint_velocity`. It is braked until its activation,
-respects the limits of an arm, and is brought to rest like a real arm. A base model has
-`position_setpoint` and respects the limits of a base. Both start at the start values of the
-scenario, so `check_start` has nothing to compare.
+The wall clock sets the cycles of the loop. A model is treated as an arm if it has the ports
+`joint_torque_command` and `joint_velocity`. Such a model is braked until its activation. It has the
+limits of an arm, and is brought to rest like a real arm. A model is treated as a base if it has the
+port `position_setpoint` and the other ports of a base. Such a model has the limits of a base. All
+models start at the start values of the scenario. Therefore `check_start` has nothing to compare.
 """
 
 from __future__ import annotations
@@ -28,7 +29,10 @@ from freeflyer_adapters.foundation.histogram import Histogram
 
 
 class SimulatedDevice:
-    """Device (`freeflyer_adapters.device.device.Device`) whose `read` steps `model`."""
+    """Simulated device. Implements `freeflyer_adapters.device.device.Device`.
+
+    Each call of `read` executes one step of `model`.
+    """
 
     is_clock = False
 
@@ -103,7 +107,7 @@ class SimulatedDevice:
 
     cannot_refuse = remarks = ()
     may_have_power = False
-    """A model has no actuator and no permit."""
+    """Always False, because a model has no actuator. A simulated device also has no permit."""
 
     def prepare(self) -> None:
         pass
@@ -139,7 +143,7 @@ class SimulatedDevice:
         self._last_torque = torque
 
     def _write_base(self) -> None:
-        """Check the limits of the set point, once per cycle of set points."""
+        """Check the set point and the measured pose once in each cycle of the set points."""
         v = self.values
         if self._count % max(1, round(float(v["cycle"][0]) / self.step)):
             return
@@ -207,7 +211,7 @@ class SimulatedDevice:
     def _write_inputs(self) -> None:
         first = 0
         for name in self._inputs:
-            # The torque after the limits, not the latest command of the controller.
+            # An arm gets the torque after the limits, not the latest command of the controller.
             value = (
                 self._last_torque
                 if self.is_arm and name == "joint_torque_command"
@@ -231,9 +235,10 @@ def _nothing() -> None:
 
 
 def simulated_component(name: str, options: Mapping[str, Any], directory: Path) -> DeviceComponent:
-    """Return the device of kind "simulated" (entry point); keys `fmu` and `fmi` as in kind "fmu".
+    """Return a device of the kind "simulated". This function is an entry point.
 
-    Raises DeviceError if the block is not sampled.
+    The keys `fmu` and `fmi` have the same meaning as in the kind "fmu". Raises DeviceError if the
+    FMU is not a sampled block.
     """
     known_keys(name, options, ("fmu", "fmi"))
     model = FmuComponent(name, find_fmu(name, options, directory))
