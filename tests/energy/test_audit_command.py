@@ -95,8 +95,11 @@ def test_invalid_records_are_rejected_with_the_reason(
     no_gains = {**provenance, "parameters": {**provenance["parameters"], "base_controller": {}}}
     unconnected = {**provenance, "sources": {}}
     cases = [
-        (str(tmp_path / "nowhere"), "does not exist; a directory that `freeflyer run` has written"),
-        (str(run.parent), "has no record.parquet; there is one in passive"),
+        (str(tmp_path / "nowhere"), "does not exist; give a directory that `freeflyer run` wrote"),
+        (
+            str(run.parent),
+            "has no record.parquet; these subdirectories have a record.parquet: passive",
+        ),
         (str(tmp_path / "half.parquet"), "cannot be read as a record of `freeflyer run`"),
         (str(tmp_path / "text.parquet"), "cannot be read as a record of `freeflyer run`"),
         (str(tmp_path / "texts.parquet"), "cannot be read as a record of `freeflyer run`"),

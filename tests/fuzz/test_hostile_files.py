@@ -104,16 +104,20 @@ def test_units_with_expensive_arithmetic_are_rejected() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "sentence"),
     [
-        ("TORQUES: 16", "TORQUES: 1000000000000", "a message or signal of 1000000000000"),
+        (
+            "TORQUES: 16",
+            "TORQUES: 1000000000000",
+            "a message or signal has a size of 1000000000000",
+        ),
         (
             "TORQUES: 16",
             "TORQUES //\n: // x\n 1000000000000",
-            "a message or signal of 1000000000000",
+            "a message or signal has a size of 1000000000000",
         ),
         (
             '15|16@0- (0.01,0) [0|0] "Nm" Drive',
             '15|1000000000000@0- (0.01,0) [0|0] "Nm" Drive',
-            "a message or signal of 1000000000000",
+            "a message or signal has a size of 1000000000000",
         ),
         (
             "VAL_ ",

@@ -35,7 +35,7 @@ MISTAKES = {
     ),
     "component that is not a controller": (
         ["multirate_unstable", "--period", "free_flyer"],
-        "no controller whose step_s follows a parameter",
+        "is not a controller whose step_s is a parameter",
     ),
     "read-only directory": (["multirate_unstable", "--out", "/proc/nowhere"], "cannot be written"),
     "empty directory name": (["multirate_unstable", "--out", ""], "a directory is expected"),
@@ -76,7 +76,7 @@ MISTAKES = {
         ],
         "there is no trajectory for the prediction",
     ),
-    "controllers with memory": (["facility"], "the prediction covers controllers without memory"),
+    "controllers with memory": (["facility"], "the prediction needs controllers without memory"),
 }
 
 

@@ -62,7 +62,7 @@ def test_ctrl_c_keeps_finished_runs_and_prints_how_to_resume(tmp_path: Path) -> 
     _, error = process.communicate(timeout=PATIENCE)
     assert process.returncode == 3
     assert len(error.strip().splitlines()) == 1, error
-    assert "of 60 runs; the same command goes on from there" in error
+    assert "of 60 runs; the same command computes the remaining runs" in error
     finished = sum(
         len(pandas.read_parquet(path)) for path in (sweep.out / "parts").glob("*.parquet")
     )

@@ -37,7 +37,10 @@ def error_of(capsys: pytest.CaptureFixture[str], directory: Path, text: str, *op
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (f"[grid]\n{P} = []", "[grid] base_controller.period is []; a list of at least one value"),
+        (
+            f"[grid]\n{P} = []",
+            "[grid] base_controller.period is []; a list with at least one value",
+        ),
         ("[grid]", "varies no parameter; a [grid] or a [sample] with parameters is expected"),
         ("", "varies no parameter"),
         ('[grid]\n"base_controller.perod" = [0.1]', "no parameter 'perod'; did you mean 'period'"),
@@ -105,7 +108,7 @@ def error_of(capsys: pytest.CaptureFixture[str], directory: Path, text: str, *op
         ),
         (
             f"[cases.a]\n{P} = 0.2\n[grid]\n{P} = [0.1]",
-            "[cases.a] sets base_controller.period, which is varied",
+            "[cases.a] sets base_controller.period, but the axis",
         ),
         (
             '[cases.a]\n"base_controller.perid" = 0.2\n[grid]\n"stop_s" = [1]',
@@ -193,7 +196,7 @@ def test_a_directory_with_another_sweep_is_rejected(
     code, _, error = sweep.run(capsys)
     assert code == 2
     assert (
-        "has results of another sweep ('sweep'; designs differ); choose another --out, or remove it"
+        "has results of another sweep ('sweep'; designs differ); choose another --out, or remove this directory"
         in error
     )
     sweep.file.write_text(sweep.file.read_text().replace("[2]", "[1]"))
@@ -269,12 +272,12 @@ def test_a_worker_with_another_version_is_rejected(
         code, _, error = sweep.run(capsys, "--scheduler", address)
     assert code == 2, error
     has = (
-        "python 2.7, and python 3."
+        "python 2.7, but python 3."
         if other == "python"
-        else "freeflyer-cosim 0.1.0, and freeflyer-cosim"
+        else "freeflyer-cosim 0.1.0, but freeflyer-cosim"
     )
     assert f"has {has}" in error
-    assert "install the same version there" in error
+    assert "install the same version on the worker" in error
     assert sweep.times_run(1) == sweep.times_run(2) == 0
 
 

@@ -65,10 +65,10 @@ def test_a_worker_with_other_files_is_rejected(plan: Plan) -> None:
     other = replace(plan.setup, files={**plan.setup.files, "base_controller": "0" * 64})
     with pytest.raises(
         sweep_task.WorkerRefused,
-        match="its file of component base_controller is not that of the sweep",
+        match="its file of component base_controller is not the same as in the sweep",
     ):
         sweep_task.run_batch(other, sweep_task.metrics.versions()["freeflyer-cosim"], [plan.run(0)])
-    with pytest.raises(sweep_task.WorkerRefused, match="the same version there"):
+    with pytest.raises(sweep_task.WorkerRefused, match="the same version on the worker"):
         sweep_task.run_batch(plan.setup, "9.9", [plan.run(0)])
 
 

@@ -78,6 +78,7 @@ class VirtualBase(VirtualDevice[BaseLogic]):
         self._pose = (np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))
         self._calls = 0
         self._session: Any = open_session([], o.connect, name, access_control.robot_protection(o))
+        # The token exists as long as this object.
         self._commanders = commanders.announce(self._session, o)
         self.faults = LinkFaults(settings.faults_of(name), period, settings.seed, ZenohTamper())
         self._link = FaultyOdometryLink(self._session, o, o.measured_topic, o.setpoint_topic)

@@ -23,7 +23,8 @@ STYLE: Any = {
     "axes.formatter.limits": (-2, 3),
     "figure.constrained_layout.use": True,
 }
-# Dashes distinguish the lines in grey print, colours also for colour-blind readers.
+# The line styles distinguish the lines in a grey print. Colour-blind readers can distinguish the
+# colours.
 LINES = (
     {"color": "#0072B2", "ls": "-"},
     {"color": "#D55E00", "ls": "--"},

@@ -9,7 +9,7 @@ from rich.console import Console
 
 
 class PlainConsole(Console):
-    """A console that discards its output after a broken pipe, instead of ending the command."""
+    """A console that discards its output after a broken pipe. The command then continues."""
 
     def on_broken_pipe(self) -> None:
         self.quiet = True

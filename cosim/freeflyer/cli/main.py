@@ -1,7 +1,7 @@
-"""The command `freeflyer`: finds the subcommand and loads only that one.
+"""The command `freeflyer`. It finds the subcommand and loads only this subcommand.
 
-Large packages are imported after the subcommand is known. `freeflyer --help` is then fast, and an
-interrupt during the imports ends the command in order.
+Large packages are imported after the subcommand is known. Therefore `freeflyer --help` is fast, and
+Ctrl-C during these imports ends the command with a message instead of a traceback.
 """
 
 from __future__ import annotations
@@ -23,14 +23,15 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 GROUP = "freeflyer.commands"
-"""Entry points of other packages' commands.
+"""Group of the entry points for commands of other packages.
 
-NAME = "MODULE:CALLABLE" returns a `Command`. Its attribute `help` is its line in the general help.
+The callable of an entry point NAME = "MODULE:CALLABLE" returns a `Command`. The attribute `help` of
+this command is its line in `freeflyer --help`.
 """
 COMMANDS: Mapping[str, tuple[str, str]] = {
     "audit": (
         "freeflyer.cli.audit:AuditCommand",
-        "energy audit of a recorded run: sources, sinks, and observed against true energy",
+        "energy audit of a recorded run: energy sources and sinks, observed and true energy",
     ),
     "certificates": (
         "freeflyer_adapters.cli.certificates:CertificatesCommand",
@@ -42,7 +43,7 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     ),
     "facility": (
         "freeflyer_adapters.cli.hil:FacilityCommand",
-        "simulate a scenario's facility: models of arm and base robot behind their real protocols",
+        "simulate the facility of a scenario: models of arm and base robot that use the real protocols",
     ),
     "fmus": (
         "freeflyer_fmus.cli:FmusCommand",
@@ -50,11 +51,11 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     ),
     "hil": (
         "freeflyer_adapters.cli.hil:HilCommand",
-        "run a scenario's controllers on its facility, real or virtual, in real time",
+        "run the controllers of a scenario in real time on the real or the virtual facility",
     ),
     "predict": (
         "freeflyer.cli.predict:PredictCommand",
-        "the largest stable period of the base's controller, from the linear loop at the set point",
+        "compute the largest stable period of the base controller from the loop that is linearised at the set point",
     ),
     "recover": (
         "freeflyer_adapters.cli.recover:RecoverCommand",
@@ -62,7 +63,7 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     ),
     "reproduce": (
         "freeflyer.paper.command:ReproduceCommand",
-        "every experiment of the paper: figures, comparison with the paper's statements, report page, summary.json",
+        "run every experiment of the paper; write figures, a comparison with the paper's statements, a report page and summary.json",
     ),
     "run": (
         "freeflyer.cli.run:RunCommand",
@@ -70,14 +71,18 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     ),
     "sweep": (
         "freeflyer.cli.sweep:SweepCommand",
-        "many runs of one scenario on Dask: grids and random designs, as one table",
+        "run one scenario many times on Dask, for a grid or random designs; write one table",
     ),
 }
-"""Commands of this distribution: class, and line in `freeflyer --help`."""
+"""Commands of this distribution: name -> (class, line in `freeflyer --help`)."""
 
 
 class Command(Protocol):
-    """A subcommand: it adds its arguments to a parser, and returns its exit code after a run."""
+    """A subcommand.
+
+    `configure` adds the arguments of the subcommand to a parser. `execute` runs the subcommand and
+    returns the exit code.
+    """
 
     def configure(self, parser: argparse.ArgumentParser) -> None: ...
 
@@ -85,7 +90,7 @@ class Command(Protocol):
 
 
 def main() -> int:
-    """Run the process. SIGTERM, and SIGHUP from the terminal, end a command like Ctrl-C."""
+    """Run the process. SIGTERM and SIGHUP end a command in the same way as Ctrl-C."""
     try:
         for number in ENDING:
             if number != signal.SIGINT and signal.getsignal(number) is not signal.SIG_IGN:
@@ -97,18 +102,18 @@ def main() -> int:
 
 
 def call(arguments: Sequence[str]) -> int:
-    """Run one command line. Return the exit code: 0 done, 2 bad input, 3 the run stopped."""
-    # A path may contain invalid UTF-8; a message about it must not fail.
+    """Run one command line. Return the exit code: 0 (done), 2 (bad input), 3 (the run stopped)."""
+    # A path may contain invalid UTF-8. The printing of a message with this path must not fail.
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-    # The general parser, without the arguments of the subcommands.
+    # Create the general parser, without the arguments of the subcommands.
     parser = Parser(
         prog="freeflyer", description="Multi-rate co-simulation of a free-flying space robot."
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    # The subcommand, which is imported here.
+    # Import the subcommand and create its parser.
     name = arguments[0] if arguments else ""
     try:
         command = _loaded(name) if name in COMMANDS or name in plugins(GROUP) else None
@@ -135,14 +140,14 @@ def call(arguments: Sequence[str]) -> int:
 
 
 class Parser(argparse.ArgumentParser):
-    """An argument parser whose error is one line, without the usage."""
+    """An argument parser. Its error message is one line and does not contain the usage."""
 
     def error(self, message: str) -> NoReturn:
         self.exit(BAD_INPUT, f"freeflyer: {message}; see `{self.prog} --help`\n")
 
 
 class _Version(argparse.Action):
-    """The option `--version`: the version is read only if the option is given."""
+    """The option `--version`. The version is read only if the option is given."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
         from importlib.metadata import version
@@ -151,7 +156,7 @@ class _Version(argparse.Action):
 
 
 def _loaded(name: str) -> Command:
-    """Load one subcommand. Raises CosimError for any exception of another package."""
+    """Load one subcommand. Raises CosimError if a third-party command raises any exception."""
     with _one_sentence(name):
         if name not in COMMANDS:
             command: Command = load(plugins(GROUP)[name])()
@@ -166,9 +171,10 @@ def _help(name: str, command: Command) -> str:
 
 
 def _listing(*, with_help: bool) -> Iterator[tuple[str, str]]:
-    """Yield the name of every subcommand and, `with_help`, its line of help.
+    """Yield the name and the help line of every subcommand.
 
-    The line of a third-party command that cannot be loaded is the reason.
+    Without `with_help`, the help lines are empty. If a third-party command cannot be loaded, its
+    help line is the error message.
     """
     others = plugins(GROUP)
     for name in sorted({*COMMANDS, *others}):
@@ -183,7 +189,10 @@ def _listing(*, with_help: bool) -> Iterator[tuple[str, str]]:
 
 @contextmanager
 def _one_sentence(name: str) -> Iterator[None]:
-    """Convert any exception of a third-party command to a CosimError; our own exceptions pass."""
+    """Convert any exception of a third-party command to a CosimError.
+
+    Exceptions of our own commands are not converted.
+    """
     try:
         yield
     except Exception as error:

@@ -35,23 +35,23 @@ class PredictCommand:
             "--longest",
             type=float,
             metavar="SECONDS",
-            help=f"scan the period up to here (default: {LONGEST:g}, or the scenario's own period if that is longer)",
+            help=f"longest period that is scanned (default: {LONGEST:g}, or the period in the scenario if this period is longer)",
         )
         parser.add_argument(
             "--period",
             metavar="COMPONENT",
-            help="the controller whose period is scanned (default: the one with the longest)",
+            help="controller whose period is scanned (default: the controller with the longest period)",
         )
         parser.add_argument(
             "--along-trajectory",
             action="store_true",
-            help="also along the scenario's motion, not only at its start",
+            help="also predict the stability along the motion of the scenario, not only at its start",
         )
         parser.add_argument(
             "--out",
             type=folder,
             metavar="DIR",
-            help="also write prediction.json and prediction.png there",
+            help="also write prediction.json and prediction.png to this directory",
         )
 
     def execute(self, arguments: argparse.Namespace, console: Console) -> int:
@@ -85,15 +85,15 @@ def _print_set_point(prediction: Prediction, console: Console) -> None:
 
     print_line(
         f"{prediction.scenario}: period T_b of {prediction.component}, from {milliseconds(prediction.tick_s)} to "
-        f"{milliseconds(prediction.longest_s)}; at the set point, passivity controllers off"
+        f"{milliseconds(prediction.longest_s)}; at the set point, with passivity controllers off"
     )
     if prediction.boundary is None:
         print_line(
-            f"Largest stable T_b: {milliseconds(prediction.largest_stable_s)} or more: every period scanned is stable"
+            f"Largest stable T_b: {milliseconds(prediction.largest_stable_s)} or more (all scanned periods are stable)"
         )
     elif prediction.largest_stable_s == 0.0:
         print_line(
-            "Largest stable T_b: none, the loop is unstable at the fast controllers' period already"
+            "Largest stable T_b: none (the loop is unstable even at the period of the fast controllers)"
         )
     else:
         print_line(f"Largest stable T_b: {milliseconds(prediction.largest_stable_s)}")
@@ -106,11 +106,11 @@ def _print_set_point(prediction: Prediction, console: Console) -> None:
         print_line(f"Unstable mode: {prediction.boundary.description()}")
         print_line(f"  at {_grows(prediction.boundary)}")
         print_line(f"Limited by {prediction.limit.description()}")
-    print_line(f"The scenario's own T_b: at {_grows(prediction.own)}")
+    print_line(f"With T_b of the scenario: at {_grows(prediction.own)}")
     if prediction.neutral:
         print_line(
-            f"{prediction.neutral} neutral modes, without a restoring force (null space, or no stiffness): "
-            f"they neither grow nor decay, and are left out"
+            f"{prediction.neutral} neutral modes are left out. A neutral mode neither grows nor decays, because it has no "
+            f"restoring force (null space, or no stiffness)."
         )
 
 
@@ -123,7 +123,7 @@ def _grows(mode: Mode) -> str:
         if rate > 0.0
         else f"halves every {-0.693147 / rate:.3g} s"
         if rate < 0.0
-        else "stays"
+        else "constant"
     )
     return f"{milliseconds(mode.period)} {'unstable' if abs(z) >= 1.0 else 'stable'}: multiplier {value}, {rate:+.3g} 1/s ({pace})"
 
@@ -148,22 +148,22 @@ def _print_along(along: AlongTrajectory, console: Console) -> None:
         console.print(text, soft_wrap=True)
 
     print_line(
-        f"Along the trajectory, by the Floquet multipliers of the motion from {along.from_s:g} to {along.to_s:g} s, taken as "
-        f"periodic:"
+        f"Along the trajectory, from Floquet multipliers (the motion from {along.from_s:g} to {along.to_s:g} s is assumed to be "
+        f"periodic):"
     )
     print_line(f"  largest stable T_b: {milliseconds(along.largest_stable_s)} (by bisection)")
     print_line(
         f"  at {milliseconds(along.period_s)}: {along.growth_rate:+.3g} 1/s, {'unstable' if along.growth_rate >= 0.0 else 'stable'}"
     )
     print_line(
-        f"  frozen in time (no criterion of stability): the loop is unstable {100 * along.frozen_unstable:.0f} % of the time, with at "
-        f"most {along.frozen_growth_rate:+.3g} 1/s (at {along.frozen_at_s:g} s)"
+        f"  frozen in time (not a criterion of stability): the loop is unstable {100 * along.frozen_unstable:.0f} % of the time; "
+        f"the largest growth rate is {along.frozen_growth_rate:+.3g} 1/s (at {along.frozen_at_s:g} s)"
     )
 
 
 def _write(prediction: Prediction, along: AlongTrajectory | None, directory: Path) -> None:
     """Write prediction.json and prediction.png. Raises OutputError."""
     summary = {**prediction.summary(), "along_trajectory": along and along.summary()}
-    with interrupts():  # Ctrl-C is deferred until both files are complete
+    with interrupts():  # Ctrl-C takes effect after both files are complete
         write_text(directory / "prediction.json", json.dumps(summary, indent=2) + "\n")
         prediction_plot.write(prediction, along, directory / "prediction.png")

@@ -19,7 +19,8 @@ from freeflyer.scenario.experiment import Result
 from freeflyer.scenario.scenario import Scenario
 from freeflyer.scenario.verdict import verdict
 
-# A subcommand imports its own dependencies: a run loads neither SSP files nor figures.
+# Each subcommand imports only the modules that it needs. Therefore a run of a scenario imports
+# neither the code for SSP files nor the code for figures.
 
 SCENARIO_HELP = f"{', '.join(scenario.shipped())}, or a .toml file"
 
@@ -28,8 +29,8 @@ SCENARIO_HELP = f"{', '.join(scenario.shipped())}, or a .toml file"
 def opened(name: str, overrides: Sequence[str], step: float | None) -> Iterator[Scenario]:
     """Load a scenario by name, or from a TOML or SSP file. Raises CosimError.
 
-    The FMUs of an SSP file are unpacked while the context is open. `step` [s] is for its components
-    without a step.
+    The unpacked FMUs of an SSP file exist while the context is open. `step` [s] is the
+    communication step of the components that have no step in the SSP file.
     """
     if not name.lower().endswith(".ssp"):
         if step is not None:
@@ -55,7 +56,7 @@ class RunCommand:
             "--step",
             type=float,
             metavar="SECONDS",
-            help="communication step of components without one in an .ssp file",
+            help="communication step of the components that have no step in the .ssp file",
         )
         parser.add_argument(
             "--set",
@@ -68,7 +69,7 @@ class RunCommand:
             "--fmi",
             type=int,
             choices=(2, 3),
-            help="FMI version of the shipped FMUs (default: the scenario's, else 2)",
+            help="FMI version of the shipped FMUs (default: the version in the scenario, otherwise 2)",
         )
         parser.add_argument(
             "--master",
@@ -114,7 +115,7 @@ def result_table(result: Result) -> Table:
             shown(values["last_10_s"]),
         )
     for name, energy in result.summary["observed_energy_j"].items():
-        table.add_row(f"{name} observed energy, least [J]", shown(energy["min"]), "")
+        table.add_row(f"{name} observed energy, minimum [J]", shown(energy["min"]), "")
     table.add_row(
         "simulated [s] / wall [s]", f"{result.outcome.simulated:g}", f"{result.outcome.wall:.2f}"
     )

@@ -34,18 +34,18 @@ class SweepCommand:
             default=[],
             metavar="COMPONENT.PARAMETER=VALUE",
             dest="overrides",
-            help="for every run",
+            help="change a value in all runs",
         )
         parser.add_argument(
             "--fmi",
             type=int,
             choices=(2, 3),
-            help="FMI version of the shipped FMUs (default: the scenario's, else 2)",
+            help="FMI version of the shipped FMUs (default: the version in the scenario, otherwise 2)",
         )
         parser.add_argument(
             "--scheduler",
             metavar="ADDRESS",
-            help="a Dask scheduler, tcp://HOST:PORT (default: workers on this machine)",
+            help="address of a Dask scheduler, tcp://HOST:PORT (default: workers on this machine)",
         )
         parser.add_argument(
             "--workers",
@@ -57,7 +57,7 @@ class SweepCommand:
             "--out",
             type=folder,
             metavar="DIR",
-            help="default: freeflyer_out/SWEEP; an unfinished sweep there is resumed",
+            help="default: freeflyer_out/SWEEP; an unfinished sweep in this directory is resumed",
         )
 
     def execute(self, arguments: argparse.Namespace, console: Console) -> int:
@@ -65,7 +65,7 @@ class SweepCommand:
             raise ScenarioError(f"--workers {arguments.workers}: at least one worker is expected")
         if arguments.workers is not None and arguments.scheduler is not None:
             raise ScenarioError(
-                "--workers is for workers on this machine, and a scheduler has its own: give either --workers or --scheduler"
+                "--workers starts workers on this machine, but a scheduler already has workers: give either --workers or --scheduler"
             )
         chosen = sweep_file.read(arguments.sweep, arguments.overrides)
 
@@ -86,7 +86,7 @@ class SweepCommand:
             ended = compute(plan, results, arguments.scheduler, arguments.workers, console)
             if ended is not None and ended.interrupted:
                 return report_error(
-                    f"interrupted after {len(results.runs)} of {len(plan)} runs; the same command goes on from there",
+                    f"interrupted after {len(results.runs)} of {len(plan)} runs; the same command computes the remaining runs",
                     STOPPED,
                 )
             report(plan, results, console)
@@ -96,7 +96,10 @@ class SweepCommand:
 def compute(
     plan: Plan, results: Results, scheduler: str | None, workers: int | None, console: Console
 ) -> Ended | None:
-    """Compute the unfinished runs; None if there are none. A terminal shows a progress bar."""
+    """Compute the unfinished runs. Return None if all runs are finished already.
+
+    A progress bar is shown on a terminal.
+    """
     if len(results.runs) == len(plan):
         return None
     from freeflyer.analysis.sweep import run as sweep
@@ -120,10 +123,13 @@ def compute(
 
 
 def report(plan: Plan, results: Results, console: Console) -> None:
-    """Write the table of all runs and the stability map; print the shares and the files."""
+    """Write the table of all runs and the stability map.
+
+    Print the shares of stable and diverged runs, and the names of the files.
+    """
     from freeflyer.analysis.sweep import results as sweep_results
 
-    # The shares of each case.
+    # Print the shares of each case.
     table = results.write()
     shares = Table(title=plan.sweep.title, title_justify="left")
     shares.add_column("case")
@@ -143,7 +149,7 @@ def report(plan: Plan, results: Results, console: Console) -> None:
     cause = sweep_results.frequent_failure(table)
     if cause:
         console.print(f"Most frequent failure: {cause}", soft_wrap=True)
-    # The map, if the sweep has one.
+    # Draw the stability map, if the sweep has a stability map.
     written = [sweep_results.RESULTS]
     if plan.sweep.map is not None:
         from freeflyer.analysis.figure_style import save
@@ -160,9 +166,9 @@ def report(plan: Plan, results: Results, console: Console) -> None:
 
 
 def predicted(plan: Plan, figure: Map, console: Console) -> Mapping[str, tuple[Array, Array]]:
-    """Compute the stability boundary from the linear loop, in about 1 s per point.
+    """Compute the stability boundary from the linearised loop. This takes about 1 s per point.
 
-    A terminal shows a progress bar.
+    A progress bar is shown on a terminal.
     """
     from freeflyer.analysis.sweep import boundary
 

@@ -25,7 +25,7 @@ class ReproduceCommand:
         parser.add_argument(
             "--real-time",
             action="store_true",
-            help="also run the facility experiment in real time over CAN and Zenoh (1 min more)",
+            help="also run the facility experiment in real time over CAN and Zenoh (this takes 1 min more)",
         )
 
     def execute(self, arguments: argparse.Namespace, console: Console) -> int:

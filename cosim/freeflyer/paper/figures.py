@@ -1,6 +1,7 @@
-"""Draw the figures of the paper from records, with its quantities, axes and units.
+"""Draw the figures of the paper from records.
 
-The figures have the width of one or two columns in print.
+The quantities, axes and units are the same as in the paper. The figures have the width of one or
+two printed columns.
 """
 
 from __future__ import annotations
@@ -23,18 +24,21 @@ YPR = (r"$\psi$ (yaw)", r"$\theta$ (pitch)", r"$\phi$ (roll)")
 def orientation_error_angles(actual: Array, desired: Array) -> Array:
     """Return yaw, pitch, roll (rows, 3) [deg] of the rotation from desired to actual orientation.
 
-    Both are quaternions [x, y, z, w] (rows, 4) in I.
+    `actual` and `desired` are quaternions [x, y, z, w] (rows, 4) in the inertial frame I.
     """
     relative = Rotation.from_quat(actual) * Rotation.from_quat(desired).inv()
     return np.asarray(relative.as_euler("ZYX", degrees=True))
 
 
 def panel(axes: Any, time: Array, values: Array, names: Sequence[str], label: str) -> None:
-    """Draw the columns of `values` (rows, n) over `time` [s]; `label` is that of the y axis."""
+    """Draw the columns of `values` (rows, n) over `time` [s]. `label` is the label of the y axis.
+
+    `names` are the names of the columns.
+    """
     for column, name, line in zip(values.T, names, LINES, strict=True):
         axes.plot(time, column, label=name, **line)
     axes.set_ylabel(label)
-    # The legend is above the axes, where it hides no line.
+    # The legend is above the axes. Inside the axes it would hide lines.
     axes.legend(
         loc="lower right",
         bbox_to_anchor=(1.0, 0.97),
@@ -48,9 +52,11 @@ def panel(axes: Any, time: Array, values: Array, names: Sequence[str], label: st
 def two_by_two(
     time: Array, rows: Sequence[tuple[str, Sequence[tuple[Array, Sequence[str], str]]]]
 ) -> Any:
-    """Draw two rows (for example manipulator, base) and two columns (translation, rotation).
+    """Draw a figure with two rows and two columns of panels.
 
-    `rows` holds for each row its title and, for each column, (values (n, 3), names, label).
+    The rows are for example manipulator and base. The columns are translation and rotation.
+    `rows` contains (title, panels) for each row. `panels` contains (values (n, 3), names, label)
+    for each column.
     """
     figure, grid = plt.subplots(2, 2, figsize=(7.0, 3.9), sharex=True)
     for axes_row, (title, panels) in zip(grid, rows, strict=True):
@@ -65,7 +71,7 @@ def two_by_two(
 def overview(cases: Sequence[tuple[str, Array, Mapping[str, Array]]]) -> Any:
     """Draw the errors of end-effector and base over time, with one line per case.
 
-    A case is (label, time [s], errors by their names in summary.json).
+    A case is (label, time [s], errors). The keys of the errors are their names in summary.json.
     """
     figure, grid = plt.subplots(1, 2, figsize=(7.0, 2.6), sharex=True)
     quantities = (
@@ -105,7 +111,7 @@ def trajectory(record: Record) -> Any:
 def errors(record: Record, plant: str = "free_flyer") -> Any:
     """Draw Figs. 3, 4, 10: errors of the end-effector (top) and the base (bottom).
 
-    Each has position (left) and orientation (right). The set point of the base is the origin of I.
+    Position is on the left, orientation on the right. The set point of the base is the origin of I.
     """
     actual = (f"{plant}.end_effector_position", f"{plant}.end_effector_orientation")
     if plant == "free_flyer":
@@ -159,7 +165,7 @@ def _both(
 
 
 def energies(record: Record) -> Any:
-    """Draw Figs. 7, 9: energy observers of manipulator (top) and base (bottom).
+    """Draw Figs. 7, 9: observed energies of manipulator (top) and base (bottom).
 
     There is one line per degree of freedom. The energies include E(0).
     """
@@ -173,7 +179,7 @@ def energies(record: Record) -> Any:
 
 
 def facility_manipulator(record: Record) -> Any:
-    """Draw Fig. 11: tracking error of the end-effector (top), wrench F'_m (bottom)."""
+    """Draw Fig. 11: tracking error of the end-effector (top) and wrench F'_m (bottom)."""
     position = (
         record["hand_kinematics.end_effector_position"] - record["reference_trajectory.position"]
     )
@@ -185,7 +191,7 @@ def facility_manipulator(record: Record) -> Any:
 
 
 def facility_base(record: Record) -> Any:
-    """Draw Fig. 12: regulation error of the base (top), wrench F'_b (bottom).
+    """Draw Fig. 12: regulation error of the base (top) and wrench F'_b (bottom).
 
     The base starts at its set point.
     """
@@ -217,7 +223,7 @@ def _error_and_force(
 
 
 def corrections(record: Record) -> Any:
-    """Draw Fig. 8: wrenches of the passivity controllers, manipulator (top) and base (bottom)."""
+    """Draw Fig. 8: passivity controllers' wrenches at manipulator (top) and base (bottom)."""
     return _both(
         record,
         "manipulator_controller.passivity_wrench",

@@ -1,7 +1,7 @@
 """The facility experiment in real time.
 
-The virtual facility and the control loop are separate commands, as a user would start them. This
-module uses only the files that they write.
+The virtual facility and the control loop are started as separate commands, in the same way as a
+user starts them. This module uses only the files that these commands write.
 """
 
 from __future__ import annotations
@@ -30,17 +30,18 @@ CASES = ("facility", "facility_without_pc")
 def run(scenario: Scenario, directory: Path, settings: Sequence[str] = ()) -> Result:
     """Start a virtual facility, run the control loop on it, and stop the facility.
 
-    `settings` are further arguments of `--set`. A loop that stopped early has a result, too. Raises
-    OutputError, with the output of the command, if there is no result.
+    `settings` are further arguments of `--set`. A loop that stopped early also gives a result.
+    Raises OutputError if the loop gives no result. The error contains the output of the command.
     """
-    # A bus name and a port of this process, so that runs at the same time do not interfere.
+    # The name of the bus and the port belong to this process only. Therefore several runs at the
+    # same time do not interfere.
     settings = [
         *settings,
         f'devices.arm_drive.channel="reproduce-{os.getpid()}"',
         f'devices.base_robot.connect=["tcp/127.0.0.1:{_free_port()}"]',
     ]
     arguments = [scenario.name, *(part for setting in settings for part in ("--set", setting))]
-    # Files of an earlier run must not be mistaken for those of this run.
+    # Delete the files of an earlier run. They could be confused with the files of this run.
     for name in WRITTEN:
         with contextlib.suppress(FileNotFoundError):
             (directory / name).unlink()
@@ -50,7 +51,7 @@ def run(scenario: Scenario, directory: Path, settings: Sequence[str] = ()) -> Re
             capture_output=True,
             text=True,
         )
-    # The result, from the files of the loop.
+    # Read the result from the files of the loop.
     if loop.returncode not in (DONE, STOPPED):
         raise OutputError(f"the loop of {scenario.name} did not run: {loop.stderr.strip()}")
     try:
@@ -58,7 +59,7 @@ def run(scenario: Scenario, directory: Path, settings: Sequence[str] = ()) -> Re
         record = Record.read(directory / "record.parquet")
     except OSError as error:
         raise OutputError(
-            f"the loop of {scenario.name} left no result: {loop.stderr.strip() or error}"
+            f"the loop of {scenario.name} wrote no result: {loop.stderr.strip() or error}"
         ) from error
     outcome = Outcome(
         record=record,
@@ -70,7 +71,10 @@ def run(scenario: Scenario, directory: Path, settings: Sequence[str] = ()) -> Re
 
 @contextlib.contextmanager
 def _facility(command: list[str]) -> Iterator[None]:
-    """Run a facility while the context is open; wait until it is ready. Raises OutputError."""
+    """Start a facility, wait until it is ready, and stop it when the context ends.
+
+    Raises OutputError if the facility does not start.
+    """
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     ) as process:

@@ -18,7 +18,7 @@ Verdict = Literal["as stated", "in part", "differs", "not in the paper"]
 
 @dataclass(frozen=True, kw_only=True)
 class Statement:
-    """A statement of the paper, the measured result, and their comparison."""
+    """A statement of the paper, the measured result, and the comparison of statement and result."""
 
     where: str
     paper: str
@@ -35,9 +35,12 @@ class Figure:
 
 
 ASSUMPTIONS = (
-    "The paper's text gives neither gains, trajectory amplitudes, start posture, mount, tool nor arm masses (its reference [16] is not "
-    "public). All of them are assumptions of this project. Curves can therefore agree with the paper's in kind, but not in value. "
-    "Where the paper gives no number, the table states this and claims no agreement."
+    "The paper does not give the following values: gains, trajectory amplitudes, start posture, mount, tool and arm masses. "
+    "Its reference [16] is not public. All these values are assumptions of this project. Therefore the curves can have the same "
+    "form as the curves of the paper, but not the same values. "
+    "Where the paper gives no number, the table states this and claims no agreement. "
+    "PC means passivity controller. T_m and T_b are the periods of the manipulator controller and of the base controller. "
+    "E(0) is the initial energy of an observer."
 )
 
 
@@ -65,6 +68,10 @@ def write(
 
 
 def _embedded(path: Path) -> tuple[str, int]:
-    """Return a PNG as base64, and its width on the page: half its width in pixels (byte 16)."""
+    """Return a PNG file as base64 text, and the width of the figure on the page.
+
+    The width on the page is half the width in pixels. The width in pixels is at byte 16 of the
+    file.
+    """
     data = path.read_bytes()
     return base64.b64encode(data).decode(), int.from_bytes(data[16:20], "big") // 2

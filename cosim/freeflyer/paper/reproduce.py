@@ -1,4 +1,4 @@
-"""Reproduction of the paper's simulation: figures, and its statements with measured results."""
+"""Reproduce the paper's simulation: draw its figures, compare its statements with the results."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from freeflyer.scenario import experiment, scenario
 from freeflyer.scenario.experiment import Result
 
 ATTEMPTS = 3
-"""Attempts at a loop in real time."""
+"""Maximum number of attempts to run a loop in real time."""
 
 
 def reproduce(directory: Path, fmi: int, console: Console, *, in_real_time: bool = False) -> int:
     """Run every case, and write figures, tables and report into `directory`. Return the exit code.
 
-    `in_real_time` also runs the facility experiment on the virtual facility over CAN and Zenoh.
-    After Ctrl-C, the completed cases and the results of the interrupted one are saved. Raises
-    OutputError or another CosimError.
+    If `in_real_time` is true, the facility experiment also runs on the virtual facility over CAN
+    and Zenoh. After Ctrl-C, the results of all completed cases and of the interrupted case are
+    saved. Raises OutputError or another CosimError.
     """
     check_writable(directory)
-    # The cases, up to an interrupt.
+    # Run the cases. Stop after a case that was interrupted.
     scenarios = [scenario.load(name) for name in CASES]
     results: dict[str, Result] = {}
     with experiment.progress_bar(console, scenarios) as reports:
@@ -43,7 +43,7 @@ def reproduce(directory: Path, fmi: int, console: Console, *, in_real_time: bool
             experiment.write(results[case.name], directory / case.name)
             if results[case.name].outcome.interrupted:
                 break
-    # The loops in real time, and the summary of all runs.
+    # Run the loops in real time, and write the summary of all runs.
     loops = (
         run_in_real_time(directory, console) if in_real_time and len(results) == len(CASES) else {}
     )
@@ -51,18 +51,18 @@ def reproduce(directory: Path, fmi: int, console: Console, *, in_real_time: bool
     write_text(directory / "summary.json", json.dumps({"cases": summaries}, indent=2) + "\n")
     if len(results) < len(CASES) or any(result.outcome.interrupted for result in results.values()):
         console.print(
-            f"Interrupted; the cases {', '.join(results)} are saved in {directory}, without figures",
+            f"Interrupted; the cases {', '.join(results)} are saved in {directory}. No figures were drawn.",
             soft_wrap=True,
         )
         return STOPPED
-    # The comparison with the paper.
+    # Write the comparison with the paper.
     stated = statements(results) + real_time_statements(results, loops)
     drawn = draw(results, directory) + draw_real_time(loops, directory)
     report.write(directory / "report.html", stated, drawn, {**results, **loops})
     console.print(table(stated))
     console.print(ASSUMPTIONS, style="dim")
     console.print(
-        f"Report: {directory / 'report.html'}; figures, records and summary.json beside it",
+        f"Report: {directory / 'report.html'}; figures, records and summary.json are in the same directory",
         soft_wrap=True,
     )
     unexpected = [name for name, result in {**results, **loops}.items() if not result.as_expected]
@@ -75,7 +75,8 @@ def run_in_real_time(directory: Path, console: Console) -> dict[str, Result]:
     """Run the facility experiment with and without passivity controllers.
 
     A machine without a real-time kernel may suspend a process for longer than the watchdogs allow.
-    A loop that stopped is therefore reported and run again, up to ATTEMPTS times.
+    Then the loop stops, although it has no fault. Therefore a stopped loop is reported and run
+    again. There are at most ATTEMPTS attempts.
     """
     loops = {}
     for case in map(scenario.load, real_time.CASES):
@@ -94,12 +95,12 @@ def run_in_real_time(directory: Path, console: Console) -> dict[str, Result]:
 
 
 def draw_real_time(loops: Mapping[str, Result], directory: Path) -> list[Figure]:
-    """Draw the figures of the loops in real time; return them with captions."""
+    """Draw the figures of the loops in real time, and return the figures with captions."""
     if not loops:
         return []
     passive, without = (result.outcome.record for result in loops.values())
-    setting = "In real time against the virtual facility over CAN FD and Zenoh (its drives, noise and delay: assumed)"
-    # Number, drawing, record and caption of each figure.
+    setting = "In real time on the virtual facility, over CAN FD and Zenoh (its drives, noise and delay are assumptions)"
+    # Each figure has a number, a drawing function, a record and a caption.
     drawings = [
         (
             "11",
@@ -117,16 +118,16 @@ def draw_real_time(loops: Mapping[str, Result], directory: Path) -> list[Figure]
             "13",
             figures.energies,
             without,
-            "without passivity controllers: energy observers of manipulator (top) and base (bottom)",
+            "without passivity controllers: observed energies of manipulator (top) and base (bottom)",
         ),
         (
             "14",
             figures.energies,
             passive,
-            "with passivity controllers: energy observers of manipulator (top) and base (bottom)",
+            "with passivity controllers: observed energies of manipulator (top) and base (bottom)",
         ),
     ]
-    # Files fig11_real_time.png and so on.
+    # Write the files fig11_real_time.png to fig14_real_time.png.
     drawn = []
     with rc_context(STYLE):
         for number, drawing, record, caption in drawings:
@@ -141,25 +142,25 @@ def draw_real_time(loops: Mapping[str, Result], directory: Path) -> list[Figure]
 
 
 def draw(results: Mapping[str, Result], directory: Path) -> list[Figure]:
-    """Draw the figures of the paper and the energy audits; return them with captions."""
+    """Draw the figures of the paper and the energy audits, and return the figures with captions."""
     continuous, unstable, passive = (results[name].outcome.record for name in CASES[:3])
     facility, without = (results[name].outcome.record for name in CASES[4:])
     both = "T_m = 1 ms, T_b = 0.3 s"
-    inside = "Facility experiment inside one FMI system (T_m = 1 ms, T_b = 4 ms; drives, noise, delay: assumed)"
-    # Number, drawing, record and caption of each figure.
+    inside = "Facility experiment inside one FMI system (T_m = 1 ms, T_b = 4 ms; drives, noise and delay are assumptions)"
+    # Each figure has a number, a drawing function, a record and a caption.
     drawings = [
-        ("2", figures.trajectory, continuous, "Desired end-effector position x and orientation theta (amplitudes and frequency: assumed)."),
+        ("2", figures.trajectory, continuous, "Desired end-effector position x and orientation theta (amplitudes and frequency are assumptions)."),
         ("3", figures.errors, continuous, "Both controllers at 1 ms (FMUs): error of the end-effector (top) and of the base (bottom)."),
-        ("3 (continuous time)", figures.errors, continuous, "The same loop with nothing sampled: one model-exchange FMU, DOP853, relative tolerance 1e-10."),
+        ("3 (continuous time)", figures.errors, continuous, "The same loop in continuous time, without sampling: one model-exchange FMU, integrated by DOP853 with relative tolerance 1e-10."),
         ("4", figures.errors, unstable, f"Without passivity controllers, {both}: error of the end-effector (top) and of the base (bottom)."),
-        ("7", figures.energies, unstable, f"Energy observers without passivity controllers, {both}: manipulator (top), base (bottom); E(0) included."),
+        ("7", figures.energies, unstable, f"Observed energies without passivity controllers, {both}: manipulator (top), base (bottom). The energies include E(0)."),
         ("8", figures.corrections, passive, f"Forces and torques of the passivity controllers, {both}: manipulator (top), base (bottom)."),
-        ("9", figures.energies, passive, f"Energy observers with passivity controllers, {both}: manipulator (top), base (bottom); E(0) included."),
+        ("9", figures.energies, passive, f"Observed energies with passivity controllers, {both}: manipulator (top), base (bottom). The energies include E(0)."),
         ("10", figures.errors, passive, f"With passivity controllers, {both}: error of the end-effector (top) and of the base (bottom)."),
         ("11", figures.facility_manipulator, facility, f"{inside}: tracking error of the end-effector (top), force of the manipulator (bottom)."),
         ("12", figures.facility_base, facility, f"{inside}: regulation error of the base (top), force on the base (bottom)."),
-        ("13", figures.energies, without, f"{inside}, without passivity controllers: energy observers of manipulator (top) and base (bottom)."),
-        ("14", figures.energies, facility, f"{inside}, with passivity controllers: energy observers of manipulator (top) and base (bottom)."),
+        ("13", figures.energies, without, f"{inside}, without passivity controllers: observed energies of manipulator (top) and base (bottom)."),
+        ("14", figures.energies, facility, f"{inside}, with passivity controllers: observed energies of manipulator (top) and base (bottom)."),
     ]  # fmt: skip
     # The overview compares the three cases of the simulation.
     labels = ("both controllers at 1 ms", "base at 0.3 s, no PC", "base at 0.3 s, with PC")
@@ -175,7 +176,8 @@ def draw(results: Mapping[str, Result], directory: Path) -> list[Figure]:
             path=overview,
         )
     ]
-    # The figures of the paper. The continuous-time figure has the signals of another component.
+    # Draw the figures of the paper. The figure in continuous time uses the signals of the component
+    # continuous_loop.
     with rc_context(STYLE):
         save(figures.overview(lines), overview)
         for number, drawing, record, caption in drawings:
@@ -186,7 +188,7 @@ def draw(results: Mapping[str, Result], directory: Path) -> list[Figure]:
             )
             save(figure, path)
             drawn.append(Figure(number=f"Fig. {number}", caption=caption, path=path))
-    # The energy audits.
+    # Draw the energy audits.
     for name, record in (("multirate_unstable", unstable), ("multirate_passive", passive)):
         path = directory / f"energy_audit_{name}.png"
         save(audit_figure.draw(ledger.audit(recorded_loop.find(record))), path)

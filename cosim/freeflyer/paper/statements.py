@@ -1,4 +1,4 @@
-"""The paper's statements, each with the measured result."""
+"""The paper's statements. Each statement is compared with a measured result."""
 
 from __future__ import annotations
 
@@ -27,18 +27,20 @@ def statements(results: Mapping[str, Result]) -> list[Statement]:
     exact = continuous_time_errors(continuous)
     slope = energy_slope(passive)
     return [
-        # Simulation: continuous time, without PC, with PC.
+        # Statements on the simulation: in continuous time, without PC, with PC.
         Statement(
             where="Fig. 3",
             paper="in continuous time both errors converge; tracking error of the order of 1e-4 m",
-            measured=f"sampled at 1 ms: end-effector at most {late(continuous, 'end_effector_position_error_m')} m in the last 10 s, "
-            f"base {late(continuous, 'base_position_error_m')} m; continuous time (DOP853): end-effector {exact[0]:.1e} m, base {exact[1]:.1e} m",
+            measured="largest position error in the last 10 s, sampled at 1 ms: "
+            f"end-effector {late(continuous, 'end_effector_position_error_m')} m, base {late(continuous, 'base_position_error_m')} m; "
+            f"in continuous time (DOP853): end-effector {exact[0]:.1e} m, base {exact[1]:.1e} m",
             verdict="in part"
             if not continuous.outcome.diverged
             and max(*exact, late_end_effector_error(continuous)) < 1e-4
             else "differs",
-            remark="both stay far below the paper's 1e-4 m (no noise, and the controllers' model is exact here). The run starts "
-            "without error; V of (10), which decreases from random errors, shows the convergence (tests/laws)",
+            remark="Both errors stay far below the paper's 1e-4 m. The reason is that here there is no noise and the controllers' "
+            "model is exact. The run starts without error. Therefore the run does not show convergence. The tests in tests/laws "
+            "show convergence: V of (10) decreases from random initial errors",
         ),
         Statement(
             where="Fig. 4",
@@ -46,57 +48,59 @@ def statements(results: Mapping[str, Result]) -> list[Statement]:
             measured=f"diverged at {unstable.outcome.simulated:.1f} s ({unstable.outcome.cause}); base rotation reached "
             f"{unstable.summary['base_orientation_error_deg']['max']:.0f} deg",
             verdict=judged(unstable.outcome.diverged),
-            remark="the time depends on the gains and on the criterion of divergence, which the paper does not give",
+            remark="The time of divergence depends on the gains and on the criterion of divergence. The paper gives neither the "
+            "gains nor the criterion",
         ),
         Statement(
             where="Fig. 7",
             paper="without PC the observed energies of manipulator and base have a negative trend",
-            measured=f"least: manipulator {least(unstable, 'manipulator')} J, base {least(unstable, 'base')} J",
+            measured=f"minimum: manipulator {least(unstable, 'manipulator')} J, base {least(unstable, 'base')} J",
             verdict=judged(
                 all(
                     unstable.summary["observed_energy_j"][port]["min"] < 0.0
                     for port in ("manipulator", "base")
                 )
             ),
-            remark="the base's energy falls from the start, the manipulator's only shortly before the run diverges",
+            remark="The base's energy falls from the start. The manipulator's energy falls only shortly before the run diverges",
         ),
         Statement(
             where="Fig. 8",
             paper="the passivity controllers correct both ports",
-            measured=f"largest: manipulator {largest(passive, 'manipulator_controller')}, base {largest(passive, 'base_controller')}",
+            measured=f"largest correction: manipulator {largest(passive, 'manipulator_controller')}, base {largest(passive, 'base_controller')}",
             verdict=judged(
                 acts(passive, "manipulator_controller"), acts(passive, "base_controller")
             ),
             remark=""
             if acts(passive, "manipulator_controller")
-            else "the base's correction keeps port M passive, too: E_m(0) covers "
-            "the feed-forward's work, and the manipulator's passivity controller never acts",
+            else "The correction at the base keeps port M passive, too. The initial energy E_m(0) covers the work of the "
+            "feed-forward. Therefore the manipulator's passivity controller never acts",
         ),
         Statement(
             where="Fig. 9",
             paper="with PC the observed energies are not negative and have a positive trend",
-            measured=f"least: manipulator {least(passive, 'manipulator')} J, base {least(passive, 'base')} J; the base's least energy "
-            f"changes by {slope:.1e} J/s in the last 50 s",
+            measured=f"minimum: manipulator {least(passive, 'manipulator')} J, base {least(passive, 'base')} J; the minimum over the "
+            f"base's degrees of freedom changes by {slope:.1e} J/s in the last 50 s",
             verdict=judged(
                 passive.summary["observed_energy_j"]["manipulator"]["min"] >= 0.0,
                 passive.summary["observed_energy_j"]["base"]["min"] >= 0.0,
             ),
-            remark="the held damper is bounded, because it would generate energy itself, so a small deficit remains; without PC it is "
-            f"{least(unstable, 'base')} J",
+            remark="The damper of the passivity controller is bounded, because a larger held damper would generate energy itself. "
+            f"Therefore a small energy deficit remains. Without PC the minimum is {least(unstable, 'base')} J",
         ),
         Statement(
             where="Fig. 10",
             paper="with PC all activity is removed and the errors converge",
-            measured=f"last 10 s: end-effector {late(passive, 'end_effector_position_error_m')} m, base {late(passive, 'base_position_error_m')} m "
-            f"and {late(passive, 'base_orientation_error_deg')} deg; at 10 to 20 s: base {between(passive, 10.0, 20.0):.1e} m",
+            measured=f"largest errors in the last 10 s: end-effector {late(passive, 'end_effector_position_error_m')} m, "
+            f"base {late(passive, 'base_position_error_m')} m and {late(passive, 'base_orientation_error_deg')} deg; "
+            f"from 10 to 20 s: base {between(passive, 10.0, 20.0):.1e} m",
             verdict=judged(
                 not passive.outcome.diverged,
                 late_base_error(passive) <= between(passive, 10.0, 20.0),
             ),
-            remark="bounded, where the same loop without PC diverges. The base's z error still grows at 100 s, because it uses energy "
-            "that port B absorbed before; in longer runs it settles at 1 mm: docs/reference_results.md",
+            remark="The errors are bounded. Without PC, the same loop diverges. The base's z error still grows at 100 s, because this "
+            "motion uses energy that port B absorbed before. In longer runs the z error settles at 1 mm (docs/reference_results.md)",
         ),
-        # Facility experiment inside one FMI system.
+        # Statements on the facility experiment inside one FMI system.
         Statement(
             where="Fig. 11",
             paper="0.2 m along -z in 10 s: tracking error at most 0.008 m and 1.1 deg",
@@ -106,7 +110,7 @@ def statements(results: Mapping[str, Result]) -> list[Statement]:
                 facility.summary["end_effector_position_error_m"]["max"] <= 0.008
                 and facility.summary["end_effector_orientation_error_deg"]["max"] <= 1.1
             ),
-            remark="friction, ripple, noise, delay and gravity compensation are assumptions; the real facility's are not known",
+            remark="Friction, ripple, noise, delay and gravity compensation are assumptions. The values of the real facility are not known",
         ),
         Statement(
             where="Fig. 12",
@@ -117,21 +121,24 @@ def statements(results: Mapping[str, Result]) -> list[Statement]:
                 late_base_error(facility) <= 0.012
                 and facility.summary["base_orientation_error_deg"]["last_10_s"] <= 2.0
             ),
-            remark="of the same size and, as in the paper, from residual forces of the manipulator: friction and gravity compensation",
+            remark="The error has the same size as in the paper. As in the paper, it is caused by residual forces of the manipulator: "
+            "friction and gravity compensation",
         ),
         Statement(
             where="Figs. 13, 14",
             paper="without PC the observers measure activity; with PC the energies stay positive",
-            measured=f"without PC, E(0) subtracted: manipulator {drawn(without):.3f} J; base {least(without, 'base')} J; "
+            measured=f"minimum without PC: manipulator {drawn(without):.3f} J (E(0) subtracted), base {least(without, 'base')} J; "
             f"with PC: manipulator {least(facility, 'manipulator')} J, base {least(facility, 'base')} J",
             verdict="in part",
-            remark="port M supplies the energy that joint friction dissipates (none without friction). E_m(0) covers it, so the "
-            "passivity controller does not act there. With a smaller E_m(0) it opposes the motion: 0.09 m of error at E_m(0) = 0",
+            remark="Port M supplies the energy that joint friction dissipates. Without friction, port M supplies no energy. The initial "
+            "energy E_m(0) covers the supplied energy. Therefore the passivity controller does not act at port M. With a smaller "
+            "E_m(0), the passivity controller opposes the motion: the error is 0.09 m at E_m(0) = 0",
         ),
-        # A second mechanism of instability, which the paper does not describe.
+        # The paper does not describe this second mechanism of instability.
         Statement(
             where="-",
-            paper="(a second mechanism: K_D T_b > 2 M~ generates energy, and more damping makes it worse)",
+            paper="(second mechanism of instability: a sampled damper with K_D T_b > 2 M~ generates energy; more damping makes the "
+            "loop less stable)",
             measured=f"overdamped_base diverged at {overdamped.outcome.simulated:.1f} s"
             if overdamped.outcome.diverged
             else "overdamped_base did not diverge",
@@ -146,7 +153,7 @@ def real_time_statements(
     """Compare the statements on the facility experiment with the loops in real time."""
     if not loops:
         return []
-    # Errors of the loop with passivity controllers.
+    # Read the errors of the loop with passivity controllers.
     loop, without = loops.values()
     end_effector = {
         key: loop.summary[f"end_effector_{key}"]["max"]
@@ -157,7 +164,7 @@ def real_time_statements(
         for key in ("position_error_m", "orientation_error_deg")
     }
     times = loop.summary["real_time"]["times"]
-    # From the state frame of the arm to the loop's command.
+    # Find the time from the state frame of the arm to the command of the loop.
     answer = next(
         (t for name, t in times.items() if "answer" in name), {"p50_us": 0.0, "p99_us": 0.0}
     )
@@ -168,9 +175,9 @@ def real_time_statements(
     ended = (
         ""
         if loop.as_expected
-        else f"; it stopped at {loop.outcome.simulated:.1f} s: {loop.outcome.cause}"
+        else f"; the loop stopped at {loop.outcome.simulated:.1f} s: {loop.outcome.cause}"
     )
-    # The same error in simulation, for comparison.
+    # For comparison, read the same error from the simulation.
     inside = results["facility"].summary["end_effector_position_error_m"]["max"]
     return [
         Statement(
@@ -185,23 +192,27 @@ def real_time_statements(
                 and end_effector["orientation_error_deg"] <= 1.1,
                 base["position_error_m"] <= 0.012 and base["orientation_error_deg"] <= 2.0,
             ),
-            remark=f"over real protocols to another process; command after the arm's state frame: {answer['p50_us']:.0f} us (p50), "
-            f"{answer['p99_us']:.0f} us (p99); {lost} cycles lost, all counted",
+            remark="The loop and the facility are two processes that use real protocols. Time from the arm's state frame to the "
+            f"command: {answer['p50_us']:.0f} us (p50), {answer['p99_us']:.0f} us (p99). Lost cycles: {lost}",
         ),
         Statement(
             where="Figs. 13, 14 in real time",
             paper="without PC the observers measure activity; with PC the energies stay positive",
-            measured=f"without PC, E(0) subtracted: manipulator {drawn(without):.3f} J; with PC: manipulator {least(loop, 'manipulator')} J, "
-            f"base {least(loop, 'base')} J",
+            measured=f"minimum without PC: manipulator {drawn(without):.3f} J (E(0) subtracted); with PC: "
+            f"manipulator {least(loop, 'manipulator')} J, base {least(loop, 'base')} J",
             verdict="in part",
-            remark="as inside one FMI system"
-            + ("" if without.as_expected else f"; without PC it stopped: {without.outcome.cause}"),
+            remark="See the remark on the same figures inside one FMI system"
+            + (
+                ""
+                if without.as_expected
+                else f". Without PC, the loop stopped: {without.outcome.cause}"
+            ),
         ),
     ]
 
 
 def judged(*parts: bool) -> Verdict:
-    """Return the verdict on a statement from its parts."""
+    """Return the verdict on a statement. Each part is True if the result confirms this part."""
     return "as stated" if all(parts) else "in part" if any(parts) else "differs"
 
 
@@ -211,7 +222,10 @@ def late_end_effector_error(result: Result) -> float:
 
 
 def drawn(result: Result) -> float:
-    """Return the least energy of port M in any degree of freedom, without E(0) [J]."""
+    """Return the minimum of port M's observed energy [J] without E(0).
+
+    The minimum is taken over the run and over the degrees of freedom.
+    """
     energy = result.outcome.record["manipulator_controller.manipulator_observed_energy"]
     return float((energy - energy[0]).min())
 
@@ -228,7 +242,10 @@ def between(result: Result, start: float, end: float) -> float:
 
 
 def energy_slope(result: Result) -> float:
-    """Return the slope [J/s] of the base's least observed energy over the last 50 s."""
+    """Return the slope [J/s] of the base's observed energy over the last 50 s.
+
+    At each instant, the minimum over the degrees of freedom is used.
+    """
     record = result.outcome.record
     late = record.time >= result.outcome.simulated - 50.0
     energy = record["manipulator_controller.base_observed_energy"].min(axis=1)[late]
@@ -241,7 +258,7 @@ def late(result: Result, error: str) -> str:
 
 
 def least(result: Result, which: str) -> str:
-    """Format the least observed energy [J] of a port."""
+    """Format the minimum of the observed energy [J] of a port."""
     return f"{result.summary['observed_energy_j'][which]['min']:.2g}"
 
 
@@ -256,13 +273,14 @@ def largest(result: Result, controller: str) -> str:
 
 
 def acts(result: Result, controller: str) -> bool:
-    """Check that a passivity controller acted at least once."""
+    """Return whether a passivity controller acted at least once."""
     return bool(_correction(result, controller).max() > 0.0)
 
 
 def continuous_time_errors(result: Result) -> tuple[float, float]:
-    """Return the largest position errors [m] of end-effector and base in the last 10 s of the
-    continuous-time loop.
+    """Return the largest position errors [m] of end-effector and base in continuous time.
+
+    Only the last 10 s of the run are used.
     """
     record = result.outcome.record
     last = record.time >= result.outcome.simulated - metrics.LAST

@@ -1,6 +1,6 @@
 """Load the components of a scenario and build the master.
 
-Component kinds and FMU directories are entry points.
+The kinds of components and the directories of the FMUs are Python entry points.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ Factory = Callable[[str, Mapping[str, Any], Path], Component]
 
 
 def find_fmu(name: str, options: Mapping[str, Any], directory: Path) -> Path:
-    """Return the path of a component's FMU. Raises ComponentError if there is none.
+    """Return the path of a component's FMU. Raises ComponentError if there is no such FMU.
 
-    `options["fmu"]` is a path relative to `directory`, or the name of a shipped FMU. The default
-    is the name of the component. `options["fmi"]` is 2 (default) or 3.
+    `options["fmu"]` is a path relative to `directory`, or the name of a shipped FMU. Its default
+    value is the name of the component. `options["fmi"]` is the FMI version: 2 (default) or 3.
     """
     _check_options(name, options, ("fmu", "fmi"))
     fmu, version = str(options.get("fmu", name)), options.get("fmi", 2)
@@ -42,7 +42,7 @@ def find_fmu(name: str, options: Mapping[str, Any], directory: Path) -> Path:
     if fmu.endswith(".fmu"):
         return directory / fmu
     known: list[str] = []
-    # The shipped FMUs come first, so that a broken third-party package cannot hide them.
+    # The shipped FMUs are searched first. Therefore a broken third-party package cannot hide them.
     for point in sorted(
         plugins("freeflyer.fmus").values(), key=lambda point: point.name != "default"
     ):
@@ -76,10 +76,11 @@ def model_exchange_component(name: str, options: Mapping[str, Any], directory: P
 
 
 def python_component(name: str, options: Mapping[str, Any], directory: Path) -> Component:
-    """Call `options["object"]` with the component's name and return the component that it returns.
+    """Return the component that the user's function `options["object"]` creates.
 
-    `object` is MODULE:CALLABLE, or FILE.py:CALLABLE with a file relative to `directory`.
-    Raises ComponentError.
+    `options["object"]` is MODULE:CALLABLE or FILE.py:CALLABLE. The path FILE.py is relative to
+    `directory`. The function is called with the name of the component.
+    Raises ComponentError if the function cannot be called or does not return a component.
     """
     _check_options(name, options, ("object",))
     where, colon, attribute = str(options.get("object", "")).partition(":")
@@ -112,7 +113,7 @@ def python_component(name: str, options: Mapping[str, Any], directory: Path) -> 
 
 
 def make(spec: ComponentSpec, directory: Path, fmi: int | None) -> Component:
-    """Return the component of a specification. Raises ComponentError.
+    """Create a component from its specification. Raises ComponentError.
 
     `directory` is the folder of the scenario. `fmi`, if given, overrides the FMI version.
     """
@@ -147,7 +148,10 @@ def _check_inputs(wiring: graph.Graph, values: Values) -> None:
 
 
 def _recorded(scenario: Scenario, components: Mapping[str, Component]) -> Callable[[str], bool]:
-    """Return a predicate for recorded signals. Raises ScenarioError if a pattern matches none."""
+    """Return a function that states for each signal whether the signal is recorded.
+
+    Raises ScenarioError if a pattern of `[record] signals` matches no output.
+    """
     outputs = {
         f"{name}.{port.name}"
         for name, component in components.items()
@@ -172,7 +176,10 @@ def _recorded(scenario: Scenario, components: Mapping[str, Component]) -> Callab
 
 @dataclass(frozen=True, kw_only=True)
 class System:
-    """A scenario with loaded components, checked but not initialised. `steps` are in ns."""
+    """A checked scenario with loaded components. The components are not initialised.
+
+    `steps` are the communication steps [ns].
+    """
 
     components: Mapping[str, Component]
     values: Values
@@ -182,7 +189,7 @@ class System:
 
 @contextmanager
 def loaded(scenario: Scenario, fmi: int | None = None) -> Iterator[System]:
-    """Load and check a scenario; close its components at the end. Raises CosimError.
+    """Load and check a scenario. Close its components when the context ends. Raises CosimError.
 
     `fmi`, if given, overrides the FMI version of all FMUs.
     """
@@ -205,14 +212,15 @@ def loaded(scenario: Scenario, fmi: int | None = None) -> Iterator[System]:
         yield System(components=components, values=values, steps=steps, wiring=wiring)
     finally:
         for component in components.values():
-            # An error of one component must not prevent closing the others or lose the results.
+            # If one component cannot be closed, the other components must still be closed. The
+            # results must not be lost.
             with suppress(Exception):
                 component.close()
 
 
 @contextmanager
 def assembled(scenario: Scenario, fmi: int | None = None) -> Iterator[tuple[Master, Values]]:
-    """Load a scenario and initialise its master; close the components at the end.
+    """Load a scenario and initialise its master. Close the components when the context ends.
 
     `fmi`, if given, overrides the FMI version of all FMUs. Raises CosimError.
     """

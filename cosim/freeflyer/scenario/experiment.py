@@ -29,7 +29,11 @@ from freeflyer.scenario.verdict import as_expected
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """Results of a run. `errors` are time series (rows,) by their names in summary.json."""
+    """Results of a run.
+
+    `errors` contains one time series (rows,) for each error. The keys are the names of the errors
+    in summary.json.
+    """
 
     scenario: Scenario
     outcome: Outcome
@@ -38,14 +42,14 @@ class Result:
 
     @property
     def as_expected(self) -> bool:
-        """Whether the run completed or diverged, as the scenario expects."""
+        """Whether the run ended in the way that the scenario expects: completed or diverged."""
         return as_expected(self.scenario, self.outcome)
 
 
 Engine = Literal["core", "python"]
 """The engine that executes the schedule: C (`freeflyer.master.native`), or Python with FMPy.
 
-Both give the same numbers.
+Both engines give the same numbers.
 """
 
 
@@ -59,11 +63,11 @@ def run(
     """Load, check and simulate a scenario, and compute its errors and summary.
 
     `fmi`, if given, overrides the FMI version of all FMUs. `progress` receives the simulated time.
-    Raises CosimError for errors before the first step. The result contains later errors.
+    Raises CosimError for an error before the first step. A later error is reported in the result.
     """
     with assembled(scenario, fmi) as (master, values):
         metrics.check(scenario, master.graph.components)
-        # Until the summary is complete, Ctrl-C ends the simulation but does not lose its results.
+        # If Ctrl-C ends the simulation, the results up to then are kept and summarised.
         with interrupts():
             outcome = native.run(master, progress) if engine == "core" else master.run(progress)
             outcome.record.provenance = provenance(scenario, master, values)
@@ -73,9 +77,9 @@ def run(
 
 
 def provenance(scenario: Scenario, master: Master, values: Values) -> Provenance:
-    """Return the origin of the record of `master`: steps [ns], connections and parameters.
+    """Return the provenance of the record of `master`: steps [ns], connections and parameters.
 
-    Parameters that are not in `values` have their start values.
+    A parameter that is not in `values` has its start value.
     """
     components, schedule = master.graph.components, master.schedule
     return Provenance(
@@ -95,7 +99,7 @@ def provenance(scenario: Scenario, master: Master, values: Values) -> Provenance
 
 
 def _plain(port: Port, value: Array) -> Any:
-    """Return the value of a parameter as a JSON type; for an enumeration, its name."""
+    """Return the value of a parameter as a JSON type. An enumeration value becomes its name."""
     if port.choices and value.size == 1 and 1 <= value[0] <= len(port.choices):
         return port.choices[int(value[0]) - 1]
     if port.boolean:
@@ -104,17 +108,21 @@ def _plain(port: Port, value: Array) -> Any:
 
 
 def write(result: Result, directory: Path) -> None:
-    """Write record.parquet and summary.json, each atomically. Raises OutputError."""
-    with interrupts():  # Ctrl-C does not prevent the second file
+    """Write record.parquet and summary.json. Raises OutputError.
+
+    Each file is written atomically.
+    """
+    with interrupts():  # Ctrl-C during the first file does not prevent the second file
         result.outcome.record.write(directory / "record.parquet")
         write_text(directory / "summary.json", json.dumps(result.summary, indent=2) + "\n")
 
 
 @contextmanager
 def progress_bar(console: Console, scenarios: Sequence[Scenario]) -> Iterator[dict[str, Report]]:
-    """Show a progress bar of simulated time per scenario, if `console` is a terminal.
+    """Show a progress bar for each scenario, if `console` is a terminal.
 
-    Yields the progress functions (argument: simulated time [s]) by scenario name.
+    Yields a dictionary from scenario names to progress functions. The argument of a progress
+    function is the simulated time [s].
     """
     columns = (
         TextColumn("{task.description}", markup=False),

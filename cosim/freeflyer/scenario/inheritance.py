@@ -1,4 +1,4 @@
-"""The key `extends` of a scenario: tables of a file merged over those that it extends."""
+"""Merge a scenario file into the scenario that the file names in its key `extends`."""
 
 from __future__ import annotations
 
@@ -13,15 +13,16 @@ Raw = dict[str, Any]
 
 
 def merged(base: Raw, change: Raw) -> Raw:
-    """Merge the tables `change` of a file into the tables `base` of the scenario that it extends.
+    """Merge the tables `change` of a file into `base`, the tables of the extended scenario.
 
-    `change["without"]` lists components that are removed with their devices and connections.
-    Raises ScenarioError if one of them does not exist.
+    `change["without"]` is a list of component names. These components are removed from `base`,
+    together with their devices and connections.
+    Raises ScenarioError if a component of this list does not exist.
     """
     change = dict(change)
     result = _without_components(base, change.pop("without", []))
     for key in ("connections", "delayed"):
-        # A new connection replaces the connection to the same input. Other connections remain.
+        # A new connection replaces an old connection to the same input. Other connections remain.
         if isinstance(result.get(key), list):
             result[key] = [
                 kept for text in result[key] for kept in _without_targets(text, _driven(change))
@@ -35,7 +36,7 @@ def merged(base: Raw, change: Raw) -> Raw:
             result[key] = [*result[key], *value]
             continue
         if key == "devices" and isinstance(value, dict) and isinstance(result.get(key), dict):
-            # A device of another kind takes no keys from the device that it replaces.
+            # If the file changes the kind of a device, no key of the old device is kept.
             kept = {
                 name: {} if _other_kind(table, value.get(name)) else table
                 for name, table in result[key].items()
@@ -61,7 +62,7 @@ def _without_components(base: Raw, names: Any) -> Raw:
     known = base.get("components", {})
     known = known if isinstance(known, dict) else {}
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise ScenarioError(f"without is {names!r}; a list of component names is expected")
+        raise ScenarioError(f"'without' is {names!r}; a list of component names is expected")
     for name in names:
         if name not in known:
             raise ScenarioError(
@@ -88,7 +89,10 @@ def _signals_without(value: Any, names: Sequence[str]) -> Any:
 
 
 def _disconnected(text: str, names: Sequence[str]) -> list[str]:
-    """Return a connection's text without the components in `names`; empty if nothing remains."""
+    """Return the connection `text` without the components in `names`.
+
+    The list is empty if no source or no target remains.
+    """
     source, arrow, targets = split_connection(text)
     left = [target for target in targets if component_of(target) not in names]
     return _joined(source, arrow, left if component_of(source) not in names else [])
@@ -102,7 +106,10 @@ def _driven(raw: Raw) -> set[str]:
 
 
 def _without_targets(text: object, driven: set[str]) -> list[str]:
-    """Return a connection's text without the targets in `driven`; empty if nothing remains."""
+    """Return the connection `text` without the targets in `driven`.
+
+    The list is empty if no target remains.
+    """
     if "<->" in str(text):
         return [str(text)]  # the inputs of a terminal are unknown until the FMUs are loaded
     source, arrow, targets = split_connection(str(text))

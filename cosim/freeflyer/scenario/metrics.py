@@ -20,7 +20,7 @@ from freeflyer.scenario.parameters import Values, current
 from freeflyer.scenario.scenario import Scenario
 
 LAST = 10.0
-"""Length of the window at the end of a run [s] for the second maximum of each error."""
+"""Length [s] of the last part of a run. summary.json has the maximum of each error in this part."""
 
 
 def position_error(actual: Array, desired: Array) -> Array:
@@ -32,8 +32,9 @@ def orientation_error(actual: Array, desired: Array) -> Array:
     """Return the angles (rows,) [deg] between quaternions [x, y, z, w] (rows, 4)."""
     actual = actual / np.linalg.norm(actual, axis=1, keepdims=True)
     desired = desired / np.linalg.norm(desired, axis=1, keepdims=True)
-    # The chord is accurate for small angles, where the scalar product loses all digits.
-    # q and -q are the same orientation; the sign of `desired` is chosen for the smaller angle.
+    # The angle is computed from the distance between the two quaternions. The scalar product of
+    # the quaternions would lose all digits at small angles.
+    # q and -q are the same orientation. The sign of `desired` is chosen for the smaller angle.
     nearer = desired * np.where(np.sum(actual * desired, axis=1, keepdims=True) < 0.0, -1.0, 1.0)
     return np.asarray(np.degrees(4.0 * np.arcsin(0.5 * np.linalg.norm(actual - nearer, axis=1))))
 
@@ -46,7 +47,7 @@ def signal_or_parameter(
 ) -> Array:
     """Return a recorded output (rows, size), or a parameter repeated for every row.
 
-    Raises GraphError if there is neither.
+    Raises GraphError if the signal does not exist.
     """
     if signal in record:
         return np.atleast_2d(record[signal].T).T
@@ -81,7 +82,7 @@ def check(scenario: Scenario, components: Mapping[str, Component]) -> None:
 def errors(
     scenario: Scenario, record: Record, components: Mapping[str, Component], values: Values
 ) -> dict[str, Array]:
-    """Return every error of the scenario over time (rows,) by its name in summary.json."""
+    """Return the time series (rows,) of each error. The keys are the names in summary.json."""
     series = {}
     for name, measure in scenario.errors.items():
         actual, desired = (
@@ -95,7 +96,7 @@ def errors(
 def summary(scenario: Scenario, outcome: Outcome, series: Mapping[str, Array]) -> dict[str, Any]:
     """Return the content of summary.json.
 
-    Extremes ignore values that are not finite, because JSON cannot represent them.
+    Maxima and minima ignore values that are not finite, because JSON cannot represent such values.
     """
     time = outcome.record.time
     last = time >= outcome.simulated - LAST

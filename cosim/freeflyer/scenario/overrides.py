@@ -15,16 +15,17 @@ from freeflyer.scenario.inheritance import Raw
 def override(raw: Raw, text: str) -> None:
     """Apply an override COMPONENT.PARAMETER=VALUE to `raw`. Raises ScenarioError.
 
-    VALUE is TOML, an unquoted string, or a number with a unit ("300 ms").
+    VALUE is a TOML value, an unquoted string, or a number with a unit ("300 ms").
     """
     target, equals, value = text.partition("=")
     assign(raw, target.strip(), parse_value(value.strip()) if equals else None, f"--set {text}")
 
 
 def assign(raw: Raw, target: str, value: Any, where: str) -> None:
-    """Set `target` of `--set` to `value`; None if the value is missing.
+    """Set `target` in the tables `raw` to `value`. Raises ScenarioError.
 
-    `where` is the prefix of error messages. Raises ScenarioError.
+    `target` is the left side of `--set`. If the right side is missing, `value` is None and is
+    rejected. `where` is the prefix of error messages.
     """
     component, parameter = split(target)
     components = _inner(raw, "components", where)
@@ -60,7 +61,10 @@ def _inner(table: Raw, key: str, where: str) -> Raw:
 
 
 def _assign_in_table(raw: Raw, where: str, keys: Sequence[str], value: Any) -> None:
-    """Set a key of a table, for example devices.NAME.KEY or facility.KEY; KEY may be dotted."""
+    """Set a key of a table, for example devices.NAME.KEY or facility.KEY.
+
+    KEY may contain dots.
+    """
     devices = raw.get("devices", {})
     if keys[0] == "devices" and (
         len(keys) < 3 or not isinstance(devices, dict) or keys[1] not in devices
@@ -76,7 +80,11 @@ def _assign_in_table(raw: Raw, where: str, keys: Sequence[str], value: Any) -> N
 
 
 def parse_value(text: str) -> Any:
-    """Return the value of an override: TOML, a table for "NUMBER UNIT", or else the text."""
+    """Return the value of an override.
+
+    A TOML value is parsed. "NUMBER UNIT" becomes a table with the keys `value` and `unit`. Any
+    other text is returned unchanged.
+    """
     try:
         return toml_file.parsed(f"value = {text}")["value"]
     except ValueError:

@@ -21,11 +21,12 @@ Values = dict[str, dict[str, Array]]
 def resolve(scenario: Scenario, components: Mapping[str, Component]) -> Values:
     """Return the values [SI] that the scenario sets, by component and variable.
 
-    A value of [robot] applies to all components that have a parameter of this name. A value set for
-    one component overrides it. Raises ScenarioError if a name, unit or choice is unknown, if the
-    size is wrong, or if a value is not finite.
+    A value of [robot] applies to all components that have a parameter of this name. A value that is
+    set for one component overrides the value of [robot].
+    Raises ScenarioError if a name, a unit or an enumeration value is unknown. Also raises
+    ScenarioError if a size is wrong or a value is not finite.
     """
-    # All raw values come first, because a value can refer to any other component.
+    # All raw values are collected first, because a value can refer to any other component.
     raw: dict[str, dict[str, Any]] = {}
     used: set[str] = set()
     for spec in scenario.components:
@@ -38,7 +39,7 @@ def resolve(scenario: Scenario, components: Mapping[str, Component]) -> Values:
         used |= set(common)
         raw[spec.name] = {**common, **spec.parameters}
 
-    # An unused key of [robot] is an error, since it is probably misspelled.
+    # An unused key of [robot] is probably misspelled. Therefore such a key is an error.
     for name in scenario.robot:
         if name not in used:
             every = {
@@ -63,9 +64,10 @@ def resolve(scenario: Scenario, components: Mapping[str, Component]) -> Values:
 def steps(
     scenario: Scenario, components: Mapping[str, Component], values: Values
 ) -> dict[str, int]:
-    """Return the communication steps [ns]; for "=PARAMETER", the value of this parameter.
+    """Return the communication step [ns] of each component.
 
-    Raises ScenarioError if there is no such parameter.
+    If `step_s` is "=PARAMETER", the step is the value of this parameter.
+    Raises ScenarioError if the component does not have this parameter.
     """
     return {
         spec.name: _step(spec, components[spec.name], values[spec.name])
@@ -89,7 +91,10 @@ def _step(spec: ComponentSpec, component: Component, values: Mapping[str, Array]
 def current(
     components: Mapping[str, Component], values: Values, component: str, parameter: str
 ) -> Array:
-    """Return the value [SI] of a parameter in `values`, or else the start value of its port."""
+    """Return the value [SI] of a parameter.
+
+    If `values` does not contain the parameter, the start value of its port is returned.
+    """
     if parameter in values.get(component, {}):
         return values[component][parameter]
     start = components[component].ports[parameter].start
@@ -106,9 +111,10 @@ def _value(
 ) -> Array:
     """Return a value as an array (port.size,) [SI].
 
-    `raw` holds all values for references. `seen` holds the references followed so far.
+    `raw` contains all values of the scenario, because a value can be a reference to another value.
+    `seen` contains the references that were followed so far.
     """
-    # The names may come from a reference, so they are checked here too.
+    # The names can come from a reference. Therefore they are checked here, too.
     subject = f"{component}.{name}"
     if component not in components:
         raise ScenarioError(
@@ -120,12 +126,13 @@ def _value(
             f"component {component!r} has no parameter {name!r}{did_you_mean(name, [n for n, p in ports.items() if p.settable])}"
         )
 
-    # Inputs can be set too; assembly rejects the value if a connection drives the input.
+    # Inputs can be set, too. `assemble` rejects the value if a connection drives the input.
     port = ports[name]
     if not port.settable and port.causality != "input":
         raise ScenarioError(f"{subject} cannot be set: it is a computed {port.causality}")
 
-    # A reference is resolved to the value of the other parameter, or else to its start value.
+    # A reference gives the value of the other parameter. If the scenario does not set the other
+    # parameter, the reference gives its start value.
     if isinstance(value, str) and value.startswith("="):
         if subject in seen:
             raise ScenarioError(
@@ -159,20 +166,20 @@ def _numbers(value: Any, port: Port, subject: str) -> Array:
     if isinstance(value, str):
         if value not in port.choices:
             raise ScenarioError(
-                f"{subject} is {value!r}; {_expected(port)} is expected{did_you_mean(value, port.choices) if port.choices else ''}"
+                f"{subject} is {value!r}; {_expected(port)}{did_you_mean(value, port.choices) if port.choices else ''}"
             )
         return np.array([float(port.choices.index(value) + 1)])
     items = value if isinstance(value, list) else [value]
     for item in items:
         if isinstance(item, bool) != port.boolean or not isinstance(item, bool | int | float):
-            raise ScenarioError(f"{subject} is {value!r}; {_expected(port)} is expected")
+            raise ScenarioError(f"{subject} is {value!r}; {_expected(port)}")
         if not abs(item) <= 1e300:
             raise ScenarioError(f"{subject} is {value!r}; finite numbers are expected")
     numbers = np.array([float(item) for item in items])
     if port.choices and not all(
         1 <= number <= len(port.choices) and number == int(number) for number in numbers
     ):
-        raise ScenarioError(f"{subject} is {value!r}; {_expected(port)} is expected")
+        raise ScenarioError(f"{subject} is {value!r}; {_expected(port)}")
     scales = scale if numbers.size == scale.size else np.full(numbers.size, scale[0])
     return np.array([converted(number, by) for number, by in zip(numbers, scales, strict=True)])
 
@@ -195,9 +202,14 @@ def _sized(numbers: Array, port: Port, subject: str) -> Array:
 
 
 def _expected(port: Port) -> str:
+    """Return the last part of an error message: the value that the port expects."""
     if port.choices:
-        return "one of " + ", ".join(port.choices)
+        return "one of " + ", ".join(port.choices) + " is expected"
     if port.boolean:
-        return "true or false"
+        return "true or false is expected"
     unit = f" in {port.units[0]}" if port.units and port.units[0] else ""
-    return f"a number{unit}" if port.size == 1 else f"{port.size} numbers{unit}"
+    return (
+        f"a number{unit} is expected"
+        if port.size == 1
+        else f"{port.size} numbers{unit} are expected"
+    )

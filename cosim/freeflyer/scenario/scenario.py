@@ -1,9 +1,11 @@
 """Read a scenario (TOML) into a frozen `Scenario`.
 
-A scenario may extend another one: `extends` is a shipped name or a path. Tables are merged, and
-all other values are replaced. The value of a parameter is a number, a list, a Boolean, a name of
-an enumeration, `{ value = ..., unit = "deg" }`, or "=COMPONENT.PARAMETER" (a reference).
-An error is one sentence with the file, the key, the value and what is expected.
+A scenario may extend another scenario. Its key `extends` is then the path or the name of the other
+scenario. Tables and connections are merged. Any other value replaces the inherited value.
+The value of a parameter has one of these forms:
+number, list, Boolean, name of an enumeration value, `{ value = ..., unit = "deg" }`, or
+"=COMPONENT.PARAMETER". The last form is a reference to another parameter.
+An error message contains the file, the key, the value and the expected value.
 """
 
 from __future__ import annotations
@@ -39,9 +41,10 @@ Step = int | str
 
 @dataclass(frozen=True, kw_only=True)
 class ComponentSpec:
-    """A component of a scenario. `kind` is an entry point of the group freeflyer.components.
+    """A component of a scenario.
 
-    `options` are the keys of this kind.
+    `kind` is the name of an entry point in the group freeflyer.components. `options` are the keys
+    that only components of this kind have.
     """
 
     name: str
@@ -50,15 +53,16 @@ class ComponentSpec:
     parameters: Mapping[str, Any] = field(default_factory=dict)
     options: Mapping[str, Any] = field(default_factory=dict)
     samples: bool | None = None
-    """True: the outputs are those at the start of a step. False: at its end.
+    """True: the outputs are the values at the start of a step.
 
-    None: the model description decides.
+    False: the outputs are the values at the end of a step. None: the model description of the FMU
+    decides between True and False.
     """
 
 
 @dataclass(frozen=True, kw_only=True)
 class Measure:
-    """An error between an actual and a desired signal (outputs or parameters).
+    """An error between an actual and a desired signal. Each signal is an output or a parameter.
 
     The error is the distance [m] of positions (3,), or the angle [deg] between orientations (4,).
     """
@@ -83,15 +87,21 @@ class Scenario:
     stop: int
     record_every: int
     record_signals: tuple[str, ...]
-    """Patterns of COMPONENT.VARIABLE; the signals of errors and observed energies are added."""
+    """Patterns of the recorded signals COMPONENT.VARIABLE.
+
+    The signals of the errors and of the observed energies are always recorded.
+    """
     expect: Literal["completes", "diverges"]
     exchange: Exchange
     robot: Mapping[str, Any]
     components: tuple[ComponentSpec, ...]
     devices: tuple[ComponentSpec, ...]
-    """Each replaces the component of the same name when real or virtual hardware is in the loop."""
+    """Real or virtual hardware in the loop.
+
+    Each device replaces the component of the same name.
+    """
     facility: Mapping[str, Any]
-    """Settings of the virtual facility, which checks the keys."""
+    """Settings of the virtual facility. The virtual facility checks these keys."""
     connections: tuple[Connection, ...]
     limits: tuple[Limit, ...]
     errors: Mapping[str, Measure]
@@ -117,9 +127,10 @@ def load(name: str, overrides: Sequence[str] = ()) -> Scenario:
 def tables(
     name: str, overrides: Sequence[str] = (), beside: Path | None = None
 ) -> tuple[Raw, Path]:
-    """Return the tables of a scenario, merged and overridden but not checked, and their file.
+    """Return the tables of a scenario and the path of its file. Raises ScenarioError.
 
-    The folder `beside` is searched first. Raises ScenarioError.
+    The tables are merged and the overrides are applied, but the tables are not checked. The folder
+    `beside` is searched first.
     """
     path = find(name, beside)
     raw = _read(path, ())
@@ -129,12 +140,12 @@ def tables(
 
 
 def from_tables(raw: Raw, path: Path) -> Scenario:
-    """Return the scenario in the tables of the file `path`. Raises ScenarioError."""
+    """Convert the tables `raw` of the file `path` to a scenario. Raises ScenarioError."""
     return _Reader(path).scenario(raw)
 
 
 def find(name: str, beside: Path | None = None) -> Path:
-    """Return the file of a scenario. Raises ScenarioError if there is none.
+    """Return the file of a scenario. Raises ScenarioError if there is no such file.
 
     `name` is a path (relative to the folder `beside`, if given) or the name of a shipped scenario.
     """
@@ -149,7 +160,7 @@ def find(name: str, beside: Path | None = None) -> Path:
         pass  # not a valid file name
     if name.lower().endswith(".ssp"):
         raise ScenarioError(
-            f"{name} is an SSP file; a scenario is expected here (`freeflyer run` takes both)"
+            f"{name} is an SSP file; a scenario is expected here (`freeflyer run` accepts SSP files, too)"
         )
     if name.endswith(".toml"):
         exists = any(map(os.path.lexists, candidates))
@@ -183,7 +194,7 @@ def _read(path: Path, seen: tuple[Path, ...]) -> Raw:
 
 
 class _Reader:
-    """Converts the raw tables of one file to dataclasses."""
+    """Converter of the raw tables of one file to dataclasses."""
 
     KEYS = (
         "title",
@@ -219,7 +230,8 @@ class _Reader:
         if exchange not in get_args(Exchange):
             raise self.fail(f"exchange is {exchange!r}; 'sequential' or 'parallel' is expected")
 
-        # Checked here because a misspelled key would silently change which signals are recorded.
+        # The table [record] is checked here, because a misspelled key would change the recorded
+        # signals without a message.
         record = self.table(raw, "record")
         self.check_keys(record, ("every_s", "signals"), "[record]")
         signals = record.get("signals", ["*"])
@@ -230,7 +242,7 @@ class _Reader:
                 f"[record] signals is {signals!r}; a list of 'COMPONENT.VARIABLE' with wildcards * and ? is expected"
             )
 
-        # Components come first: devices and roles refer to them.
+        # The components are read first, because devices and roles refer to components.
         components = tuple(
             self.component(name, raw["components"][name]) for name in self.table(raw, "components")
         )
@@ -277,7 +289,8 @@ class _Reader:
                 f"component {name!r}: a name of letters, digits and underscores is expected"
             )
 
-        # The keys that remain in `rest` are the options of the kind, whose factory checks them.
+        # The keys that remain in `rest` are the options of the kind. The factory of the kind checks
+        # these options.
         rest = dict(raw)
         kind = rest.pop("kind", "fmu")
         parameters = rest.pop("parameters", {})
@@ -292,7 +305,8 @@ class _Reader:
         if not isinstance(kind, str) or not isinstance(parameters, dict):
             raise self.fail(f"component {name}: 'kind' must be a name and 'parameters' a table")
 
-        # A step must be exact in nanoseconds, so a unit is converted before the step is checked.
+        # A step with a unit is converted to seconds first. Then the step is checked: it must be a
+        # whole number of nanoseconds.
         if (
             isinstance(step, dict)
             and isinstance(step.get("unit"), str)
@@ -322,7 +336,7 @@ class _Reader:
         )
 
     def device(self, name: str, raw: object, components: Raw) -> ComponentSpec:
-        """Return a device. Its default step is that of the component that it replaces."""
+        """Return a device. By default, its step is the step of the replaced component."""
         if name not in components:
             raise self.fail(
                 f"devices.{name}: there is no component {name!r} to replace{did_you_mean(name, components)}"
@@ -350,7 +364,7 @@ class _Reader:
                 )
 
     def limit(self, raw: object) -> Limit:
-        """Return a limit. Exactly one of `maximum` and `minimum` is expected."""
+        """Return a limit. The table must contain either `maximum` or `minimum`."""
         if not isinstance(raw, dict):
             raise self.fail(f"limits: {raw!r}; a table is expected")
         self.check_keys(
@@ -364,7 +378,7 @@ class _Reader:
                 f"limits: {raw!r}; a 'signal' and either a 'maximum' or a 'minimum' are expected"
             )
 
-        # A maximum limits an absolute value or a norm, so it must be positive.
+        # A maximum limits an absolute value or a norm. Therefore the maximum must be positive.
         bound = raw.get("maximum", raw.get("minimum"))
         if (
             isinstance(bound, bool)
@@ -373,7 +387,7 @@ class _Reader:
             or ("maximum" in raw and bound <= 0)
         ):
             raise self.fail(
-                f"limit on {signal}: {bound!r}; a number is expected, greater than zero for a maximum"
+                f"limit on {signal}: {bound!r}; a number is expected, and a maximum must be greater than zero"
             )
         if norm not in ("maximum", "euclidean"):
             raise self.fail(
@@ -404,9 +418,10 @@ class _Reader:
         )
 
     def measure(self, name: str, given: object) -> Measure:
-        """Return the error for [actual, desired], or for a table with the key `kind`.
+        """Return the error `name` that the scenario declares as a list or as a table.
 
-        In the first form the suffix of `name` is the kind.
+        The list is [actual, desired]. The end of `name` is then the kind. The table has the keys
+        `actual`, `desired` and `kind`.
         """
         table = given if isinstance(given, dict) else {}
         if isinstance(given, list) and len(given) == 2:
@@ -499,7 +514,8 @@ def _key(name: str) -> str:
 
 
 def _text(value: str) -> str:
-    # TOML has the escapes of JSON, and also requires one for DEL.
+    # TOML has the same escape sequences as JSON. In addition, TOML requires an escape sequence for
+    # the character DEL.
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 

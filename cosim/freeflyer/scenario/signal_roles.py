@@ -1,7 +1,8 @@
-"""Roles of signals in the loop of a scenario: base, end-effector, passivity switches.
+"""Roles of signals in the control loop of a scenario.
 
-By default the variable has the name of the role, as in the shipped blocks. A scenario with other
-names declares them in `[roles]`, for example `base_position = "chaser.r_b"`.
+The role of a signal is its meaning in the loop, for example `base_position`. By default a variable
+with the name of a role has this role, as in the shipped blocks. A scenario with other variable
+names declares the roles in `[roles]`, for example `base_position = "chaser.r_b"`.
 """
 
 from __future__ import annotations
@@ -30,17 +31,20 @@ SEVERAL: Mapping[str, tuple[str, ...]] = {
     "orientations": (),
     "passivity_control": ("manipulator_passivity_control", "base_passivity_control"),
 }
-"""Roles of any number of signals, with their default names.
+"""Roles that any number of signals can have. The values are the default names of the signals.
 
-`orientations` are further quaternions of the plant. `passivity_control` are the Boolean parameters
-that enable the passivity controllers.
+The role `orientations` is for further quaternions of the plant. The role `passivity_control` is for
+the Boolean parameters that enable the passivity controllers.
 """
 ROLES = (*SINGLE, *SEVERAL)
 
 
 @dataclass(frozen=True, kw_only=True)
 class SignalRoles:
-    """Roles that a scenario declares. `declared` maps a role to its signals, COMPONENT.VARIABLE."""
+    """Roles that a scenario declares.
+
+    `declared` maps each role to its signals in the form COMPONENT.VARIABLE.
+    """
 
     declared: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 

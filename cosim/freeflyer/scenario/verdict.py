@@ -1,4 +1,8 @@
-"""Verdict of a run: whether it ended as the scenario expects, and the exit code of the command."""
+"""Verdict of a run.
+
+The verdict states whether the run ended as the scenario expects. It gives the exit code of the
+command.
+"""
 
 from __future__ import annotations
 
@@ -8,14 +12,14 @@ from freeflyer.scenario.scenario import Scenario
 
 
 def as_expected(scenario: Scenario, outcome: Outcome) -> bool:
-    """Return whether the run completed or diverged, as the scenario expects."""
+    """Return whether the run ended in the way that the scenario expects: completed or diverged."""
     if outcome.interrupted or outcome.failed:
         return False
     return outcome.diverged == (scenario.expect == "diverges")
 
 
 def verdict(scenario: Scenario, outcome: Outcome) -> int:
-    """Report an end of the run that is not a plain completion; return the exit code."""
+    """Return the exit code of a run. Report the outcome, unless the run completed as expected."""
     expected = as_expected(scenario, outcome)
     if outcome.interrupted:
         return report_error(

@@ -1,7 +1,9 @@
-"""Energy of wrenches that are held on a moving body, and of the spring-damper that they emulate.
+"""Energy of sampled and held wrenches, and of the continuous spring-damper that they replace.
 
-All functions are pure. Arrays have one row per instant (n), or per interval between instants
-(n - 1). 6-vectors are [linear; angular] in I; quaternions are [x, y, z, w]. SI units.
+A held wrench is constant between two samples of its controller. All functions are pure. Arrays
+have one row for each instant (n), or one row for each interval between instants (n - 1).
+6-vectors are [linear; angular] in the inertial frame I. Quaternions are [x, y, z, w]. All values
+are in SI units. The numbers in parentheses are equations of the paper.
 """
 
 from __future__ import annotations
@@ -13,9 +15,9 @@ from freeflyer.fmi.component import Array
 
 
 def at_base(wrench: Array, lever: Array) -> Array:
-    """Return J_b^T F (n, 6), an end-effector wrench (n, 6) at B: [f; p x f + torque], from (2).
+    """Return J_b^T F (n, 6), the wrench at B that is equivalent to an end-effector wrench (n, 6).
 
-    `lever` (n, 3) is p = p_e - p_b.
+    The result is [f; p x f + torque], from (2). `lever` (n, 3) is p = p_e - p_b.
     """
     return np.hstack([wrench[:, :3], np.cross(lever, wrench[:, :3]) + wrench[:, 3:]])
 
@@ -34,9 +36,9 @@ def pose_error(
 def displacement(time: Array, position: Array, orientation: Array, velocity: Array) -> Array:
     """Return the integral of x' (n - 1, 6) over each interval, from poses and twists (n, 6).
 
-    The integral of the angular velocity has no closed form. The rotation vector of R(k+1) R(k)^T
-    is the first term of its Magnus series. With the second term the error is of fifth order in
-    the interval (Iserles et al., Acta Numerica 2000).
+    The integral of the angular velocity has no closed form. It is computed from two terms of a
+    Magnus series. The first term is the rotation vector of R(k+1) R(k)^T. With the second term the
+    error is of fifth order in the interval (Iserles et al., Acta Numerica 2000).
     """
     T = np.diff(time)[:, None]
     rotation_vector = (
@@ -48,9 +50,10 @@ def displacement(time: Array, position: Array, orientation: Array, velocity: Arr
 
 
 def displacement_of_twist(time: Array, velocity: Array) -> Array:
-    """Return the integral of x' (n - 1, 6) by the trapezoidal rule, which the observers use too.
+    """Return the integral of x' (n - 1, 6) by the trapezoidal rule.
 
-    For measured motion: differences of noisy poses would be worse.
+    This function is for measured motion. Differences of noisy poses would be less accurate. The
+    passivity observers use the same rule.
     """
     return 0.5 * np.diff(time)[:, None] * (velocity[:-1] + velocity[1:])
 
@@ -60,15 +63,16 @@ def held(values: Array, share: float) -> Array:
 
     `share` is the hold time divided by the interval. With share = 1 the mean is the value at the
     start of the interval. With share < 1 the samples inside the interval are assumed to lie on a
-    line; their mean is then (1 + share)/2 F(k) + (1 - share)/2 F(k+1).
+    line. The mean is then (1 + share)/2 F(k) + (1 - share)/2 F(k+1).
     """
     return 0.5 * (1.0 + share) * values[:-1] + 0.5 * (1.0 - share) * values[1:]
 
 
 def last_samples(time: Array, values: Array, period: int) -> Array:
-    """Return `values` (n, m) at the last sample of a controller with this period [ns] from t = 0.
+    """Return for each row the values (n, m) at the latest sampling instant of a controller.
 
-    Interpolates linearly if a sample lies between two rows.
+    The controller samples every `period` [ns], starting at t = 0. If the sampling instant lies
+    between two rows, the values are interpolated linearly.
     """
     instants = np.rint(time * 1e9).astype(np.int64)
     sampled = (instants - instants % period) * 1e-9
@@ -76,23 +80,28 @@ def last_samples(time: Array, values: Array, period: int) -> Array:
 
 
 def summed(intervals: Array) -> Array:
-    """Return the cumulative sum (n, ...) of interval values (n - 1, ...); 0 at the first row."""
+    """Return the cumulative sum (n, ...) of interval values (n - 1, ...).
+
+    The sum is 0 at the first row.
+    """
     return np.concatenate([np.zeros((1, *intervals.shape[1:])), np.cumsum(intervals, axis=0)])
 
 
 def work(force: Array, moved: Array) -> Array:
-    """Return W(k) (n, m) per degree of freedom: the sum of F (x(j+1) - x(j)) up to k.
+    """Return the work W(k) (n, m) for each degree of freedom.
 
-    Exact for a held force (Stramigioli et al., T-RO 2005).
+    W(k) is the sum of F (x(j+1) - x(j)) over the intervals before row k. The sum is exact for a
+    held force (Stramigioli et al., T-RO 2005).
     """
     return summed(force * moved)
 
 
 def spring_energy(stiffness: Array, error: Array) -> Array:
-    """Return U (n, 6), the potential of -K_P Delta x, for isotropic rotational stiffness.
+    """Return U (n, 6), the potential energy of the spring -K_P Delta x.
 
-    Translation: 1/2 k dx^2. Rotation, with Delta x = 2 eps: the torque -2 k eps has the potential
-    4 k (1 - eta) = k |2 eps|^2 / (1 + eta).
+    The rotational stiffness is assumed to be isotropic. A translation has the energy 1/2 k dx^2.
+    A rotation has Delta x = 2 eps and the torque -2 k eps. The potential energy of this torque is
+    4 k (1 - eta) = k |2 eps|^2 / (1 + eta). [eps; eta] is the error quaternion.
     """
     two_eps = error[:, 3:]
     eta = np.sqrt(np.maximum(1.0 - 0.25 * np.sum(two_eps**2, axis=1, keepdims=True), 0.0))
@@ -102,7 +111,10 @@ def spring_energy(stiffness: Array, error: Array) -> Array:
 
 
 def dissipation(time: Array, damping: Array, velocity: Array) -> Array:
-    """Return D(k) (n, m), the integral of K_D v^2, with velocities linear between the rows."""
+    """Return the dissipated energy D(k) (n, m), the integral of K_D v^2.
+
+    The velocity v is assumed to be linear between two rows.
+    """
     before, after = velocity[:-1], velocity[1:]
     return summed(damping * np.diff(time)[:, None] / 3.0 * (before**2 + before * after + after**2))
 
@@ -110,7 +122,8 @@ def dissipation(time: Array, damping: Array, velocity: Array) -> Array:
 def virtual_energy(worked: Array, stored: Array, dissipated: Array) -> Array:
     """Return V = W + U - U(0) + D (n, m), the energy that a held spring-damper generates.
 
-    It is the work beyond that of the continuous spring-damper on the same motion, which is
-    -(U - U(0)) - D. A held spring on one axis generates K/2 (x(k+1) - x(k))^2 per hold.
+    `worked` is W, the work of the held spring-damper. On the same motion, a continuous
+    spring-damper does the work -(U - U(0)) - D. V is W minus this work. A held spring on one axis
+    generates K/2 (x(k+1) - x(k))^2 in each hold interval.
     """
     return np.asarray(worked + stored - stored[0] + dissipated)

@@ -1,10 +1,13 @@
 """Energy audit of a recorded run: energy sources and sinks at the ports B and M.
 
-The audit has the power and work at both ports and the kinetic energy of the robot. It has the
-energy that the held laws generate, the energy that the passivity controllers remove, and the
-energy that the observers computed. docs/energy_audit.md has all equations. At each port
-    work = feed_forward + reference + stale + virtual - stored - dissipated - taken
-and for the robot: kinetic = work at B + work at M + others + residual.
+Port B is at the base, port M at the end-effector. A held law is a control law whose output is
+constant between two samples. The audit contains the power and the work at both ports and the
+kinetic energy of the robot. It also contains three other energies: the energy that the held laws
+generate, the energy that the passivity controllers remove, and the energy that the observers
+computed. docs/energy_audit.md has all equations. The work at each port is
+    work = feed_forward + reference + stale + virtual - stored - dissipated - taken.
+The change of the robot's kinetic energy is
+    kinetic = work at B + work at M + others + residual.
 """
 
 from __future__ import annotations
@@ -21,22 +24,26 @@ from freeflyer.fmi.component import Array
 
 @dataclass(frozen=True, kw_only=True)
 class Port:
-    """Energies [J] since the first row, (n) unless stated otherwise.
+    """Energies [J] of one port since the first row. The shape is (n) unless stated otherwise.
 
-    Positive energy flows into the robot. `stored`, `dissipated` and `taken` are energies out of it.
+    Positive energy flows into the robot. For `stored`, `dissipated` and `taken`, positive energy
+    flows out of the robot.
     """
 
     power: Array
     """Power [W] of the true wrench."""
     work: Array
     feed_forward: Array
-    """Work of the sampled and held F*."""
+    """Work of the sampled and held feed-forward F*."""
     reference: Array
-    """Work of the law on the desired motion, which moves the reference end of the spring."""
+    """Work of the law on the desired motion. The desired motion moves one end of the spring."""
     stale: Array
-    """Work of the true wrench at B less the held one: the multi-rate energy."""
+    """Multi-rate energy: work of the true wrench at B minus work of the held wrench at B."""
     virtual: Array
-    """Energy that the held law generates beyond a continuous spring-damper on the same motion."""
+    """Virtual energy: the energy that sampling the law generates.
+
+    It is the work of the held law minus the work of a continuous spring-damper on the same motion.
+    """
     stored: Array
     """Change of the spring's potential energy."""
     dissipated: Array
@@ -46,7 +53,7 @@ class Port:
     observed: Array
     """Energy (n, 6) that the passivity observer computed, including E(0)."""
     absorbed: Array
-    """E(0) less the true work (n, 6), the value of an ideal observer of this port."""
+    """E(0) minus the true work (n, 6). An ideal observer of this port computes this energy."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,13 +64,16 @@ class Balance:
     base_wrench: Array
     joint_torque: Array
     others: Array
-    """Work that other components add to the controllers' outputs, such as a user's disturbance."""
+    """Work of wrenches and torques that other components add to the outputs of the controllers.
+
+    An example is a disturbance that a user adds.
+    """
     residual_of_held: Array
-    """`kinetic` less the work of the held pair (F_b, tau)."""
+    """`kinetic` minus the work of the held commands F_b and tau."""
     residual_of_ports: Array
-    """`kinetic` less the work of the ports' derived pair (F_B, F_m) and `others`."""
+    """`kinetic` minus the work of the wrenches F_B and F_m at the ports, minus `others`."""
     moved: float
-    """Sum of the magnitudes of all work of (F_b, tau), the scale of the residuals."""
+    """Sum of |work| of F_b and tau over all intervals. The residuals are compared with this sum."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +87,7 @@ class Audit:
     """Power of the tracking error (F'_m - F_m*) (x_m' - x_md') [W] (n)."""
     balance: Balance | None
     notes: tuple[str, ...]
-    """Limitations of this audit, one sentence each."""
+    """Limitations of this audit."""
 
     @property
     def time(self) -> Array:
@@ -86,7 +96,8 @@ class Audit:
 
 def audit(loop: RecordedLoop) -> Audit:
     """Compute the energy audit of a recorded loop."""
-    # Hold times as fractions of a row interval, and displacements of the true and desired motion.
+    # Compute the hold times as fractions of a row interval, and the displacements of the true and
+    # the desired motion.
     time, law_m, law_b = loop.time, loop.manipulator_law, loop.base_law
     share_m, share_b = (_share(loop, law.period) for law in (law_m, law_b))
     moved_b, moved_m = (_moved(loop, motion) for motion in (loop.base, loop.end_effector))
@@ -95,8 +106,8 @@ def audit(loop: RecordedLoop) -> Audit:
     )
     at_rest = np.zeros_like(moved_d)
 
-    # True wrench at B between the base's samples: F'_b(k_b) - J_b(k)^T F'_m(k). The base controller
-    # assumes F'_B(k_b) instead.
+    # Between the samples of the base controller, the true wrench at B is F'_b(k_b) - J_b(k)^T
+    # F'_m(k). The base controller assumes that the wrench at B is F'_B(k_b).
     from_end_effector = energy.at_base(
         loop.end_effector_wrench, loop.end_effector.position - loop.base.position
     )
@@ -104,9 +115,11 @@ def audit(loop: RecordedLoop) -> Audit:
     acting = energy.held(loop.base_wrench, share_b) - energy.held(from_end_effector, share_m)
     stale = acting - energy.held(loop.port_wrench, share_b)
 
-    # The tracking observer damps the motion of the tracking error, the others that of the port.
+    # With the tracking observer, the damper of the passivity controller acts on the motion of the
+    # tracking error. With the other observers, the damper acts on the motion of the port.
     tracking = loop.observer == "tracking"
-    # Port M first: its F* is part of the tracking power. The base's reference is at rest.
+    # Port M comes first, because the tracking power below needs the feed-forward F* of port M. The
+    # reference of the base is at rest.
     port_m, F_m_star = _port(
         loop,
         law_m,
@@ -150,7 +163,7 @@ def audit(loop: RecordedLoop) -> Audit:
 
 
 def _share(loop: RecordedLoop, period: int) -> float:
-    """Return the fraction of a row interval for which a sample is held; at most 1."""
+    """Return the fraction of a row interval for which a sample is held. It is at most 1."""
     return min(1.0, period / loop.interval)
 
 
@@ -180,10 +193,10 @@ def _port(
     damped_motion: Array,
     observed: Array,
 ) -> tuple[Port, Array]:
-    """Return one port, and F* (n, 6) of its law.
+    """Return the energies of one port, and the feed-forward F* (n, 6) of the port's law.
 
-    `stale` (n - 1, 6) acts in addition to the law's wrench. `damped_motion` (n - 1, 6) is the
-    displacement on which the damper of the passivity controller acts.
+    `stale` (n - 1, 6) is a wrench that acts in addition to the wrench of the law. `damped_motion`
+    (n - 1, 6) is the displacement on which the damper of the passivity controller acts.
     """
 
     def errors(motion: Motion) -> tuple[Array, Array]:
@@ -192,8 +205,9 @@ def _port(
         )
         return pose, motion.velocity - desired.velocity
 
-    # Split the law into the sampled spring-damper -K_P Delta x - K_D Delta x' and the rest, F*.
-    # Sampled gains are not recorded: then the whole law counts as spring-damper.
+    # Split the law into the sampled spring-damper -K_P Delta x - K_D Delta x' and the remaining
+    # feed-forward F*. The gains of a law with discrete gains are not recorded. Therefore such a law
+    # counts as a spring-damper without feed-forward.
     sampled_pose, sampled_velocity = (
         energy.last_samples(loop.time, values, law.period) for values in errors(law.measured)
     )
@@ -207,7 +221,8 @@ def _port(
     def total(force: Array, displacement: Array) -> Array:
         return np.asarray(energy.work(force, displacement).sum(axis=1))
 
-    # Energies of the continuous spring-damper on the true motion, and the work of all wrenches.
+    # Compute the energies of the continuous spring-damper on the true motion, and the work of all
+    # wrenches.
     pose, velocity = errors(actual)
     stored = energy.spring_energy(law.stiffness, pose).sum(axis=1)
     dissipated = energy.dissipation(loop.time, law.damping, velocity).sum(axis=1)
@@ -221,7 +236,7 @@ def _port(
         virtual=energy.virtual_energy(total(held_law, moved - moved_desired), stored, dissipated),
         stored=stored - stored[0],
         dissipated=dissipated,
-        taken=0.0 - total(held_pc, damped_motion),  # never a negative zero
+        taken=0.0 - total(held_pc, damped_motion),  # `0.0 -` avoids a negative zero
         observed=observed,
         absorbed=law.initial_energy - worked,
     )
@@ -237,7 +252,7 @@ def _balance(loop: RecordedLoop, port_b: Port, port_m: Port, moved_b: Array) -> 
     def held(values: Array, period: int) -> Array:
         return energy.held(values, _share(loop, period))
 
-    # Work of the wrenches and torques that the plant received.
+    # Compute the work of the wrenches and torques that the plant received.
     by_base, by_joints = (
         held(plant.base_wrench, plant.base_wrench_period),
         held(plant.joint_torque, plant.joint_torque_period),
@@ -246,7 +261,8 @@ def _balance(loop: RecordedLoop, port_b: Port, port_m: Port, moved_b: Array) -> 
         energy.work(force, moved).sum(axis=1)
         for force, moved in ((by_base, moved_b), (by_joints, moved_q))
     )
-    # Work of the differences to the controllers' outputs.
+    # The plant can receive other values than the outputs of the controllers. Compute the work of
+    # this difference.
     other_wrench = by_base - held(loop.base_wrench, loop.base_law.period)
     other_torque = by_joints - held(loop.joint_torque, loop.manipulator_law.period)
     others = energy.work(other_wrench, moved_b).sum(axis=1) + energy.work(

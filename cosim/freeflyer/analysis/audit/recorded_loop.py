@@ -24,12 +24,15 @@ MANIPULATOR = (
     "base_observed_energy",
 )
 BASE = ("base_wrench", "port_wrench", "passivity_wrench")
-"""Outputs that identify the two controllers, independent of the names of these components."""
+"""Outputs that identify the two controllers. The names of the two components do not matter."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Motion:
-    """Position (n, 3) [m], quaternion (n, 4) [x, y, z, w], velocity (n, 6) [m/s, rad/s], in I."""
+    """Position (n, 3) [m], quaternion (n, 4) [x, y, z, w] and velocity (n, 6) [m/s, rad/s].
+
+    All values are expressed in the inertial frame I.
+    """
 
     position: Array
     orientation: Array
@@ -38,9 +41,12 @@ class Motion:
 
 @dataclass(frozen=True, kw_only=True)
 class Law:
-    """A controller: period [ns], diagonals of K_P and K_D (6,), E(0) (6,) [J], and measured motion.
+    """Control law of one controller.
 
-    `is_plain`: the controller uses K_P and K_D themselves, not discrete gains computed from them.
+    `period` is in ns. `stiffness` and `damping` are the diagonals of K_P and K_D (6,).
+    `initial_energy` is E(0) (6,) [J]. `measured` is the motion that the controller measures.
+    `is_plain` is true if the controller uses K_P and K_D themselves. It is false if the controller
+    computes discrete gains from K_P and K_D.
     """
 
     period: int
@@ -55,8 +61,9 @@ class Law:
 class Plant:
     """Actual inputs and response of the robot in the simulation.
 
-    `base_wrench` (n, 6) and `joint_torque` (n, joints) [N m] with their sample periods [ns];
-    `joint_position` (n, joints) [rad] and `kinetic_energy` (n,) [J].
+    The inputs are `base_wrench` (n, 6) [N, N m] and `joint_torque` (n, joints) [N m]. Each input
+    has its sample period [ns]. The response is `joint_position` (n, joints) [rad] and
+    `kinetic_energy` (n,) [J].
     """
 
     base_wrench: Array
@@ -69,10 +76,11 @@ class Plant:
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedLoop:
-    """The finite rows of a record. `time` is (n,) [s]; fmu_src/NOTATION.md defines the wrenches.
+    """Signals of the control loop, in the rows of a record that contain only finite values.
 
-    `desired` is the motion of the end-effector, `setpoint` that of the base. Without a `plant`, as
-    at the facility, `base` and `end_effector` are the measured motions.
+    `time` is (n,) [s]. fmu_src/NOTATION.md defines the wrenches. `desired` is the desired motion of
+    the end-effector. `setpoint` is the desired motion of the base. At the facility there is no
+    `plant`. Then `base` and `end_effector` are the measured motions.
     """
 
     provenance: Provenance
@@ -97,19 +105,22 @@ class RecordedLoop:
 
     @property
     def interval(self) -> int:
-        """Time between two rows [ns]; the last interval may be shorter."""
+        """Time between two rows [ns]. The last interval may be shorter."""
         return round(float(self.time[1] - self.time[0]) * 1e9)
 
 
 def find(record: Record) -> RecordedLoop:
-    """Return the control loop in a record. Raises RecordError with a list of all missing data."""
+    """Return the control loop in a record.
+
+    Raises RecordError if data are missing. The message lists all missing data.
+    """
     provenance = record.provenance
     if provenance is None:
         raise RecordError("the record has no provenance; a record of `freeflyer run` is expected")
     if provenance.exchange != "sequential":
         raise RecordError(
-            f"the record of {provenance.scenario} was simulated with exchange = {provenance.exchange!r}, in which outputs belong to an "
-            "earlier sample; the audit needs 'sequential'"
+            f"the record of {provenance.scenario} was simulated with exchange = {provenance.exchange!r}; the audit needs 'sequential', "
+            f"because with {provenance.exchange!r} the outputs belong to an earlier sample"
         )
     loop = _Finder(record, provenance).loop()
     if loop.time.size < 2:
@@ -118,13 +129,13 @@ def find(record: Record) -> RecordedLoop:
         )
     if not (np.diff(loop.time) >= 1e-9).all():
         raise RecordError(
-            f"the record of {provenance.scenario} has times that do not increase by at least 1 ns from row to row"
+            f"the times in the record of {provenance.scenario} do not increase by at least 1 ns from row to row"
         )
     return loop
 
 
 class _Finder:
-    """Reads the signals of the loop and collects missing data, to report all of it in one error."""
+    """Reader of the signals of the loop. It collects all missing data for one error message."""
 
     def __init__(self, record: Record, provenance: Provenance) -> None:
         self.record, self.provenance = record, provenance
@@ -132,7 +143,8 @@ class _Finder:
         self.rows = record.rows
 
     def loop(self) -> RecordedLoop:
-        # Without both controllers no other signal can be found.
+        # Both controllers must be found first, because all other signals are found through their
+        # connections.
         manipulator, base = (
             self.component_with(MANIPULATOR, "manipulator's"),
             self.component_with(BASE, "base's"),
@@ -140,7 +152,7 @@ class _Finder:
         self.check_complete()
         plant = self.plant_component()
 
-        # The outputs of the controllers, as they were commanded.
+        # Read the commanded outputs of the controllers.
         joint_torque = self.signal(f"{manipulator}.joint_torque")
         joints = joint_torque.shape[1]
         wrenches = [
@@ -149,7 +161,8 @@ class _Finder:
             + [f"{base}.{output}" for output in BASE]
         ]
 
-        # The motions that the controllers measured, and the desired motion of the end-effector.
+        # Read the motions that the controllers measured. Read the desired motion of the
+        # end-effector.
         measured_base = self.motion(
             self.source(base, "base_position"),
             self.source(manipulator, "base_orientation"),
@@ -168,7 +181,7 @@ class _Finder:
             )
         )
 
-        # A simulated plant also provides the true motions, inputs and energy.
+        # If the record has a simulated plant, read its true motions, inputs and kinetic energy.
         true_base, true_end_effector = (
             self.motion(
                 *(f"{plant}.{which}_{part}" for part in ("position", "orientation", "velocity"))
@@ -190,7 +203,7 @@ class _Finder:
             else None
         )
 
-        # The base has a constant set point, which is a parameter.
+        # The set point of the base is a parameter. Therefore it is constant.
         position, orientation = (
             self.parameter(base, "position_setpoint", 3),
             self.parameter(base, "orientation_setpoint", 4),
@@ -209,7 +222,7 @@ class _Finder:
             )
         ]
 
-        # All signals have been read here, so the error lists everything that is missing.
+        # All signals have been read here. Therefore the error lists all missing data.
         self.check_complete()
         loop = RecordedLoop(
             provenance=self.provenance,
@@ -236,9 +249,9 @@ class _Finder:
         return cut
 
     def component_with(self, outputs: Iterable[str], owner: str) -> str:
-        """Return the component that has these outputs, or "" if there is none.
+        """Return the component that has these outputs, or "" if no component has these outputs.
 
-        Raises RecordError if several components have them.
+        Raises RecordError if several components have these outputs.
         """
         components = {component_of(name) for name in self.record.signals}
         found = sorted(
@@ -251,12 +264,15 @@ class _Finder:
             return ""
         if len(found) > 1:
             raise RecordError(
-                f"the record of {self.provenance.scenario} has {len(found)} components with the {owner} outputs: {', '.join(found)}; one is expected"
+                f"the record of {self.provenance.scenario} has {len(found)} components with the {owner} outputs: {', '.join(found)}; only one component is expected"
             )
         return found[0]
 
     def plant_component(self) -> str | None:
-        """Return the simulated robot: inputs base_wrench, joint_torque; output kinetic_energy."""
+        """Return the name of the simulated robot, or None.
+
+        Its inputs are base_wrench and joint_torque. One of its outputs is kinetic_energy.
+        """
         for name in self.provenance.steps:
             driven = all(
                 f"{name}.{entry}" in self.provenance.sources
@@ -274,13 +290,14 @@ class _Finder:
         return self.provenance.sources.get(target, "")
 
     def period(self, signal: str) -> int:
-        """Return the step [ns] of the component of an output."""
+        """Return the step [ns] of the component that has the output `signal`."""
         return self.provenance.steps.get(component_of(signal), 1)
 
     def signal(self, name: str, size: int | None = None) -> Array:
-        """Return a signal (rows, size), with any number of columns if `size` is None.
+        """Return a signal (rows, size). If `size` is None, any number of columns is accepted.
 
-        A missing signal is added to `missing`. The rows end before the first that is not finite.
+        A missing signal is added to `missing`. The used rows end before the first row in which the
+        signal is not finite.
         """
         if name not in self.record:
             if name:
@@ -298,7 +315,8 @@ class _Finder:
 
     def motion(self, position: str, orientation: str, velocity: str) -> Motion:
         quaternions = self.signal(orientation, 4)
-        self.end_before(np.asarray(np.linalg.norm(quaternions, axis=1) < 0.5))  # not a rotation
+        # A quaternion with a small norm is not a rotation.
+        self.end_before(np.asarray(np.linalg.norm(quaternions, axis=1) < 0.5))
         return Motion(
             position=self.signal(position, 3),
             orientation=quaternions,

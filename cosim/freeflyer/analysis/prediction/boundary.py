@@ -1,4 +1,8 @@
-"""The largest stable base period of a scenario, predicted from its linear loop at the set point."""
+"""Predict the largest stable base period of a scenario from its linearised loop at the set point.
+
+T_m is the step of the fast controllers. The base period T_b is the step of the scanned controller.
+The scanned controller is usually the base controller.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +24,7 @@ from freeflyer.foundation.errors import ScenarioError
 from freeflyer.scenario.scenario import Scenario
 
 LONGEST = 0.5
-"""Default of the longest period [s]; the scan always includes the scenario's own period."""
+"""Default of the longest period [s]. The scan always includes the period of the scenario."""
 MOST_PERIODS = 100_000
 BATCH = 50
 """Number of periods whose eigenvalues are computed in one call."""
@@ -28,15 +32,17 @@ BATCH = 50
 
 @dataclass(frozen=True, kw_only=True)
 class Prediction:
-    """Result of a scan over the base period. Times in s.
+    """Result of a scan over the base period. Times are in s.
 
-    `periods`, `radius`: the scan; spectral radius of the map over a base period, without neutral
-    directions. `largest_stable_s`: all periods up to this one are stable. It is 0 if T_m is
-    unstable, and the longest scanned period if all are stable. `stable_s`: first and last period
-    of each stable interval. `boundary`: the mode that becomes unstable above `largest_stable_s`.
-    `limit`: its cause. Both are None if all periods are stable. `own`: the least stable mode at
-    the scenario's own period. `neutral`: number of directions without a restoring force, in which
-    the plant can rest at any position.
+    `periods` are the scanned periods. `radius` is the spectral radius of the map over one base
+    period, for each scanned period. Neutral directions are left out. `neutral` is their number. A
+    neutral direction has no restoring force: the plant can rest at any position.
+    `largest_stable_s`: all periods up to this period are stable. It is 0 if T_m is unstable. It is
+    the longest scanned period if all periods are stable. `stable_s` has the first and the last
+    period of each stable interval.
+    `boundary` is the mode that becomes unstable above `largest_stable_s`. `limit` is the cause of
+    this instability. `boundary` and `limit` are None if all periods are stable. `own` is the least
+    stable mode at the period of the scenario.
     """
 
     scenario: str
@@ -106,17 +112,18 @@ def predict(
 ) -> Prediction:
     """Scan the period of `component` (default: the slowest controller) up to `longest` [s].
 
-    The step of the scan is T_m. With `beyond` false, the scan stops soon after the first unstable
-    period and misses stable periods above it; sweeps use this. The passivity controllers are
-    off. The start of the scenario must be a set point. Raises CosimError.
+    The step of the scan is T_m. If `beyond` is false, the scan stops soon after the first unstable
+    period. Then the scan misses stable periods above the unstable period. Sweeps use this option.
+    The passivity controllers are off. The start of the scenario must be a set point.
+    Raises CosimError.
     """
     with at_set_point(scenario, component) as here:
         return scan(here, longest, beyond=beyond)
 
 
 def scan(here: SetPoint, longest: float | None, *, beyond: bool = True) -> Prediction:
-    """Scan the period of the loop at a set point; see `predict`."""
-    # Spectral radius of each period, in batches.
+    """Scan the period of the loop at a set point. `predict` explains the arguments."""
+    # Compute the spectral radius for each period, in batches of periods.
     roles = here.model.roles
     own, count = roles.period // roles.tick, _count(longest, roles.tick, roles.period)
     maps, found = lifting.lifted_maps(here.loop(n) for n in range(1, count + 1)), list[float]()
@@ -124,7 +131,7 @@ def scan(here: SetPoint, longest: float | None, *, beyond: bool = True) -> Predi
         found += [here.radius(multipliers) for multipliers in lifting.multipliers(part)]
         if not beyond and max(found) >= 1.0:
             break
-    # Stable intervals, and the first unstable mode.
+    # Find the stable intervals and the first unstable mode.
     radius = np.array(found)
     periods = np.array([seconds(n * roles.tick) for n in range(1, radius.size + 1)])
     stable = radius < 1.0
@@ -162,7 +169,7 @@ def _count(longest: float | None, tick: int, period: int) -> int:
         raise ScenarioError(
             f"--longest {longest:g}: this is more than {MOST_PERIODS} periods; at most {shown(MOST_PERIODS * tick)} is expected"
         )
-    # Round down to a multiple of T_m, with a tolerance for rounding of the decimal number.
+    # Round down to a multiple of T_m. The tolerance 1e-6 allows for a rounding error of `longest`.
     return int(longest / seconds(tick) + 1e-6)
 
 

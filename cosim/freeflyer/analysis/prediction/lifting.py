@@ -1,8 +1,9 @@
-"""Lifting: the map of the linear loop over one base period n T_m.
+"""Compute the map of the linearised loop over one base period n T_m (lifting).
 
-The fast laws are sampled every T_m, the slow laws every n T_m. The loop's state at an instant is
-[x; signals; signals before the instant; pending outputs]. The master's actions at an instant are
-linear assignments to rows of this state. Rows that are never read later are removed.
+A law is a linearised controller. The fast laws are sampled every T_m, the slow laws every n T_m.
+The state of the loop at an instant is [x; signals; signals before the instant; pending outputs].
+The actions of the master at an instant are linear assignments to rows of this state. A row is
+removed if no later action reads this row.
 """
 
 from __future__ import annotations
@@ -21,9 +22,10 @@ Indices = NDArray[np.intp]
 
 @dataclass(frozen=True, kw_only=True)
 class Inputs:
-    """Sources of a component's inputs: indices into the loop's signals.
+    """Sources of the inputs of a component.
 
-    `delayed` marks inputs that read the value before the instant.
+    `sources` are indices of the loop's signals. `delayed` is true for an input that reads the value
+    which its source had before the instant.
     """
 
     sources: Indices
@@ -34,8 +36,9 @@ class Inputs:
 class Plant:
     """Linear plant x' = A x + B u, y = C x around an operating point.
 
-    x has rotation vectors instead of quaternions, so its elements are independent. y are the
-    first signals. `step`, `step_input`: exact map of x and u over T_m with held inputs.
+    x has rotation vectors instead of quaternions. Therefore the elements of x are independent. The
+    outputs y are the first signals of the loop. `step` and `step_input` are the exact maps of x and
+    u to x after T_m, if u is constant.
     """
 
     A: Array
@@ -47,7 +50,10 @@ class Plant:
 
 
 def plant(A: Array, B: Array, C: Array, inputs: Inputs, tick: float) -> Plant:
-    """Return the plant with its step over `tick` [s], from the matrix exponential."""
+    """Return the plant with `step` and `step_input` for the time `tick` [s].
+
+    They are computed with the matrix exponential.
+    """
     n, m = B.shape
     both = expm(np.block([[A, B], [np.zeros((m, n + m))]]) * tick)
     return Plant(A=A, B=B, C=C, inputs=inputs, step=both[:n, :n], step_input=both[:n, n:])
@@ -55,9 +61,9 @@ def plant(A: Array, B: Array, C: Array, inputs: Inputs, tick: float) -> Plant:
 
 @dataclass(frozen=True, kw_only=True)
 class Law:
-    """Sampled component without memory around an operating point: outputs = gain @ inputs.
+    """Controller without memory, linearised at an operating point: outputs = gain @ inputs.
 
-    `first`, `last`: the slice of its outputs in the loop's signals.
+    The outputs of the controller are the signals `first` to `last` - 1 of the loop.
     """
 
     name: str
@@ -70,9 +76,9 @@ class Law:
 
 @dataclass(frozen=True, kw_only=True)
 class Loop:
-    """Linear loop. `laws` are in order of execution; `width` is the number of signals.
+    """Linearised loop. `laws` are in order of execution. `width` is the number of signals.
 
-    `tick`: T_m [s]. `parallel`: outputs are forwarded at the end of a step.
+    `tick` is T_m [s]. If `parallel` is true, outputs are forwarded at the end of a step.
     """
 
     plant: Plant
@@ -83,7 +89,10 @@ class Loop:
 
 
 class Instants:
-    """Maps of the loop's state (rows) over one instant and the following step T_m of the plant."""
+    """Map of the loop's state over one instant and the following step T_m of the plant.
+
+    The elements of the state are the rows of a matrix.
+    """
 
     def __init__(self, loop: Loop) -> None:
         self.loop = loop
@@ -102,7 +111,7 @@ class Instants:
     def apply(self, rows: Array, *, slow: bool) -> None:
         """Advance `rows` (size, any number of columns) by one instant and T_m, in place.
 
-        `slow`: the slow laws are sampled too.
+        If `slow` is true, the slow laws are also sampled.
         """
         loop, plant, now, w = self.loop, self.loop.plant, self._now, self.loop.width
         if self._delays:
@@ -126,7 +135,7 @@ class Instants:
         )
 
     def after(self, rows: Array, *, slow: bool) -> Array:
-        """Like `apply`, but return a copy."""
+        """Return a copy of `rows` to which `apply` was applied."""
         rows = rows.copy()
         self.apply(rows, slow=slow)
         return rows
@@ -136,9 +145,11 @@ class Instants:
         return self.after(np.eye(self.size), slow=slow)
 
     def feedback(self) -> Array:
-        """Return the static gain (plant inputs, plant states) of all laws together.
+        """Return the static gain from the plant's states to the plant's inputs through all laws.
 
-        In parallel exchange the outputs propagate in several instants, with a constant state.
+        Its shape is (plant inputs, plant states). In parallel exchange, an output needs several
+        instants to reach the plant. Therefore several instants are computed with a constant state
+        of the plant.
         """
         rows = np.eye(self.size)[:, self._x]
         for _ in range(len(self.loop.laws) + 1 if self.loop.parallel else 1):
@@ -149,11 +160,11 @@ class Instants:
 
 
 def relevant(loop: Loop) -> Indices:
-    """Return the elements of the loop's state that can affect the plant's states.
+    """Return the indices of the elements of the loop's state that can affect the plant's states.
 
-    The plant's states are the first ones. The result does not depend on the slow laws' gains.
+    The first indices are the plant's states. The result does not depend on the gains of slow laws.
     """
-    # Gains of 1, because an element of a slow law's gain may be zero by chance.
+    # All gains of slow laws are set to 1 here, because a gain can be zero by chance.
     laws = tuple(
         replace(law, gain=np.ones_like(law.gain)) if law.slow else law for law in loop.laws
     )
@@ -174,28 +185,33 @@ def _ancestors(states: int, *maps: Array) -> Indices:
 
 
 def reduced(loop: Loop, kept: Indices) -> tuple[Array, Array]:
-    """Return the maps of the elements `kept` over T_m: with fast laws only, and with all laws."""
+    """Return two maps of the elements `kept` over T_m.
+
+    The first map is for an instant at which only fast laws are sampled. The second map is for an
+    instant at which all laws are sampled.
+    """
     instants = Instants(loop)
     columns = np.eye(instants.size)[:, kept]
     return instants.after(columns, slow=False)[kept], instants.after(columns, slow=True)[kept]
 
 
 def lifted(loop: Loop, n: int) -> Array:
-    """Return the map of the relevant state over n T_m. The plant's states come first."""
+    """Return the map of the relevant elements over n T_m. The plant's states come first."""
     fast, slow = reduced(loop, relevant(loop))
     return _without_irrelevant(np.linalg.matrix_power(fast, n - 1) @ slow, loop.plant.A.shape[0])
 
 
 def _without_irrelevant(period_map: Array, states: int) -> Array:
-    """Remove the elements of the state that do not affect the plant from one period to the next."""
+    """Remove the elements of the state that do not affect the plant in a later period."""
     kept = _ancestors(states, period_map)
     return period_map[np.ix_(kept, kept)]
 
 
 def lifted_maps(loops: Iterable[Loop]) -> Iterator[Array]:
-    """Yield the map over n T_m for the n-th loop, n = 1, 2, ...; its laws may depend on n.
+    """Yield the map over n T_m for the n-th loop, n = 1, 2, ....
 
-    The power of the fast map is updated incrementally while the fast laws stay bitwise equal.
+    The laws of a loop may depend on n. As long as the fast laws stay bitwise equal, the power of
+    the fast map is updated by one multiplication.
     """
     before: Loop | None = None
     for n, loop in enumerate(loops, start=1):
@@ -219,7 +235,10 @@ def _same_fast_laws(one: Loop, other: Loop) -> bool:
 
 
 def multipliers(maps: Sequence[Array]) -> list[NDArray[np.complex128]]:
-    """Return the eigenvalues of each map; in one call if all sizes are equal."""
+    """Return the eigenvalues of each map.
+
+    If all maps have the same size, a single call computes all eigenvalues.
+    """
     if len({one.shape for one in maps}) == 1:
         return list(np.linalg.eigvals(np.stack(maps)).astype(np.complex128))
     return [np.linalg.eigvals(one).astype(np.complex128) for one in maps]

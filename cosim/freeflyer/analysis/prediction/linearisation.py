@@ -1,7 +1,8 @@
 """Linearise the loop of a scenario around an operating point, with directional derivatives of FMUs.
 
-The passivity controllers are disabled, because they are nonlinear. They have no effect where the
-loop is passive without them. Their switches and the quaternions are signal roles of the scenario.
+The passivity controllers are disabled, because they are nonlinear. A passivity controller has no
+effect if the loop is already passive. The signal roles of the scenario identify the switches of the
+passivity controllers and the quaternions.
 """
 
 from __future__ import annotations
@@ -30,11 +31,14 @@ from freeflyer.scenario.scenario import ComponentSpec, Scenario
 from freeflyer.scenario.signal_roles import SignalRoles
 
 Point = Mapping[str, Array]
-"""An operating point: the values of all outputs, COMPONENT.VARIABLE, at an instant."""
+"""An operating point: the values of all outputs at one instant. The keys are COMPONENT.VARIABLE."""
 
 
 class LoopModel:
-    """The loop of a loaded scenario: `plant_at` and `loop` linearise it. Created by `opened`."""
+    """The loop of a loaded scenario. `opened` creates this object.
+
+    `plant_at` linearises the plant. `loop` linearises the whole loop.
+    """
 
     def __init__(
         self,
@@ -50,7 +54,8 @@ class LoopModel:
         self.quaternions = scenario.roles.quaternions(self.roles.plant)
         self._linked = self._linked_parameters()
 
-        # The signals of the loop are the connected outputs of plant and controllers, in this order.
+        # The signals of the loop are the connected outputs. The outputs of the plant come first,
+        # then the outputs of the controllers.
         plant, used = (
             self.roles.plant,
             {connection.source for connection in system.wiring.connections},
@@ -64,7 +69,7 @@ class LoopModel:
                     width += port.size
         self._width = width
 
-        # The derivatives are bound once: their evaluation must be fast along a trajectory.
+        # The derivatives are bound only once, because they are evaluated often along a trajectory.
         self._inputs = {name: self._inputs_of(name) for name in (plant, *self.roles.laws)}
         fmu, states = fmus[plant], fmus[plant].states
         self._outputs = [name for name in fmu.ports if f"{plant}.{name}" in used]
@@ -82,16 +87,17 @@ class LoopModel:
         }
 
     def values(self, period: int) -> Values:
-        """Return all values [SI] for a period [ns] of the scanned component."""
+        """Return all parameter values [SI] for a period [ns] of the scanned controller."""
         values = {name: dict(own) for name, own in self.system.values.items()}
         for name, parameter in self._linked:
             values[name][parameter] = np.array([seconds(period)])
         return values
 
     def started(self, stop: int, record_every: int) -> Master:
-        """Return an initialised master with all controllers at T_m, for minimal tracking errors.
+        """Return an initialised master in which all controllers have the step T_m.
 
-        `stop` and `record_every` are in ns. Raises CosimError.
+        The tracking errors are smallest with this step. `stop` and `record_every` are in ns. Raises
+        CosimError.
         """
         tick, steps = self.roles.tick, dict(self.system.steps)
         steps[self.roles.scanned] = tick
@@ -104,7 +110,7 @@ class LoopModel:
         return master
 
     def recorded(self) -> list[str]:
-        """Return the signals of an operating point."""
+        """Return the names of the signals of an operating point."""
         states = [f"{self.roles.plant}.{name}" for name in self.fmus[self.roles.plant].states]
         return list(
             dict.fromkeys(
@@ -130,9 +136,10 @@ class LoopModel:
         )
 
     def chart(self, point: Point) -> tuple[Array, Array]:
-        """Return the tangent chart of the plant's states, see `tangent.chart`.
+        """Return the tangent chart of the plant's states (`tangent.chart`).
 
-        Raises ScenarioError if a state looks like a quaternion that is not declared.
+        Raises ScenarioError if a state has the form of a unit quaternion, but is not declared as a
+        quaternion.
         """
         states = self.fmus[self.roles.plant].states
         values = [point[f"{self.roles.plant}.{state}"] for state in states]
@@ -146,9 +153,10 @@ class LoopModel:
         return tangent.chart(states, values, self.quaternions)
 
     def outputs_of_plant(self, names: Sequence[str], point: Point) -> Array:
-        """Return d outputs / d states in the tangent chart, where the plant was last linearised.
+        """Return the derivative of outputs with respect to the states, in the tangent chart.
 
-        Quaternions among the outputs are replaced by rotation vectors too.
+        The point of the derivative is the last linearisation point of the plant. Quaternions among
+        the outputs are also replaced by rotation vectors.
         """
         fmu = self.fmus[self.roles.plant]
         into, _ = self.chart(point)
@@ -157,13 +165,13 @@ class LoopModel:
         return back @ fmu.bind_derivative(names, fmu.states)() @ into
 
     def plant_value(self, name: str) -> Array:
-        """Return the value of an output where the plant was last linearised."""
+        """Return the value of an output at the last linearisation point of the plant."""
         value = np.zeros(self.fmus[self.roles.plant].ports[name].size)
         self.fmus[self.roles.plant].bind_outputs([name], value)()
         return value
 
     def states_of_plant(self, names: Sequence[str], point: Point) -> Indices:
-        """Return the indices of these states in the coordinates of the chart."""
+        """Return the indices of the states `names` in the coordinates of the chart."""
         states, places, first = self.fmus[self.roles.plant].states, {}, 0
         for state in states:
             size = point[f"{self.roles.plant}.{state}"].size
@@ -173,7 +181,7 @@ class LoopModel:
         return np.array([place for name in names for place in places[name]])
 
     def inputs_of_plant(self, names: Sequence[str]) -> Indices:
-        """Return the indices of these inputs among the plant's inputs from the loop.
+        """Return the indices of the inputs `names` among the plant's inputs from the loop.
 
         Raises ScenarioError if an input is not connected to the loop.
         """
@@ -190,7 +198,7 @@ class LoopModel:
         return np.array([place for name in names for place in places[name]])
 
     def loop(self, plant: Plant, point: Point, period: int) -> Loop:
-        """Return the loop linearised at a point, for a period [ns] of the scanned component."""
+        """Return the loop linearised at a point, for a period [ns] of the scanned controller."""
         values, laws = self.values(period), []
         for name in self.roles.laws:
             self.fmus[name].restart({**values[name], **self._inputs_at(name, point)})
@@ -210,11 +218,14 @@ class LoopModel:
     # Inputs
 
     def connections_of(self, name: str) -> list[Connection]:
-        """Return a component's connections from the loop, without references, which are given."""
+        """Return a component's connections from the loop.
+
+        Connections from references are left out, because the references do not depend on the loop.
+        """
         return [c for c in self.system.wiring.inputs_of(name) if c.source in self.signals]
 
     def driven(self, name: str) -> list[str]:
-        """Return a component's inputs from the loop, in the order of its matrices."""
+        """Return a component's inputs from the loop, in the order of its matrices' columns."""
         return [split(connection.target)[1] for connection in self.connections_of(name)]
 
     def _inputs_of(self, name: str) -> Inputs:
@@ -250,8 +261,8 @@ class LoopModel:
         for name in self._outputs:
             if fmu.ports[name].prompt:
                 raise ScenarioError(
-                    f"component {fmu.name} has states, and its output {name} depends directly on its inputs; the prediction covers a "
-                    f"plant whose outputs depend on its states only"
+                    f"component {fmu.name} has continuous states, but its output {name} depends directly on its inputs; the prediction "
+                    f"needs a plant whose outputs depend only on its states"
                 )
         for name in fmu.states:
             if fmu.ports[name].causality != "output":
@@ -262,9 +273,10 @@ class LoopModel:
 
 @contextmanager
 def opened(scenario: Scenario, scanned: str | None = None) -> Iterator[LoopModel]:
-    """Load the loop of a scenario; close its components at the end. Raises CosimError.
+    """Load the loop of a scenario. Close its components when the context ends. Raises CosimError.
 
-    `scanned` names the controller with the scanned period (default: the slowest).
+    `scanned` is the name of the controller with the scanned period (default: the slowest
+    controller).
     """
     fmus: dict[str, DifferentiableFmu] = {}
     try:
@@ -289,7 +301,7 @@ def opened(scenario: Scenario, scanned: str | None = None) -> Iterator[LoopModel
 
 
 def _connected(scenario: Scenario) -> list[ComponentSpec]:
-    """Return the components that have connections; others are not part of the loop."""
+    """Return the components that have connections. Other components are not part of the loop."""
     ends = {
         split(end)[0]
         for connection in scenario.connections

@@ -1,6 +1,7 @@
 """Roles of the components in the loop of a scenario: plant, controllers, scanned controller.
 
-The plant has continuous states. The controllers sample it. The period of one of them is scanned.
+The plant has continuous states. The controllers sample the outputs of the plant. The prediction
+scans the period of one controller.
 """
 
 from __future__ import annotations
@@ -23,8 +24,9 @@ from freeflyer.scenario.signal_roles import SINGLE, SignalRoles
 class Roles:
     """Roles of the components. `laws` are the controllers in execution order.
 
-    `scanned` is the slow controller, `parameter` the name of its period, and `period` the value of
-    this parameter in the scenario [ns]. `tick` is T_m [ns], the step of all other controllers.
+    `scanned` is the slow controller. `parameter` is the name of the parameter for its period.
+    `period` is the value [ns] of this parameter in the scenario. `tick` is T_m [ns], the step of
+    all other controllers.
     """
 
     plant: str
@@ -40,15 +42,15 @@ def roles_of(
 ) -> Roles:
     """Return the roles of the components.
 
-    `scanned` names the scanned controller (default: the slowest). Raises ScenarioError if the
-    prediction does not cover the loop.
+    `scanned` is the name of the scanned controller (default: the slowest controller). Raises
+    ScenarioError if the loop does not meet the conditions of the prediction.
     """
     # All continuous states must belong to one component, the plant.
     plants = [name for name, fmu in fmus.items() if fmu.states]
     if len(plants) != 1:
         raise ScenarioError(
             f"scenario {scenario.name}: {len(plants)} connected components have continuous states"
-            f"{' (' + ', '.join(plants) + ')' if plants else ''}; the prediction covers one plant and controllers without memory"
+            f"{' (' + ', '.join(plants) + ')' if plants else ''}; the prediction needs exactly one plant, and controllers without memory"
         )
 
     # Only a period that is a parameter can be scanned.
@@ -60,30 +62,31 @@ def roles_of(
     periods = [name for name in laws if name in by_parameter]
     if scanned is not None and scanned not in periods:
         raise ScenarioError(
-            f"--period {scanned}: this is no controller whose step_s follows a parameter{did_you_mean(scanned, periods)}; "
-            f"possible: {', '.join(periods) or 'none'}"
+            f"--period {scanned}: {scanned} is not a controller whose step_s is a parameter ('=PARAMETER')"
+            f"{did_you_mean(scanned, periods)}; possible controllers: {', '.join(periods) or 'none'}"
         )
     if not periods:
         raise ScenarioError(
-            f"scenario {scenario.name}: no controller's step_s follows a parameter ('=period'), so there is nothing to scan"
+            f"scenario {scenario.name}: no controller has a step_s that is a parameter ('=period'); the prediction needs such a "
+            f"parameter to scan the period"
         )
 
-    # Of equally slow controllers the last in execution order is chosen.
+    # If several controllers are equally slow, the last of them in execution order is chosen.
     chosen = (
         scanned or max(enumerate(periods), key=lambda item: (system.steps[item[1]], item[0]))[1]
     )
 
-    # Two rates are covered: all other controllers have the same step T_m.
+    # The prediction is for two rates. Therefore all other controllers must have the same step T_m.
     rest = {name: system.steps[name] for name in laws if name != chosen}
     tick = min(rest.values(), default=system.steps[plants[0]])
     for name, step in rest.items():
         if step != tick:
             raise ScenarioError(
-                f"component {name}: its step is {shown(step)}; {shown(tick)} is expected, as for all controllers except {chosen}: the "
-                f"prediction covers two rates"
+                f"component {name}: its step is {shown(step)}; {shown(tick)} is expected, because all controllers except {chosen} "
+                f"must have the same step"
             )
 
-    # T_m must be a multiple of the plant's step, and the scanned period a multiple of T_m.
+    # T_m must be a multiple of the plant's step. The scanned period must be a multiple of T_m.
     plant_step = system.steps[plants[0]]
     if tick % plant_step or (scenario.exchange == "parallel" and plant_step != tick):
         raise ScenarioError(

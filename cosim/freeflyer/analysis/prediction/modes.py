@@ -1,4 +1,4 @@
-"""Modes of the lifted loop: degrees of freedom, frequency, growth rate, cause of instability."""
+"""Modes of the loop over one base period: frequency, growth rate, and cause of an instability."""
 
 from __future__ import annotations
 
@@ -13,28 +13,34 @@ from freeflyer.analysis.prediction.task_coordinates import DEGREES, TaskCoordina
 from freeflyer.fmi.component import Array
 
 MOSTLY = 0.9
-"""Minimum share of the energy for a mode to belong to one body."""
+"""A mode belongs to one body if this body has at least this share of the energy."""
 REPORTED_SHARE = 0.05
-"""Minimum share of the energy for a degree of freedom to be listed."""
+"""A degree of freedom is listed if it has at least this share of the energy."""
 AT_LIMIT = 0.9
-"""An axis is the cause if its sampled spring or damper reaches this value at the boundary. The
-limit of a single axis is 1, but coupling shifts the boundary by a few percent to either side.
+"""An axis is the cause of the instability if one of its two ratios is at least this value.
+
+`held_axis` defines the ratios. They are computed at the stability boundary. A single axis has the
+limit 1. The coupling of several axes changes this limit by a few percent in both directions.
 """
 REAL = 1e-6
 """Angle [rad] below which a multiplier counts as real."""
 
 
 Kind = Literal["sampled spring", "sampled damper", "hand", "coupling"]
-"""Cause that limits T_b: one of the two conditions of `held_axis` in an axis of the base, the loop
-of the end-effector (in prediction.json: "hand"), or the coupling of both.
+"""Cause that limits T_b.
+
+"sampled spring" and "sampled damper" are the conditions of `held_axis` in an axis of the base.
+"hand" is the loop of the end-effector; prediction.json uses this name. "coupling" is the coupling
+of base and end-effector.
 """
 
 
 @dataclass(frozen=True, kw_only=True)
 class Mode:
-    """One eigenvalue (multiplier) of the map over a base period [s].
+    """One eigenvalue (multiplier) of the map over one base period.
 
-    `shares` (12): energy of the eigenvector per degree of freedom; the sum is 1.
+    `period` is the base period [s]. `shares` (12) are the shares of the degrees of freedom in the
+    energy of the eigenvector. Their sum is 1.
     """
 
     period: float
@@ -43,25 +49,25 @@ class Mode:
 
     @property
     def growth_rate(self) -> float:
-        """ln |z| / T_b [1/s]; negative for a decaying mode."""
+        """Growth rate ln |z| / T_b [1/s] of multiplier z. It is negative for a decaying mode."""
         return math.log(abs(self.multiplier)) / self.period
 
     @property
     def frequency(self) -> float:
-        """Frequency [Hz], at most half of the sampling frequency."""
+        """Frequency [Hz]. It is at most half of the sampling frequency."""
         return abs(math.atan2(self.multiplier.imag, self.multiplier.real)) / (
             2.0 * math.pi * self.period
         )
 
     @property
     def body(self) -> Literal["base", "hand", "coupling"]:
-        """Body with most of the energy; "hand" is the end-effector."""
+        """Body with most of the energy. "hand" is the end-effector."""
         base = float(self.shares[:6].sum())
         return "base" if base >= MOSTLY else "hand" if base <= 1.0 - MOSTLY else "coupling"
 
     @property
     def alternates(self) -> bool:
-        """Whether the multiplier is real and negative: the mode changes sign at every sample."""
+        """Whether the multiplier is real and negative. Such a mode changes sign at each sample."""
         return (
             self.multiplier.real < 0.0
             and abs(math.atan2(self.multiplier.imag, -self.multiplier.real)) < REAL
@@ -76,7 +82,7 @@ class Mode:
         )
 
     def description(self) -> str:
-        """Return the mode in one phrase: degrees of freedom by energy, body, time behaviour."""
+        """Describe the mode: degrees of freedom sorted by energy, body, and behaviour over time."""
         order = [int(k) for k in np.argsort(-self.shares) if self.shares[k] >= REPORTED_SHARE]
         parts = ", ".join(f"{DEGREES[k]} ({100 * self.shares[k]:.0f} %)" for k in order)
         kind = {
@@ -99,11 +105,12 @@ class Mode:
 
 @dataclass(frozen=True, kw_only=True)
 class Limit:
-    """Cause that limits T_b, from the base's axis with the largest share in the unstable mode.
+    """Cause that limits T_b. `axis` is the axis of the base with the largest share in the mode.
 
-    `spring` (6) = K_P T_b / 2 K_D and `damper` (6) = K_D T_b / 2 M~ are those of the base's axes at
-    the boundary. A single axis is stable if both are below 1. In parallel exchange (`late`) they
-    are 3 K_P T_b / 2 K_D and K_D T_b / M~.
+    `spring` (6) is the ratio K_P T_b / 2 K_D of each axis of the base. `damper` (6) is the ratio
+    K_D T_b / 2 M~ of each axis. The ratios are computed at the stability boundary. A single axis is
+    stable if both ratios are below 1. In parallel exchange (`late`), the ratios are
+    3 K_P T_b / 2 K_D and K_D T_b / M~.
     """
 
     kind: Kind
@@ -113,7 +120,7 @@ class Limit:
     late: bool
 
     def description(self) -> str:
-        """Return the cause in one phrase, with the figures of its axis and the remedy."""
+        """Describe the cause, with the two ratios of the axis and the remedy."""
         k = DEGREES.index(self.axis)
         names = (
             ("3 K_P T_b / 2 K_D", "K_D T_b / M~")
@@ -121,28 +128,30 @@ class Limit:
             else ("K_P T_b / 2 K_D", "K_D T_b / 2 M~")
         )
         figures = f"{names[0]} = {self.spring[k]:.3g} and {names[1]} = {self.damper[k]:.3g} in {self.axis}"
-        figures += ", delayed by T_b in parallel exchange" if self.late else ""
+        figures += "; in parallel exchange the wrench acts T_b later" if self.late else ""
         if self.kind == "sampled spring":
             return f"the sampled spring ({figures}; the limit is 1): more damping helps"
         if self.kind == "sampled damper":
-            return f"the sampled damper ({figures}; the limit is 1): more damping makes it worse"
+            return f"the sampled damper ({figures}; the limit is 1): more damping makes the loop less stable"
         if self.kind == "hand":
             return "the end-effector loop: the base hardly moves in this mode"
-        return f"the coupling of base and manipulator ({figures}: neither is near its limit of 1)"
+        return f"the coupling of base and manipulator ({figures}: neither value is near the limit of 1)"
 
 
 def modes(
     period_map: Array, period: float, coordinates: TaskCoordinates, states: int
 ) -> list[Mode]:
-    """Return all modes of a map over a base period [s], the least stable first.
+    """Return all modes of a map over one base period [s]. The least stable mode comes first.
 
-    A complex pair is one mode. The first `states` elements of the map are the plant's states.
+    A pair of complex multipliers is one mode. The first `states` elements of the map are the
+    plant's states.
     """
     values, vectors = np.linalg.eig(period_map)
     found = []
     for k in np.argsort(-np.abs(values), kind="stable"):
         if values[k].imag >= 0.0:
-            energy = coordinates.energy(vectors[:states, k])  # zero in a null space
+            energy = coordinates.energy(vectors[:states, k])
+            # The energy of a mode in the null space is zero. `or 1.0` avoids a division by zero.
             found.append(
                 Mode(
                     period=period,
@@ -154,9 +163,10 @@ def modes(
 
 
 def limit_of(mode: Mode, coordinates: TaskCoordinates, *, late: bool = False) -> Limit:
-    """Return what limits T_b, for the mode whose multiplier leaves the unit circle at the boundary.
+    """Return the cause that limits T_b.
 
-    `late`: parallel exchange.
+    `mode` is the mode that becomes unstable at the stability boundary. `late` is true in parallel
+    exchange.
     """
     axis = int(np.argmax(mode.shares[:6]))
     spring = sampled_spring(

@@ -18,23 +18,27 @@ from matplotlib import pyplot as plt
 
 
 def write(prediction: Prediction, along: AlongTrajectory | None, path: Path) -> None:
-    """Write the figure as PNG, atomically. Raises OutputError."""
+    """Write the figure atomically as a PNG file. Raises OutputError."""
     figure = scan(prediction, along)
     write_whole(path, lambda partial: figure.savefig(partial, dpi=160, format="png"))
     plt.close(figure)
 
 
 def scan(prediction: Prediction, along: AlongTrajectory | None) -> Any:
-    """Draw the growth rate ln(radius) / T_b over T_b. Stable periods, below zero, are shaded."""
+    """Draw the growth rate ln(radius) / T_b over T_b.
+
+    Stable periods have a negative growth rate. They are shaded.
+    """
     with plt.rc_context(STYLE):
-        # The scan, with stable periods shaded by half a step to both sides.
+        # Draw the growth rates of the scan. The shading of a stable interval extends by half a step
+        # to both sides.
         figure, axes = plt.subplots(figsize=(7.0, 2.8))
         rate = np.log(np.maximum(prediction.radius, 1e-12)) / prediction.periods
         axes.plot(prediction.periods, rate, label="at the set point", color=LINES[0]["color"])
         half = 0.5 * prediction.tick_s
         for first, last in prediction.stable_s:
             axes.axvspan(first - half, last + half, color="#009E73", alpha=0.12, lw=0)
-        # The boundary of the first stable interval.
+        # Mark the upper end of the first stable interval.
         axes.axhline(0.0, color="black", lw=0.6)
         if prediction.boundary:
             axes.axvline(prediction.largest_stable_s, color="black", ls="--", lw=0.8)
@@ -47,7 +51,7 @@ def scan(prediction: Prediction, along: AlongTrajectory | None) -> Any:
                 textcoords="offset points",
                 va="top",
             )
-        # Growth rates at the scenario's own period.
+        # Mark the growth rates at the period of the scenario.
         axes.plot(
             prediction.period_s,
             prediction.own.growth_rate,

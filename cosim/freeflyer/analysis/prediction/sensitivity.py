@@ -19,7 +19,10 @@ from freeflyer.foundation.errors import ComponentError
 
 
 def _provides_derivatives(path: Path) -> bool:
-    """Return whether the FMU has directional derivatives: FMPy reads only the FMI 2.0 attribute."""
+    """Return whether the FMU provides directional derivatives.
+
+    The attribute is read here, because FMPy reads only the spelling of FMI 2.0.
+    """
     with zipfile.ZipFile(path) as archive:
         interface = ElementTree.fromstring(archive.read("modelDescription.xml")).find(
             "CoSimulation"
@@ -29,9 +32,10 @@ def _provides_derivatives(path: Path) -> bool:
 
 
 class DifferentiableFmu(FmuComponent):
-    """FMU with directional derivatives at its present state and inputs.
+    """FMU that gives directional derivatives at its present states and inputs.
 
-    In FMI 2.0 and 3.0 a co-simulation FMU can list the derivatives of its states in ModelStructure.
+    In FMI 2.0 and 3.0, ModelStructure of a co-simulation FMU can list the derivatives of its
+    continuous states.
     """
 
     def __init__(self, name: str, path: Path) -> None:
@@ -52,7 +56,10 @@ class DifferentiableFmu(FmuComponent):
 
     @property
     def states(self) -> Sequence[str]:
-        """Ports that are continuous states, in ModelStructure's order; empty if it is sampled."""
+        """Ports that are continuous states, in the order of ModelStructure.
+
+        A sampled FMU has no continuous states.
+        """
         return tuple(self._rates)
 
     def bind_derivative(
@@ -60,10 +67,10 @@ class DifferentiableFmu(FmuComponent):
     ) -> Callable[[], Array]:
         """Return a function that computes the Jacobian (unknown elements, known elements).
 
-        Unknowns: outputs, states, and state derivatives `der(STATE)`. Knowns: inputs and states.
-        The function raises ComponentError if the FMU returns an error.
+        An unknown is an output, a state, or a state derivative `der(STATE)`. A known is an input or
+        a state. The returned function raises ComponentError if the FMU returns an error.
         """
-        # Allocate the buffers of all calls once, because the function is called often.
+        # The buffers of all calls are allocated once, because the function is called often.
         results, rows = self._references(unknowns)
         known = [
             (variable.valueReference, self._size(variable))
@@ -76,7 +83,7 @@ class DifferentiableFmu(FmuComponent):
             self._slave,
             self._slave.component,
         )
-        # One call per known element, with the unit vector of this element as seed.
+        # Prepare one call for each known element. The seed is the unit vector of this element.
         calls: list[tuple[Any, ...]] = []
         for reference, size in known:
             given = (ctypes.c_uint32 * 1)(reference)
@@ -88,7 +95,7 @@ class DifferentiableFmu(FmuComponent):
                     calls.append(
                         (instance, results, len(results), given, 1, seed, size, found, rows)
                     )
-        # The views on the C buffers stay valid between calls.
+        # `buffer` is a view of the C array `found`. It stays valid between the calls.
         call = (
             slave.fmi2GetDirectionalDerivative
             if self.version == 2
@@ -122,7 +129,10 @@ class DifferentiableFmu(FmuComponent):
             raise ComponentError(f"component {self.name}: {self._reason(error)}") from error
 
     def enter_initialization(self, start: float, values: Mapping[str, Array]) -> None:
-        """Enter initialization mode; unlike other components, also after a start: with a reset."""
+        """Enter initialization mode. An FMU that was started before is reset first.
+
+        Other components cannot be started a second time.
+        """
         if self._started:
             try:
                 self._slave.reset()
@@ -134,7 +144,7 @@ class DifferentiableFmu(FmuComponent):
         super().enter_initialization(start, values)
 
     def restart(self, values: Mapping[str, Array]) -> None:
-        """Restart with these parameters, start values and inputs. Raises ComponentError."""
+        """Restart with `values` as parameters, start values and inputs. Raises ComponentError."""
         self.enter_initialization(0.0, values)
         self.exit_initialization()
 

@@ -1,6 +1,6 @@
-"""Set point: the start of a scenario as the operating point of the linear loop.
+"""Set point: the start of a scenario as the operating point of the linearised loop.
 
-The start must be an equilibrium, and the controllers must have no memory. Both are checked.
+The start must be an equilibrium. The controllers must have no memory. Both conditions are checked.
 """
 
 from __future__ import annotations
@@ -22,15 +22,21 @@ from freeflyer.foundation.signal_name import split
 from freeflyer.scenario.scenario import Scenario
 
 REST = 1e-6
-"""Largest rate of a plant's state [SI] that counts as rest."""
+"""The plant is at rest if no state changes faster than this rate [SI]."""
 MEMORY = 1e-9
-"""Largest ratio of the output error after a disturbance to that during it, without memory."""
+"""Largest ratio of two output errors of a controller without memory.
+
+The first error is measured one sample after a disturbance, the second error during the disturbance.
+"""
 NEUTRAL = 1e-12
-"""Singular value of (map - 1) below which a direction is neutral (no restoring force)."""
+"""Limit for singular values of (map - identity matrix).
+
+A direction with a smaller singular value is neutral. A neutral direction has no restoring force.
+"""
 
 
 class SetPoint:
-    """Linear loop at the set point, for base periods of n T_m."""
+    """Linearised loop at the set point, for base periods of n T_m."""
 
     def __init__(self, model: LoopModel) -> None:
         self.model = model
@@ -40,7 +46,7 @@ class SetPoint:
         self.neutral = self._neutral()
 
     def loop(self, n: int) -> Loop:
-        """Return the linear loop with a base period of n T_m."""
+        """Return the linearised loop with a base period of n T_m."""
         return self.model.loop(self.plant, self.point, n * self.model.roles.tick)
 
     def coordinates(self, n: int) -> TaskCoordinates:
@@ -48,12 +54,15 @@ class SetPoint:
         return task_coordinates(self.model, self.loop(n), self.point)
 
     def radius(self, multipliers: NDArray[np.complex128]) -> float:
-        """Return the largest modulus, without the neutral directions' multipliers of 1."""
+        """Return the largest absolute value of the multipliers.
+
+        The multipliers 1 of the neutral directions are left out.
+        """
         order = np.argsort(np.abs(multipliers - 1.0))
         return float(np.abs(multipliers[order[self.neutral :]]).max())
 
     def modes(self, n: int) -> list[Mode]:
-        """Return the modes without neutral directions, the least stable first."""
+        """Return the modes without the neutral directions. The least stable mode comes first."""
         loop = self.loop(n)
         period = seconds(n * self.model.roles.tick)
         found = modes(
@@ -74,13 +83,16 @@ class SetPoint:
 
 @contextmanager
 def at_set_point(scenario: Scenario, component: str | None = None) -> Iterator[SetPoint]:
-    """Open the loop as `linearisation.opened` does, at its set point. Raises CosimError."""
+    """Open the loop with `linearisation.opened`, and yield its set point. Raises CosimError."""
     with linearisation.opened(scenario, component) as model:
         yield SetPoint(model)
 
 
 def set_point(model: LoopModel) -> Point:
-    """Return the start as operating point. Raises ScenarioError if it is not an equilibrium."""
+    """Return the start of the scenario as operating point.
+
+    Raises ScenarioError if the start is not an equilibrium, or if a controller has memory.
+    """
     master = model.started(max(model.system.steps.values()), model.roles.tick)
     point = {signal: master.value(signal).copy() for signal in model.recorded()}
     plant = model.fmus[model.roles.plant]
@@ -92,15 +104,15 @@ def set_point(model: LoopModel) -> Point:
         elements = [name for name in plant.states for _ in range(plant.ports[name].size)]
         raise ScenarioError(
             f"the start is not a set point: {model.roles.plant}.{elements[int(rates.argmax())]} changes by {rates.max():.3g} per second "
-            f"(SI units); the robot must start at rest, with its base at the set point of base_controller"
+            f"(SI units); the robot must start at rest, with its base at the set point of {model.roles.scanned}"
         )
     return point
 
 
 def _check_memory(model: LoopModel, name: str, point: Point) -> None:
-    """Disturb the inputs of an initialised instance for one sample, then check the next outputs.
+    """Disturb the inputs of a controller for one sample, and check the outputs at the next sample.
 
-    Raises ScenarioError if the disturbance still affects them.
+    Raises ScenarioError if the disturbance still affects these outputs.
     """
     fmu, roles = model.fmus[name], model.roles
     names, outputs = model.driven(name), [split(s)[1] for s in model.signals if split(s)[0] == name]
@@ -126,5 +138,5 @@ def _check_memory(model: LoopModel, name: str, point: Point) -> None:
         worst = [n for n in outputs for _ in range(fmu.ports[n].size)][int(after.argmax())]
         raise ScenarioError(
             f"component {name} has memory: a disturbance of its inputs still affects its output {worst} one sample later; the "
-            f"prediction covers controllers without memory (passivity controllers off)"
+            f"prediction needs controllers without memory (passivity controllers off)"
         )

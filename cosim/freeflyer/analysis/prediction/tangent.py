@@ -1,4 +1,7 @@
-"""Tangent chart of a unit quaternion: small rotations as three independent coordinates."""
+"""Tangent chart of a unit quaternion.
+
+The chart describes a small rotation by three independent coordinates: the rotation vector.
+"""
 
 from __future__ import annotations
 
@@ -11,16 +14,20 @@ from freeflyer.fmi.component import Array
 
 
 def from_rotation(quaternion: Array) -> Array:
-    """Return dq/dd (4, 3) of the quaternion [x, y, z, w] for a small rotation vector d in I.
+    """Return dq/dd (4, 3), the derivative of a quaternion q with respect to a rotation vector d.
 
-    The derivative follows from dq = 1/2 (d, 0) q.
+    q is [x, y, z, w]. d is a small rotation in the inertial frame I. The derivative follows from
+    dq = 1/2 (d, 0) q.
     """
     x, y, z, w = quaternion / np.linalg.norm(quaternion)
     return 0.5 * np.array([[w, z, -y], [-z, w, x], [y, -x, w], [-x, -y, -z]])
 
 
 def to_rotation(quaternion: Array) -> Array:
-    """Return dd/dq (3, 4), the inverse map; it ignores a change of the quaternion's length."""
+    """Return dd/dq (3, 4), the inverse map.
+
+    A change of the quaternion's length has no effect on the result.
+    """
     return 4.0 * from_rotation(quaternion).T
 
 
@@ -30,7 +37,7 @@ def chart(
     """Return the map (m, n) from chart coordinates to changes of the variables, and its inverse.
 
     The variables (m) are concatenated. The coordinates (n) have a rotation vector in place of each
-    quaternion, so they are independent.
+    quaternion. Therefore the coordinates are independent.
     """
     rotational = [name in quaternions for name in names]
     out = [

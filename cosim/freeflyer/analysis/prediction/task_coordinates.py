@@ -1,7 +1,8 @@
-"""Linear loop in the paper's coordinates [x_b; x_m]: inertia, stiffness, damping per axis.
+"""Inertia, stiffness and damping of the linearised loop in the paper's coordinates [x_b; x_m].
 
-x_b: position of B and small rotation of the base; x_m: the same for the end-effector; both in I.
-The wrenches are those of the ports, [F_B; F_m], which do work on [x_b'; x_m'].
+x_b is the position of B and the small rotation of the base. x_m is the position and the small
+rotation of the end-effector. x_b and x_m are expressed in the inertial frame I. The wrenches at the
+ports are [F_B; F_m]. They do work on [x_b'; x_m'].
 """
 
 from __future__ import annotations
@@ -30,12 +31,13 @@ DEGREES = tuple(
 
 @dataclass(frozen=True, kw_only=True)
 class TaskCoordinates:
-    """Task coordinates of the plant's states (n) and diagonals (12) of the loop's matrices.
+    """Maps from the plant's states (n) to task coordinates, and diagonals (12) of the matrices.
 
-    `pose`, `velocity` (12, n): coordinates and their rates from the states. `inertia`: M~
-    [kg, kg m2] at each port without a wrench at the other. `stiffness` [N/m, N m/rad] and `damping`
-    [N s/m, N m s/rad] of the sampled laws. For a redundant manipulator those of the end-effector
-    are estimates, because it shares the joints with the null space.
+    `pose` and `velocity` (12, n) map the states to the coordinates and to the rates of the
+    coordinates. `inertia` is M~ [kg, kg m2] at each port, if no wrench acts at the other port.
+    `stiffness` [N/m, N m/rad] and `damping` [N s/m, N m s/rad] belong to the sampled laws. In a
+    redundant manipulator, motions in the null space use the same joints as the end-effector.
+    Therefore the stiffness and the damping of the end-effector are estimates.
     """
 
     pose: Array
@@ -45,10 +47,11 @@ class TaskCoordinates:
     damping: Array
 
     def energy(self, x: Array) -> Array:
-        """Return 1/2 M~ |x'|^2 + 1/2 K_P |x|^2 (12) or (12, k) [J] of states (n) or (n, k).
+        """Return the energy 1/2 M~ |x'|^2 + 1/2 K_P |x|^2 [J] of each coordinate.
 
-        States may be complex. The energy makes metres, radians and velocities comparable. No term
-        is negative, because the coupling terms of M are omitted.
+        The argument contains states (n) or (n, k), which may be complex. The result is (12) or
+        (12, k). The energy makes metres, radians and velocities comparable. No term is negative,
+        because the coupling terms of M are omitted.
         """
         kinetic = self.inertia * np.abs(self.velocity @ x).T ** 2
         return np.asarray(
@@ -59,7 +62,7 @@ class TaskCoordinates:
 def task_coordinates(model: LoopModel, loop: Loop, point: Point) -> TaskCoordinates:
     """Return the task coordinates at the last linearisation point of the plant.
 
-    Raises ScenarioError if the plant lacks a variable of a free-flyer.
+    Raises ScenarioError if the plant does not have all variables of a free-flyer.
     """
     name = model.roles.plant
     fmu = model.fmus[name]
@@ -68,30 +71,31 @@ def task_coordinates(model: LoopModel, loop: Loop, point: Point) -> TaskCoordina
         variables[role] = model.scenario.roles.variable(role, name)
         if variables[role] not in fmu.ports:
             raise ScenarioError(
-                f"component {name} has no variable {variables[role]!r}; the prediction describes free-flying robots "
-                f'by the variables of free_flyer, or by those of [roles]: {role} = "{name}.VARIABLE"'
+                f"component {name} has no variable {variables[role]!r}; the prediction needs the variables of a free-flying robot: "
+                f'use the name of the variable in free_flyer, or declare it in [roles]: {role} = "{name}.VARIABLE"'
             )
     poses, velocities = ([variables[role] for role in roles] for roles in (POSE, VELOCITY))
     full = {**point, **{f"{name}.{v}": model.plant_value(v) for v in (*poses, *velocities)}}
     pose, velocity = model.outputs_of_plant(poses, full), model.outputs_of_plant(velocities, full)
     speeds = model.states_of_plant([variables[role] for role in WRENCHES], point)
     inputs = model.inputs_of_plant([variables[role] for role in WRENCHES.values()])
-    # x' = J v, so that the generalised forces are J^T F and M^-1 = J H^-1 J^T.
+    # From x' = J v follow the generalised forces J^T F and M^-1 = J H^-1 J^T. `acceleration` is x''
+    # for each unit generalised force.
     J = velocity[:, speeds]
-    acceleration = J @ loop.plant.B[np.ix_(speeds, inputs)]  # x'' by generalised forces
+    acceleration = J @ loop.plant.B[np.ix_(speeds, inputs)]
     inverse = acceleration @ J.T
     inertia = np.concatenate(
         [np.diag(np.linalg.inv(inverse[part, part])) for part in (slice(0, 6), slice(6, 12))]
     )
-    # F = -K_P x - K_D x': the port wrench with the same port acceleration as the laws' forces. In a
-    # redundant manipulator the other forces act in the null space.
+    # F = -K_P x - K_D x' is the wrench at the ports. It causes the same acceleration x'' as the
+    # forces of the laws. In a redundant manipulator, the remaining forces act in the null space.
     F = (
         np.linalg.solve(inverse, acceleration)
         @ Instants(loop).feedback()[inputs]
         @ np.linalg.pinv(np.vstack([pose, velocity]))
     )
     stiffness, damping = -np.diag(F[:, :12]), -np.diag(F[:, 12:])
-    # The base's own law without the compensation of the end-effector wrench.
+    # For the base, use its own law without the compensation of the end-effector wrench.
     own = _own_law(loop, inputs[:6])
     stiffness[:6] = -np.diag(own @ np.linalg.pinv(pose[:6]))
     damping[:6] = -np.diag(own[:, model.states_of_plant([variables["base_velocity"]], point)])
@@ -101,9 +105,10 @@ def task_coordinates(model: LoopModel, loop: Loop, point: Point) -> TaskCoordina
 
 
 def _own_law(loop: Loop, inputs: Indices) -> Array:
-    """Return the base wrench (6, n) by the plant's states that the base controller measures itself.
+    """Return the gain (6, n) from the plant's states to the base wrench.
 
-    The compensation J_b^T F_m of the end-effector wrench is omitted: it is no spring of the base.
+    The gain has only the states that the base controller measures itself. The compensation
+    J_b^T F_m of the end-effector wrench is omitted, because it is not a spring of the base.
     """
     sources = loop.plant.inputs.sources[inputs]
     law = next(

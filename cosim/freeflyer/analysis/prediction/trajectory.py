@@ -1,10 +1,15 @@
-"""Stability along a trajectory: growth rate of small perturbations, from lifted tangent maps.
+"""Stability along a trajectory: growth rate of small perturbations.
 
-The eigenvalues of the loop frozen at each instant do not determine the stability of a time-varying
-loop. It can be unstable with all of them inside the unit circle, and stable with some outside.
-Stability is determined by the Floquet multipliers, the eigenvalues of the product of the tangent
-maps along the motion. The product is taken over the second half of the run, which is treated as
-one period of a periodic motion. This half should have whole periods of the motion, within one T_b.
+The loop is linearised at many instants of the motion. A tangent map is the map of a small
+perturbation over one base period T_b. The frozen loop at an instant is the loop with the constant
+coefficients of this instant.
+The eigenvalues of the frozen loops do not determine the stability of a time-varying loop. The
+time-varying loop can be unstable although all these eigenvalues are inside the unit circle. It can
+be stable although some of them are outside the unit circle.
+The Floquet multipliers determine the stability. They are the eigenvalues of the product of the
+tangent maps along the motion. The product is taken over the second half of the run. This half is
+treated as one period of a periodic motion. It should contain a whole number of periods of the
+motion, with an error of at most one T_b.
 """
 
 from __future__ import annotations
@@ -26,23 +31,24 @@ from freeflyer.foundation.clock import nanoseconds, seconds
 from freeflyer.foundation.errors import ScenarioError
 
 CELL = 0.05
-"""Interval between linearisations [s]; the loop is assumed constant around each of them."""
+"""Interval [s] between two linearisations. The loop is assumed constant around a linearisation."""
 
 LEAST_PERIODS = 8
-"""Minimum number of base periods of a run; a slope is fitted to half of them."""
+"""Minimum number of base periods in a run. A slope is fitted to the second half of the periods."""
 
 Progress = Callable[[float], None]
-"""Called with the completed fraction."""
+"""Function that is called with the completed fraction of the work."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class AlongTrajectory:
     """Result of the analysis along a trajectory, from `from_s` to `to_s`.
 
-    `growth_rate` [1/s] is that at the scenario's own period. `largest_stable_s` is found by
-    bisection, which assumes a single boundary; it is 0 if T_m is unstable. `frozen_growth_rate`
-    [1/s] is the largest one of the frozen loop, at `frozen_at_s`. `frozen_unstable` is the fraction
-    of the time in which the frozen loop is unstable.
+    `growth_rate` [1/s] is the growth rate at the period of the scenario. `largest_stable_s` is
+    found by bisection. The bisection assumes that there is only one stability boundary.
+    `largest_stable_s` is 0 if T_m is unstable. `frozen_growth_rate` [1/s] is the largest growth
+    rate of the frozen loop. It occurs at `frozen_at_s`. `frozen_unstable` is the fraction of the
+    time in which the frozen loop is unstable.
     """
 
     period_s: float
@@ -69,15 +75,15 @@ class AlongTrajectory:
 
 
 class Trajectory:
-    """Linearisations of the plant along a run with all controllers at T_m."""
+    """Linearisations of the plant along a run in which all controllers have the step T_m."""
 
     def __init__(self, model: LoopModel, coordinates: TaskCoordinates, cell: float = CELL) -> None:
-        """Run the scenario, and linearise it every `cell` [s].
+        """Run the scenario, and linearise the plant every `cell` [s].
 
         Raises ScenarioError if the run stops early.
         """
         self.model, self._coordinates, tick = model, coordinates, model.roles.tick
-        self.cell = max(nanoseconds(cell, "the cell") // tick, 1)  # [T_m]
+        self.cell = max(nanoseconds(cell, "the cell") // tick, 1)  # in units of T_m
         cells = model.scenario.stop // tick // self.cell
         self.ticks = cells * self.cell
         outcome = model.started(self.ticks * tick, self.cell * tick).run()
@@ -86,7 +92,7 @@ class Trajectory:
         if outcome.cause:
             raise ScenarioError(
                 f"scenario {model.scenario.name}: even with all controllers at {seconds(tick):g} s the run stops at {outcome.simulated:g} s "
-                f"({outcome.cause}), so there is no trajectory for the prediction"
+                f"({outcome.cause}); therefore there is no trajectory for the prediction"
             )
         record = outcome.record
         self.points: list[Point] = [
@@ -98,7 +104,7 @@ class Trajectory:
         self._moves = [back @ into for (into, _), (_, back) in pairwise(self._charts)]
 
     def loops(self, n: int) -> list[Loop]:
-        """Return the loop at each linearisation point, with a base period of n T_m."""
+        """Return the linearised loop at each linearisation point, with a base period of n T_m."""
         period = n * self.model.roles.tick
         return [
             self.model.loop(plant, point, period)
@@ -108,8 +114,9 @@ class Trajectory:
     def growth_rate(self, n: int, loops: Sequence[Loop] | None = None) -> float:
         """Return the growth rate [1/s] with a base period of n T_m.
 
-        It is ln(spectral radius) / time of the product over the second half. Unlike the fitted size
-        of a perturbation, it separates modes whose growth rates differ by less than 1 / time.
+        The growth rate is ln(spectral radius) / time. The spectral radius and the time belong to
+        the product of the maps over the second half. This method separates modes whose growth rates
+        differ by less than 1 / time. A fit of the size of a perturbation does not separate them.
         """
         loops = loops or self.loops(n)
         periods, kept = self.ticks // n, _relevant(loops)
@@ -125,10 +132,11 @@ class Trajectory:
         return (math.log(radius) + scale) / ((periods - first) * n * seconds(self.model.roles.tick))
 
     def growth_of(self, starts: Array, n: int) -> float:
-        """Return the growth rate [1/s] of perturbations of the start, as a simulation shows it.
+        """Return the growth rate [1/s] that a simulation shows after perturbations of the start.
 
-        It is the slope of ln sqrt(total energy) over the second half. `starts` (states, any number)
-        are the perturbations in chart coordinates. The base period is n T_m.
+        The growth rate is the slope of ln sqrt(total energy) over the second half of the run.
+        `starts` (states, any number) are the perturbations in chart coordinates. The base period is
+        n T_m.
         """
         loops = self.loops(n)
         states, kept = self.plants[0].A.shape[0], _relevant(loops)
@@ -149,9 +157,10 @@ class Trajectory:
     def _product(
         self, n: int, loops: Sequence[Loop], kept: lifting.Indices, vectors: Array, first: int
     ) -> Iterator[tuple[Array, float]]:
-        """Propagate the vectors (kept, any number) from base period `first` to the end.
+        """Propagate the vectors (kept, any number) from base period `first` to the end of the run.
 
-        Yields, after each period, the scaled vectors and ln of their scale.
+        After each period, the vectors are scaled. Yields the scaled vectors and ln of the total
+        scale.
         """
         maps = [lifting.reduced(loop, kept) for loop in loops]
         states, place, scale = self.plants[0].A.shape[0], self._cell(first * n), 0.0
@@ -183,7 +192,8 @@ class Trajectory:
     def largest_stable(self, first: int, longest: int, progress: Progress | None = None) -> int:
         """Return the largest stable n up to `longest`, by bisection from the guess `first`.
 
-        The result is 0 if none is stable. Its resolution is 1 % or one T_m, whichever is larger.
+        The result is 0 if no period is stable. The resolution of the result is the larger of 1 %
+        and one T_m.
         """
         below, above, n = 0, longest + 1, min(max(first, 1), longest)
         step, count = max(n // 10, 1), 0
@@ -200,7 +210,10 @@ class Trajectory:
 
 
 def _relevant(loops: Sequence[Loop]) -> lifting.Indices:
-    """Return the relevant elements of all loops together; in one loop a gain may be 0 by chance."""
+    """Return the elements that are relevant in at least one of the loops.
+
+    A single loop is not sufficient, because one of its gains can be 0 by chance.
+    """
     first = loops[0]
     laws = [
         replace(law, gain=_magnitude([loop.laws[k].gain for loop in loops]))
@@ -219,7 +232,7 @@ def _magnitude(matrices: Sequence[Array]) -> Array:
 
 
 def check_length(model: LoopModel) -> None:
-    """Raise ScenarioError if the scenario is too short for a growth rate."""
+    """Raise ScenarioError if the scenario is too short for the computation of a growth rate."""
     stop, needed = (
         seconds(model.scenario.stop),
         max(LEAST_PERIODS * seconds(model.roles.period), 4.0 * CELL),
@@ -237,9 +250,10 @@ def along_trajectory(
     longest: float,
     progress: Progress | None = None,
 ) -> AlongTrajectory:
-    """Analyse the scenario's own period, and search the boundary between T_m and `longest` [s].
+    """Analyse the loop with the period of the scenario, and search the stability boundary.
 
-    The search starts at `guess` [s]. Raises CosimError.
+    The boundary is searched between T_m and `longest` [s]. The search starts at `guess` [s].
+    Raises CosimError.
     """
     check_length(model)
     trajectory = Trajectory(model, coordinates)

@@ -1,4 +1,7 @@
-"""Predicted stability boundary for a sweep's map: the largest stable period for each value of y."""
+"""Predict the stability boundary for the map of a sweep.
+
+The boundary is the largest stable period for each value on the y axis.
+"""
 
 from __future__ import annotations
 
@@ -18,9 +21,9 @@ from freeflyer.foundation.units import converted, factor
 
 
 def check(plan: Plan) -> None:
-    """Check, before any run, that the boundary of the plan's map can be predicted.
+    """Check before the first run that the boundary for the map of the plan can be predicted.
 
-    Raises ScenarioError if x is not a controller's period or if a case cannot be linearised.
+    Raises ScenarioError if x is not the period of a controller, or if a case cannot be linearised.
     """
     figure = plan.sweep.map
     if figure is None or not figure.predict:
@@ -47,14 +50,16 @@ def predicted(
 ) -> Mapping[str, tuple[Array, Array]]:
     """Return the boundary of each case: periods x and values y, in the units of the map's axes.
 
-    x is NaN if the loop is stable up to the map's edge or if the point cannot be predicted.
-    `done` is called after each point, with a message if the prediction failed and None otherwise.
+    x is NaN if the loop is stable up to the longest period of the map. x is also NaN if the
+    prediction of the point failed. `done` is called after each point. Its argument is None, or a
+    message if the prediction failed.
     """
     component = component_of(figure.x)
     lines = {}
     for case in plan.sweep.cases:
         longest = _longest(plan, figure, case)
-        unit = longest / max(plan.levels(figure.x))  # [s] of the axis's unit, or of a factor of 1
+        # `unit` [s] is the unit of the x axis. If the axis has factors, it is the period for 1.
+        unit = longest / max(plan.levels(figure.x))
         ys, xs = np.array(plan.levels(figure.y), dtype=float), []
         for y in ys:
             scenario = plan.setup.scenario(case, _assignments(plan, figure, case, float(y)))
@@ -72,12 +77,15 @@ def predicted(
 
 
 def points(plan: Plan, figure: Map) -> int:
-    """Return the number of points that `predicted` computes, which is how often it calls `done`."""
+    """Return the number of points that `predicted` computes. It calls `done` once per point."""
     return len(plan.sweep.cases) * len(plan.levels(figure.y))
 
 
 def _longest(plan: Plan, figure: Map, case: str) -> float:
-    """Return the longest period of the map [s]; the axis may be in another unit, or a factor."""
+    """Return the longest period [s] of the map.
+
+    The values of the axis can have another unit, or they can be factors.
+    """
     value = dict(_assignments(plan, figure, case, None))[figure.x]
     if isinstance(value, dict):
         return converted(value["value"], factor(value["unit"], "s"))
@@ -87,7 +95,7 @@ def _longest(plan: Plan, figure: Map, case: str) -> float:
 def _assignments(
     plan: Plan, figure: Map, case: str, y: float | None
 ) -> tuple[tuple[str, Any], ...]:
-    """Return assignments with the longest period, `y`, and the first value of every other axis."""
+    """Return assignments for the longest period and `y`. Every other axis has its first value."""
     chosen: dict[str, Any] = {figure.x: max(plan.levels(figure.x))}
     if y is not None:
         chosen[figure.y] = y

@@ -1,4 +1,4 @@
-"""Dask client of a sweep: local workers, or an existing scheduler given by its address."""
+"""Dask client of a sweep. It uses local workers, or an existing scheduler at a given address."""
 
 from __future__ import annotations
 
@@ -20,16 +20,19 @@ from freeflyer.foundation.errors import ScenarioError
 from freeflyer.scenario.metrics import versions
 
 START = 60.0
-"""Timeout for the start of the local workers [s]; they import the package."""
+"""Timeout [s] for the start of the local workers. The start includes the import of the package."""
 ANSWER = 10.0
-"""Timeout for the connection to a scheduler, and for its first worker [s]."""
+"""Timeout [s] for the connection to a scheduler, and timeout for the first worker."""
 PACKAGE = "freeflyer-cosim"
 SAFE_PATH = "PYTHONSAFEPATH"
-"""Python's option `-P` for child processes: they never import from the working directory."""
+"""Variable that acts like Python's option `-P` on child processes.
+
+With this variable, child processes never import modules from the working directory.
+"""
 CONFIGURATION = {
     # Retry a task on two other workers before marking it as failed.
     "distributed.scheduler.allowed-failures": 2,
-    # Queue no task on a busy worker: a queued task must not count as failed if the worker dies.
+    # Do not queue tasks on a busy worker. If the worker dies, a queued task would count as failed.
     "distributed.scheduler.worker-saturation": 1.0,
     "distributed.scheduler.work-stealing": False,
     "distributed.comm.timeouts.connect": f"{ANSWER:g}s",
@@ -55,7 +58,10 @@ def connected(scheduler: str | None, workers: int | None) -> Iterator[Client]:
 
 @contextmanager
 def _local(workers: int) -> Iterator[Client]:
-    """Start worker processes with one thread each (Dask sets one BLAS thread), on loopback only."""
+    """Start worker processes that listen only on loopback.
+
+    Each process has one thread. Dask also limits BLAS to one thread.
+    """
     folder = Path(tempfile.mkdtemp(prefix="freeflyer-sweep-"))
     cluster = client = None
     before = os.environ.get(SAFE_PATH)
@@ -97,10 +103,11 @@ def _local(workers: int) -> Iterator[Client]:
 def _blocked_sigint() -> Iterator[None]:
     """Block SIGINT for the threads and processes that are started inside this context.
 
-    A terminal sends SIGINT to the workers too, but only the command handles it. A SIGINT that
-    arrives inside the context is delivered at its end.
+    A terminal sends SIGINT also to the workers. Only the command must handle SIGINT. A SIGINT that
+    arrives inside the context is delivered at the end of the context.
     """
-    # A later start of the resource tracker would unblock SIGINT in the calling thread.
+    # The start of the resource tracker unblocks SIGINT in the calling thread. Therefore the tracker
+    # is started before SIGINT is blocked.
     resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
@@ -113,7 +120,8 @@ def _blocked_sigint() -> Iterator[None]:
 def _remote(address: str) -> Iterator[Client]:
     try:
         client = _client_of(address)
-    # The host name may be unknown, the port closed, or the peer not a Dask scheduler.
+    # Possible causes are an unknown host name, a closed port, or a peer that is not a Dask
+    # scheduler.
     except Exception as error:
         raise ScenarioError(
             f"the scheduler {address} does not answer within {ANSWER:g} s ({_one_line(error)}); start one with `dask scheduler`"
@@ -133,9 +141,10 @@ def _remote(address: str) -> Iterator[Client]:
 
 
 def _client_of(address: str) -> Client:
-    """Connect, and retry once after an AssertionError.
+    """Connect to a scheduler, and retry once after an AssertionError.
 
-    distributed fails if the scheduler's first message also announces a worker that has just joined.
+    The package distributed raises this error if the first message of the scheduler also announces a
+    new worker.
     """
     try:
         return Client(address, timeout=ANSWER)
@@ -144,7 +153,10 @@ def _client_of(address: str) -> Client:
 
 
 def _check_versions(client: Client) -> None:
-    """Raise ScenarioError if a worker's versions differ: pickles may be incompatible."""
+    """Raise ScenarioError if the versions of a worker differ from the versions here.
+
+    With different versions, pickled objects may be incompatible.
+    """
     here = {"python": python_version(), PACKAGE: versions()[PACKAGE]}
     for address, found in client.get_versions(packages=[PACKAGE])["workers"].items():
         there = dict(found["packages"])
@@ -153,7 +165,7 @@ def _check_versions(client: Client) -> None:
             if there.get(name) != wanted:
                 has = f"{name} {there[name]}" if there.get(name) else f"no {name}"
                 raise ScenarioError(
-                    f"worker {address} has {has}, and {name} {wanted} is expected; install the same version there"
+                    f"worker {address} has {has}, but {name} {wanted} is expected; install the same version on the worker"
                 )
 
 

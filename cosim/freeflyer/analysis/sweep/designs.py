@@ -1,6 +1,7 @@
 """Designs of experiments: grids, Latin hypercubes and random samples of parameters.
 
-An axis varies a target of `--set`, or elements of a vector parameter.
+A design is one combination of values of all axes. An axis varies a target of `--set`, or some
+elements of a vector parameter.
 """
 
 from __future__ import annotations
@@ -23,9 +24,10 @@ ELEMENTS = re.compile(r"^(?P<name>[^\[\]]+)\[(?P<first>\d+)(:(?P<last>\d+))?\]$"
 
 @dataclass(frozen=True, kw_only=True)
 class Target:
-    """Parameter that is varied, as a target of `--set`.
+    """Parameter that is varied. `name` is a target of `--set`.
 
-    `elements`: the first and last element of a vector, counted from 1; None for all of them.
+    `elements` are the first and the last varied element of a vector, counted from 1. None means all
+    elements.
     """
 
     name: str
@@ -61,20 +63,21 @@ class Target:
 
 @dataclass(frozen=True, kw_only=True)
 class Levels:
-    """Explicit list of values."""
+    """List of values."""
 
     values: tuple[Any, ...]
 
     def at(self, share: float) -> Any:
-        """Return the value at a fraction `share` in [0, 1) of the list."""
+        """Return the value at the fraction `share` of the list. `share` is in [0, 1)."""
         return self.values[int(share * len(self.values))]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Interval:
-    """Closed interval [low, high]; `multiple_of` rounds values to exact decimal multiples.
+    """Closed interval [low, high].
 
-    Raises ScenarioError if the bounds are invalid or no multiple lies between them.
+    With `multiple_of`, each value is rounded to an exact decimal multiple of `multiple_of`.
+    Raises ScenarioError if a bound is invalid, or if no multiple lies between the bounds.
     """
 
     low: float
@@ -110,20 +113,26 @@ class Interval:
         return math.ceil(low / unit), math.floor(high / unit)
 
     def at(self, share: float) -> float:
-        """Return the value at a fraction `share` in [0, 1] of the interval, or of its logarithm."""
+        """Return the value at the fraction `share` in [0, 1] of the interval.
+
+        In a logarithmic interval, the fraction refers to the logarithm of the value.
+        """
         length, span = self.high / self.low if self.logarithmic else 1.0, self.high - self.low
         value: float = self.low * length**share if self.logarithmic else self.low + share * span
         value = min(max(value, self.low), self.high)
         if self.multiple_of is None:
             return value
-        # Multiply as decimal numbers: 7 x 0.1 is not 0.7 in binary, and a period in whole
-        # nanoseconds must be exact.
+        # Multiply decimal numbers, because 7 x 0.1 is not exactly 0.7 with binary numbers. A period
+        # must be an exact number of nanoseconds.
         unit = Decimal(repr(float(self.multiple_of)))
         least, most = self._multiples
         return float(unit * min(max(round(Decimal(value) / unit), least), most))
 
     def spread(self, count: int) -> Levels:
-        """Return `count` equidistant values (or logarithms), without duplicates from rounding."""
+        """Return `count` equidistant values, or values with equidistant logarithms.
+
+        Equal values after rounding are returned only once.
+        """
         return Levels(values=tuple(dict.fromkeys(self.at(k / (count - 1)) for k in range(count))))
 
 
@@ -131,8 +140,8 @@ class Interval:
 class Axis:
     """One target and the source of its values.
 
-    `unit`: unit of the values. `relative`: the values are factors of the scenario's value.
-    `also`: further targets that get the same value or factor.
+    `unit` is the unit of the values. If `relative` is true, the values are factors of the value in
+    the scenario. `also` are further targets that get the same value or factor.
     """
 
     target: Target
@@ -148,7 +157,7 @@ class Axis:
 
 @dataclass(frozen=True, kw_only=True)
 class Sample:
-    """Joint sample of all axes, with `count` draws."""
+    """Sample of all axes with `count` draws. A draw has one value for each axis."""
 
     method: Method
     count: int
@@ -157,11 +166,11 @@ class Sample:
 
     @cached_property
     def rows(self) -> list[tuple[Any, ...]]:
-        """Draws (count, axes); equal seeds give equal draws."""
+        """Draws (count, axes). Equal seeds give equal draws."""
         generator = np.random.default_rng(self.seed)
         size = len(self.axes)
         if self.method == "latin_hypercube":
-            # Imported here because the import takes a second.
+            # This module is imported here, because the import takes one second.
             from scipy.stats import qmc
 
             shares = qmc.LatinHypercube(d=size, rng=generator).random(self.count)
@@ -175,7 +184,10 @@ class Sample:
 
 @dataclass(frozen=True, kw_only=True)
 class Designs:
-    """Every grid point with every draw; draws change fastest, then the grid's last axis."""
+    """All combinations of a grid point and a draw.
+
+    From design to design, the draw changes fastest. The last axis of the grid changes second.
+    """
 
     grid: tuple[Axis, ...]
     sample: Sample | None
@@ -195,7 +207,7 @@ class Designs:
         )
 
     def __getitem__(self, number: int) -> tuple[Any, ...]:
-        """Return the axes' values in design `number` >= 0. Raises IndexError."""
+        """Return the values of all axes in design `number` >= 0. Raises IndexError."""
         if not 0 <= number < len(self):
             raise IndexError(number)
         drawn: Sequence[Any] = ()

@@ -1,4 +1,7 @@
-"""Sweep files: TOML -> frozen `Sweep`. Errors state the file, the key, and the expected value."""
+"""Read a sweep file (TOML) into a frozen `Sweep`.
+
+An error message contains the file, the key and the expected value.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ from freeflyer.scenario.overrides import parse_value
 
 SHIPPED = Path(__file__).parents[2] / "paper" / "sweeps"
 ONE_CASE = "scenario"
-"""Name of the only case of a sweep without [cases]."""
+"""Name of the case in a sweep that has no table [cases]."""
 AXIS = (
     "first",
     "last",
@@ -34,7 +37,10 @@ AXIS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Map:
-    """Axes of the stability map: two targets of the grid; `predict` adds the predicted boundary."""
+    """Axes of the stability map. `x` and `y` are two targets of the grid.
+
+    If `predict` is true, the map also shows the predicted boundary.
+    """
 
     x: str
     y: str
@@ -45,8 +51,8 @@ class Map:
 class Sweep:
     """Content of a sweep file.
 
-    `settings`: `--set` texts for every run. `cases`: targets and values of each case by name;
-    every design is run in every case.
+    `settings` are texts of `--set` for every run. `cases` has the targets and values of each case,
+    by the name of the case. Every design is run in every case.
     """
 
     name: str
@@ -65,9 +71,9 @@ def shipped() -> list[str]:
 
 
 def read(name: str, settings: Sequence[str] = ()) -> Sweep:
-    """Read a shipped sweep by name, or a TOML file by path; append `settings` to those of the file.
+    """Read a shipped sweep by name, or a TOML file by path. Raises ScenarioError.
 
-    Raises ScenarioError.
+    `settings` are appended to the settings in the file.
     """
     path = _find(name)
     try:
@@ -103,7 +109,7 @@ def _sweep(raw: Raw, path: Path, settings: Sequence[str]) -> Sweep:
         raise ScenarioError(
             f"scenario is {raw.get('scenario')!r}; a shipped scenario or a .toml file beside the sweep is expected"
         )
-    # Check the keys of the head, then read the axes: grid and sample.
+    # Check the keys of the whole sweep. Then read the axes in [grid] and [sample].
     own = raw.get("set", [])
     if not isinstance(own, list) or not all(isinstance(text, str) for text in own):
         raise ScenarioError(f"set is {own!r}; a list of 'COMPONENT.PARAMETER=VALUE' is expected")
@@ -118,7 +124,7 @@ def _sweep(raw: Raw, path: Path, settings: Sequence[str]) -> Sweep:
         raise ScenarioError(
             "the sweep varies no parameter; a [grid] or a [sample] with parameters is expected"
         )
-    # A parameter may be set in one place only: an axis, a case, or `--set`.
+    # A parameter may be set in only one place: an axis, a case, or `--set`.
     cases = {name: _case(name, table) for name, table in _table(raw, "cases").items()} or {
         ONE_CASE: {}
     }
@@ -130,7 +136,7 @@ def _sweep(raw: Raw, path: Path, settings: Sequence[str]) -> Sweep:
             for target in varied
         ):
             raise ScenarioError(
-                f"{text}: {text.partition('=')[0].strip()} is varied by the sweep; set it there or here, not both"
+                f"{text}: {text.partition('=')[0].strip()} is varied by the sweep; remove this setting or the axis of the sweep"
             )
     return Sweep(
         name=path.stem,
@@ -147,13 +153,13 @@ def _sweep(raw: Raw, path: Path, settings: Sequence[str]) -> Sweep:
 def _case(name: str, table: object) -> Mapping[str, Any]:
     if not name.isidentifier() or not isinstance(table, dict):
         raise ScenarioError(
-            f"cases.{name}: a table of targets and values is expected, with a name of letters, digits and underscores"
+            f"cases.{name}: a table of targets and values is expected; its name may contain letters, digits and underscores"
         )
     found = dict(_targets(table, f"[cases.{name}]"))
     for target in found:
         if target.elements is not None:
             raise ScenarioError(
-                f"[cases.{name}] {target}: a whole parameter is expected; elements belong to [grid] and [sample]"
+                f"[cases.{name}] {target}: a whole parameter is expected; elements are possible only in [grid] and [sample]"
             )
     return {target.name: _value(value) for target, value in found.items()}
 
@@ -211,7 +217,7 @@ def _levels(target: Target, value: Any, where: str) -> Axis:
     values = table["values"]
     if not isinstance(values, list) or not values:
         raise ScenarioError(
-            f"{where} is {value!r}; a list of at least one value, or a table that defines one, is expected"
+            f"{where} is {value!r}; a list with at least one value is expected, or a table with such a list"
         )
     return Axis(
         target=target,
@@ -230,7 +236,7 @@ def _interval(value: Raw, low: str, high: str, where: str) -> Interval:
         )
     if "multiple_of" in value and value.get("relative"):
         raise ScenarioError(
-            f"{where}: multiple_of and relative are both set; only one is expected, because factors are not rounded"
+            f"{where}: multiple_of and relative are both set; remove one of these keys, because factors are not rounded"
         )
     try:
         return Interval(
@@ -248,11 +254,11 @@ def _rest(value: Raw, where: str, values: Sequence[Any] = ()) -> dict[str, Any]:
     unit, relative = value.get("unit"), _switch(value, "relative", where)
     if unit is not None and (not isinstance(unit, str) or relative):
         raise ScenarioError(
-            f"{where}: unit is {unit!r}; the name of a unit is expected, or no unit for a relative axis"
+            f"{where}: unit is {unit!r}; the name of a unit is expected (a relative axis must have no unit)"
         )
     if (unit is not None or relative) and not all(_is_number(item) for item in values):
         raise ScenarioError(
-            f"{where} is {list(values)!r}; numbers are expected with a unit or on a relative axis"
+            f"{where} is {list(values)!r}; an axis with a unit and a relative axis need numbers"
         )
     also = value.get("also", [])
     if not isinstance(also, list) or not all(isinstance(text, str) for text in also):
@@ -290,15 +296,19 @@ def _reject_duplicates(targets: Sequence[Target], cases: Mapping[str, Mapping[st
         for name, case in cases.items():
             if target.name in case:
                 raise ScenarioError(
-                    f"[cases.{name}] sets {target.name}, which is varied as {target}"
+                    f"[cases.{name}] sets {target.name}, but the axis {target} varies this parameter"
                 )
 
 
-# One key at a time
+# Values of single keys
 
 
 def _targets(table: Raw, where: str) -> Iterator[tuple[Target, Any]]:
-    """Yield targets and values. The key COMPONENT.PARAMETER may be quoted, or a nested table."""
+    """Yield the targets and values of a table.
+
+    A target COMPONENT.PARAMETER can be a quoted key. Without quotes, TOML reads it as a nested
+    table.
+    """
     for key, value in table.items():
         nested = (
             "." not in key
@@ -318,7 +328,7 @@ def _targets(table: Raw, where: str) -> Iterator[tuple[Target, Any]]:
 
 
 def _value(item: Any) -> Any:
-    """Parse a text like a value of `--set`."""
+    """Parse a text in the same way as a value of `--set`. Other values are returned unchanged."""
     return parse_value(item) if isinstance(item, str) else item
 
 

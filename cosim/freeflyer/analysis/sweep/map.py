@@ -1,4 +1,7 @@
-"""Stability map of a sweep over two parameters: stable, growing, diverged (with time) or failed."""
+"""Draw the stability map of a sweep over two parameters.
+
+Each cell shows the result of a run: stable, growing errors, diverged (with the time), or failed.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,7 @@ from freeflyer.fmi.component import Array
 STABLE, GROWING, FAILED = "#56B4E9", "#F0E442", "#999999"
 """Colours that are safe for colour-blind readers."""
 DIVERGED = colors.LinearSegmentedColormap.from_list("divergence", ["#5B1A00", "#D55E00", "#F6C9AC"])
-"""Colour of a diverged run by its time of divergence."""
+"""Colours of a diverged run. The colour depends on the time of divergence."""
 Boundary = tuple[Array, Array]
 """Points (x, y) of a line, in the units of the axes."""
 
@@ -29,16 +32,17 @@ def draw(
     units: Mapping[str, str],
     boundary: Mapping[str, Boundary] | None = None,
 ) -> Any:
-    """Draw one panel per case, with one cell per pair of values of the columns `x` and `y`.
+    """Draw one panel per case, and return the figure.
 
-    If a cell has several runs (further axes), it shows the worst one. `units` are those of the
-    columns. `boundary` is drawn on top of its case. Returns the figure.
+    A panel has one cell for each pair of values of the columns `x` and `y`. If the sweep has
+    further axes, a cell has several runs and shows the worst run. `units` are the units of the
+    columns. `boundary` has a line for each case, which is drawn on top of the cells.
     """
     frame = table.to_pandas()
     cases = list(dict.fromkeys(frame["case"]))
     longest = float(np.nanmax(frame["simulated_s"])) if frame["simulated_s"].notna().any() else 1.0
     with plt.rc_context(STYLE | {"axes.grid": False}):
-        # All panels share their axes and the scale of divergence times.
+        # All panels have the same axes and the same colour scale for the times of divergence.
         figure, panels = plt.subplots(
             1,
             len(cases),
@@ -49,7 +53,7 @@ def draw(
         )
         shading = plt.cm.ScalarMappable(norm=colors.Normalize(0.0, longest), cmap=DIVERGED)
         for panel, case in zip(panels[0], cases, strict=True):
-            # The cells define the limits of the axes; the boundary must not change them.
+            # The cells define the limits of the axes. The boundary must not change these limits.
             rows = frame[frame["case"] == case]
             xs, ys = np.unique(rows[x]), np.unique(rows[y])
             panel.pcolormesh(
@@ -64,7 +68,7 @@ def draw(
                     scale("log")
             panel.set_title(case.replace("_", " "), fontsize=8)
             panel.set_xlabel(label(x, units))
-        # One colour bar and one legend for all panels.
+        # Add one colour bar and one legend for all panels.
         panels[0][0].set_ylabel(label(y, units))
         figure.colorbar(shading, ax=panels[0].tolist(), label="diverged at [s]")
         keys = [
@@ -80,9 +84,10 @@ def draw(
 
 
 def cells(rows: Any, x: str, y: str, xs: Array, ys: Array, shading: Any) -> Array:
-    """Return the colours (len(ys), len(xs), 4) of the cells; a cell without a run is white."""
+    """Return the colours (len(ys), len(xs), 4) of the cells. A cell without a run is white."""
     image = np.ones((ys.size, xs.size, 4))
-    # Draw the worst run last: stable, growing, failed, late divergence, early divergence.
+    # The worst run of a cell is drawn last. The order from the best to the worst result is: stable,
+    # growing errors, failed, late divergence, early divergence.
     rank = np.where(
         rows["diverged"].eq(True),
         4,
@@ -101,7 +106,10 @@ def cells(rows: Any, x: str, y: str, xs: Array, ys: Array, shading: Any) -> Arra
 
 
 def is_logarithmic(values: Array) -> bool:
-    """Return whether ascending values > 0 fit a geometric grid better than a linear one."""
+    """Return whether the ascending values fit a geometric grid better than a linear grid.
+
+    A value that is not positive cannot be in a geometric grid.
+    """
     if values.size < 3 or values[0] <= 0.0:
         return False
     return bool(
@@ -119,14 +127,18 @@ def edges(values: Array) -> Array:
     else:
         borders = edges_between(values)
         borders = np.maximum(borders, 0.0) if values[0] > 0.0 else borders  # no negative period
-    # Rounding of the logarithm can place an edge beyond a value that is close to its neighbour.
+    # The logarithm has a rounding error. If two values are close together, this error can move the
+    # edge between the values out of their interval.
     borders[1:-1] = np.clip(borders[1:-1], values[:-1], values[1:])
     borders[[0, -1]] = min(borders[0], values[0]), max(borders[-1], values[-1])
     return borders
 
 
 def edges_between(values: Array) -> Array:
-    """Return the n + 1 edges at the midpoints of n values, and half a cell beyond both ends."""
+    """Return the n + 1 edges of the cells around n values.
+
+    The inner edges are at the midpoints. The outer edges are half a cell beyond the end values.
+    """
     middles = 0.5 * (values[1:] + values[:-1])
     return np.concatenate(
         [[1.5 * values[0] - 0.5 * values[1]], middles, [1.5 * values[-1] - 0.5 * values[-2]]]
@@ -134,12 +146,12 @@ def edges_between(values: Array) -> Array:
 
 
 def label(column: str, units: Mapping[str, str]) -> str:
-    """Return the axis label of a column; the unit "1" marks factors of the scenario's value."""
+    """Return the axis label of a column. The unit "1" marks a factor of the scenario's value."""
     unit = units.get(column, "")
     return (
         f"{column} [{unit}]"
         if unit not in ("", "1")
-        else f"{column} / scenario's own"
+        else f"{column} / value in the scenario"
         if unit == "1"
         else column
     )

@@ -1,4 +1,4 @@
-"""Plan of a sweep: checks before the first run, the settings of each run, the plan's identity."""
+"""Plan of a sweep: checks before the first run, settings of each run, and content of the plan."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ Assignments = tuple[tuple[str, Any], ...]
 
 @dataclass(frozen=True, kw_only=True)
 class Setup:
-    """Data that all runs of a sweep share; sent to the workers."""
+    """Data that all runs of a sweep share. These data are sent to the workers."""
 
     tables: Raw
     path: Path
     cases: Mapping[str, Mapping[str, Any]]
     fmi: int | None
     files: Mapping[str, str]
-    """SHA-256 of each component's file."""
+    """SHA-256 of the files of each component."""
 
     def scenario(self, case: str, assignments: Assignments = ()) -> Scenario:
         """Return the scenario of one run. Raises ScenarioError."""
@@ -52,7 +52,7 @@ class Setup:
 
 @dataclass(frozen=True, kw_only=True)
 class Run:
-    """One run of a plan, as sent to a worker."""
+    """One run of a plan. It is sent to a worker."""
 
     number: int
     case: str
@@ -62,9 +62,9 @@ class Run:
 class Plan:
     """All runs of a sweep, numbered from 0.
 
-    Cases change fastest, so that an unfinished sweep has all cases of its designs. The constructor
-    loads the scenario of each case and checks the first and last design and every value of the
-    grid. It raises CosimError.
+    From run to run, the case changes fastest. Therefore an unfinished sweep has results of all
+    cases for its designs. The constructor loads the scenario of each case. It checks the first
+    design, the last design and every value of the grid. It raises CosimError.
     """
 
     def __init__(self, sweep: Sweep, fmi: int | None = None) -> None:
@@ -88,7 +88,7 @@ class Plan:
         return len(self.designs) * len(self.sweep.cases)
 
     def design(self, number: int) -> tuple[int, str, tuple[Any, ...]]:
-        """Return the design number, the case, and the axes' values of a run."""
+        """Return the design number, the case, and the values of all axes for a run."""
         design, place = divmod(number, len(self.sweep.cases))
         return design, list(self.sweep.cases)[place], self.designs[design]
 
@@ -98,7 +98,7 @@ class Plan:
 
     @property
     def content(self) -> dict[str, Any]:
-        """Everything that the results depend on; plans with equal content are the same sweep."""
+        """All data that the results depend on. Two plans with equal content are the same sweep."""
         values = hashlib.sha256()
         for number in range(len(self.designs)):
             values.update(repr(self.designs[number]).encode())
@@ -138,7 +138,10 @@ class Plan:
     # Settings of a run
 
     def assignments(self, case: str, values: tuple[Any, ...]) -> Assignments:
-        """Return the targets of `--set` with values in a case, given one value per axis."""
+        """Return the targets of `--set` and their values for a run of a case.
+
+        `values` has one value for each axis.
+        """
         found: dict[str, Any] = {}
         vectors: dict[str, Array] = {}
         pairs = [
@@ -194,14 +197,17 @@ class Plan:
                 }
                 schedule.build(steps, changed.stop, changed.record_every, variable)
             metrics.check(plain, system.components)
-        # Assemble the first design as a run does, to find all other errors.
+        # Load the first design in the same way as a run. This finds all other errors.
         with assemble.loaded(
             self.setup.scenario(case, self.assignments(case, self.designs[0])), self.setup.fmi
         ):
             pass
 
     def _tried(self) -> Iterator[tuple[Any, ...]]:
-        """Yield the first and last design, then each value of each axis (ends of an interval)."""
+        """Yield the first and the last design, then designs with each value of each axis.
+
+        If an axis is an interval, only the two ends of the interval are used.
+        """
         first, last = self.designs[0], self.designs[len(self.designs) - 1]
         yield first
         yield last
@@ -217,13 +223,13 @@ class Plan:
     def _look_up(
         self, case: str, axis: Axis, target: Target, plain: Scenario, system: System
     ) -> None:
-        """Store the unit of an axis and, for factors and elements, the scenario's own value.
+        """Store the unit of a target. For factors and elements, also store the scenario's value.
 
         Raises ScenarioError if the target cannot be varied.
         """
         needed = axis.relative or target.elements is not None
-        # Reject targets without effect. The value of a [robot] parameter is that of the first
-        # component that has it.
+        # Reject targets that have no effect. A parameter of [robot] is looked up in the first
+        # component that takes this parameter from [robot].
         component, parameter = split(target.name)
         if component in ("devices", "facility") or target.name == "record.signals":
             raise ScenarioError(
@@ -231,7 +237,7 @@ class Plan:
             )
         if component == "robot" and component not in system.components:
             component = _first_user(plain, system, parameter)
-        # A target that is not a variable (stop_s, step_s) has no elements and no factor.
+        # A target that is not a variable (stop_s, step_s) cannot have elements or factors.
         if (
             component not in system.components
             or parameter not in system.components[component].ports
@@ -245,7 +251,7 @@ class Plan:
                 "s" if parameter == "step_s" or target.name in ("stop_s", "record.every_s") else ""
             )
             return
-        # Only elements and factors need the scenario's own value.
+        # Only elements and factors need the value in the scenario.
         port = system.components[component].ports[parameter]
         first, last = target.elements or (1, port.size)
         if last > port.size:
@@ -255,7 +261,7 @@ class Plan:
             return
         if not port.real or port.boolean or port.choices:
             raise ScenarioError(
-                f"{target} is not a real parameter; a sweep cannot vary its elements or scale it"
+                f"{target} is not a real parameter; a sweep cannot vary its elements or multiply it by a factor"
             )
         own = parameters.current(system.components, system.values, component, parameter)
         self._own[case, target] = (own.copy(), port)
@@ -266,7 +272,10 @@ def _ports(system: System, component: str) -> Mapping[str, Port]:
 
 
 def _first_user(plain: Scenario, system: System, parameter: str) -> str:
-    """Return the first component that takes `parameter` from [robot], else "robot"."""
+    """Return the first component that takes `parameter` from [robot].
+
+    If no component takes this parameter from [robot], "robot" is returned.
+    """
     for spec in plain.components:
         port = system.components[spec.name].ports.get(parameter)
         if port is not None and port.settable and parameter not in spec.parameters:
@@ -275,7 +284,10 @@ def _first_user(plain: Scenario, system: System, parameter: str) -> str:
 
 
 def files(plain: Scenario, system: System) -> dict[str, str]:
-    """Return the SHA-256 of each component's files: its FMU, or the files that its options name."""
+    """Return the SHA-256 of the files of each component.
+
+    The files are the FMU of the component and the existing files among its options.
+    """
     found = {}
     for spec in plain.components:
         digest = hashlib.sha256()
@@ -291,6 +303,9 @@ def files(plain: Scenario, system: System) -> dict[str, str]:
 
 
 def _named(spec: ComponentSpec, directory: Path) -> list[Path]:
-    """Return existing files among a component's options: FILE.fmu, FILE.py, FILE.py:CALLABLE."""
+    """Return the existing files among the options of a component.
+
+    Such an option has the form FILE.fmu, FILE.py or FILE.py:CALLABLE.
+    """
     paths = [directory / str(value).partition(":")[0] for value in spec.options.values()]
     return [path for path in paths if path.suffix and path.is_file()]

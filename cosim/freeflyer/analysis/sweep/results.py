@@ -1,7 +1,8 @@
-"""Directory of a sweep: sweep.json (plan), parts/ (one Parquet file per batch), results.parquet.
+"""Output directory of a sweep.
 
-Parts are written atomically. The same plan in the same directory therefore resumes after the
-finished runs.
+sweep.json contains the plan. The folder parts has one Parquet file for each finished batch of runs.
+results.parquet contains all runs. Parts are written atomically. Therefore a sweep with the same
+plan and the same directory can continue after the finished runs.
 """
 
 from __future__ import annotations
@@ -40,12 +41,12 @@ class Results:
     def opened(self) -> Iterator[None]:
         """Lock the directory and read the finished runs.
 
-        Raises ScenarioError if the directory has results of another sweep, or is locked.
+        Raises ScenarioError if the directory is locked, or if it has results of another sweep.
         """
         check_writable(self.directory)
         with (self.directory / ".lock").open("w") as lock:
             try:
-                # The kernel releases the lock when the process ends, also after SIGKILL.
+                # The kernel releases the lock when the process ends, even after SIGKILL.
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError as error:
                 raise ScenarioError(
@@ -89,7 +90,7 @@ class Results:
         for path in self._parts():
             try:
                 yield from parquet.read_table(path, columns=["run"]).column(0).to_pylist()
-            except (OSError, pa.ArrowException):  # damaged file: its runs are repeated
+            except (OSError, pa.ArrowException):  # The runs of a damaged file are repeated.
                 with suppress(OSError):
                     path.unlink()
 
@@ -124,12 +125,12 @@ class Results:
         ]
         if different:
             raise ScenarioError(
-                f"{self.directory} has results of another sweep ({title!r}; {' and '.join(different)} differ); choose another --out, or remove it"
+                f"{self.directory} has results of another sweep ({title!r}; {' and '.join(different)} differ); choose another --out, or remove this directory"
             )
 
 
 def schema(plan: Plan) -> pa.Schema:
-    """Return the schema of the results, with units in the same metadata as in records."""
+    """Return the schema of the results. The units are in the same metadata as in records."""
     fields: list[tuple[str, pa.DataType, str]] = [
         ("run", pa.int64(), ""),
         ("design", pa.int64(), ""),
@@ -173,7 +174,10 @@ def shown(value: Any) -> str:
 
 
 def per_case(table: pa.Table) -> Sequence[Mapping[str, Any]]:
-    """Count the runs of each case: total, stable, diverged, failed, and unjudged (too short)."""
+    """Count the runs of each case: total, stable, diverged, failed, and unjudged.
+
+    A run is unjudged if it is too short for a verdict.
+    """
     found = []
     for case in dict.fromkeys(table.column("case").to_pylist()):
         rows = table.filter(compute.equal(table.column("case"), case))
@@ -193,7 +197,7 @@ def per_case(table: pa.Table) -> Sequence[Mapping[str, Any]]:
 
 
 def frequent_failure(table: pa.Table) -> str | None:
-    """Return the most frequent cause of failed runs, or None."""
+    """Return the most frequent cause of failed runs, or None if no run failed."""
     causes = [
         cause
         for cause, failed in zip(

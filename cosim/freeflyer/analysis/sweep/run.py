@@ -1,4 +1,4 @@
-"""Sweep execution: compute the unfinished runs of a plan in small batches on Dask.
+"""Compute the unfinished runs of a plan in small batches on Dask.
 
 The results of each batch are written as soon as they arrive.
 """
@@ -23,33 +23,39 @@ from freeflyer.foundation.interrupts import interrupts
 from freeflyer.scenario.metrics import versions
 
 BATCH = 1.0
-"""Target duration of a batch [s]: long against the overhead of a task, but short, because an
-interrupt discards unfinished batches.
+"""Target duration of a batch [s].
+
+It is much longer than the overhead of a task. It is not longer than necessary, because an interrupt
+discards unfinished batches.
 """
 LARGEST_BATCH = 200
 AHEAD = 3
-"""Submitted batches per thread: enough to keep all threads busy, few enough to bound memory."""
+"""Number of submitted batches per thread.
+
+The number is large enough to keep all threads busy. It is small enough to limit the memory.
+"""
 POLL_INTERVAL = 0.02
 """Time between two polls for finished batches [s]."""
 THREAD_COUNT_INTERVAL = 5.0
-"""Time between two counts of the threads, which change when workers join or leave [s]."""
+"""Time [s] between two counts of the threads. The count changes when workers join or leave."""
 
 Progress = Callable[[int], None]
-"""Called with the number of finished runs."""
+"""Function that is called with the number of finished runs."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ended:
-    """Outcome of `run`; `computed` is the number of runs that it computed."""
+    """Outcome of `run`. `computed` is the number of runs that this call computed."""
 
     interrupted: bool
     computed: int
 
 
 def run(plan: Plan, results: Results, client: Client, progress: Progress) -> Ended:
-    """Compute the runs that `results` lacks. Ctrl-C stops between two batches.
+    """Compute the runs that `results` does not contain. Ctrl-C stops the sweep between two batches.
 
-    Raises ScenarioError if the scheduler or a worker fails, and OutputError.
+    Raises ScenarioError if the scheduler or a worker fails. Raises OutputError if a file cannot be
+    written.
     """
     return _Work(plan, results, client, progress).run()
 
@@ -61,9 +67,12 @@ class _Work:
         self.total = len(self.pending)
         self.computed = self.sent = 0
         self.suspects: deque[int] = deque()
-        """Runs whose worker died. Each is repeated alone, to find the run that kills workers."""
+        """Runs whose worker died.
+
+        Each of these runs is repeated alone. This finds the run that kills the workers.
+        """
         self.seconds: float | None = None
-        """Smoothed duration of a run [s]. Unknown at first: then a batch is a single run."""
+        """Smoothed duration of a run [s]. As long as it is None, a batch is a single run."""
         self.batches: dict[Future, list[int]] = {}
         self.finished = as_completed(loop=client.loop)
         self.version = versions()["freeflyer-cosim"]
@@ -96,8 +105,9 @@ class _Work:
 
     def _send(self, numbers: list[int]) -> None:
         runs = [self.plan.run(number) for number in numbers]
-        # Send the setup (5 kB) with each batch, so that workers need no state that can be lost.
-        # With a common key prefix the scheduler assigns tasks one by one to free threads.
+        # The setup (5 kB) is sent with each batch. Therefore a worker needs no stored state, which
+        # could be lost. All tasks have the same key prefix. Therefore the scheduler assigns the
+        # tasks one by one to free threads.
         self.sent += 1
         future = self.client.submit(
             run_batch, self.plan.setup, self.version, runs, key=(self.name, self.sent)
@@ -116,7 +126,8 @@ class _Work:
             self._handle_killed(numbers, error)
             return
         if error is not None:
-            # The worker failed before its first run: the failure of a run is a row, not an error.
+            # The worker failed before the first run of the batch. The failure of a run would give a
+            # row and not an error.
             self._keep(
                 [
                     {
@@ -133,12 +144,12 @@ class _Work:
         self._keep(rows)
 
     def _handle_killed(self, numbers: Sequence[int], error: KilledWorker) -> None:
-        """Mark a run as failed if it was alone on the workers, else repeat the runs alone."""
+        """Mark a run as failed if no other run was active. Otherwise repeat each run alone."""
         alone = len(numbers) == 1 and not self.batches and not self.pending
         if not alone:
             self.suspects.extend(numbers)
             return
-        cause = f"its worker died in each of {error.allowed_failures + 1} attempts, also when the run was alone"
+        cause = f"its worker died in each of {error.allowed_failures + 1} attempts, even when no other run was active"
         self._keep([{"run": numbers[0], **failure(cause)}])
 
     def _keep(self, rows: list[dict[str, object]]) -> None:
@@ -156,7 +167,7 @@ class _Work:
 
 def _lost() -> ScenarioError:
     error = ScenarioError(
-        "the scheduler does not answer any more; finished runs are kept, and the same command goes on from there"
+        "the scheduler does not answer any more; finished runs are kept, and the same command computes the remaining runs"
     )
     error.exit_code = STOPPED
     return error

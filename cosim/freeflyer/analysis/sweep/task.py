@@ -1,4 +1,7 @@
-"""Worker side of a sweep: compute the runs of a batch in order, one row of results per run."""
+"""Code of a sweep that runs on a worker. It computes the runs of a batch one after the other.
+
+Each run gives one row of results.
+"""
 
 from __future__ import annotations
 
@@ -21,19 +24,23 @@ from freeflyer.scenario.experiment import Result
 
 Row = dict[str, Any]
 _one_at_a_time = threading.Lock()
-"""Serialises a worker's threads: loading an FMU changes the working directory of the process."""
+"""Lock that lets only one thread of a worker compute at a time.
+
+The lock is necessary, because loading an FMU changes the working directory of the process.
+"""
 _checked: list[Mapping[str, str]] = []
-"""File hashes of the plans that this worker has checked."""
+"""Hashes of the files of each plan that this worker has checked."""
 
 
 class WorkerRefused(ScenarioError):
-    """The worker's package or files differ from those of the sweep."""
+    """The package version or the files of the worker differ from those of the sweep."""
 
 
 def run_batch(setup: Setup, version: str, runs: Sequence[Run]) -> list[Row]:
-    """Compute `runs` and return their rows in order; the row of a failed run has the cause.
+    """Compute `runs` and return their rows in the same order.
 
-    Raises WorkerRefused if this worker's package is not `version` or its files differ.
+    The row of a failed run contains the cause. Raises WorkerRefused if this worker does not have
+    the package version `version`, or if it has other files than the sweep.
     """
     with _one_at_a_time:
         _check_worker(setup, version)
@@ -42,13 +49,14 @@ def run_batch(setup: Setup, version: str, runs: Sequence[Run]) -> list[Row]:
 
 
 def row(setup: Setup, run: Run) -> Row:
-    """Compute one run and return its row, also if the run fails."""
+    """Compute one run and return its row. A failed run also gives a row."""
     start = time.perf_counter()
     try:
         # Record only the signals that the results need.
         scenario = replace(setup.scenario(run.case, run.assignments), record_signals=())
         found = measured(experiment.run(scenario, fmi=setup.fmi))
-    # A rejected value, lack of memory, or any exception of a third-party component.
+    # The cause can be a rejected value, a lack of memory, or any exception of a third-party
+    # component.
     except Exception as error:
         cause = str(error) if isinstance(error, CosimError) else f"{type(error).__name__}: {error}"
         found = failure(" ".join(cause.split()))
@@ -56,7 +64,11 @@ def row(setup: Setup, run: Run) -> Row:
 
 
 def measured(result: Result) -> Row:
-    """Return a run's results: values of summary.json, earlier maxima of the errors, the verdict."""
+    """Return the results of a run.
+
+    They are values of summary.json, the maximum of each error before the last window, and the
+    verdict.
+    """
     summary, record = result.summary, result.outcome.record
     before = {
         name: stability.earlier(record.time, error, result.outcome.simulated)
@@ -81,7 +93,10 @@ def failure(cause: str) -> Row:
 
 
 def _folders_kept() -> AbstractContextManager[None]:
-    """Keep unpacked FMUs in the worker's local folder; outside a worker, keep none."""
+    """Keep the unpacked FMUs in the local folder of the worker.
+
+    If this code does not run on a worker, the unpacked FMUs are not kept.
+    """
     try:
         return unpacked.kept_in(Path(get_worker().local_directory))
     except ValueError:
@@ -89,11 +104,14 @@ def _folders_kept() -> AbstractContextManager[None]:
 
 
 def _check_worker(setup: Setup, version: str) -> None:
-    """Raise WorkerRefused if the package version or a file differs. Checks once per plan."""
+    """Raise WorkerRefused if the package version or a file differs from the sweep.
+
+    The files are checked once per plan.
+    """
     here = metrics.versions()["freeflyer-cosim"]
     if here != version:
         raise WorkerRefused(
-            f"it has freeflyer-cosim {here}, and {version} is expected; install the same version there"
+            f"it has freeflyer-cosim {here}, but {version} is expected; install the same version on the worker"
         )
     if setup.files in _checked:
         return
@@ -103,6 +121,6 @@ def _check_worker(setup: Setup, version: str) -> None:
     other = [name for name, digest in setup.files.items() if found.get(name) != digest]
     if other:
         raise WorkerRefused(
-            f"its file of component {other[0]} is not that of the sweep; install the same build there"
+            f"its file of component {other[0]} is not the same as in the sweep; install the same build on the worker"
         )
     _checked.append(setup.files)
