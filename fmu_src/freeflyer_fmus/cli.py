@@ -31,6 +31,7 @@ AGREEMENT = 1e-8
 
 class FmusCommand:
     def configure(self, parser: argparse.ArgumentParser) -> None:
+        # The robot: links, locked joints and start posture.
         parser.add_argument(
             "--robot",
             metavar="FILE",
@@ -64,6 +65,7 @@ class FmusCommand:
             metavar="JOINT=VALUE",
             help="start posture: JOINT=VALUE for each free joint, or one number for each free joint",
         )
+        # The block, and the files to write.
         parser.add_argument(
             "--block",
             type=Path,

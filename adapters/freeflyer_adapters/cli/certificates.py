@@ -40,6 +40,7 @@ class CertificatesCommand:
             metavar="DIR",
             help="folder of the authority; if the folder has no authority, a new authority is made",
         )
+        # The peers that get a certificate.
         parser.add_argument(
             "--name",
             action="append",
@@ -61,6 +62,7 @@ class CertificatesCommand:
             metavar="HOST",
             help=f"host name or address of the peers of --name, in addition to {', '.join(HOSTS)}",
         )
+        # The validity, and the replacement of certificates.
         parser.add_argument(
             "--days",
             type=float,

@@ -45,6 +45,7 @@ class HilCommand:
             metavar="DIR",
             help="directory of the results (default: freeflyer_out/hil_SCENARIO)",
         )
+        # The devices: real, or models in this process.
         how = parser.add_mutually_exclusive_group()
         how.add_argument(
             "--simulated",
@@ -61,6 +62,7 @@ class HilCommand:
             action="store_true",
             help="configure every device, show its measurements and whether it could be activated, and exit; nothing moves",
         )
+        # The output during the run, and the files.
         parser.add_argument(
             "--view",
             action=argparse.BooleanOptionalAction,

@@ -150,6 +150,7 @@ def audit(loop: RecordedLoop) -> Audit:
         damped_motion=moved_b,
         observed=loop.base_observed_energy,
     )
+    # The tracking power is the power of the spring and the damper on the tracking error.
     return Audit(
         loop=loop,
         base=port_b,

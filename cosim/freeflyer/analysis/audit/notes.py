@@ -13,6 +13,7 @@ def notes(loop: RecordedLoop) -> list[str]:
     found = []
     step = loop.interval
     laws = {"manipulator": loop.manipulator_law, "base": loop.base_law}
+    # Limitations that come from the record.
     if loop.plant is None:
         found.append(
             "No component has the output kinetic_energy and receives base_wrench and joint_torque. (At the facility, this is so because "
@@ -25,6 +26,7 @@ def notes(loop: RecordedLoop) -> list[str]:
             f"The record has one row every {seconds(step):g} s and does not have all samples. Therefore the work is approximated. "
             f"The command `freeflyer run SCENARIO --set record.every_s={finest:g}` {'closes the balance' if loop.plant else 'records all samples'}."
         )
+    # Limitations of one controller.
     for name, law in laws.items():
         if law.period > step and law.period % step:
             found.append(
@@ -41,6 +43,7 @@ def notes(loop: RecordedLoop) -> list[str]:
                 f"The rotational stiffness of the {name} controller is not isotropic. Therefore the torque of its spring has no "
                 "potential energy. The virtual energy of its law includes this effect."
             )
+    # Work that is not in the balance.
     if loop.joint_torque.shape[1] != 6:
         found.append(
             "The arm has joint torques in the null space of J_m. Their work is part of the residual of the balance with port work."
