@@ -8,7 +8,7 @@ from pathlib import Path
 import pandas
 
 from freeflyer_adapters import read_recording
-from freeflyer_adapters.recording.recording_file import FLIGHT_SECONDS
+from freeflyer_adapters.recording.mcap_file import FLIGHT_SECONDS
 
 WITHIN = 5.0
 """Time limit for the flight recording after SIGKILL of the controllers, on a busy machine [s]."""

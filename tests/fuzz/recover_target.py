@@ -32,10 +32,10 @@ from target import Target
 
 from freeflyer.foundation.errors import CosimError
 from freeflyer.master.record import Signal
-from freeflyer_adapters.recording.header import RecordingHeader
-from freeflyer_adapters.recording.recording_file import RecordingFile, write_rows
+from freeflyer_adapters.recording.mcap_file import RecordingFile, write_rows
 from freeflyer_adapters.recording.recover import copy_whole
 from freeflyer_adapters.recording.ring import RingReader, RingWriter, Rows
+from freeflyer_adapters.recording.ring_header import RecordingHeader
 
 DAMAGED, FORGED, LOG, FORGED_LOG, RING = b"M", b"F", b"B", b"C", b"R"
 HEAD, CHUNK, MESSAGE = struct.Struct("<BQ"), struct.Struct("<QQQII"), struct.Struct("<HIQQ")

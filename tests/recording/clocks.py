@@ -12,7 +12,7 @@ import can
 from loops import START, head
 
 from freeflyer_adapters.foundation.environment import Environment
-from freeflyer_adapters.recording.header import CanChannel, RecordingHeader
+from freeflyer_adapters.recording.ring_header import CanChannel, RecordingHeader
 
 MONOTONIC = 5_000_000_000
 """Monotonic clock at the start of a test [ns]."""

@@ -15,9 +15,9 @@ import numpy as np
 
 from freeflyer.foundation.errors import RecordError
 from freeflyer.master.record import Signal
-from freeflyer_adapters.recording.header import RecordingHeader
-from freeflyer_adapters.recording.recording_file import RecordingFile
+from freeflyer_adapters.recording.mcap_file import RecordingFile
 from freeflyer_adapters.recording.ring import RingReader, Rows
+from freeflyer_adapters.recording.ring_header import RecordingHeader
 
 TICK = 1_000_000
 START = 1_800_000_000_000_000_000

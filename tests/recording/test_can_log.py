@@ -16,7 +16,7 @@ from freeflyer_adapters.can.local_bus import LocalBus
 from freeflyer_adapters.device.device import DeviceError
 from freeflyer_adapters.recording.can_log import FORMATS, CanLog
 from freeflyer_adapters.recording.client import can_channels
-from freeflyer_adapters.recording.header import CanChannel
+from freeflyer_adapters.recording.ring_header import CanChannel
 from freeflyer_adapters.recording.wall_clock import WallClock
 
 FRAMES = 200

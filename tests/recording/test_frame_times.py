@@ -14,9 +14,9 @@ from test_can_log import READERS
 from freeflyer_adapters.foundation import environment
 from freeflyer_adapters.recording.can_log import FORMATS, CanLog
 from freeflyer_adapters.recording.frame_times import FOLLOWED
-from freeflyer_adapters.recording.header import CanChannel
 from freeflyer_adapters.recording.recorder import Recorder
 from freeflyer_adapters.recording.ring import RingReader, RingWriter
+from freeflyer_adapters.recording.ring_header import CanChannel
 from freeflyer_adapters.recording.wall_clock import WallClock
 
 SECOND = 1_000_000_000

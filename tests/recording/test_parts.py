@@ -18,9 +18,9 @@ from freeflyer_adapters import read_recording
 from freeflyer_adapters.cli.hil import recording_lines
 from freeflyer_adapters.recording import parts
 from freeflyer_adapters.recording.earlier_recordings import set_aside
+from freeflyer_adapters.recording.mcap_file import STOP, RecordingFile
 from freeflyer_adapters.recording.parts import PART_SECONDS, PartedRecording
 from freeflyer_adapters.recording.recorder import Recorder
-from freeflyer_adapters.recording.recording_file import STOP, RecordingFile
 from freeflyer_adapters.recording.recover import recover, unfinished
 from freeflyer_adapters.recording.ring import RingReader, RingWriter, Rows
 from freeflyer_adapters.recording.ring_recovery import rescue

@@ -22,8 +22,8 @@ from freeflyer.scenario import scenario
 from freeflyer_adapters import read_recording
 from freeflyer_adapters.loop import hil
 from freeflyer_adapters.recording.client import Recording, RecordingClient
+from freeflyer_adapters.recording.mcap_file import FLIGHT_SECONDS
 from freeflyer_adapters.recording.recorder import Recorder
-from freeflyer_adapters.recording.recording_file import FLIGHT_SECONDS
 from freeflyer_adapters.recording.recover import recover
 from freeflyer_adapters.recording.ring import RingReader, RingWriter
 

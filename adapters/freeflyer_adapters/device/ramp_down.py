@@ -1,4 +1,7 @@
-"""Damped ramp-down of a torque-controlled arm, used by the host and by the arm's watchdog."""
+"""Graded stop of one torque-controlled arm: damped ramp-down of the torque, then the brakes.
+
+The host and the arm's own watchdog use it.
+"""
 
 from __future__ import annotations
 

@@ -24,6 +24,7 @@ from freeflyer.master.graph import Connection
 from freeflyer.master.master import Master, Outcome
 from freeflyer.scenario import assemble, parameters
 from freeflyer.scenario.scenario import Scenario
+from freeflyer.scenario.steps import communication_steps
 from freeflyer_adapters.device.device import SIMULATED, DeviceError
 from freeflyer_adapters.facility import faults
 from freeflyer_adapters.facility import settings as facility_settings
@@ -204,7 +205,7 @@ class Facility:
             for device in self.devices:
                 components[f"{device.name}_outgoing"] = _Outgoing(device)
             # A link end (`_Incoming`, `_Outgoing`) has the period of the facility.
-            steps = parameters.steps(scenario, everything, values)
+            steps = communication_steps(scenario, everything, values)
             plan = schedule.build(
                 {name: steps.get(name, self.period) for name in components},
                 LONGEST,

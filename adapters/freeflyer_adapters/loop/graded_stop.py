@@ -1,4 +1,8 @@
-"""The graded stop. It brings every device to rest, whatever the reason of the stop is."""
+"""The graded stop. It brings every device to rest, whatever the reason of the stop is.
+
+This module orders the stop of all devices. The stop of one arm, first the ramp-down and then the
+brakes, is `freeflyer_adapters.device.ramp_down` and the method `ramp_down` of the device.
+"""
 
 from __future__ import annotations
 

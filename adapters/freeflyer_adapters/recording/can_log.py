@@ -13,7 +13,7 @@ from can.io.blf import FILE_HEADER_SIZE
 
 from freeflyer_adapters.can.link import open_bus
 from freeflyer_adapters.recording.frame_times import STAMPED_BY_THE_WALL_CLOCK, FrameTimes
-from freeflyer_adapters.recording.header import CanChannel
+from freeflyer_adapters.recording.ring_header import CanChannel
 from freeflyer_adapters.recording.wall_clock import WallClock
 
 FORMATS = ("blf", "asc")

@@ -29,11 +29,11 @@ from freeflyer.scenario.parameters import Values
 from freeflyer.scenario.scenario import Scenario
 from freeflyer_adapters.device.device import STATE, Device
 from freeflyer_adapters.recording.earlier_recordings import set_aside
-from freeflyer_adapters.recording.header import CanChannel, RecordingHeader
+from freeflyer_adapters.recording.mcap_file import FLIGHT, save_flight
 from freeflyer_adapters.recording.parts import parts, save_rest
 from freeflyer_adapters.recording.recorder import GOODBYE, READY, Written
-from freeflyer_adapters.recording.recording_file import FLIGHT, save_flight
 from freeflyer_adapters.recording.ring import RingReader, RingWriter
+from freeflyer_adapters.recording.ring_header import CanChannel, RecordingHeader
 from freeflyer_adapters.recording.wall_clock import WallClock
 
 COUNTERS_EVERY = 10

@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from freeflyer_adapters.recording.damaged_mcap import MAGIC
-from freeflyer_adapters.recording.header import CanChannel
+from freeflyer_adapters.recording.mcap_file import RECORDING
 from freeflyer_adapters.recording.parts import number_of, parts
-from freeflyer_adapters.recording.recording_file import RECORDING
+from freeflyer_adapters.recording.ring_header import CanChannel
 
 
 def set_aside(directory: Path, channels: Sequence[CanChannel], can_format: str) -> None:

@@ -17,8 +17,7 @@ import numpy as np
 from mcap.records import Metadata
 
 from freeflyer_adapters.recording.damaged_mcap import DamagedMcap, WholeMessage
-from freeflyer_adapters.recording.header import RecordingHeader
-from freeflyer_adapters.recording.recording_file import (
+from freeflyer_adapters.recording.mcap_file import (
     CHUNK_SECONDS,
     MESSAGE_OVERHEAD,
     RECORDING,
@@ -30,6 +29,7 @@ from freeflyer_adapters.recording.recording_file import (
     stop_of,
 )
 from freeflyer_adapters.recording.ring import RingReader, Rows
+from freeflyer_adapters.recording.ring_header import RecordingHeader
 from freeflyer_adapters.recording.topics import topics
 
 PART_SECONDS = 300.0

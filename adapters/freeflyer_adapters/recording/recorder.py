@@ -23,8 +23,8 @@ from freeflyer.foundation.errors import CosimError
 from freeflyer_adapters.device.device import DeviceError
 from freeflyer_adapters.foundation import pacing
 from freeflyer_adapters.recording.can_log import CanLog
+from freeflyer_adapters.recording.mcap_file import FLIGHT, save_flight, stop_of
 from freeflyer_adapters.recording.parts import PartedRecording
-from freeflyer_adapters.recording.recording_file import FLIGHT, save_flight, stop_of
 from freeflyer_adapters.recording.ring import RingReader
 from freeflyer_adapters.recording.wall_clock import WallClock
 

@@ -20,7 +20,7 @@ from freeflyer.foundation.errors import CosimError, RecordError
 from freeflyer.foundation.output_file import write_whole
 from freeflyer_adapters.recording.damaged_blf import copy_frames
 from freeflyer_adapters.recording.damaged_mcap import Damage, DamagedMcap, WholeMessage
-from freeflyer_adapters.recording.recording_file import library
+from freeflyer_adapters.recording.mcap_file import library
 from freeflyer_adapters.recording.ring import RingReader, folder, is_left_behind
 from freeflyer_adapters.recording.ring_recovery import Saved, save_ring
 

@@ -42,7 +42,7 @@ from numpy.typing import NDArray
 from freeflyer.fmi.component import Array
 from freeflyer.foundation.errors import RecordError
 from freeflyer_adapters.foundation import environment, private_directory
-from freeflyer_adapters.recording.header import RecordingHeader
+from freeflyer_adapters.recording.ring_header import RecordingHeader
 from freeflyer_adapters.recording.wall_clock import offset_of
 
 MAGIC = b"FFRING1\n"

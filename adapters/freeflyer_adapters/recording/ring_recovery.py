@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from freeflyer.foundation.errors import CosimError, OutputError, RecordError
+from freeflyer_adapters.recording.mcap_file import FLIGHT, save_flight
 from freeflyer_adapters.recording.parts import save_rest
-from freeflyer_adapters.recording.recording_file import FLIGHT, save_flight
 from freeflyer_adapters.recording.ring import RingReader, is_left_behind, left_behind
 
 

@@ -33,9 +33,9 @@ from freeflyer.fmi.component import Array
 from freeflyer.foundation.signal_name import split
 from freeflyer.master.record import Signal
 from freeflyer_adapters.device.device import STATE, LifeCycle
-from freeflyer_adapters.recording.header import RecordingHeader
-from freeflyer_adapters.recording.layout import Layout, Numbers
+from freeflyer_adapters.recording.cdr_layout import Layout, Numbers
 from freeflyer_adapters.recording.ring import Rows
+from freeflyer_adapters.recording.ring_header import RecordingHeader
 from freeflyer_adapters.recording.ros_definitions import (
     DEFINITIONS,
     PACKAGE,

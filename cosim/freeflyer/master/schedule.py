@@ -1,4 +1,7 @@
-"""The multi-rate schedule. The smallest step is the tick. All steps are multiples of the tick."""
+"""The multi-rate schedule. The smallest step is the tick. All steps are multiples of the tick.
+
+`freeflyer.master.graph` orders the components that step at the same instant.
+"""
 
 from __future__ import annotations
 

@@ -25,6 +25,7 @@ from freeflyer.master.master import Master
 from freeflyer.scenario import parameters
 from freeflyer.scenario.parameters import Values
 from freeflyer.scenario.scenario import ComponentSpec, Scenario
+from freeflyer.scenario.steps import communication_steps
 
 Factory = Callable[[str, Mapping[str, Any], Path], Component]
 
@@ -208,7 +209,7 @@ def loaded(scenario: Scenario, fmi: int | None = None) -> Iterator[System]:
         ]
         wiring = graph.build(components, connections, samples, scenario.exchange)
         _check_inputs(wiring, values)
-        steps = parameters.steps(scenario, components, values)
+        steps = communication_steps(scenario, components, values)
         yield System(components=components, values=values, steps=steps, wiring=wiring)
     finally:
         for component in components.values():

@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 
 from freeflyer.fmi.component import Array, Component, Port
-from freeflyer.foundation.clock import nanoseconds
 from freeflyer.foundation.errors import ScenarioError
 from freeflyer.foundation.signal_name import split
 from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer.foundation.units import DIMENSIONLESS, converted, factor, same
-from freeflyer.scenario.scenario import ComponentSpec, Scenario
+from freeflyer.scenario.scenario import Scenario
 
 Values = dict[str, dict[str, Array]]
 
@@ -59,33 +58,6 @@ def resolve(scenario: Scenario, components: Mapping[str, Component]) -> Values:
         }
         for spec in scenario.components
     }
-
-
-def steps(
-    scenario: Scenario, components: Mapping[str, Component], values: Values
-) -> dict[str, int]:
-    """Return the communication step [ns] of each component.
-
-    If `step_s` is "=PARAMETER", the step is the value of this parameter.
-    Raises ScenarioError if the component does not have this parameter.
-    """
-    return {
-        spec.name: _step(spec, components[spec.name], values[spec.name])
-        for spec in scenario.components
-    }
-
-
-def _step(spec: ComponentSpec, component: Component, values: Mapping[str, Array]) -> int:
-    if isinstance(spec.step, int):
-        return spec.step
-    name = spec.step[1:]
-    port = component.ports.get(name)
-    if port is None or (name not in values and port.start is None):
-        raise ScenarioError(
-            f"component {spec.name}: step_s = {spec.step!r}: there is no parameter {name!r}{did_you_mean(name, component.ports)}"
-        )
-    value = values[name][0] if name in values else (port.start or (0.0,))[0]
-    return nanoseconds(float(value), f"component {spec.name}: parameter {name}")
 
 
 def current(

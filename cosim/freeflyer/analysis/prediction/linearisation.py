@@ -29,6 +29,7 @@ from freeflyer.scenario.assemble import System, find_fmu
 from freeflyer.scenario.parameters import Values
 from freeflyer.scenario.scenario import ComponentSpec, Scenario
 from freeflyer.scenario.signal_roles import SignalRoles
+from freeflyer.scenario.steps import communication_steps
 
 Point = Mapping[str, Array]
 """An operating point: the values of all outputs at one instant. The keys are COMPONENT.VARIABLE."""
@@ -291,7 +292,7 @@ def opened(scenario: Scenario, scanned: str | None = None) -> Iterator[LoopModel
         samples = {spec.name: spec.samples for spec in specs if spec.samples is not None}
         values = parameters.resolve(quiet, fmus)
         wiring = graph.build(fmus, quiet.connections, samples, quiet.exchange)
-        steps = parameters.steps(quiet, fmus, values)
+        steps = communication_steps(quiet, fmus, values)
         system = System(components=fmus, values=values, steps=steps, wiring=wiring)
         yield LoopModel(quiet, system, fmus, scanned)
     finally:

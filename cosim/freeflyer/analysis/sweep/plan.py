@@ -25,6 +25,7 @@ from freeflyer.scenario.assemble import System
 from freeflyer.scenario.inheritance import Raw
 from freeflyer.scenario.overrides import assign
 from freeflyer.scenario.scenario import ComponentSpec, Scenario
+from freeflyer.scenario.steps import communication_steps
 
 Assignments = tuple[tuple[str, Any], ...]
 
@@ -191,7 +192,7 @@ class Plan:
             for values in self._tried():
                 changed = self.setup.scenario(case, self.assignments(case, values))
                 given = parameters.resolve(changed, system.components)
-                steps = parameters.steps(changed, system.components, given)
+                steps = communication_steps(changed, system.components, given)
                 variable = {
                     name: component.variable_step for name, component in system.components.items()
                 }

@@ -20,8 +20,8 @@ from freeflyer.foundation.errors import OutputError
 from freeflyer.foundation.output_file import write_whole
 from freeflyer.master.record import Signal
 from freeflyer_adapters.foundation import private_directory
-from freeflyer_adapters.recording.header import RecordingHeader
 from freeflyer_adapters.recording.ring import RingReader, Rows
+from freeflyer_adapters.recording.ring_header import RecordingHeader
 from freeflyer_adapters.recording.topics import topics
 
 CHUNK_SECONDS = 0.05

@@ -14,9 +14,9 @@ from freeflyer.fmi.component import Array
 from freeflyer.foundation.errors import RecordError
 from freeflyer.master.record import Signal
 from freeflyer_adapters.recording.damaged_mcap import DamagedMcap, WholeMessage
-from freeflyer_adapters.recording.header import WIDEST
+from freeflyer_adapters.recording.mcap_file import RUN, STARTED, STOP
 from freeflyer_adapters.recording.parts import parts
-from freeflyer_adapters.recording.recording_file import RUN, STARTED, STOP
+from freeflyer_adapters.recording.ring_header import WIDEST
 from freeflyer_adapters.recording.topics import COLUMNS, LOOP
 
 FIRST = 20
