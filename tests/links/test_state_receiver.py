@@ -254,6 +254,24 @@ def test_two_arms_are_a_problem_with_both_counters(here: Here) -> None:
     assert "two arms are on this channel" in here.states.problem
 
 
+@pytest.mark.parametrize(
+    ("frames", "is_problem"), [(160, False), (264, False), (265, True), (320, True)]
+)
+def test_two_arms_are_a_problem_by_the_rate_of_their_frames(
+    here: Here, frames: int, is_problem: bool
+) -> None:
+    """Their counters do not show two arms whose frames arrive in bursts of 20."""
+    one, other = Node(), Node()
+    for _ in range(20):
+        here.wait(0.0, *(one.state() for _ in range(20)))
+        here.wait(0.0, *(other.state(joint_position=[0.1] * 6) for _ in range(20)))
+    assert not here.states.receiver.senders.found
+    problem = here.states.rate_problem(frames, cycles=160.0)
+    assert (problem is not None) == is_problem
+    if problem is not None:
+        assert f"{frames} frames in 160 cycles: two arms are on this channel" in problem
+
+
 def test_command_frames_of_another_controller_are_a_problem_with_its_session(here: Here) -> None:
     arm, foreign = Node(), Node()
     for k in range(FOREIGN):

@@ -193,10 +193,16 @@ class CanArm:
         """
         end = self._deadline() + 2 * frames * self.cycle
         self._states.drain()
+        start, before = self._environment.monotonic(), self._states.received
         for _ in range(frames):
             if not self._states.wait(end - self._environment.monotonic()):
                 raise DeviceError(self._silence("state", self._states.receiver))
             self._check_conflicts()
+        if frames == LISTEN:
+            cycles = (self._environment.monotonic() - start) / self.cycle
+            problem = self._states.rate_problem(self._states.received - before, cycles)
+            if problem:
+                raise DeviceError(f"{self._where}: {problem}")
 
     def _check_conflicts(self) -> None:
         """Raise DeviceError if a second arm or a second controller is detected.

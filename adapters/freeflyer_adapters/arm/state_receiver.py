@@ -23,6 +23,10 @@ FOREIGN, WITHIN = 3, 20
 A second controller is detected if FOREIGN command frames of another controller arrive within
 WITHIN cycles.
 """
+MOST_PER_CYCLE, BURST = 1.5, 24
+"""Condition for a second arm by the rate of the state frames: more than MOST_PER_CYCLE frames in a
+cycle, and BURST frames that waited on the bus.
+"""
 FLOOD = 10
 """Number of other frames per state frame from which an error message reports a flood."""
 SLICE = 2e-4
@@ -61,15 +65,17 @@ class StateFrames:
         self._empty_at = 0
 
     @property
+    def received(self) -> int:
+        """Number of state frames that arrived, including rejected frames."""
+        return self.receiver.accepted + self.receiver.refused
+
+    @property
     def problem(self) -> str | None:
         """Message about a second arm or a second controller, or None if there is neither."""
-        state, command = self._frames.state, self._frames.command
+        command = self._frames.command
         if self.receiver.senders.found:
             first, second = self.receiver.senders.counters
-            return (
-                f"two senders send the state frame {state.message.name} (0x{state.identifier:X}), with the counters {first} and "
-                f"{second}: two arms are on this channel; switch one of them off"
-            )
+            return self._two_senders(f"with the counters {first} and {second}")
         foreign = self._foreign
         if len(foreign) == FOREIGN and self.receiver.accepted - foreign[0] < WITHIN:
             number = (
@@ -80,6 +86,23 @@ class StateFrames:
                 f"stop the other controller first"
             )
         return None
+
+    def rate_problem(self, frames: int, cycles: float) -> str | None:
+        """Return the message about a second arm if `frames` state frames came in `cycles`, or None.
+
+        One arm sends one frame in a cycle. The counters of two arms do not show the second arm if
+        the frames of each arm arrive in long bursts.
+        """
+        if frames <= MOST_PER_CYCLE * cycles + BURST:
+            return None
+        return self._two_senders(f"{frames} frames in {cycles:.0f} cycles")
+
+    def _two_senders(self, evidence: str) -> str:
+        state = self._frames.state
+        return (
+            f"two senders send the state frame {state.message.name} (0x{state.identifier:X}), {evidence}: two arms are on this "
+            f"channel; switch one of them off"
+        )
 
     @property
     def errors(self) -> str:

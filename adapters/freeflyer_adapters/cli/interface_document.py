@@ -148,7 +148,7 @@ def _second_sender() -> Iterator[str]:
     yield (
         f"Only one node may send frames with a given identifier (ISO 11898-1). The controller checks {LISTEN} state frames before it sends anything, and all "
         "state frames in the loop. Two arms send two interleaved streams of frames, with correct checksums and different counters. "
-        "Two arms are rejected before activation. In a running loop, they are a reason to stop. Repeated, late and reordered frames, a frozen counter and a counter that jumps count as "
+        "Before activation, more than three frames in two cycles are two arms, too. Two arms are rejected before activation. In a running loop, they are a reason to stop. Repeated, late and reordered frames, a frozen counter and a counter that jumps count as "
         "faults of one sender. If three command frames of another sender arrive within 20 cycles, there is a second controller."
         "\n\nThe following cases are not detected: two arms with the same content and "
         "the same counter; a second sender at a sixteenth of the rate or less; more than two senders; frames without E2E protection and "
