@@ -40,7 +40,11 @@ from freeflyer_adapters.foundation.pose import twist_rotated
 LONGEST_QUERY = 0.5
 """Timeout of a query for liveliness tokens [s]."""
 SECOND, WITHIN = 3, 20
-"""`SECOND` samples of another source among `WITHIN` accepted samples show a second publisher."""
+"""A second publisher is reported if its samples arrive `SECOND` times within `WITHIN` samples.
+
+The `WITHIN` samples are accepted samples of the source. Samples of other publishers count only
+once if no sample is accepted between them.
+"""
 LARGEST = 1e4
 """Limit of the magnitude of a position component [m] or velocity component [m/s, rad/s]."""
 
@@ -246,7 +250,8 @@ class OdometryLink:
         stamp = self._environment.monotonic_ns() + self._wall
         self._sequence += 1
         twist = twist_rotated(orientation, velocity, back=True)
-        # Increment the stamp until the option bytes can hold the checksum (see sealed_odometry).
+        # Not every checksum may be stored in a sample (see `is_sealable`). The checksum depends on
+        # the stamp. Increment the stamp until the checksum may be stored.
         while True:
             attachment = Attachment(self._sequence, stamp, self._gid).pack()
             payload = self._writer.write(stamp, position, orientation, twist)
@@ -390,7 +395,7 @@ class OdometryLink:
 
     @property
     def other_source(self) -> bytes:
-        """GID of the last sample of a publisher other than the source. Initially empty."""
+        """GID of the last sample that did not come from the source. Initially empty."""
         return self._other_source
 
     def _note_other_source(self, gid: bytes) -> None:

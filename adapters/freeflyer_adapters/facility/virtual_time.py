@@ -75,7 +75,7 @@ class VirtualTime(Environment):
             try:
                 next(self._facility)
             except StopIteration:
-                self._facility = None  # a model of the facility has failed
+                self._facility = None  # the facility has ended, because a model failed
             finally:
                 self._is_stepping = False
             if happened():

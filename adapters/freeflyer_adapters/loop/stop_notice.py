@@ -1,4 +1,4 @@
-"""Output of the reason of a stop to standard output, a preallocated file and the system log.
+"""Write the reason of a stop to standard output, a preallocated file and the system log.
 
 After a stop, this output is written before all other files of a run.
 """
@@ -35,7 +35,7 @@ LONGEST_MESSAGE = 2048
 PATIENCE = 1.0
 """Time to wait for a blocked terminal or pipe [s].
 
-If standard output is still blocked after this time, it is written after the other outputs.
+If standard output is still blocked after this time, the other outputs are written first.
 """
 
 
@@ -85,9 +85,11 @@ class StopNotice:
     def give(self, reason: str, left: str, *, orderly: bool, quiet: bool = False) -> None:
         """Write the reason to all outputs. Only the first call has an effect.
 
-        With `quiet`, nothing is written to standard output. If an output fails, no exception is
-        raised, and the other outputs are written. A blocked terminal or pipe is written last, and
-        may block this call.
+        `left` describes the state in which the stop has left the devices. `orderly` is True if a
+        KeyboardInterrupt caused the stop. With `quiet`, nothing is written to standard output.
+
+        If an output fails, no exception is raised, and the other outputs are written. If standard
+        output is a blocked terminal or pipe, it is written last, and may block this call.
         """
         if self._given:
             return

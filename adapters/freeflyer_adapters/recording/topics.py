@@ -1,14 +1,16 @@
-"""Topics and messages of a run's signals, selected by the names, sizes and units of variables.
+"""The topics and messages for the signals of a run.
 
 Each component has one topic /COMPONENT with all signals of the component. The signals are not
 changed. The message definition of this topic is generated from the scenario and contains the units
-in comments. The topic /loop contains the states and counters of the loop. Some signals fit a
-standard ROS message. These signals are also written to a topic /COMPONENT/PREFIX/NAME with this
-message. Tools display such a topic without configuration. The table shows the standard messages:
+in comments. The topic /loop contains the states and counters of the loop.
+
+Some signals fit a standard ROS message. The name, the size and the unit of a signal decide which
+message it fits. These signals are also written to a topic /COMPONENT/PREFIX/NAME with this message.
+Tools display such a topic without configuration. The table shows the standard messages:
 
 | variables of one component (PREFIX may be empty) | size, unit | message, NAME |
 |---|---|---|
-| PREFIXjoint_position, _velocity, _torque (1 to 3) | n | sensor_msgs/JointState, joint_states |
+| PREFIXjoint_position, _velocity, _torque (at least 1) | n | sensor_msgs/JointState, joint_states |
 | PREFIXposition, _orientation, _velocity (base) | 3 m; 4; 6 | nav_msgs/Odometry, odometry |
 | PREFIXposition, _orientation (others) | 3 m; 4 | geometry_msgs/PoseStamped, pose |
 | PREFIXvelocity | 6 m/s, rad/s | geometry_msgs/TwistStamped, twist |
@@ -16,9 +18,11 @@ message. Tools display such a topic without configuration. The table shows the s
 | PREFIXwrench | 6 N, N.m | geometry_msgs/WrenchStamped, wrench |
 
 A body is a base if the prefix, split at "_", contains "base". If the prefix is empty or "true_",
-the name of the component is used instead of the prefix. The frames have the same names as on the
-Zenoh link: the frame I has the name "inertial". The twist of a nav_msgs/Odometry is expressed in
-the child frame "base", because the definition of nav_msgs/Odometry requires this.
+this test uses the name of the component instead. The name of the topic does not change.
+
+The frames have the same names as on the Zenoh link: the frame I has the name "inertial". The twist
+of a nav_msgs/Odometry is expressed in the child frame "base", because the definition of
+nav_msgs/Odometry requires this.
 """
 
 from __future__ import annotations

@@ -129,7 +129,7 @@ def report(plan: Plan, results: Results, console: Console) -> None:
     """
     from freeflyer.analysis.sweep import results as sweep_results
 
-    # Print the shares of each case.
+    # Print, for each case, the shares of stable and diverged runs.
     table = results.write()
     shares = Table(title=plan.sweep.title, title_justify="left")
     shares.add_column("case")

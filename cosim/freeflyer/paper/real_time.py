@@ -1,7 +1,8 @@
 """The facility experiment in real time.
 
 The virtual facility and the control loop are started as separate commands, in the same way as a
-user starts them. This module uses only the files that these commands write.
+user starts them. This module uses only the files, the printed lines and the exit codes of these
+commands.
 """
 
 from __future__ import annotations
@@ -33,8 +34,8 @@ def run(scenario: Scenario, directory: Path, settings: Sequence[str] = ()) -> Re
     `settings` are further arguments of `--set`. A loop that stopped early also gives a result.
     Raises OutputError if the loop gives no result. The error contains the output of the command.
     """
-    # The name of the bus and the port belong to this process only. Therefore several runs at the
-    # same time do not interfere.
+    # Only this process uses this CAN channel and this TCP port. Therefore several runs at the same
+    # time do not interfere.
     settings = [
         *settings,
         f'devices.arm_drive.channel="reproduce-{os.getpid()}"',

@@ -1,6 +1,6 @@
 """Read a scenario (TOML) into a frozen `Scenario`.
 
-A scenario may extend another scenario. Its key `extends` is then the path or the name of the other
+A scenario may extend another scenario. The key `extends` contains the path or the name of the other
 scenario. Tables and connections are merged. Any other value replaces the inherited value.
 The value of a parameter has one of these forms:
 number, list, Boolean, name of an enumeration value, `{ value = ..., unit = "deg" }`, or
@@ -420,8 +420,8 @@ class _Reader:
     def measure(self, name: str, given: object) -> Measure:
         """Return the error `name` that the scenario declares as a list or as a table.
 
-        The list is [actual, desired]. The end of `name` is then the kind. The table has the keys
-        `actual`, `desired` and `kind`.
+        The list is [actual, desired]. With a list, `name` must end in "position" or "orientation",
+        because this end is the kind. The table has the keys `actual`, `desired` and `kind`.
         """
         table = given if isinstance(given, dict) else {}
         if isinstance(given, list) and len(given) == 2:

@@ -21,13 +21,16 @@ typedef enum {
     CONTINUOUS = 16,   /* model exchange */
     INTERMEDIATE = 32, /* co-simulation, inside a step: during the importer's intermediate update */
     TERMINATED = 64,
-    MODEL_EXCHANGE = 128 /* not a state, but the mark of a model exchange function */
+    /* Not a state. If `states` of instance_allow contains this flag, the function is allowed only
+       in model exchange. */
+    MODEL_EXCHANGE = 128
 } State;
 
 /* States in which values may be read. */
 #define INITIALIZED (INITIALIZATION | STEP | EVENT | CONTINUOUS | INTERMEDIATE | TERMINATED)
 
-/* Valid outputs: no outputs, the outputs up to the last output in a terminal, or all outputs. */
+/* Which outputs are valid. LINKED: the first outputs of the block, up to and including the last
+   output that belongs to a terminal. */
 typedef enum { NONE, LINKED, ALL } Outputs;
 
 typedef struct {
@@ -68,7 +71,8 @@ void instance_free(Instance *);
 void instance_reset(Instance *);
 /* Sends the message to the log and returns `status`. */
 Status instance_report(Instance *, Status status, const char *category);
-/* Returns OK if the function may be called in this state and all needed arrays are `given`. */
+/* Returns OK if the function may be called in the present state and `given` is not zero. `given` is
+   zero if a needed pointer is NULL. */
 Status instance_allow(Instance *, const char *function, int states, int given);
 /* Reports "this FMU has no ..." and returns ERROR. */
 Status instance_unsupported(Instance *, const char *what);
@@ -105,8 +109,8 @@ Status instance_get_nominals(Instance *, double *nominals, size_t n);
 
 /* Computes directional derivatives of unknowns by knowns at the present values. Unknowns are outputs,
    derivatives, and states that are visible as outputs. Knowns are time, real parameters, inputs and
-   states. For a sampled block, the derivatives are those of a sample at the present time. Forward:
-   `seed` belongs to the knowns. Reverse: `seed` belongs to the unknowns. */
+   states. For a sampled block, the derivatives are computed as if the block took a sample at the
+   present time. Forward: `seed` belongs to the knowns. Reverse: `seed` belongs to the unknowns. */
 Status instance_sensitivity(Instance *, References unknowns, References knowns, int whole,
                             int reverse, const double *seed, size_t seeds, double *result,
                             size_t results);

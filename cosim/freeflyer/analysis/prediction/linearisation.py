@@ -1,8 +1,11 @@
 """Linearise the loop of a scenario around an operating point, with directional derivatives of FMUs.
 
 The passivity controllers are disabled, because they are nonlinear. A passivity controller has no
-effect if the loop is already passive. The signal roles of the scenario identify the switches of the
-passivity controllers and the quaternions.
+effect if the loop is already passive. The signal roles of the scenario name two things: the
+quaternions, and the switches of the passivity controllers.
+
+The prediction varies the period of one controller. This controller is called the scanned
+controller. All other controllers have the step T_m (`Roles.tick`).
 """
 
 from __future__ import annotations
@@ -48,7 +51,10 @@ class LoopModel:
         fmus: Mapping[str, DifferentiableFmu],
         scanned: str | None,
     ) -> None:
-        """Bind the derivatives of all FMUs. Raises CosimError if the loop cannot be linearised."""
+        """Prepare the functions that compute the derivatives of all FMUs.
+
+        Raises CosimError if the loop cannot be linearised.
+        """
         self.scenario, self.system, self.fmus = scenario, system, fmus
         self.roles = roles_of(scenario, system, fmus, scanned)
         check_signals(scenario.roles, self.roles.plant, fmus)
@@ -70,7 +76,8 @@ class LoopModel:
                     width += port.size
         self._width = width
 
-        # The derivatives are bound only once, because they are evaluated often along a trajectory.
+        # The functions for the derivatives are prepared only once, because they are called often
+        # along a trajectory.
         self._inputs = {name: self._inputs_of(name) for name in (plant, *self.roles.laws)}
         fmu, states = fmus[plant], fmus[plant].states
         self._outputs = [name for name in fmu.ports if f"{plant}.{name}" in used]
@@ -88,14 +95,14 @@ class LoopModel:
         }
 
     def values(self, period: int) -> Values:
-        """Return all parameter values [SI] for a period [ns] of the scanned controller."""
+        """Return all parameter values [SI] if the scanned controller has this period [ns]."""
         values = {name: dict(own) for name, own in self.system.values.items()}
         for name, parameter in self._linked:
             values[name][parameter] = np.array([seconds(period)])
         return values
 
     def started(self, stop: int, record_every: int) -> Master:
-        """Return an initialised master in which all controllers have the step T_m.
+        """Return an initialised master. The scanned controller has the step T_m, like all others.
 
         The tracking errors are smallest with this step. `stop` and `record_every` are in ns. Raises
         CosimError.
@@ -156,8 +163,9 @@ class LoopModel:
     def outputs_of_plant(self, names: Sequence[str], point: Point) -> Array:
         """Return the derivative of outputs with respect to the states, in the tangent chart.
 
-        The point of the derivative is the last linearisation point of the plant. Quaternions among
-        the outputs are also replaced by rotation vectors.
+        The derivative is taken at the point of the last call of `plant_at`. Pass the same `point`
+        here: it is used only for the charts. Quaternions among the outputs are also replaced by
+        rotation vectors.
         """
         fmu = self.fmus[self.roles.plant]
         into, _ = self.chart(point)
@@ -166,13 +174,13 @@ class LoopModel:
         return back @ fmu.bind_derivative(names, fmu.states)() @ into
 
     def plant_value(self, name: str) -> Array:
-        """Return the value of an output at the last linearisation point of the plant."""
+        """Return the value of an output of the plant at the point of the last `plant_at` call."""
         value = np.zeros(self.fmus[self.roles.plant].ports[name].size)
         self.fmus[self.roles.plant].bind_outputs([name], value)()
         return value
 
     def states_of_plant(self, names: Sequence[str], point: Point) -> Indices:
-        """Return the indices of the states `names` in the coordinates of the chart."""
+        """Return the indices that the states `names` have in the coordinates of the chart."""
         states, places, first = self.fmus[self.roles.plant].states, {}, 0
         for state in states:
             size = point[f"{self.roles.plant}.{state}"].size
@@ -182,9 +190,10 @@ class LoopModel:
         return np.array([place for name in names for place in places[name]])
 
     def inputs_of_plant(self, names: Sequence[str]) -> Indices:
-        """Return the indices of the inputs `names` among the plant's inputs from the loop.
+        """Return the indices of the elements of the inputs `names`.
 
-        Raises ScenarioError if an input is not connected to the loop.
+        Only the inputs of the plant that are connected to signals of the loop are counted. Raises
+        ScenarioError if one of the `names` is not such an input.
         """
         places, first = {}, 0
         for name in self.driven(self.roles.plant):
@@ -199,7 +208,10 @@ class LoopModel:
         return np.array([place for name in names for place in places[name]])
 
     def loop(self, plant: Plant, point: Point, period: int) -> Loop:
-        """Return the loop linearised at a point, for a period [ns] of the scanned controller."""
+        """Return the loop linearised at a point.
+
+        `period` is the period of the scanned controller [ns].
+        """
         values, laws = self.values(period), []
         for name in self.roles.laws:
             self.fmus[name].restart({**values[name], **self._inputs_at(name, point)})
@@ -219,14 +231,17 @@ class LoopModel:
     # Inputs
 
     def connections_of(self, name: str) -> list[Connection]:
-        """Return a component's connections from the loop.
+        """Return the connections from signals of the loop to inputs of the component.
 
         Connections from references are left out, because the references do not depend on the loop.
         """
         return [c for c in self.system.wiring.inputs_of(name) if c.source in self.signals]
 
     def driven(self, name: str) -> list[str]:
-        """Return a component's inputs from the loop, in the order of its matrices' columns."""
+        """Return the inputs of a component that are connected to signals of the loop.
+
+        The columns of the matrices of this component have the same order.
+        """
         return [split(connection.target)[1] for connection in self.connections_of(name)]
 
     def _inputs_of(self, name: str) -> Inputs:
@@ -276,8 +291,7 @@ class LoopModel:
 def opened(scenario: Scenario, scanned: str | None = None) -> Iterator[LoopModel]:
     """Load the loop of a scenario. Close its components when the context ends. Raises CosimError.
 
-    `scanned` is the name of the controller with the scanned period (default: the slowest
-    controller).
+    `scanned` is the name of the scanned controller (default: the slowest controller).
     """
     fmus: dict[str, DifferentiableFmu] = {}
     try:
