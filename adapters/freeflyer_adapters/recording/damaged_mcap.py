@@ -27,7 +27,7 @@ from mcap.records import Attachment, Channel, Metadata, Schema, Statistics
 MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")
 CHUNK = struct.Struct("<QQQII")
-"""Start, end, decompressed size, checksum, and the length of the name of the compression."""
+"""First and last message time, decompressed size, checksum, length of the compression name."""
 MESSAGE = struct.Struct("<HIQQ")
 FOOTER_SIZE = 20
 LARGEST = 16 * 2**20
@@ -39,7 +39,9 @@ The limit is `UNPACKED`, plus `UNPACKED_A_BYTE` for each byte of the file."""
 MOST_DEFINITIONS = 2**16 - 1
 """Maximum number of schemas, and of channels. The IDs have two bytes and start at one."""
 MOST_OTHERS = 100_000
-"""Maximum number of metadata records and attachments. A writer keeps their index in memory."""
+"""Maximum number of metadata records and attachments.
+
+The program that writes a repaired file keeps an index entry for each of them in memory."""
 WORK, WORK_A_BYTE = 4 * 2**20, 8
 """Limit of the bytes that are read: `WORK`, plus `WORK_A_BYTE` for each byte of the file."""
 DEFINITIONS = 64 * 2**20
@@ -190,7 +192,7 @@ class DamagedMcap:
         if self._work_left < 0:
             self.damage.exhausted = True
             return None
-        # The content of these records is not needed.
+        # Index records and private records: their content is not needed.
         opcode = self._read(place, 1)[0]
         if (
             opcode
@@ -349,7 +351,9 @@ class DamagedMcap:
         return following
 
     def _next_chunk(self, place: int) -> int:
-        size = FIRST_WINDOW  # a small window first: damaged places may be close to each other
+        # Start with a small window, because the next chunk may be near. If a file has many damaged
+        # places, a large window at each of them would take too long.
+        size = FIRST_WINDOW
         while place < self.size:
             window = self._read(place, size + HEAD.size - 1)
             for found in NEXT_CHUNK.finditer(window):

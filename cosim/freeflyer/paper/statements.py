@@ -27,7 +27,8 @@ def statements(results: Mapping[str, Result]) -> list[Statement]:
     exact = continuous_time_errors(continuous)
     slope = energy_slope(passive)
     return [
-        # Statements on the simulation: in continuous time, without PC, with PC.
+        # Statements on the simulation: first in continuous time, then with sampled controllers,
+        # without and with passivity controllers (PC).
         Statement(
             where="Fig. 3",
             paper="in continuous time both errors converge; tracking error of the order of 1e-4 m",
@@ -134,7 +135,7 @@ def statements(results: Mapping[str, Result]) -> list[Statement]:
             "energy E_m(0) covers the supplied energy. Therefore the passivity controller does not act at port M. With a smaller "
             "E_m(0), the passivity controller opposes the motion: the error is 0.09 m at E_m(0) = 0",
         ),
-        # The paper does not describe this second mechanism of instability.
+        # This row is about a second mechanism of instability, which the paper does not describe.
         Statement(
             where="-",
             paper="(second mechanism of instability: a sampled damper with K_D T_b > 2 M~ generates energy; more damping makes the "
@@ -222,7 +223,7 @@ def late_end_effector_error(result: Result) -> float:
 
 
 def drawn(result: Result) -> float:
-    """Return the minimum of port M's observed energy [J] without E(0).
+    """Return the minimum of port M's observed energy [J], minus the initial energy E(0).
 
     The minimum is taken over the run and over the degrees of freedom.
     """
@@ -244,7 +245,8 @@ def between(result: Result, start: float, end: float) -> float:
 def energy_slope(result: Result) -> float:
     """Return the slope [J/s] of the base's observed energy over the last 50 s.
 
-    At each instant, the minimum over the degrees of freedom is used.
+    The observed energy has one value for each degree of freedom. At each instant, the smallest of
+    these values is used.
     """
     record = result.outcome.record
     late = record.time >= result.outcome.simulated - 50.0

@@ -51,6 +51,8 @@ def base_robot(robot: Robot) -> Block:
     )
     seed = block.parameter("seed", 2.0, "1", "Seed of the noise")
 
+    # "delayed" marks inputs that get the value that their source had before the present instant.
+    # The label does not mean the delay of `delay_cycles`.
     p_set = block.input("position_setpoint", np.zeros(3), "m", "Commanded position, in I (delayed)")
     R_set = block.input("orientation_setpoint", IDENTITY, "1", "Commanded orientation, quaternion x, y, z, w (delayed)")
     v_set = block.input("velocity_setpoint", np.zeros(6), TWIST, "Commanded velocity, in I (delayed)")
@@ -79,8 +81,8 @@ def base_robot(robot: Robot) -> Block:
     block.initial("true_orientation", rotation.normalised(R))
     block.initial("random", noise.first_state(seed))
 
-    # Motion until this sample with the last acceleration. The translation is exact. The rotation
-    # uses the mean angular velocity of the interval.
+    # Compute the motion since the last sample with the acceleration of that sample. The translation
+    # is exact. The rotation uses the mean angular velocity of the interval.
     h = T * begun
     p_now = p + h * v[:3] + 0.5 * h**2 * a[:3]
     rotation_vector = h * v[3:] + 0.5 * h**2 * a[3:]

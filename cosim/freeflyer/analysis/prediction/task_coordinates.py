@@ -1,8 +1,8 @@
 """Inertia, stiffness and damping of the linearised loop in the paper's coordinates [x_b; x_m].
 
-x_b is the position of B and the small rotation of the base. x_m is the position and the small
-rotation of the end-effector. x_b and x_m are expressed in the inertial frame I. The wrenches at the
-ports are [F_B; F_m]. They do work on [x_b'; x_m'].
+x_b contains the position of the base frame B and the small rotation of the base. x_m contains the
+position and the small rotation of the end-effector. x_b and x_m are expressed in the inertial frame
+I. The wrenches at the ports are [F_B; F_m]. Their power is [F_B; F_m]^T [x_b'; x_m'].
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from freeflyer.foundation.errors import ScenarioError
 POSE = ("base_position", "base_orientation", "end_effector_position", "end_effector_orientation")
 VELOCITY = ("base_velocity", "end_effector_velocity")
 WRENCHES = {"base_velocity": "base_wrench", "joint_velocity": "joint_torque"}
-"""Velocities (states) of the plant, and the inputs that do work on them."""
+"""Role of each velocity that is a state of the plant, and role of the input that drives it."""
 DEGREES = tuple(
     f"{body} {motion} {axis}"
     for body in ("base", "end-effector")
@@ -31,13 +31,14 @@ DEGREES = tuple(
 
 @dataclass(frozen=True, kw_only=True)
 class TaskCoordinates:
-    """Maps from the plant's states (n) to task coordinates, and diagonals (12) of the matrices.
+    """Matrices and diagonals that describe the linearised loop in task coordinates.
 
-    `pose` and `velocity` (12, n) map the states to the coordinates and to the rates of the
-    coordinates. `inertia` is M~ [kg, kg m2] at each port, if no wrench acts at the other port.
-    `stiffness` [N/m, N m/rad] and `damping` [N s/m, N m s/rad] belong to the sampled laws. In a
-    redundant manipulator, motions in the null space use the same joints as the end-effector.
-    Therefore the stiffness and the damping of the end-effector are estimates.
+    `pose` and `velocity` (12, n) map the plant's states to the coordinates and to the rates of the
+    coordinates. The other members are the diagonals (12) of three matrices. `inertia` is M~ [kg, kg
+    m2] at each port, if no wrench acts at the other port. `stiffness` [N/m, N m/rad] and `damping`
+    [N s/m, N m s/rad] describe the sampled control laws. In a redundant manipulator, motions in the
+    null space use the same joints as the end-effector. Therefore the stiffness and the damping of
+    the end-effector are estimates.
     """
 
     pose: Array
@@ -60,7 +61,10 @@ class TaskCoordinates:
 
 
 def task_coordinates(model: LoopModel, loop: Loop, point: Point) -> TaskCoordinates:
-    """Return the task coordinates at the last linearisation point of the plant.
+    """Return the task coordinates at `point`.
+
+    Before the call, `LoopModel.plant_at` must have linearised the plant at the same point. No other
+    point may be linearised in between.
 
     Raises ScenarioError if the plant does not have all variables of a free-flyer.
     """
@@ -79,8 +83,9 @@ def task_coordinates(model: LoopModel, loop: Loop, point: Point) -> TaskCoordina
     pose, velocity = model.outputs_of_plant(poses, full), model.outputs_of_plant(velocities, full)
     speeds = model.states_of_plant([variables[role] for role in WRENCHES], point)
     inputs = model.inputs_of_plant([variables[role] for role in WRENCHES.values()])
-    # From x' = J v follow the generalised forces J^T F and M^-1 = J H^-1 J^T. `acceleration` is x''
-    # for each unit generalised force.
+    # The rates of the coordinates are x' = J v. Therefore a wrench F at the ports acts on v as the
+    # generalised force J^T F, and M^-1 is J H^-1 J^T. H is the mass matrix of the plant for v.
+    # `acceleration` is J H^-1: x'' for a generalised force of 1 at each element of v.
     J = velocity[:, speeds]
     acceleration = J @ loop.plant.B[np.ix_(speeds, inputs)]
     inverse = acceleration @ J.T
@@ -107,8 +112,9 @@ def task_coordinates(model: LoopModel, loop: Loop, point: Point) -> TaskCoordina
 def _own_law(loop: Loop, inputs: Indices) -> Array:
     """Return the gain (6, n) from the plant's states to the base wrench.
 
-    The gain has only the states that the base controller measures itself. The compensation
-    J_b^T F_m of the end-effector wrench is omitted, because it is not a spring of the base.
+    The gain contains only the feedback of values that the base controller measures itself. The
+    compensation J_b^T F_m of the end-effector wrench is omitted, because it is not a spring of the
+    base.
     """
     sources = loop.plant.inputs.sources[inputs]
     law = next(
