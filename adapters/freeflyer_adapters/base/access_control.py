@@ -1,13 +1,18 @@
 """Zenoh access control of the base robot's link, by the common names of the certificates.
 
-Zenoh checks every message that arrives from a peer (ingress) or that is sent to a peer (egress).
-For this check, Zenoh compares the kind and the key of the message with the rules. A rule applies
-to every key that the key expression of the rule includes. A subject is a group of peers. It selects
-the peers by the names of their certificates, or by the protocol of the link. A peer has the
-permissions of all subjects that match the peer. All messages without a permission are denied.
+Zenoh checks every message that arrives from a peer (flow: ingress) and every message that is sent
+to a peer (flow: egress). For this check, Zenoh compares the flow, the kind and the key of the
+message with the rules. A rule permits messages of certain kinds in one flow, if one of its key
+expressions includes the key of the message. A subject is a group of peers, to which rules are
+assigned. A peer belongs to a subject by the name of its certificate, or by the protocol of its
+link. If a peer belongs to several subjects, it has the permissions of all of them. All messages
+without a permission are denied.
 
-Two properties of Zenoh determine the rules below. The replies to a liveliness query count as
-declarations of tokens. The wildcard ** does not include a part of a key that starts with @.
+In the names of the rules below, "PEER may" is the ingress from PEER, and "PEER receives" is the
+egress to PEER. Two properties of Zenoh determine these rules. First, the reply to a liveliness
+query counts as a declaration of a token. So it needs the permission `liveliness_token`. Second, the
+wildcard ** does not include a part of a key that starts with @. So the key expression for the
+tokens of rmw_zenoh starts with @ros2_lv.
 """
 
 from __future__ import annotations
@@ -33,13 +38,16 @@ class Protection:
     access: Rules
     """The `access_control` section of the Zenoh configuration."""
     listens_for_others: bool
-    """True for the end that accepts connections."""
+    """True for the base robot, because the other peers connect to it.
+
+    In this case, the certificate must be valid for listening and for the hosts of the listeners.
+    """
 
 
 def controller_protection(options: LinkOptions) -> Protection | None:
     """Return the protection of the controller's session, or None without certificates.
 
-    The session accepts messages from the base robot only.
+    The session exchanges messages with the base robot only.
     """
     if options.certificates is None:
         return None
@@ -65,7 +73,8 @@ def controller_protection(options: LinkOptions) -> Protection | None:
 def robot_protection(options: LinkOptions) -> Protection | None:
     """Return the protection of the base robot's session, or None without certificates.
 
-    Commanders may send set points. Every peer with a certificate may read the measurements.
+    The peers named in `options.commanders` may send set points. Every peer with a certificate may
+    read the measurements.
     """
     if options.certificates is None:
         return None
@@ -94,9 +103,10 @@ def robot_protection(options: LinkOptions) -> Protection | None:
 
 
 def _keys(options: LinkOptions) -> tuple[str, str, str, list[str]]:
-    """Return the keys of set points, measurements, rmw_zenoh announcements and project tokens.
+    """Return the key expressions of set points, measurements, announcements and own tokens.
 
-    Project tokens are the liveliness tokens that only this project defines.
+    Announcements are the liveliness tokens of rmw_zenoh. Own tokens are the liveliness tokens that
+    only this project defines.
     """
     topics = [
         rmw_zenoh.topic_key(options.domain, topic, ros_messages.TYPE_NAME, ros_messages.TYPE_HASH)

@@ -24,11 +24,11 @@ from freeflyer_adapters.base.certificates import AUTHORITY, Identity, general_na
 
 AUTHORITY_DAYS = 3650
 HOSTS = ("localhost", "127.0.0.1", "::1")
-"""Hosts in the certificate of every listener, for connections from the same machine."""
+"""Hosts that every certificate for listening names, for connections within the same machine."""
 EARLIER = timedelta(minutes=5)
-"""Time between the start of the validity of a certificate and its issue.
+"""The validity of a certificate starts this time before the certificate is made.
 
-The validity starts before the issue, because the clocks of two machines differ.
+The reason is that the clock of another machine may be late.
 """
 
 
@@ -63,7 +63,7 @@ class CertificateAuthority:
 
     @classmethod
     def read(cls, folder: Path) -> CertificateAuthority:
-        """Read an authority from `folder`. Raises CertificateError if it cannot sign."""
+        """Read an authority from `folder`. Raises CertificateError if the authority cannot sign."""
         where = Identity(folder, AUTHORITY)
         try:
             certificate = x509.load_pem_x509_certificate(where.certificate.read_bytes())
@@ -104,7 +104,12 @@ class CertificateAuthority:
     ) -> x509.Certificate:
         """Write a new key and a signed certificate to the folder of `identity`.
 
-        The certificate is valid for `days`, but not longer than the certificate of the authority.
+        `hosts`: the host names and addresses of the peer. `may_listen`: whether the certificate is
+        valid for listening, not only for connecting. `start`: start of the validity (default:
+        `EARLIER` before now).
+
+        The certificate is valid for `days`, counted from `EARLIER` after `start`, but not longer
+        than the certificate of the authority.
         """
         key = ec.generate_private_key(ec.SECP256R1())
         start = start or datetime.now(UTC) - EARLIER

@@ -1,7 +1,8 @@
 """Checks of the certificate files of a link, before the link is opened.
 
-ca.pem is the certificate of the authority. NAME.pem and NAME.key belong to the peer NAME.
-On a robot's machine, the folder contains only ca.pem and the two files of the robot.
+The files are in one folder. ca.pem is the certificate of the authority. NAME.pem and NAME.key are
+the certificate and the private key of the peer NAME. On the machine of a base robot, the folder
+contains only ca.pem and the two files of this base robot.
 """
 
 from __future__ import annotations
@@ -28,13 +29,13 @@ from freeflyer_adapters.device.device import DeviceError
 
 AUTHORITY = "ca"
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
-"""Pattern of a common name. The name is also used as a file name and in key expressions."""
+"""Pattern of a certificate's common name. File names and key expressions also contain this name."""
 USES = {ExtendedKeyUsageOID.CLIENT_AUTH: "connecting", ExtendedKeyUsageOID.SERVER_AUTH: "listening"}
 
 
 @dataclass(frozen=True)
 class Identity:
-    """The identity of one end of a link: the folder and the name of its certificate."""
+    """The identity of one end of a link: the folder of its files, and its common name."""
 
     folder: Path
     name: str
@@ -57,8 +58,9 @@ def check(
 ) -> x509.Certificate:
     """Check and return the certificate of `identity`.
 
-    The certificate must name all `hosts`. With `listens`, the certificate must also be valid for
-    listening. Raises DeviceError if the certificate or the key cannot be used.
+    The certificate must be valid for connecting, and must name all `hosts`. With `listens`, it must
+    also be valid for listening. `subject` is the name of the device, for messages. Raises
+    DeviceError if the certificate or the key cannot be used.
     """
     folder = identity.folder
     if not folder.is_dir():
@@ -87,7 +89,7 @@ def check(
             f"{where} was not signed by the authority of {identity.authority} (its issuer is "
             f"{found.issuer.rfc4514_string()!r}); a certificate of that authority is expected"
         )
-    # The certificate must be valid for the needed uses and for all hosts.
+    # The certificate must be valid for the needed uses (connecting, listening) and for all hosts.
     needed = [
         ExtendedKeyUsageOID.CLIENT_AUTH,
         *([ExtendedKeyUsageOID.SERVER_AUTH] if listens else []),
@@ -157,9 +159,10 @@ def general_name(host: str) -> x509.GeneralName:
 
 
 def is_issued(chain: Sequence[x509.Certificate], authorities: Sequence[x509.Certificate]) -> bool:
-    """Return True if an authority signed the first certificate of `chain`.
+    """Return True if the first certificate of `chain` can be traced back to one of `authorities`.
 
-    The signature may be direct, or through the other certificates of `chain`.
+    Either one of `authorities` signed the first certificate itself. Or each certificate of `chain`
+    signed the certificate before it, up to a certificate that one of `authorities` signed.
     """
     for i, certificate in enumerate(chain):
         if any(_signed(certificate, authority) for authority in authorities):

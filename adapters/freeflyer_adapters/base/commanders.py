@@ -1,12 +1,12 @@
 """Announcement of the commanders of a base robot by liveliness tokens.
 
-A commander is a controller whose certificate may send set points. The base robot declares one token
-for each commander.
+A commander is a controller whose certificate has the permission to send set points. The base robot
+declares one token for each commander.
 
-Zenoh's access control drops denied messages, and the sender receives no error. With these tokens, a
-controller detects a missing permission before the controller sends set points. The tokens only
-inform; the access control of the base robot enforces the permission. Only links with certificates
-have these tokens.
+Zenoh's access control drops messages without a permission, and the sender receives no error. With
+these tokens, a controller detects that its permission is missing before it sends set points. The
+tokens only give information; the access control of the base robot enforces the permission. Only
+links with certificates have these tokens.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ def announce(session: Any, options: LinkOptions) -> list[Any]:
 
 
 def announced(session: Any, options: LinkOptions) -> list[str]:
-    """Return the names of the certificates that may command.
+    """Return the names of the certificates that may send set points.
 
-    The list is empty if the base robot does not report these names.
+    The names are read from the tokens of the base robot. Without tokens, the list is empty.
     """
     key = rmw_zenoh.commander_token(options.domain, options.setpoint_topic, "*")
     replies = session.liveliness().get(key, timeout=1.0)
@@ -44,9 +44,10 @@ def announced(session: Any, options: LinkOptions) -> list[str]:
 
 
 def refusal(session: Any, options: LinkOptions, subject: str) -> str | None:
-    """Return the reason why set points of this session would be dropped.
+    """Return the reason why the base robot would drop the set points of the controller.
 
-    Returns None if no reason is known.
+    Returns None if no reason is known. `session` is the controller's session. `subject` is the name
+    of the device, for the message.
     """
     if options.certificates is None:
         return None

@@ -11,10 +11,10 @@ from freeflyer_adapters.base.options import LinkOptions
 
 
 def why_silent(session: Any, options: LinkOptions) -> str:
-    """Check all endpoints and return ': REASON'.
+    """Check the endpoints to which the controller connects. Return ': REASON', to end a message.
 
-    If the check finds no problem, the reason is a question to the operator. The check takes at most
-    a few seconds per endpoint.
+    If the check finds no problem, REASON is a question to the operator. The check takes at most a
+    few seconds per endpoint.
     """
     found = [
         problem

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 ENCRYPTED = ("tls", "quic")
 LOCAL = ("unixsock-stream", "unixpipe")
 """Protocols that work within one machine only."""
-TLS_KEYS = (
+TLS_KEYS = (  # parts of the names of TLS settings
     "root_ca_",
     "listen_",
     "connect_",
@@ -77,9 +77,9 @@ class Endpoint:
 
     @property
     def has_own_tls_settings(self) -> bool:
-        """True if the endpoint itself contains TLS settings.
+        """True if the endpoint itself contains TLS settings, after '#'.
 
-        The settings after '#' would override the certificates or the TLS checks of the link.
+        These settings would override the certificates or the TLS checks of the link.
         """
         return any(key in self.text.partition("#")[2] for key in TLS_KEYS)
 

@@ -5,6 +5,7 @@ Some terms of this module:
 - source: the publisher whose samples are used.
 - publisher in command: the publisher from which the base robot accepts set points.
 - obedience token: the liveliness token by which a base robot reports the publisher in command.
+- announcement: the liveliness token by which rmw_zenoh announces a publisher.
 """
 
 from __future__ import annotations
@@ -40,13 +41,14 @@ from freeflyer_adapters.foundation.pose import twist_rotated
 LONGEST_QUERY = 0.5
 """Timeout of a query for liveliness tokens [s]."""
 SECOND, WITHIN = 3, 20
-"""A second publisher is reported if its samples arrive `SECOND` times within `WITHIN` samples.
+"""A second publisher is reported if its samples are interleaved with the samples of the source.
 
-The `WITHIN` samples are accepted samples of the source. Samples of other publishers count only
-once if no sample is accepted between them.
+Condition: samples of other publishers arrive `SECOND` times, while at most `WITHIN` samples of the
+source are accepted. Several samples of other publishers without an accepted sample between them
+count as one time.
 """
 LARGEST = 1e4
-"""Limit of the magnitude of a position component [m] or velocity component [m/s, rad/s]."""
+"""Limit of the absolute value of a position [m] or velocity [m/s, rad/s], for each component."""
 
 
 def is_usable(odometry: Odometry) -> bool:
@@ -81,9 +83,9 @@ class Counts:
     other_sources: int = 0
     """Samples of publishers that are not the source."""
     undecided: int = 0
-    """Samples that are ignored, because it is not yet known whether the samples are in time."""
+    """Samples that are ignored, because it is not known yet whether they arrive in time."""
     clock_steps: int = 0
-    """Steps of the publisher's clock."""
+    """Steps of the source's clock."""
     failed: int = 0
     """Samples that Zenoh did not accept for sending."""
     last_fault: str = ""
@@ -91,7 +93,7 @@ class Counts:
 
 @dataclass
 class OdometryLink:
-    """Publisher of Odometry on one topic, and reader of the latest sample of another topic.
+    """Publisher of Odometry on `out_topic`, and reader of the latest sample of `in_topic`.
 
     If `publishes` is False, there is no publisher before `begin_publishing` is called. Each new
     publisher has a new GID.
@@ -108,7 +110,8 @@ class OdometryLink:
         o = self.options
         self._environment = environment.present()
         self._session_id = str(self.session.zid())
-        # Time stamps advance with CLOCK_MONOTONIC. A step of the wall clock does not affect them.
+        # A time stamp is CLOCK_MONOTONIC plus the constant `_wall`. So a later step of the wall
+        # clock does not affect the time stamps.
         self._wall = self._environment.time_ns() - self._environment.monotonic_ns()
         self._publisher: Any = None
         self._gid = b""
@@ -120,15 +123,17 @@ class OdometryLink:
         self._obeyed_tokens: Any = None
         self._announcements: list[Any] = []
         self.known: frozenset[str] = frozenset()
-        """Sessions that are known to publish. `new_publisher` does not report these sessions.
+        """Sessions that are known to publish.
 
-        After a link failure, a known session repeats its announcement.
+        `new_publisher` does not report these sessions, because after a link failure a session
+        repeats its announcement.
         """
         self._reported = ""
         self.clock = PeerClock()
         self._source: bytes | None = None
         self._last: Attachment | None = None
         self._other_source = b""
+        # Values of `counts.accepted` when samples of other publishers arrived.
         self._turns: deque[int] = deque(maxlen=SECOND)
         self._is_sealed = False
         """True if the source sends checksums. In this case, every sample must have a checksum."""
@@ -147,7 +152,7 @@ class OdometryLink:
     def begin_publishing(self) -> None:
         """Declare a publisher with a new GID.
 
-        The base robot has never accepted commands from this GID before.
+        The GID was never used before. So the base robot has neither accepted nor rejected it yet.
         """
         token = self._token(self.out_topic, "MP", next(self._entities))
         self._gid, self._sequence = rmw_zenoh.gid_of(token), 0
@@ -235,7 +240,7 @@ class OdometryLink:
 
     @property
     def second_source(self) -> str | None:
-        """Message if the samples of two publishers are interleaved, otherwise None."""
+        """Message if the samples of two publishers are interleaved (see `SECOND`), or None."""
         if len(self._turns) < SECOND or self.counts.accepted - self._turns[0] > WITHIN:
             return None
         assert self._source is not None
@@ -245,7 +250,7 @@ class OdometryLink:
         """Publish the pose of the base B in the inertial frame I, and the twist of B.
 
         position (3) [m], orientation (4, xyzw) and velocity (6) [m/s, rad/s] are expressed in I.
-        The message contains the twist expressed in B.
+        In the message, the twist is expressed in B.
         """
         stamp = self._environment.monotonic_ns() + self._wall
         self._sequence += 1
@@ -294,7 +299,8 @@ class OdometryLink:
             for reply in self.session.liveliness().get(key, timeout=LONGEST_QUERY)
             if reply.ok is not None
         ]
-        # During a change, there may be two tokens. A GID has priority over NO_PUBLISHER.
+        # While the base robot changes its report, there may be two tokens. A GID has priority over
+        # NO_PUBLISHER.
         return next(
             (gid for gid in found if gid != rmw_zenoh.NO_PUBLISHER), found[0] if found else None
         )
@@ -316,10 +322,10 @@ class OdometryLink:
         return None if news is None else news.kind == zenoh.SampleKind.PUT
 
     def report_obeyed(self, active: bool) -> None:
-        """Update the obedience token of this base robot.
+        """Update the obedience token. Only the base robot's end of the link calls this method.
 
-        If the base robot is `active`, the token contains the GID of the source. Otherwise, or
-        without a source, the token contains NO_PUBLISHER.
+        `active`: whether the base robot is in the state active. If it is, and if there is a source,
+        the token contains the GID of the source. Otherwise, the token contains NO_PUBLISHER.
         """
         gid = self._source.hex() if active and self._source is not None else rmw_zenoh.NO_PUBLISHER
         if gid != self._reported:
@@ -368,7 +374,7 @@ class OdometryLink:
             self.counts.stale += 1
             self.counts.last_fault = f"sequence number {attachment.sequence} after {last.sequence}; its stamp is {(attachment.stamp - last.stamp) * 1e-9:.6g} s later"
             return None
-        # The function `judge` of the caller checks the values.
+        # The function `judge`, which the caller gives, checks the values.
         delay = self.clock.delay(attachment.stamp, arrived)
         received = Received(odometry, attachment, arrived, delay)
         judged = judge(received)

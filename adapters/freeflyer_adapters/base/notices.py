@@ -18,7 +18,11 @@ SOON_DAYS = 30
 
 
 def notices(scenario: Scenario, *, as_robot: bool) -> Iterator[str]:
-    """Yield notices of one line each. Raises DeviceError if the table of a device is not valid."""
+    """Yield notices of one line each, for one end of the link.
+
+    `as_robot`: True for the base robot's end, False for the controller's end. Raises DeviceError if
+    the table `[devices.NAME]` of a device is not valid.
+    """
     for spec in scenario.devices:
         if spec.kind == KIND:
             options = link_options.options_from(spec.name, spec.options, scenario.directory)
@@ -26,6 +30,7 @@ def notices(scenario: Scenario, *, as_robot: bool) -> Iterator[str]:
 
 
 def _of_link(options: LinkOptions, as_robot: bool) -> Iterator[str]:
+    # The endpoints `connect` of the controller are the endpoints on which the base robot listens.
     listening = [Endpoint(text) for text in (options.connect if as_robot else options.listen)]
     endpoints = [*listening, *(Endpoint(text) for text in options.connect if not as_robot)]
     for endpoint in endpoints:

@@ -1,6 +1,6 @@
 """Options of a scenario's table `[devices.NAME]` of kind "zenoh_base".
 
-Both ends of the link use these options.
+Both ends of the link, the controller and the virtual base robot, use these options.
 """
 
 from __future__ import annotations
@@ -24,9 +24,13 @@ LONGEST_FRAME = 200
 class LinkOptions:
     """Options of the link, with endpoints in Zenoh's form.
 
-    Multicast and gossip of Zenoh are off. Only the endpoints of `connect` and `listen` are used.
-    With `certificates`, each end authenticates with its own files in this folder. Without
-    certificates, endpoints of other machines are rejected, unless the scenario sets `insecure`.
+    `connect` and `listen` are the endpoints of the controller. The virtual base robot listens on
+    the endpoints of `connect`. Multicast and gossip of Zenoh are off, so only these endpoints are
+    used.
+
+    `certificates` is a folder. If it is given, each end authenticates with its own files in this
+    folder. Without certificates, endpoints outside this machine are rejected, unless the scenario
+    sets `insecure`.
     """
 
     connect: Sequence[str] = ("tcp/127.0.0.1:7447",)
@@ -40,19 +44,28 @@ class LinkOptions:
     certificates: Path | None = None
     """Folder made by `freeflyer certificates`.
 
-    The folder contains ca.pem, and a certificate and a key for each name.
+    The folder contains ca.pem, and for each name a certificate and a key.
     """
     controller: str = "controller"
     """Common name of the controller's certificate."""
     robot: str = "base_robot"
-    """Common name of the base robot's certificate (default: the name of the device)."""
+    """Common name of the base robot's certificate.
+
+    The default in a scenario is the name of the device.
+    """
     commanders: Sequence[str] = ("controller",)
-    """Names of the certificates that may command the base robot (default: the controller)."""
+    """Names of the certificates that may command the base robot.
+
+    The default in a scenario is the name in `controller`.
+    """
     insecure: bool = False
 
 
 def check(options: LinkOptions, subject: str) -> None:
-    """Check all options. Raises DeviceError if an option is not valid."""
+    """Check all options. Raises DeviceError if an option is not valid.
+
+    `subject` is the name of the device, for messages.
+    """
     # Check the endpoints.
     for key in ("connect", "listen"):
         endpoints = getattr(options, key)
@@ -121,7 +134,7 @@ def check(options: LinkOptions, subject: str) -> None:
 def _check_endpoint(endpoint: Endpoint, options: LinkOptions, subject: str) -> None:
     """Check one endpoint. Raises DeviceError if the endpoint is not valid or not allowed.
 
-    On a link without certificates, endpoints of other machines are allowed only with `insecure`.
+    On a link without certificates, endpoints outside this machine are allowed only with `insecure`.
     """
     where, how = (
         f"{subject}: endpoint {endpoint.text}",
@@ -153,9 +166,10 @@ def _check_endpoint(endpoint: Endpoint, options: LinkOptions, subject: str) -> N
 
 
 def options_from(name: str, raw: Mapping[str, Any], directory: Path) -> LinkOptions:
-    """Read the options from the table of device `name`. Raises DeviceError if they are not valid.
+    """Read the options from `raw`. Raises DeviceError if they are not valid.
 
-    Paths are relative to `directory`, which contains the scenario.
+    `raw` is the table of the device `name` in the scenario. Paths are relative to `directory`, the
+    directory of the scenario file.
     """
     defaults = LinkOptions()
     known_keys(name, raw, list(LinkOptions.__dataclass_fields__))

@@ -11,8 +11,9 @@ DRIFT = 1e-3
 SMALLEST_STEP = 50_000_000
 """Smallest forward step of the peer's clock that is detected [ns].
 
-If a stamp is ahead of the expected value by more than this, the clock was set forward. A smaller
-difference counts as a change of the delay.
+If the time stamps advance by more than the times of arrival, either the delay has become smaller or
+the clock was set forward. The delay relative to the fastest sample cannot become smaller than zero.
+So if the difference is greater than the last delay plus this value, the clock was set forward.
 """
 
 
@@ -20,8 +21,8 @@ class PeerClock:
     """Delay of each sample relative to the fastest sample so far [ns].
 
     If a later sample has an earlier stamp, the peer's clock was set back. If the stamps advance by
-    much more than the times of arrival, the peer's clock was set forward. The first sample after
-    such a clock step is assumed to have the same delay as the last sample before the clock step.
+    much more than the times of arrival, the peer's clock was set forward. Both are clock steps. The
+    first sample after a clock step is assumed to have the same delay as the sample before it.
     """
 
     def __init__(self) -> None:
@@ -46,8 +47,9 @@ class PeerClock:
     def delay(self, stamp: int, arrived: int) -> int:
         """Return the delay of a sample relative to the fastest sample so far [ns].
 
-        `stamp` [ns, clock of the peer], `arrived` [ns, clock of this machine]. The delay of the
-        fastest sample is increased slowly with time, because the clocks drift.
+        `stamp`: time stamp [ns, clock of the peer]. `arrived`: time of arrival [ns, clock of this
+        machine]. The stored difference `arrived - stamp` of the fastest sample increases slowly
+        with time, because the clocks drift.
         """
         way = arrived - stamp
         if self._fastest is None:

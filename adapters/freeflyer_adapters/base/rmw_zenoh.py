@@ -1,7 +1,7 @@
 """Topic keys, liveliness tokens and attachments of ROS 2's rmw_zenoh_cpp.
 
 The layout is from ros2/rmw_zenoh (docs/design.md, attachment_helpers.cpp, liveliness_utils.cpp).
-The tests compare the bytes of the attachment with the output of the serialiser of zenoh-ext.
+The tests compare the bytes of an attachment with the bytes that the serialiser of zenoh-ext writes.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ ATTACHMENT = struct.Struct(f"<qqB{GID_BYTES}s")
 TOPIC = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 NO_PUBLISHER = "nobody"
-"""This name replaces the GID if a base robot accepts commands from no publisher."""
+"""This text replaces the GID in the obedience token if no publisher is in command."""
 QOS_SENSOR_DATA = "2::,1:,:,:,,"
 """Best effort, volatile, keep last 1. All other settings are the defaults of ROS 2."""
 
@@ -67,7 +67,11 @@ def liveliness_token(
     type_name: str,
     type_hash: str,
 ) -> str:
-    """Return the key of the token of a publisher (kind MP) or a subscription (MS)."""
+    """Return the key of the liveliness token that announces a publisher or a subscription.
+
+    `session`: Zenoh id of the session. `entity`: number of the publisher or subscription in this
+    session. `kind`: MP for a publisher, MS for a subscription. `node`: name of the ROS node.
+    """
     parts = ["@ros2_lv", str(domain), session, "0", str(entity), kind, "%", "%", node]
     return "/".join(
         [*parts, mangled("/" + topic.strip("/")), mangled(type_name), type_hash, QOS_SENSOR_DATA]
@@ -86,7 +90,8 @@ def obedience_token(domain: int, topic: str, gid: str) -> str:
 def commander_token(domain: int, topic: str, name: str) -> str:
     """Return the key of the token by which a base robot reports a certificate that may command.
 
-    ROS 2 does not have this token; it is an addition of this project.
+    `name` is the common name of the certificate. ROS 2 does not have this token; it is an addition
+    of this project.
     """
     return f"freeflyer/commanders/{domain}/{mangled(topic.strip('/'))}/{name}"
 
@@ -99,6 +104,6 @@ def session_of(token: str) -> str:
 def gid_of(token: str) -> bytes:
     """Return a unique GID (16 bytes) for the publisher with this token.
 
-    The GID is a hash of the token. Peers do not verify the GID.
+    In this project, the GID is a hash of the token. Peers do not check how a GID was computed.
     """
     return hashlib.blake2b(token.encode(), digest_size=GID_BYTES).digest()

@@ -30,9 +30,10 @@ class MessageError(ValueError):
 
 @dataclass(frozen=True, kw_only=True)
 class Odometry:
-    """Time stamp [ns since the epoch], frame names, and pose and twist of B.
+    """Time stamp [ns since the epoch], names of the two frames, pose of B, and twist of B.
 
-    position (3) [m] and orientation (4, xyzw) in I, velocity (6) [m/s, rad/s] in B.
+    position (3) [m] and orientation (4, xyzw) are expressed in I. velocity (6) [m/s, rad/s] is the
+    twist, expressed in B.
     """
 
     stamp: int
@@ -125,6 +126,6 @@ def _take(form: str, data: bytes, place: int) -> tuple[Any, ...]:
 def _align(data: bytearray, size: int) -> None:
     """Append zero bytes until the length is a multiple of `size`.
 
-    The length is counted from the end of the encapsulation header.
+    The four bytes of the encapsulation header do not count.
     """
     data += bytes(-(len(data) - 4) % size)

@@ -19,18 +19,19 @@ from binascii import crc_hqx
 
 PADDING_BITS = 0b11
 FIRST, LAST = 2, 4
-"""Byte range of the options in the payload."""
+"""Range of the option bytes in the payload: FIRST is included, LAST is not."""
 
 
 def checksum(payload: bytes, attachment: bytes) -> int:
-    """Return the checksum over a sample. The option bytes of the payload are left out."""
+    """Return the checksum of a sample. It covers all bytes except the option bytes."""
     return crc_hqx(attachment, crc_hqx(payload[LAST:], crc_hqx(payload[:FIRST], 0xFFFF)))
 
 
 def is_sealable(code: int) -> bool:
     """Return True if the checksum may be stored in the option bytes.
 
-    The checksum must not be zero, but its padding bits must be zero.
+    The padding bits of the checksum must be zero. The whole checksum must not be zero, because zero
+    means that a sample has no checksum.
     """
     return code != 0 and not code & PADDING_BITS
 

@@ -26,6 +26,9 @@ def open_session(
 ) -> Any:
     """Open a Zenoh session in peer mode.
 
+    `subject`: name of the device, for messages. `protection`: certificate and access control of
+    this end, or None for a link without certificates.
+
     Raises DeviceError if an endpoint or a certificate cannot be used.
     """
     settings: dict[str, Any] = {
@@ -80,5 +83,5 @@ def _protected(protection: Protection) -> Mapping[str, Any]:
 
 
 def zenoh_message(error: Exception) -> str:
-    """Return the message of a Zenoh error, without the places in the source code of Zenoh."""
+    """Return the message of a Zenoh error, without file names and line numbers of Zenoh."""
     return " ".join(str(error).split(" at ")[0].split())[:200]

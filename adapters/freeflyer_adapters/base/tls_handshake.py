@@ -1,7 +1,8 @@
 """Diagnosis of a TLS endpoint by a separate handshake.
 
-If a handshake fails, Zenoh retries and does not return the error. The separate handshake finds the
-error.
+If a handshake fails, Zenoh tries again and does not return the error. So this module makes a
+separate handshake to find the error. In the messages, "our certificate" is the certificate of this
+end.
 """
 
 from __future__ import annotations
@@ -16,15 +17,15 @@ from freeflyer_adapters.base.certificates import Identity, common_name, hosts_of
 from freeflyer_adapters.base.endpoint import Endpoint
 
 PATIENCE = 2.0
-"""Timeout of a connection and of each part of a handshake [s]."""
+"""Timeout of a TCP connection, and of each read or write during a handshake [s]."""
 SILENCE = 1.0
 """Time to wait for a TLS alert after the handshake [s].
 
-If no alert arrives, the peer has accepted our certificate and waits for our data.
+If no alert arrives in this time, the peer has accepted our certificate.
 """
 ANOTHER_AUTHORITY = (18, 19, 20, 21)
 NOT_YET, EXPIRED, OTHER_NAME, OTHER_ADDRESS = 9, 10, 62, 64
-"""Error codes X509_V_ERR_* of OpenSSL."""
+"""Error codes X509_V_ERR_* of OpenSSL, also in `ANOTHER_AUTHORITY`."""
 ALERTS = {
     "CERTIFICATE_REQUIRED": "it requires a certificate, but no certificate was sent",
     "UNKNOWN_CA": "it does not trust the authority that signed our certificate",
@@ -56,7 +57,7 @@ def problem(endpoint: Endpoint, identity: Identity | None, peer: str | None) -> 
         return f"{endpoint.host} does not answer within {PATIENCE:g} s"
     except OSError as error:
         return f"{endpoint.text} cannot be reached: {error.strerror or error}"
-    # Make the TLS handshake. A server may reject our certificate after the handshake.
+    # Make the TLS handshake. The server may reject our certificate during or after the handshake.
     with closing(connection):
         try:
             with _context(identity).wrap_socket(connection, server_hostname=endpoint.host) as tls:
@@ -83,7 +84,11 @@ def problem(endpoint: Endpoint, identity: Identity | None, peer: str | None) -> 
 
 
 def uses_tls(endpoint: Endpoint) -> bool:
-    """Return True if a handshake without verification succeeds."""
+    """Return True if the server on the endpoint uses TLS.
+
+    This is the case if a handshake without certificates succeeds, or if it fails only because of a
+    certificate.
+    """
     return (found := problem(endpoint, None, None)) is None or "certificate" in found
 
 

@@ -1,8 +1,8 @@
 """The base robot as a device with a Zenoh link.
 
-The device publishes set points, and reads the latest measured pose and twist. The device is read
-at the rate of the arm, once per communication step. Set points are written once per `cycle`. One
-cycle is a whole number of communication steps.
+The device publishes set points, and reads the latest measured pose and twist. The loop reads the
+device once per communication step, because this is the rate of the arm. Set points are published
+once per `cycle`, a setting of the device. One cycle is a whole number of communication steps.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ PATIENCE = 1.75
 If the age exceeds this limit, the cycle counts as lost. A smaller age counts as jitter.
 """
 LISTEN = 25
-"""Number of samples to receive before the first publication.
+"""Number of samples that are received before the first set point is published.
 
-A second publisher is detected within 20 samples.
+25 samples are sufficient, because a second publisher is detected within 20 samples.
 """
 TWIST = ("m/s",) * 3 + ("rad/s",) * 3
 
@@ -74,9 +74,9 @@ class ZenohBase:
         self.values = memory(self.ports.values())
         # Counts, state and link. The link exists from `configure` to `deactivate`.
         self.age = Histogram()
-        """Age of every sample at the time of reading.
+        """Age of every sample when it was read: the present time minus its time stamp.
 
-        The age is meaningful only if both ends use the same clock.
+        The age is meaningful only if both ends of the link use the same clock.
         """
         self.published = 0
         self._link: OdometryLink | None = None
@@ -125,7 +125,7 @@ class ZenohBase:
         self.monitor = QualityMonitor.of(f"measurements of {self.name}", v, cycle)
         self._late = round(PATIENCE * cycle * 1e9)
         self._age_limit = round(float(v["age_limit"][0]) * 1e9)
-        # The link has no publisher yet, so that it does not disturb another controller.
+        # The link has no publisher yet. So it does not disturb a controller that is in command.
         self._session = open_session(
             o.connect, o.listen, self.name, access_control.controller_protection(o)
         )
@@ -134,8 +134,8 @@ class ZenohBase:
         )
         self.permit = self._new_permit()
         self._observe(LISTEN)
-        # The session must have the right to command. There must be exactly one base robot, and no
-        # other controller.
+        # The certificate of this session must have the permission to send set points. There must be
+        # exactly one base robot, and no other controller.
         if refused := commanders.refusal(self._session, o, self.name):
             raise DeviceError(refused)
         others = link.publishers(o.measured_topic)
@@ -154,8 +154,9 @@ class ZenohBase:
         self.state.to(LifeCycle.inactive)
 
     def _new_permit(self) -> Permit:
-        # A base robot does not report its state of the life cycle. After a suspension of this
-        # process, no set point is sent, not even the last set point.
+        # A base robot does not report its life cycle state. So after a suspension of this process,
+        # it is not known whether the base robot has stopped. Therefore the permit then allows no
+        # set point, not even a repetition of the last set point.
         return Permit(
             "the base robot",
             watchdog=round(float(self.values["watchdog"][0]) * 1e9),
@@ -163,9 +164,10 @@ class ZenohBase:
         )
 
     def _observe(self, samples: int, meanwhile: Callable[[], bool] = lambda: False) -> None:
-        """Receive `samples` samples and publish nothing. Return early if `meanwhile` returns True.
+        """Receive samples and publish nothing. Return early if `meanwhile` returns True.
 
-        Raises DeviceError if no sample arrives in time, or if a second publisher is detected.
+        `samples` is the number of samples. Raises DeviceError if the samples do not arrive in time,
+        or if a second publisher is detected.
         """
         assert self._link is not None
         v, o, link = self.values, self.options, self._link
@@ -245,7 +247,10 @@ class ZenohBase:
         pass
 
     def stay(self) -> None:
-        """Repeat the last set point while the arm is activated, so that no watchdog expires."""
+        """Repeat the last set point while the arm is being activated.
+
+        Without this repetition, the watchdog of the base robot would expire.
+        """
         due = self._published_at + round(float(self.values["cycle"][0]) * 1e9)
         if (
             self.state.now is LifeCycle.active
@@ -258,8 +263,9 @@ class ZenohBase:
     def activate(self, meanwhile: Callable[[], bool]) -> None:
         """Take command of the base robot and move it to the start pose.
 
-        The first set point is the measured pose. Raises DeviceError if the base robot does not take
-        set points, or if the approach to the start pose fails.
+        The first set point is the measured pose. The method returns early if `meanwhile` returns
+        True. Raises DeviceError if the base robot does not take set points, or if the approach to
+        the start pose fails.
         """
         v, start, link = self.values, self._start, self._link
         assert link is not None
@@ -278,7 +284,8 @@ class ZenohBase:
         self._take_command(meanwhile)
         if not self._is_at_start:
             self._approach(start, meanwhile)
-        # `write` reduces the remaining offset from the start pose. So the set points do not jump.
+        # The base robot may now differ from the start pose by a small offset. `write` adds this
+        # offset to the set points and reduces it in every cycle. So the set points do not jump.
         measured = Rotation.from_quat(v["base_orientation"])
         self._offset = (
             v["base_position"] - start[0],
@@ -339,7 +346,8 @@ class ZenohBase:
             cycle,
         )
         count = int(np.ceil(duration / cycle))
-        # The pacer skips missed deadlines, so the approach is not faster after a suspension.
+        # The pacer skips missed deadlines. So after a suspension of this process, the approach does
+        # not become faster to make up for the lost time.
         pacer = Pacer(round(cycle * 1e9))
         settle = round(1.0 / cycle)
         for i in range(1, count + settle + 1):
@@ -392,8 +400,8 @@ class ZenohBase:
         self._steps += 1
         reason = None
         if received:
-            # Gaps in the sequence numbers show lost samples. Samples that were already counted as
-            # silent cycles are subtracted.
+            # Gaps in the sequence numbers show lost samples. A cycle without a recent sample was
+            # already counted as lost (`_silent`, see below), so these cycles are subtracted.
             missing = self._sequence - before - 1 - self._silent if before else 0
             reason = self.monitor.lose(max(missing, 0))
             self._silent = 0
@@ -411,8 +419,8 @@ class ZenohBase:
                 reason
                 or f"the last measurement is {age * 1e-9:.4g} s old, its limit is {self._age_limit * 1e-9:g} s"
             )
-        # A second base robot or controller must not appear. The base robot must still take set
-        # points.
+        # Stop if a second base robot or a second controller appears, or if the base robot does not
+        # take set points any more.
         if link is not None:
             reason = link.second_source or link.new_publisher() or reason
             if link.obedience() is False:
@@ -425,7 +433,8 @@ class ZenohBase:
                 self.values["base_position"], self.values["base_orientation"], self._sent
             )
         if reason:
-            # If this process was suspended, the suspension is the cause and is reported.
+            # If this process was suspended, the suspension has caused the other reasons. Then only
+            # the suspension is reported.
             raise SafeStop(self.name, permit.hold_up(self._environment.monotonic_ns()) or reason)
 
     def write(self) -> None:
@@ -455,7 +464,8 @@ class ZenohBase:
     def revoke(self, reason: str) -> None:
         """Withdraw the permit. After this call, only the last set point can be repeated.
 
-        After a suspension of this process, no set point is sent, and the publisher is undeclared.
+        If this process was suspended, the last set point is not repeated either, and the publisher
+        is undeclared.
         """
         is_held_up = self.permit.hold_up(self._environment.monotonic_ns())
         self.permit.lose(reason)
@@ -463,7 +473,10 @@ class ZenohBase:
             self._link.end_publishing()
 
     def ramp_down(self, elapsed: float) -> bool:
-        """Repeat the last set point with zero velocity while the arm comes to rest. Return True."""
+        """Repeat the last set point with zero velocity while the arm comes to rest.
+
+        Returns True, because the base robot itself needs no ramp-down.
+        """
         self._take()
         self._steps += 1
         # After an incomplete activation nothing is sent, because a set point could complete the
@@ -542,9 +555,9 @@ class ZenohBase:
         return True
 
     def _publish(self, position: Array, orientation: Array, velocity: Array) -> None:
-        """Publish a set point if the permit allows this.
+        """Publish a set point if the permit allows this. Otherwise, do nothing.
 
-        `read` and `write` report a lost permit.
+        No error is raised here, because `read` and `write` raise SafeStop if the permit is lost.
         """
         assert self._link is not None
         now = self._environment.monotonic_ns()

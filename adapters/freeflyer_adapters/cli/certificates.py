@@ -25,7 +25,9 @@ from freeflyer_adapters.base.certificates import AUTHORITY, NAME, Identity, host
 NAMES = ("controller", "base_robot")
 """Default names: one controller and one base robot."""
 DAYS = 365.0
+"""Default validity of a certificate [days]."""
 LONGEST = 3650.0
+"""Longest validity of a certificate [days]."""
 HOST = re.compile(
     r"(?=.{1,253}$)[A-Za-z0-9]([A-Za-z0-9-]*[A-Za-z0-9])?(\.[A-Za-z0-9]([A-Za-z0-9-]*[A-Za-z0-9])?)*"
 )
@@ -96,7 +98,8 @@ class CertificatesCommand:
             console.print(
                 f"{directory}/{AUTHORITY}.pem, {AUTHORITY}.key: a new authority", soft_wrap=True
             )
-        # A renewed certificate keeps its uses and hosts.
+        # A renewed certificate keeps the uses and hosts of the old certificate. If it is valid for
+        # listening, the hosts of --host are added.
         for name in [*names, *observers, *renewed]:
             old = before.get(name)
             may_listen = _may_listen(old) if old is not None else name in names
@@ -119,7 +122,10 @@ class CertificatesCommand:
 def _check(
     directory: Path, names: Sequence[str], renewed: Sequence[str], hosts: Sequence[str], days: float
 ) -> None:
-    """Check all arguments. Raises CertificateError if an argument is not valid."""
+    """Check all arguments. Raises CertificateError if an argument is not valid.
+
+    `names`: new names. `renewed`: names with a certificate that is to be replaced.
+    """
     # Check the names, the hosts and the validity.
     for name in [*names, *renewed]:
         if not NAME.fullmatch(name) or name == AUTHORITY:
@@ -200,7 +206,7 @@ def _may_listen(certificate: x509.Certificate) -> bool:
 
 
 def _united(hosts: Sequence[str], more: Sequence[str]) -> list[str]:
-    """Return all hosts in order, normalised and without duplicates."""
+    """Return `hosts` and then `more`, normalised and without duplicates."""
     return list(dict.fromkeys(written(host) for host in [*hosts, *more]))
 
 

@@ -94,7 +94,7 @@ class HilCommand:
             check_log_to(arguments.log_to)
         if arguments.check:
             return _check(chosen, arguments, console)
-        # Check the output and print all notices before a device is opened.
+        # Check the output directory and print all notices before the link of a device is opened.
         directory = arguments.out or Path("freeflyer_out") / f"hil_{chosen.name}"
         check_writable(directory)
         if not arguments.simulated:
@@ -105,7 +105,8 @@ class HilCommand:
         def show(text: str) -> None:
             console.print(text, soft_wrap=True)
 
-        # First, complete the recordings of earlier processes that were killed.
+        # An earlier process may have been killed before it completed its recording. Complete these
+        # recordings first.
         for sentence in rescue():
             show(sentence)
         recording = Recording(
@@ -163,7 +164,8 @@ class FacilityCommand:
 
         for notice in notices(chosen, as_robot=True):
             show(notice)
-        # The threads of the links must start before the loop gets its real-time priority.
+        # A thread inherits its priority. So the threads of the links must start before the loop
+        # gets its own, higher priority.
         try:
             pacing.prepare_links(arguments.real_time)
             facility = Facility(chosen, arguments.fmi)
@@ -188,7 +190,10 @@ class FacilityCommand:
 
 
 def _check(chosen: Scenario, arguments: argparse.Namespace, console: Console) -> int:
-    """Execute `--check`. Return BAD_INPUT if a device could not be activated at present."""
+    """Execute `--check`. Return the exit code.
+
+    The exit code is BAD_INPUT if a device could not be activated now, and DONE otherwise.
+    """
     with _facility_beside(chosen, arguments, lambda text: None):
         found = hil.inspect(chosen, simulated=arguments.simulated, fmi=arguments.fmi)
     for name, inspection in found.items():
@@ -219,9 +224,10 @@ def _check(chosen: Scenario, arguments: argparse.Namespace, console: Console) ->
 
 @contextmanager
 def _reason_kept(stop: StopNotice) -> Iterator[None]:
-    """Record the reason if a run ends before its devices are prepared.
+    """If a run ends with an exception, write the reason to stop.json and the system log.
 
-    The reason is not printed here, because the command prints the error.
+    This has an effect only if the reason was not written before, that is, if the run ends before
+    its devices are prepared. The reason is not printed here, because the command prints the error.
     """
     try:
         yield
@@ -278,7 +284,10 @@ def _common(parser: argparse.ArgumentParser) -> None:
 
 
 def recording_lines(recording: Mapping[str, Any]) -> list[str]:
-    """Return messages about written and missing recordings, from `LoopReport.recording`."""
+    """Return messages about the files of a recording and about missing data.
+
+    `recording` is the value of `LoopReport.recording`, or an empty mapping.
+    """
     paths = [*recording.get("recording", ()), *recording.get("can", ()), recording.get("flight")]
     lines = [f"Recorded: {', '.join(path for path in paths if path)}"] if any(paths) else []
     if recording.get("rows_lost"):

@@ -32,9 +32,10 @@ from freeflyer_adapters.facility.settings import FacilitySettings
 
 JOINTS = 7
 CLASSIC_PDOS = 2 * 7
-"""Number of PDOs of seven CiA 402 drives in a cycle.
+"""Number of process-data frames (PDOs) of seven CiA 402 drives in one cycle, with classic CAN.
 
-Each drive has a PDO for the set point and a PDO for the actual value, of 8 bytes each.
+For each drive, one PDO contains the set point and one PDO contains the actual value. A PDO has 8
+bytes.
 """
 
 

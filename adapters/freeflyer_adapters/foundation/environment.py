@@ -1,8 +1,8 @@
 """The environment of devices: clocks, CAN buses and Zenoh sessions.
 
-A constructor calls `present()` and keeps the result. A run in virtual time uses another environment
-(`freeflyer_adapters.facility.virtual_time`). So all parts of a loop, and both ends of its links
-to the facility, run in virtual time without a change of their code.
+An object that needs the environment calls `present()` in its constructor and keeps the result. A
+run in virtual time uses another environment (`freeflyer_adapters.facility.virtual_time`). So the
+loop, the facility and the links between them run in virtual time without a change of their code.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ import zenoh
 class Environment:
     """The real environment."""
 
-    # This function is called about twenty times per cycle of 1 ms. It has no wrapper, because a
-    # wrapper would take time.
+    # `monotonic_ns` is called about twenty times per cycle of 1 ms. The attribute is the function
+    # of `time` itself, because a method that calls this function would take more time.
     monotonic_ns: Callable[[], int] = staticmethod(time.monotonic_ns)
     """Monotonic clock with an arbitrary zero [ns]."""
     time_ns: Callable[[], int] = staticmethod(time.time_ns)
@@ -54,7 +54,7 @@ def present() -> Environment:
 
 @contextmanager
 def within(other: Environment) -> Iterator[None]:
-    """Make `other` the present environment of all objects constructed in the block."""
+    """Make `other` the present environment. It is used by all objects constructed in the block."""
     token = _present.set(other)
     try:
         yield

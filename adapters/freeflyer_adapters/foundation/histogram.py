@@ -7,7 +7,7 @@ from collections.abc import Mapping
 BINS = 100_000
 """Number of bins. Each bin is 1 us wide. The last bin also counts all longer durations.
 
-The attribute `longest` is exact for all durations.
+`Histogram.longest` is the exact longest duration, also if it is longer than the range of the bins.
 """
 
 
@@ -35,7 +35,7 @@ class Histogram:
         return recent / 1000.0
 
     def quantile(self, share: float) -> float:
-        """Return the upper edge [us] of the bin that contains a quantile.
+        """Return the upper edge [us] of the bin that contains the quantile `share` (0 to 1).
 
         Returns 0 if the histogram is empty.
         """

@@ -18,10 +18,10 @@ LINK_PRIORITY, LOOP_PRIORITY = 20, 40
 
 
 def prepare_links(real_time: bool) -> None:
-    """Set the real-time priority for the threads of the links, if this is permitted.
+    """Set the priority LINK_PRIORITY for the threads of the links, if the system permits it.
 
-    A thread inherits the priority when it is created. So this function must be called before
-    devices open their links.
+    The function sets the priority of the calling thread. A new thread inherits the priority of the
+    thread that creates it. So this function must be called before devices open their links.
     """
     if real_time:
         with suppress(OSError, AttributeError):
@@ -86,11 +86,11 @@ def no_collection() -> Iterator[None]:
 
 
 class Pacer:
-    """Timer that waits for the deadlines t0 + k * period (k = 1, 2, ...).
+    """Timer that waits for the deadlines t0 + k * period (k = 1, 2, ...). `period` is in [ns].
 
-    After a delay longer than one period, t0 is reset to the present time and k to 0. So missed
-    deadlines are skipped, and `wait` does not return several times in quick succession. `overruns`
-    counts these resets.
+    t0 is the time of the first call of `wait`. If `wait` returns more than one period after its
+    deadline, t0 is reset to the present time and k to 0. So missed deadlines are skipped, and
+    `wait` does not return several times in quick succession. `overruns` counts these resets.
     """
 
     def __init__(self, period: int) -> None:

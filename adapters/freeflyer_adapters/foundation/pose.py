@@ -1,7 +1,7 @@
-"""Rotations and pose distances in plain floating point, for use in every cycle.
+"""Rotations and pose distances without SciPy, for use in every cycle.
 
-These functions take a tenth of the time of SciPy's rotations. The tests compare the functions with
-SciPy.
+These functions take a tenth of the time that SciPy's rotations take. The tests compare the results
+with the results of SciPy.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def rotated(orientation: Array, vector: Array, *, back: bool = False) -> tuple[f
 
 
 def twist_rotated(orientation: Array, twist: Array, *, back: bool = False) -> Array:
-    """Rotate the linear part and the angular part of a twist (6) by `rotated`."""
+    """Rotate the linear part and the angular part of a twist (6), each with `rotated`."""
     return np.array(
         [*rotated(orientation, twist[:3], back=back), *rotated(orientation, twist[3:], back=back)]
     )
@@ -39,8 +39,8 @@ def distance(
 ) -> tuple[float, float]:
     """Return the distance [m] and the angle [rad] between two poses.
 
-    The angle is computed from the chord between the two unit quaternions. This method is accurate
-    for small angles.
+    The angle is computed from the length of the difference of the two unit quaternions. This method
+    is accurate for small angles.
     """
     gap = position - other_position
     q = orientation / math.sqrt(orientation @ orientation)

@@ -9,7 +9,7 @@ from pathlib import Path
 def made(path: Path) -> str | None:
     """Make a directory with mode 0700, unless the directory exists.
 
-    Returns the reason why the directory must not be used, or None if it may be used.
+    Returns None if the directory may be used, or the reason why the directory must not be used.
     """
     try:
         path.mkdir(mode=0o700, exist_ok=True)

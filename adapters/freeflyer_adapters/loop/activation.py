@@ -12,8 +12,8 @@ from freeflyer_adapters.device.device import Device, SafeStop
 def guarded(device: Device, call: Callable[[], object]) -> None:
     """Call a function of a device's driver.
 
-    StepFailed and CosimError are raised unchanged. Every other exception is raised as SafeStop, so
-    that the recording is kept.
+    StepFailed and CosimError are raised unchanged. Every other exception is raised as SafeStop. The
+    loop ends a run with SafeStop in an orderly way, so the results of the run are kept.
     """
     try:
         call()
@@ -26,13 +26,15 @@ def guarded(device: Device, call: Callable[[], object]) -> None:
 def clocks_first(devices: Sequence[Device]) -> list[Device]:
     """Return the devices in the order in which their commands are written.
 
-    If an arm is the clock of the loop, this arm is first, because the arm waits for its command.
+    The clock of the loop is the device whose state frames start the instants of the loop. Only an
+    arm can be the clock. It is first, because it waits for its command. Without a clock, the order
+    is not changed.
     """
     return sorted(devices, key=lambda device: not device.is_clock)
 
 
 def prepare(devices: Sequence[Device]) -> None:
-    """Check all start poses, then prepare all devices without power.
+    """Check all start poses. Then prepare all devices, but do not enable their power.
 
     Raises DeviceError if a start pose is not correct, or if a device cannot be prepared.
     """
@@ -43,10 +45,11 @@ def prepare(devices: Sequence[Device]) -> None:
 
 
 def activate(devices: Sequence[Device], is_interrupted: Callable[[], bool]) -> bool:
-    """Activate all devices. Return False if the user has interrupted the activation.
+    """Activate all devices. Return True, or False if the user has interrupted the activation.
 
-    The arm is activated last, because it needs commands as soon as it is active. Raises DeviceError
-    if a device cannot be activated, and SafeStop if a driver fails.
+    `is_interrupted` returns True after the user has interrupted the run. The clock of the loop (an
+    arm) is activated last, because it needs commands as soon as it is active. Raises DeviceError if
+    a device cannot be activated, and SafeStop if a driver fails.
     """
 
     def meanwhile() -> bool:

@@ -1,7 +1,8 @@
 """The graded stop. It brings every device to rest, whatever the reason of the stop is.
 
-This module orders the stop of all devices. The stop of one arm, first the ramp-down and then the
-brakes, is `freeflyer_adapters.device.ramp_down` and the method `ramp_down` of the device.
+This module defines the sequence of the stop for all devices together. For one arm, the stop is the
+ramp-down of its torques, and then the brakes. This part is in
+`freeflyer_adapters.device.ramp_down` and in the method `ramp_down` of the device.
 """
 
 from __future__ import annotations
@@ -14,15 +15,19 @@ from freeflyer_adapters.foundation import environment
 from freeflyer_adapters.foundation.pacing import Pacer
 
 LONGEST_STOP = 5.0
-"""Timeout of the graded stop [s]. After this time, only a device's own watchdog can stop it."""
+"""Timeout of the graded stop [s].
+
+If a device is not at rest after this time, only the watchdog of this device can still stop it.
+"""
 NOTHING_ACTIVE = "nothing was active"
 
 
 def stop(devices: Sequence[Device], period: int, reason: str, *, orderly: bool) -> str:
     """Bring all active devices to rest and close all devices. Return a sentence about the result.
 
-    `period` [ns] is the time between two steps if no active device is the clock of the loop.
-    `orderly` is True if nothing has failed.
+    The ramp-down of a device consists of steps. `period` [ns] is the time between two steps if no
+    active device is the clock of the loop. `reason` is the reason of the stop. `orderly` is True if
+    nothing has failed.
     """
     # Revoke all permits. Without a permit, only commands that reduce motion can be sent.
     for device in devices:
@@ -34,8 +39,8 @@ def stop(devices: Sequence[Device], period: int, reason: str, *, orderly: bool) 
         for device in devices
         if device.state.now is LifeCycle.active or device.may_have_power
     ]
-    # Ramp down all active devices together. If a device is the clock, it paces these steps. Without
-    # such a device, a pacer waits between the steps.
+    # Ramp down all active devices together. If an active device is the clock, its `ramp_down` waits
+    # for the next state frame. Without such a device, a pacer waits between the steps.
     now = environment.present().monotonic
     start = now()
     pacer = None if any(device.is_clock for device in active) else Pacer(period)
@@ -45,8 +50,8 @@ def stop(devices: Sequence[Device], period: int, reason: str, *, orderly: bool) 
         if pacer is not None:
             pacer.wait()
         elapsed = now() - start
-        # A device that has finished the ramp-down holds its place. It is called until all devices
-        # have finished.
+        # A device that has finished its ramp-down holds its position. Its `ramp_down` is still
+        # called until all devices have finished.
         done = [_ramped(device, elapsed, broken) for device in active]
         going = [device for device, is_done in zip(active, done, strict=True) if not is_done]
     took = now() - start

@@ -1,9 +1,13 @@
 """Hardware in the loop: the controllers of a scenario run with devices instead of models.
 
 The devices are configured when the scenario is assembled. All devices are activated together and
-stopped together. The stop is the same for every reason: a damped ramp-down at the rate of the arm,
-and then the brakes. The state frames of the arm are the clock of the loop: each state frame starts
-an instant. If no device is the clock, each instant starts at an absolute deadline.
+stopped together. The stop is the same for every reason. First, the torques of the arm are ramped
+down with joint damping. Then the brakes engage.
+
+The loop runs in instants: the points in time at which it reads the devices, evaluates the
+controllers and writes the commands. The state frames of the arm are the clock of the loop: each
+state frame starts an instant. If no device is the clock, each instant starts at an absolute
+deadline.
 """
 
 from __future__ import annotations
@@ -43,8 +47,11 @@ class LoopReport:
     """The part of a result that only a run with devices has."""
 
     granted: Sequence[str]
+    """Results of the requests for real-time scheduling (`pacing.enter_real_time`)."""
     times: Mapping[str, Mapping[str, float]]
+    """Summaries of the measured durations (`Histogram.summary`), by name."""
     devices: Mapping[str, Mapping[str, float]]
+    """Counts of each device (`Device.report`), by the name of the device."""
     stop: str
     """Reason of the stop, and the final state of the devices."""
     remarks: Sequence[str] = ()
@@ -68,11 +75,12 @@ def with_devices(
 ) -> Scenario:
     """Replace components of the scenario by the devices with the same names.
 
-    A connection between two devices exists in hardware. Therefore this connection is removed,
-    unless its target is a simulated device.
+    A connection between two devices exists in hardware, unless its target is a simulated device. A
+    connection that exists in hardware is removed from the scenario.
 
-    `simulated`: run the model of every device in this process, paced by the wall clock.
-    `fmi`: FMI version of these models.
+    `simulated`: instead of the devices, run the models of all devices in this process, in real
+    time.
+    `fmi`: FMI version of the models of simulated devices. None: the version in the scenario.
 
     Raises DeviceError if the scenario has no devices, or if its exchange is not "sequential".
     """
@@ -105,8 +113,8 @@ def with_devices(
         """Return the connection, or None if the connection exists in hardware.
 
         A connection between two devices exists in hardware, unless its target is a simulated
-        device. Then the connection becomes optional, because the source device may not have this
-        measurement. All other connections are returned unchanged.
+        device. A connection from a device to a simulated device becomes optional, because the
+        source may not measure this signal. All other connections are returned unchanged.
         """
         source, target = split(connection.source)[0], split(connection.target)[0]
         if source not in devices or target not in devices:
@@ -130,9 +138,10 @@ def _with_model(spec: ComponentSpec, model: ComponentSpec, fmi: int | None) -> C
 def _present_errors(
     scenario: Scenario, master: Master, values: Values
 ) -> dict[str, Callable[[], float]]:
-    """Return functions that compute the present errors of the scenario.
+    """Return one function for each error of the scenario.
 
-    The keys are the names of the errors with their units.
+    The function computes the error from the signal values at the time of the call. The keys are the
+    names of the errors with their units.
     """
 
     def error_now(measure: Measure) -> Callable[[], float]:
@@ -166,11 +175,11 @@ def run(
     """Configure, activate, run and stop the devices of a scenario.
 
     `real_time`: use real-time priorities. `simulated`, `fmi`: see `with_devices`. `view`: open the
-    live view. `notice` receives the reason of the stop before any other output. `show` prints a
-    line.
+    live view. `recording`: settings of the recording, or None to record nothing. `notice` receives
+    the reason of the stop before any other output. `show` prints a line.
 
-    Raises CosimError for an error that occurs before anything moves. Later errors are contained in
-    the result.
+    Raises CosimError for an error that occurs before anything moves. A later error does not raise
+    an exception: it is the cause of the stop in the result.
     """
     scenario = with_devices(scenario, simulated=simulated, fmi=fmi)
     pacing.prepare_links(real_time)
@@ -191,7 +200,7 @@ class Inspection:
     refusal: str | None
     """Reason why the device cannot be activated now. None if it can be activated."""
     cannot_refuse: Sequence[str] = ()
-    """Sentences about unsafe commands that the device itself cannot reject."""
+    """Sentences about unsafe commands that the device cannot reject by itself."""
 
 
 def inspect(
@@ -199,7 +208,8 @@ def inspect(
 ) -> dict[str, Inspection]:
     """Configure and read every device, and check whether the device can be activated.
 
-    No message changes the state of a device. Raises CosimError if a device cannot be configured.
+    This function sends no message that changes the state of a device. Raises CosimError if a device
+    cannot be configured.
     """
     scenario = with_devices(scenario, simulated=simulated, fmi=fmi)
     found = {}
@@ -223,7 +233,10 @@ def inspect(
 
 
 def limitations(found: Mapping[str, Sequence[str]]) -> list[str]:
-    """Return sentences for the operator about unsafe commands that devices cannot reject."""
+    """Return sentences for the operator about unsafe commands that devices cannot reject.
+
+    `found`: the sentences of `Device.cannot_refuse`, by the name of the device.
+    """
     return [
         f"{name} cannot reject every unsafe command: {sentence}"
         for name, sentences in found.items()
@@ -252,7 +265,8 @@ def _run(
             raise DeviceError(
                 f"device {device.name} works in steps of {device.step:g} s, but its step_s is {step:g} s"
             )
-    # The commands are written before the observation, because the observation may take longer.
+    # The hook that writes the commands is called before the observation, because the observation
+    # may take a long time.
     deadlines = Pacing(devices, period)
     observation = Observation(
         devices,
@@ -281,7 +295,8 @@ def _run(
                 observation.recording = RecordingClient(
                     recording, scenario, master, values, devices
                 )
-            # Show the granted priorities and the limitations of the devices, then run the loop.
+            # Show the results of the real-time requests and the limitations of the devices. Then
+            # run the loop.
             granted = pacing.enter_real_time(real_time)
             show("Real time: " + ", ".join(granted))
             for sentence in limitations({device.name: device.cannot_refuse for device in devices}):
@@ -318,7 +333,10 @@ def _loop(
     hooks: Sequence[InstantHook],
     stop_requests: Sequence[float],
 ) -> Outcome:
-    """Activate the devices, then run to the end. `stop_requests`: times of received SIGINTs."""
+    """Activate the devices, then run to the end. `stop_requests`: times of received SIGINTs.
+
+    A SIGINT is an interruption by the user. Returns the outcome of the run.
+    """
     try:
         if activation.activate(devices, lambda: bool(stop_requests)):
             outcome = master.run(hooks=hooks)

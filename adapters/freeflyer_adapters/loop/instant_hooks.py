@@ -19,7 +19,10 @@ VIEW_EVERY = 100
 
 
 class Pacing:
-    """Hook that waits for absolute deadlines if no device is the clock."""
+    """Hook that starts each instant at an absolute deadline, if no device is the clock.
+
+    If a device is the clock, the hook does nothing. `period` is the time between deadlines [ns].
+    """
 
     def __init__(self, devices: Sequence[Device], period: int) -> None:
         self._clock = next((device for device in devices if device.is_clock), None)
@@ -43,7 +46,7 @@ class Pacing:
 class CommandWriting:
     """Hook that writes the commands at the end of each instant.
 
-    The commands of the arm are written first.
+    If an arm is the clock of the loop, its command is written first.
     """
 
     def __init__(self, devices: Sequence[Device], master: Master) -> None:
@@ -61,7 +64,9 @@ class CommandWriting:
 class Observation:
     """Hook that updates the measured times, the recording and the live view.
 
-    The hook runs after the commands are written. It sends nothing to the devices.
+    The hook runs after the commands are written. It sends nothing to the devices. `energies` are
+    the names of the observed energies. `errors` are functions that compute the present errors of
+    the scenario, by name. Both are shown in the live view.
     """
 
     def __init__(
@@ -124,7 +129,7 @@ class Observation:
     def numbers(self, k: int) -> list[float]:
         """Return the values in the order of `names`.
 
-        Each time is the longest time since the last call of this method.
+        Each value with the unit [us] is the longest duration since the last call of this method.
         """
         now = self._environment.monotonic()
         rate = VIEW_EVERY / max(now - self._shown_at, 1e-9)

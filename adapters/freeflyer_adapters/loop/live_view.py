@@ -1,6 +1,7 @@
 """Live terminal view of a running loop. The view is a separate process that reads shared memory.
 
-The loop only copies numbers into a memory-mapped file. The reader cannot block or delay the loop.
+The loop only copies numbers into a memory-mapped file. The process of the view cannot block or
+delay the loop.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ PERIOD = 0.2
 class LiveValues:
     """Writer of the live values, in the process of the loop.
 
-    The names are written once. The values can be written at any time.
+    The constructor writes the title and the names. Later, `write` writes only the values.
     """
 
     def __init__(self, title: str, names: Sequence[str]) -> None:
@@ -113,7 +114,11 @@ class LiveReader:
         self._values = struct.Struct(f"={len(self.names)}d")
 
     def read(self) -> Mapping[str, float]:
-        """Return one consistent set of values. The set is empty before the first `write`."""
+        """Return all values of the same `write`, by name.
+
+        Returns no values before the first `write`, or if each of 100 attempts meets a `write` in
+        progress.
+        """
         for _ in range(100):
             (before,) = SEQUENCE.unpack_from(self._memory, self._first)
             values = self._values.unpack_from(self._memory, self._first + SEQUENCE.size)
@@ -138,7 +143,7 @@ def picture(title: str, values: Mapping[str, float]) -> Table:
 
 
 def main(path: str) -> None:
-    """Show the view until the process of the loop ends, or until it terminates this process."""
+    """Show the view until the process of the loop ends, or until the loop ends this process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the loop handles Ctrl-C
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     reader = LiveReader(Path(path))

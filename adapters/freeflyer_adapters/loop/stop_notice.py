@@ -1,6 +1,6 @@
 """Write the reason of a stop to standard output, a preallocated file and the system log.
 
-After a stop, this output is written before all other files of a run.
+The reason is written before all other files of the run.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from freeflyer_adapters.foundation import environment
 
 NAME = "stop.json"
 SIZE = 4096
-"""Constant size of stop.json [bytes]. So the file can be overwritten without new disk space."""
+"""Constant size of stop.json [bytes]. So overwriting the file does not need more disk space."""
 LONGEST = {"scenario": 256, "reason": 2400, "left": 1000}
 """Limits of these members of the JSON document [bytes].
 
@@ -53,10 +53,14 @@ class StopNotice:
         scenario: str,
         show: Callable[[str], None],
     ) -> None:
-        """Open all outputs. `show` prints a line on standard output.
+        """Open all outputs, and reserve the disk space of stop.json.
+
+        `directory`: the directory of stop.json, or None for no file. `log_to`: the value of the
+        option `--log-to`, or None for no system log. `scenario`: name of the scenario. `show`
+        prints a line on standard output.
 
         Raises DeviceError if `log_to` is not valid, or if this log is not available. Raises
-        OutputError (exit code 2) if stop.json cannot be reserved.
+        OutputError (exit code 2) if stop.json cannot be created.
         """
         self.problems = []
         self._environment, self._show, self._given = environment.present(), show, False
@@ -85,11 +89,13 @@ class StopNotice:
     def give(self, reason: str, left: str, *, orderly: bool, quiet: bool = False) -> None:
         """Write the reason to all outputs. Only the first call has an effect.
 
-        `left` describes the state in which the stop has left the devices. `orderly` is True if a
-        KeyboardInterrupt caused the stop. With `quiet`, nothing is written to standard output.
+        `left` describes the state of the devices after the stop. `orderly` is True if nothing has
+        failed: the scenario has finished, or the user has interrupted the run. With `quiet`,
+        nothing is written to standard output.
 
-        If an output fails, no exception is raised, and the other outputs are written. If standard
-        output is a blocked terminal or pipe, it is written last, and may block this call.
+        If an output fails, no exception is raised, and the other outputs are still written. If
+        standard output is a blocked terminal or pipe, it is written last. This last write may block
+        the call.
         """
         if self._given:
             return
@@ -115,8 +121,8 @@ class StopNotice:
         is_writable = quiet or _is_writable(sentence)
         if is_writable and not quiet:
             self._put("standard output", lambda: self._print(sentence))
-        # The system log is written before the file. The log never blocks, but a failing disk may
-        # block.
+        # The system log is written before the file, because a write to the log never blocks, but a
+        # write to a failing disk may block.
         if (log := self._log) is not None:
             priority = SysLogHandler.LOG_NOTICE if orderly else SysLogHandler.LOG_WARNING
             self._put(f"the system log at {log.name!r}", lambda: log.send(sentence, priority))
@@ -137,7 +143,7 @@ class StopNotice:
     def _put(self, place: str, put: Callable[[], None]) -> None:
         try:
             put()
-        # Without a terminal, a console may raise SystemExit.
+        # If standard output is closed, the console behind `show` may raise SystemExit.
         except (Exception, SystemExit) as error:
             self.problems.append(f"{place} did not take the reason of the stop: {_message(error)}")
 
@@ -284,7 +290,7 @@ def _is_writable(sentence: str) -> bool:
     except (AttributeError, OSError, ValueError):
         # Standard output is missing, or has no file descriptor.
         return True
-    # If a pipe is writable, space for only PIPE_BUF bytes is guaranteed.
+    # A writable pipe is only guaranteed to have space for PIPE_BUF bytes. A longer text may block.
     return bool(writable) and len(sentence.encode()) < select.PIPE_BUF
 
 
