@@ -24,7 +24,8 @@ from freeflyer.master.record import Record
 
 AXES = ("x", "y", "z", "about x", "about y", "about z")
 ENTRIES = (
-    # (key in energy_audit.json, label, field of Port, sign in the sum)
+    # Columns: key in energy_audit.json (there with the suffix "_j"), label in the table on the
+    # console, field of `Port`, sign. The sum of sign times field is the work at the port.
     ("feed_forward", "work of the held feed-forward", "feed_forward", 1.0),
     ("reference", "work of the control law on the desired motion", "reference", 1.0),
     ("multi_rate", "multi-rate: work of true F_B minus held F_B", "stale", 1.0),
@@ -112,7 +113,8 @@ def _missing(path: Path) -> str:
 def numbers(audit: Audit) -> dict[str, Any]:
     """Return the contents of energy_audit.json.
 
-    Energies [J] are sums from the first row to the last row. Positive energy flows into the robot.
+    Energies [J] are sums from the first row of the record to the last row. Energy that flows into
+    the robot is positive.
     """
     loop, balance = audit.loop, audit.balance
     ports = {"B": audit.base, "M": audit.manipulator}
@@ -159,6 +161,7 @@ def _signed(port: Port, field: str, sign: float) -> float:
 def _observation(audit: Audit, port: Port) -> dict[str, Any]:
     """Return the observed and the true energy of a port.
 
+    The true energy is the energy that an ideal observer of this port computes.
     The last row is left out, because the observer takes no sample there.
     """
     observed, true = port.observed[:-1], port.absorbed[:-1]
@@ -177,7 +180,8 @@ def _observation(audit: Audit, port: Port) -> dict[str, Any]:
 def table(audit: Audit) -> Table:
     """Return the table of the energy that flowed into the robot at each port.
 
-    In each column, the sum of the entries is the work at the port.
+    In the column of a port, the sum of the entries is the work at this port. Below it are the
+    changes and residuals of the energy balance of the whole robot.
     """
     loop, balance = audit.loop, audit.balance
     shown = Table(

@@ -112,6 +112,8 @@ def errors(record: Record, plant: str = "free_flyer") -> Any:
     """Draw Figs. 3, 4, 10: errors of the end-effector (top) and the base (bottom).
 
     Position is on the left, orientation on the right. The set point of the base is the origin of I.
+    `plant` is the component whose outputs are the motion of the robot: `free_flyer`, or the
+    component of the whole loop in continuous time.
     """
     actual = (f"{plant}.end_effector_position", f"{plant}.end_effector_orientation")
     if plant == "free_flyer":
@@ -165,7 +167,7 @@ def _both(
 
 
 def energies(record: Record) -> Any:
-    """Draw Figs. 7, 9: observed energies of manipulator (top) and base (bottom).
+    """Draw Figs. 7, 9, 13, 14: observed energies of manipulator (top) and base (bottom).
 
     There is one line per degree of freedom. The energies include E(0).
     """

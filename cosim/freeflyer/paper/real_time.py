@@ -32,7 +32,8 @@ def run(scenario: Scenario, directory: Path, settings: Sequence[str] = ()) -> Re
     """Start a virtual facility, run the control loop on it, and stop the facility.
 
     `settings` are further arguments of `--set`. A loop that stopped early also gives a result.
-    Raises OutputError if the loop gives no result. The error contains the output of the command.
+    Raises OutputError if the loop gives no result. The message contains the error output of the
+    loop. Also raises OutputError if the facility does not start.
     """
     # Only this process uses this CAN channel and this TCP port. Therefore several runs at the same
     # time do not interfere.
@@ -74,6 +75,7 @@ def run(scenario: Scenario, directory: Path, settings: Sequence[str] = ()) -> Re
 def _facility(command: list[str]) -> Iterator[None]:
     """Start a facility, wait until it is ready, and stop it when the context ends.
 
+    The facility is ready when it prints a line that contains "is there".
     Raises OutputError if the facility does not start.
     """
     with subprocess.Popen(

@@ -1,4 +1,4 @@
-"""Reproduce the paper's simulation: draw its figures, compare its statements with the results."""
+"""Run the paper's experiments, draw its figures, and compare its statements with the results."""
 
 from __future__ import annotations
 
@@ -29,9 +29,10 @@ ATTEMPTS = 3
 def reproduce(directory: Path, fmi: int, console: Console, *, in_real_time: bool = False) -> int:
     """Run every case, and write figures, tables and report into `directory`. Return the exit code.
 
-    If `in_real_time` is true, the facility experiment also runs on the virtual facility over CAN
-    and Zenoh. After Ctrl-C, the results of all completed cases and of the interrupted case are
-    saved. Raises OutputError or another CosimError.
+    `fmi` is the FMI version of the FMUs. If `in_real_time` is true, the facility experiment is run
+    a second time: in real time on the virtual facility, over CAN and Zenoh. After Ctrl-C, the
+    results of all completed cases and of the interrupted case are saved.
+    Raises OutputError or another CosimError.
     """
     check_writable(directory)
     # Run the cases. Stop after a case that was interrupted.
@@ -74,9 +75,9 @@ def reproduce(directory: Path, fmi: int, console: Console, *, in_real_time: bool
 def run_in_real_time(directory: Path, console: Console) -> dict[str, Result]:
     """Run the facility experiment with and without passivity controllers.
 
-    A machine without a real-time kernel may suspend a process for longer than the watchdogs allow.
-    Then the loop stops, although it has no fault. Therefore a stopped loop is reported and run
-    again. There are at most ATTEMPTS attempts.
+    A machine without a real-time kernel can suspend a process for longer than the watchdogs allow.
+    Then the loop stops, although it has no fault. Therefore, if a loop stops early, this is
+    reported and the loop is run again. There are at most ATTEMPTS attempts for each loop.
     """
     loops = {}
     for case in map(scenario.load, real_time.CASES):

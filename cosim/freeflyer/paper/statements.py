@@ -151,7 +151,11 @@ def statements(results: Mapping[str, Result]) -> list[Statement]:
 def real_time_statements(
     results: Mapping[str, Result], loops: Mapping[str, Result]
 ) -> list[Statement]:
-    """Compare the statements on the facility experiment with the loops in real time."""
+    """Compare the statements on the facility experiment with the loops in real time.
+
+    `loops` has the results in real time: first with passivity controllers, then without. `results`
+    has the results of CASES.
+    """
     if not loops:
         return []
     # Read the errors of the loop with passivity controllers.
@@ -165,7 +169,8 @@ def real_time_statements(
         for key in ("position_error_m", "orientation_error_deg")
     }
     times = loop.summary["real_time"]["times"]
-    # Find the time from the state frame of the arm to the command of the loop.
+    # Find the entry for the time between the state frame of the arm and the command with which the
+    # loop answers it.
     answer = next(
         (t for name, t in times.items() if "answer" in name), {"p50_us": 0.0, "p99_us": 0.0}
     )
@@ -178,7 +183,7 @@ def real_time_statements(
         if loop.as_expected
         else f"; the loop stopped at {loop.outcome.simulated:.1f} s: {loop.outcome.cause}"
     )
-    # For comparison, read the same error from the simulation.
+    # For comparison, read the position error of the end-effector in the case `facility`.
     inside = results["facility"].summary["end_effector_position_error_m"]["max"]
     return [
         Statement(
@@ -245,8 +250,8 @@ def between(result: Result, start: float, end: float) -> float:
 def energy_slope(result: Result) -> float:
     """Return the slope [J/s] of the base's observed energy over the last 50 s.
 
-    The observed energy has one value for each degree of freedom. At each instant, the smallest of
-    these values is used.
+    The observed energy has one value for each degree of freedom. In each row of the record, the
+    smallest of these values is used.
     """
     record = result.outcome.record
     late = record.time >= result.outcome.simulated - 50.0

@@ -1,6 +1,7 @@
 """Load the components of a scenario and build the master.
 
-The kinds of components and the directories of the FMUs are Python entry points.
+Packages register kinds of components as Python entry points of the group freeflyer.components. They
+register folders with FMUs as entry points of the group freeflyer.fmus.
 """
 
 from __future__ import annotations
@@ -33,8 +34,9 @@ Factory = Callable[[str, Mapping[str, Any], Path], Component]
 def find_fmu(name: str, options: Mapping[str, Any], directory: Path) -> Path:
     """Return the path of a component's FMU. Raises ComponentError if there is no such FMU.
 
+    `name` is the name of the component. `directory` is the folder of the scenario.
     `options["fmu"]` is a path relative to `directory`, or the name of a shipped FMU. Its default
-    value is the name of the component. `options["fmi"]` is the FMI version: 2 (default) or 3.
+    value is `name`. `options["fmi"]` is the FMI version: 2 (default) or 3.
     """
     _check_options(name, options, ("fmu", "fmi"))
     fmu, version = str(options.get("fmu", name)), options.get("fmi", 2)
@@ -43,7 +45,8 @@ def find_fmu(name: str, options: Mapping[str, Any], directory: Path) -> Path:
     if fmu.endswith(".fmu"):
         return directory / fmu
     known: list[str] = []
-    # The shipped FMUs are searched first. Therefore a broken third-party package cannot hide them.
+    # The FMUs of this distribution (entry point `default`) are searched first. Therefore they are
+    # found even if the entry point of a third-party package fails.
     for point in sorted(
         plugins("freeflyer.fmus").values(), key=lambda point: point.name != "default"
     ):
@@ -80,7 +83,7 @@ def python_component(name: str, options: Mapping[str, Any], directory: Path) -> 
     """Return the component that the user's function `options["object"]` creates.
 
     `options["object"]` is MODULE:CALLABLE or FILE.py:CALLABLE. The path FILE.py is relative to
-    `directory`. The function is called with the name of the component.
+    `directory`, the folder of the scenario. The function is called with the name of the component.
     Raises ComponentError if the function cannot be called or does not return a component.
     """
     _check_options(name, options, ("object",))
@@ -149,7 +152,7 @@ def _check_inputs(wiring: graph.Graph, values: Values) -> None:
 
 
 def _recorded(scenario: Scenario, components: Mapping[str, Component]) -> Callable[[str], bool]:
-    """Return a function that states for each signal whether the signal is recorded.
+    """Return a function whose argument is a signal. It returns whether this signal is recorded.
 
     Raises ScenarioError if a pattern of `[record] signals` matches no output.
     """
@@ -179,7 +182,8 @@ def _recorded(scenario: Scenario, components: Mapping[str, Component]) -> Callab
 class System:
     """A checked scenario with loaded components. The components are not initialised.
 
-    `steps` are the communication steps [ns].
+    `values` are the values that the scenario sets, by component and variable. `steps` has the
+    communication step [ns] of each component. `wiring` is the graph of components and connections.
     """
 
     components: Mapping[str, Component]
@@ -213,8 +217,8 @@ def loaded(scenario: Scenario, fmi: int | None = None) -> Iterator[System]:
         yield System(components=components, values=values, steps=steps, wiring=wiring)
     finally:
         for component in components.values():
-            # If one component cannot be closed, the other components must still be closed. The
-            # results must not be lost.
+            # If one component cannot be closed, the other components are still closed. No exception
+            # is raised here, because the results of the run would then be lost.
             with suppress(Exception):
                 component.close()
 
@@ -223,6 +227,7 @@ def loaded(scenario: Scenario, fmi: int | None = None) -> Iterator[System]:
 def assembled(scenario: Scenario, fmi: int | None = None) -> Iterator[tuple[Master, Values]]:
     """Load a scenario and initialise its master. Close the components when the context ends.
 
+    Yields the master and the values that the scenario sets.
     `fmi`, if given, overrides the FMI version of all FMUs. Raises CosimError.
     """
     with loaded(scenario, fmi) as system:

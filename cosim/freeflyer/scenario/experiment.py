@@ -31,8 +31,8 @@ from freeflyer.scenario.verdict import as_expected
 class Result:
     """Results of a run.
 
-    `errors` contains one time series (rows,) for each error. The keys are the names of the errors
-    in summary.json.
+    `errors` maps the name of an error in summary.json to its time series. A time series has one
+    value for each row of the record.
     """
 
     scenario: Scenario
@@ -47,8 +47,9 @@ class Result:
 
 
 Engine = Literal["core", "python"]
-"""The engine that executes the schedule: C (`freeflyer.master.native`), or Python with FMPy.
+"""The implementation that steps the components during a run.
 
+"core" is the C code (`freeflyer.master.native`). "python" is `Master.run`, which uses FMPy.
 Both engines give the same numbers.
 """
 
@@ -62,8 +63,10 @@ def run(
 ) -> Result:
     """Load, check and simulate a scenario, and compute its errors and summary.
 
-    `fmi`, if given, overrides the FMI version of all FMUs. `progress` receives the simulated time.
-    Raises CosimError for an error before the first step. A later error is reported in the result.
+    `fmi`, if given, overrides the FMI version of all FMUs. `progress` is called with the simulated
+    time [s] during the run.
+    Raises CosimError for an error before the first step. An error in a step ends the run without an
+    exception. It is then in `outcome` of the result.
     """
     with assembled(scenario, fmi) as (master, values):
         metrics.check(scenario, master.graph.components)
@@ -77,9 +80,10 @@ def run(
 
 
 def provenance(scenario: Scenario, master: Master, values: Values) -> Provenance:
-    """Return the provenance of the record of `master`: steps [ns], connections and parameters.
+    """Return the provenance of the record that `master` wrote.
 
-    A parameter that is not in `values` has its start value.
+    It contains the steps [ns], the connections and the parameters. `values` has the parameter
+    values that the scenario sets. All other parameters have their start values.
     """
     components, schedule = master.graph.components, master.schedule
     return Provenance(
@@ -112,7 +116,7 @@ def write(result: Result, directory: Path) -> None:
 
     Each file is written atomically.
     """
-    with interrupts():  # Ctrl-C during the first file does not prevent the second file
+    with interrupts():  # after Ctrl-C during the first file, the second file is still written
         result.outcome.record.write(directory / "record.parquet")
         write_text(directory / "summary.json", json.dumps(result.summary, indent=2) + "\n")
 

@@ -13,10 +13,11 @@ Raw = dict[str, Any]
 
 
 def merged(base: Raw, change: Raw) -> Raw:
-    """Merge the tables `change` of a file into `base`, the tables of the extended scenario.
+    """Return the merged tables of a file and of the scenario that the file extends.
 
-    `change["without"]` is a list of component names. These components are removed from `base`,
-    together with their devices and connections.
+    `change` has the tables of the file. `base` has the tables of the extended scenario.
+    `change["without"]` is a list of component names. These components are left out, together with
+    their devices, their connections and their signals in [roles].
     Raises ScenarioError if a component of this list does not exist.
     """
     change = dict(change)
@@ -43,6 +44,8 @@ def merged(base: Raw, change: Raw) -> Raw:
             }
             result[key] = merged(kept, value)
             continue
+        # A table { value = ..., unit = ... } is the value of a parameter. It replaces the old
+        # value. Other tables are merged.
         both_tables = (
             isinstance(value, dict) and isinstance(result.get(key), dict) and "value" not in value
         )
@@ -82,16 +85,20 @@ def _without_components(base: Raw, names: Any) -> Raw:
 
 
 def _signals_without(value: Any, names: Sequence[str]) -> Any:
-    """Return a role's signal or list of signals without those of the components in `names`."""
+    """Remove the signals of the components in `names` from the value of a role.
+
+    `value` is one signal or a list of signals. Returns None if the one signal is removed.
+    """
     if isinstance(value, list):
         return [signal for signal in value if component_of(str(signal)) not in names]
     return None if component_of(str(value)) in names else value
 
 
 def _disconnected(text: str, names: Sequence[str]) -> list[str]:
-    """Return the connection `text` without the components in `names`.
+    """Return the connection `text` without the targets in the components `names`.
 
-    The list is empty if no source or no target remains.
+    The result is a list with one connection. It is empty if no target remains, or if the source is
+    in one of these components.
     """
     source, arrow, targets = split_connection(text)
     left = [target for target in targets if component_of(target) not in names]
@@ -99,7 +106,10 @@ def _disconnected(text: str, names: Sequence[str]) -> list[str]:
 
 
 def _driven(raw: Raw) -> set[str]:
-    """Return the inputs that the connections of a file drive."""
+    """Return the inputs that the connections in the tables `raw` drive.
+
+    Connections of terminals are not considered.
+    """
     lists = (raw.get(key) for key in ("connections", "delayed"))
     texts = [str(text) for texts in lists if isinstance(texts, list) for text in texts]
     return {target for t in texts if "<->" not in t for target in split_connection(t)[2]}
@@ -108,7 +118,7 @@ def _driven(raw: Raw) -> set[str]:
 def _without_targets(text: object, driven: set[str]) -> list[str]:
     """Return the connection `text` without the targets in `driven`.
 
-    The list is empty if no target remains.
+    The result is a list with one connection. It is empty if no target remains.
     """
     if "<->" in str(text):
         return [str(text)]  # the inputs of a terminal are unknown until the FMUs are loaded

@@ -33,8 +33,9 @@ def orientation_error(actual: Array, desired: Array) -> Array:
     actual = actual / np.linalg.norm(actual, axis=1, keepdims=True)
     desired = desired / np.linalg.norm(desired, axis=1, keepdims=True)
     # The angle is computed from the distance between the two quaternions. The scalar product of
-    # the quaternions would lose all digits at small angles.
-    # q and -q are the same orientation. The sign of `desired` is chosen for the smaller angle.
+    # the quaternions is not used: at a small angle it is rounded to 1, and the angle is lost.
+    # q and -q are the same orientation. The sign of `desired` is chosen such that the two
+    # quaternions are closer to each other. This gives the smaller one of the two possible angles.
     nearer = desired * np.where(np.sum(actual * desired, axis=1, keepdims=True) < 0.0, -1.0, 1.0)
     return np.asarray(np.degrees(4.0 * np.arcsin(0.5 * np.linalg.norm(actual - nearer, axis=1))))
 
@@ -45,8 +46,10 @@ ERRORS = {"position": position_error, "orientation": orientation_error}
 def signal_or_parameter(
     signal: str, record: Record, components: Mapping[str, Component], values: Values
 ) -> Array:
-    """Return a recorded output (rows, size), or a parameter repeated for every row.
+    """Return the values (rows, size) of a signal in a record.
 
+    The signal is a recorded output or a parameter. The value of a parameter is the same in all
+    rows. `values` has the parameter values that the scenario sets.
     Raises GraphError if the signal does not exist.
     """
     if signal in record:
@@ -96,6 +99,7 @@ def errors(
 def summary(scenario: Scenario, outcome: Outcome, series: Mapping[str, Array]) -> dict[str, Any]:
     """Return the content of summary.json.
 
+    `series` is the result of `errors`.
     Maxima and minima ignore values that are not finite, because JSON cannot represent such values.
     """
     time = outcome.record.time

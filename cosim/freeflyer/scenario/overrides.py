@@ -13,7 +13,9 @@ from freeflyer.scenario.inheritance import Raw
 
 
 def override(raw: Raw, text: str) -> None:
-    """Apply an override COMPONENT.PARAMETER=VALUE to `raw`. Raises ScenarioError.
+    """Apply `text`, which is COMPONENT.PARAMETER=VALUE, to the tables `raw` of a scenario.
+
+    Raises ScenarioError.
 
     VALUE is a TOML value, an unquoted string, or a number with a unit ("300 ms").
     """
@@ -24,8 +26,8 @@ def override(raw: Raw, text: str) -> None:
 def assign(raw: Raw, target: str, value: Any, where: str) -> None:
     """Set `target` in the tables `raw` to `value`. Raises ScenarioError.
 
-    `target` is the left side of `--set`. If the right side is missing, `value` is None and is
-    rejected. `where` is the prefix of error messages.
+    `target` is the text on the left of "=" in `--set`. If there is no "=", `value` is None, and
+    ScenarioError is raised. `where` is the prefix of error messages.
     """
     component, parameter = split(target)
     components = _inner(raw, "components", where)
@@ -61,9 +63,10 @@ def _inner(table: Raw, key: str, where: str) -> Raw:
 
 
 def _assign_in_table(raw: Raw, where: str, keys: Sequence[str], value: Any) -> None:
-    """Set a key of a table, for example devices.NAME.KEY or facility.KEY.
+    """Set a key of a nested table, for example devices.NAME.KEY or facility.KEY.
 
-    KEY may contain dots.
+    `keys` are the parts between the dots, from the outermost table to the key. KEY may itself
+    contain dots: it is then a key of a further nested table.
     """
     devices = raw.get("devices", {})
     if keys[0] == "devices" and (

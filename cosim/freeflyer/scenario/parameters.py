@@ -25,7 +25,8 @@ def resolve(scenario: Scenario, components: Mapping[str, Component]) -> Values:
     Raises ScenarioError if a name, a unit or an enumeration value is unknown. Also raises
     ScenarioError if a size is wrong or a value is not finite.
     """
-    # All raw values are collected first, because a value can refer to any other component.
+    # All raw values are collected first, because a value can be a reference to a parameter of any
+    # other component.
     raw: dict[str, dict[str, Any]] = {}
     used: set[str] = set()
     for spec in scenario.components:
@@ -81,12 +82,14 @@ def _value(
     value: Any,
     seen: tuple[str, ...],
 ) -> Array:
-    """Return a value as an array (port.size,) [SI].
+    """Return the value of the variable `name` of `component` as an array (port.size,) [SI].
 
-    `raw` contains all values of the scenario, because a value can be a reference to another value.
-    `seen` contains the references that were followed so far.
+    `value` is this value as in the scenario file. It can be a reference to another value. Therefore
+    `raw` contains all values of the scenario. `seen` contains the references that were followed so
+    far.
     """
-    # The names can come from a reference. Therefore they are checked here, too.
+    # `component` and `name` can come from a reference in the scenario file. Therefore they may not
+    # exist.
     subject = f"{component}.{name}"
     if component not in components:
         raise ScenarioError(
@@ -103,8 +106,8 @@ def _value(
     if not port.settable and port.causality != "input":
         raise ScenarioError(f"{subject} cannot be set: it is a computed {port.causality}")
 
-    # A reference gives the value of the other parameter. If the scenario does not set the other
-    # parameter, the reference gives its start value.
+    # A reference "=COMPONENT.PARAMETER" gives the value of this parameter. If the scenario does not
+    # set this parameter, the reference gives the start value of the parameter.
     if isinstance(value, str) and value.startswith("="):
         if subject in seen:
             raise ScenarioError(

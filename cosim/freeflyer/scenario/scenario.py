@@ -64,7 +64,8 @@ class ComponentSpec:
 class Measure:
     """An error between an actual and a desired signal. Each signal is an output or a parameter.
 
-    The error is the distance [m] of positions (3,), or the angle [deg] between orientations (4,).
+    The error is the distance [m] between two positions (3,), or the angle [deg] between two
+    orientations (4,).
     """
 
     actual: str
@@ -129,8 +130,8 @@ def tables(
 ) -> tuple[Raw, Path]:
     """Return the tables of a scenario and the path of its file. Raises ScenarioError.
 
-    The tables are merged and the overrides are applied, but the tables are not checked. The folder
-    `beside` is searched first.
+    The tables contain those of the extended scenarios, and the overrides are applied. The tables
+    are not checked. `name` and `beside` are the arguments of `find`.
     """
     path = find(name, beside)
     raw = _read(path, ())
@@ -147,7 +148,8 @@ def from_tables(raw: Raw, path: Path) -> Scenario:
 def find(name: str, beside: Path | None = None) -> Path:
     """Return the file of a scenario. Raises ScenarioError if there is no such file.
 
-    `name` is a path (relative to the folder `beside`, if given) or the name of a shipped scenario.
+    `name` is a path or the name of a shipped scenario. If the folder `beside` is given, a path
+    relative to this folder is tried first.
     """
     candidates = [Path(name)] if beside is None else [beside / name, Path(name)]
     if beside is not None or not name.startswith("_"):

@@ -1,8 +1,9 @@
 """Roles of signals in the control loop of a scenario.
 
-The role of a signal is its meaning in the loop, for example `base_position`. By default a variable
-with the name of a role has this role, as in the shipped blocks. A scenario with other variable
-names declares the roles in `[roles]`, for example `base_position = "chaser.r_b"`.
+The role of a signal is its meaning in the loop, for example `base_position`. By default, a variable
+has a role if its name is the name of the role. The variables of the shipped blocks have these
+names. A scenario with other variable names declares the roles in `[roles]`, for example
+`base_position = "chaser.r_b"`.
 """
 
 from __future__ import annotations
@@ -23,9 +24,10 @@ SINGLE: Mapping[str, int | None] = {
     "joint_velocity": None,
     "joint_torque": None,
 }
-"""Roles of one variable of the plant, with the number of elements (None: one for each joint).
+"""Roles that only one variable of the plant can have. The values are the numbers of elements.
 
-Positions [m], quaternions [x, y, z, w], velocities and wrenches are in I.
+None means one element for each joint. Positions [m], quaternions [x, y, z, w], velocities and
+wrenches are in the inertial frame I.
 """
 SEVERAL: Mapping[str, tuple[str, ...]] = {
     "orientations": (),
@@ -33,8 +35,8 @@ SEVERAL: Mapping[str, tuple[str, ...]] = {
 }
 """Roles that any number of signals can have. The values are the default names of the signals.
 
-The role `orientations` is for further quaternions of the plant. The role `passivity_control` is for
-the Boolean parameters that enable the passivity controllers.
+The role `orientations` is for quaternions of the plant that have no role in `SINGLE`. The role
+`passivity_control` is for the Boolean parameters that enable the passivity controllers.
 """
 ROLES = (*SINGLE, *SEVERAL)
 

@@ -1,4 +1,4 @@
-"""Communication steps of a scenario's components: `step_s`, or the period of the component."""
+"""Communication steps of a scenario's components, from the key `step_s` of each component."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ def communication_steps(
 ) -> dict[str, int]:
     """Return the communication step [ns] of each component.
 
-    If `step_s` is "=PARAMETER", the step is the value of this parameter.
+    If `step_s` is "=PARAMETER", the step is the value of this parameter of the component. `values`
+    has the values that the scenario sets. For other parameters the start value is used.
     Raises ScenarioError if the component does not have this parameter.
     """
     return {

@@ -1,7 +1,7 @@
 """Verdict of a run.
 
-The verdict states whether the run ended as the scenario expects. It gives the exit code of the
-command.
+The verdict states whether the run ended as the scenario expects. The exit code of the command
+follows from the verdict.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """Predict the stability boundary for the map of a sweep.
 
-The boundary is the largest stable period for each value on the y axis.
+The x axis of the map is the period of a controller. A point of the boundary is the largest stable
+period for one value on the y axis.
 """
 
 from __future__ import annotations
@@ -58,7 +59,8 @@ def predicted(
     lines = {}
     for case in plan.sweep.cases:
         longest = _longest(plan, figure, case)
-        # `unit` [s] is the unit of the x axis. If the axis has factors, it is the period for 1.
+        # `unit` [s] is the unit of the x axis. If the x values are factors, `unit` is the period
+        # for the factor 1.
         unit = longest / max(plan.levels(figure.x))
         ys, xs = np.array(plan.levels(figure.y), dtype=float), []
         for y in ys:
@@ -84,7 +86,8 @@ def points(plan: Plan, figure: Map) -> int:
 def _longest(plan: Plan, figure: Map, case: str) -> float:
     """Return the longest period [s] of the map.
 
-    The values of the axis can have another unit, or they can be factors.
+    The values on the x axis can have another unit, or they can be factors. Therefore the value is
+    converted to s.
     """
     value = dict(_assignments(plan, figure, case, None))[figure.x]
     if isinstance(value, dict):
@@ -95,7 +98,10 @@ def _longest(plan: Plan, figure: Map, case: str) -> float:
 def _assignments(
     plan: Plan, figure: Map, case: str, y: float | None
 ) -> tuple[tuple[str, Any], ...]:
-    """Return assignments for the longest period and `y`. Every other axis has its first value."""
+    """Return the assignments for the longest period on the x axis and the value `y` on the y axis.
+
+    Every other axis has its first value. If `y` is None, the y axis also has its first value.
+    """
     chosen: dict[str, Any] = {figure.x: max(plan.levels(figure.x))}
     if y is not None:
         chosen[figure.y] = y

@@ -22,17 +22,19 @@ from freeflyer.scenario.metrics import versions
 START = 60.0
 """Timeout [s] for the start of the local workers. The start includes the import of the package."""
 ANSWER = 10.0
-"""Timeout [s] for the connection to a scheduler, and timeout for the first worker."""
+"""Timeout [s] for the connection to a scheduler, and for the wait until it has a worker."""
 PACKAGE = "freeflyer-cosim"
 SAFE_PATH = "PYTHONSAFEPATH"
-"""Variable that acts like Python's option `-P` on child processes.
+"""Environment variable with the effect of Python's option `-P`. Child processes inherit it.
 
-With this variable, child processes never import modules from the working directory.
+Therefore child processes do not import modules from the working directory.
 """
 CONFIGURATION = {
-    # Retry a task on two other workers before marking it as failed.
+    # If the worker of a task dies, the task is repeated on another worker, at most twice. Then the
+    # task has failed.
     "distributed.scheduler.allowed-failures": 2,
-    # Do not queue tasks on a busy worker. If the worker dies, a queued task would count as failed.
+    # Do not queue tasks on a busy worker. If this worker died, the failure would also be counted
+    # for the queued tasks.
     "distributed.scheduler.worker-saturation": 1.0,
     "distributed.scheduler.work-stealing": False,
     "distributed.comm.timeouts.connect": f"{ANSWER:g}s",
@@ -103,8 +105,9 @@ def _local(workers: int) -> Iterator[Client]:
 def _blocked_sigint() -> Iterator[None]:
     """Block SIGINT for the threads and processes that are started inside this context.
 
-    A terminal sends SIGINT also to the workers. Only the command must handle SIGINT. A SIGINT that
-    arrives inside the context is delivered at the end of the context.
+    After Ctrl-C, a terminal sends SIGINT to the command and also to the workers. The workers must
+    not react. They inherit the blocked SIGINT. If the command receives a SIGINT inside the context,
+    this SIGINT is delivered at the end of the context.
     """
     # The start of the resource tracker unblocks SIGINT in the calling thread. Therefore the tracker
     # is started before SIGINT is blocked.
@@ -153,7 +156,7 @@ def _client_of(address: str) -> Client:
 
 
 def _check_versions(client: Client) -> None:
-    """Raise ScenarioError if the versions of a worker differ from the versions here.
+    """Raise ScenarioError if a worker has another version of Python or of this package.
 
     With different versions, pickled objects may be incompatible.
     """

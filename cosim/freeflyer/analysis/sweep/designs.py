@@ -1,7 +1,7 @@
 """Designs of experiments: grids, Latin hypercubes and random samples of parameters.
 
-A design is one combination of values of all axes. An axis varies a target of `--set`, or some
-elements of a vector parameter.
+An axis varies one target of `--set`, or some elements of a vector parameter. A design has one value
+of each axis.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ ELEMENTS = re.compile(r"^(?P<name>[^\[\]]+)\[(?P<first>\d+)(:(?P<last>\d+))?\]$"
 
 @dataclass(frozen=True, kw_only=True)
 class Target:
-    """Parameter that is varied. `name` is a target of `--set`.
+    """Parameter that is varied. `name` is the left side of `--set`.
 
     `elements` are the first and the last varied element of a vector, counted from 1. None means all
     elements.
@@ -140,8 +140,9 @@ class Interval:
 class Axis:
     """One target and the source of its values.
 
-    `unit` is the unit of the values. If `relative` is true, the values are factors of the value in
-    the scenario. `also` are further targets that get the same value or factor.
+    `unit` is the unit of the values. If `relative` is true, the values are factors: the value in
+    the scenario is multiplied by them. `also` are further targets that get the same value or
+    factor.
     """
 
     target: Target
@@ -157,7 +158,7 @@ class Axis:
 
 @dataclass(frozen=True, kw_only=True)
 class Sample:
-    """Sample of all axes with `count` draws. A draw has one value for each axis."""
+    """Random sample with `count` draws. A draw has one value for each axis in `axes`."""
 
     method: Method
     count: int
@@ -186,7 +187,8 @@ class Sample:
 class Designs:
     """All combinations of a grid point and a draw.
 
-    From design to design, the draw changes fastest. The last axis of the grid changes second.
+    A grid point has one value for each axis of the grid. In the order of the designs, the draw
+    changes fastest. Then the last axis of the grid changes.
     """
 
     grid: tuple[Axis, ...]

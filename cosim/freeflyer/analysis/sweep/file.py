@@ -1,5 +1,9 @@
 """Read a sweep file (TOML) into a frozen `Sweep`.
 
+A sweep runs one scenario many times. A target is the left side of `--set`, for example
+COMPONENT.PARAMETER. An axis is a target with the values that it takes in the sweep. A design has
+one value of each axis. A case is a list of targets with fixed values. Every design is run in every
+case.
 An error message contains the file, the key and the expected value.
 """
 
@@ -33,13 +37,15 @@ AXIS = (
     "relative",
     "also",
 )
+"""Keys of the table of an axis. All axes with an interval have the keys from `logarithmic` on."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Map:
-    """Axes of the stability map. `x` and `y` are two targets of the grid.
+    """Axes of the stability map. `x` and `y` are the targets of two axes in [grid].
 
-    If `predict` is true, the map also shows the predicted boundary.
+    If `predict` is true, the map also shows the stability boundary that is predicted from the
+    linearised loop.
     """
 
     x: str
@@ -51,8 +57,8 @@ class Map:
 class Sweep:
     """Content of a sweep file.
 
-    `settings` are texts of `--set` for every run. `cases` has the targets and values of each case,
-    by the name of the case. Every design is run in every case.
+    `settings` are arguments of `--set` that apply to every run. `cases` maps the name of each case
+    to its targets and values.
     """
 
     name: str
@@ -250,7 +256,11 @@ def _interval(value: Raw, low: str, high: str, where: str) -> Interval:
 
 
 def _rest(value: Raw, where: str, values: Sequence[Any] = ()) -> dict[str, Any]:
-    """Return the options that all axes have: unit, relative, also."""
+    """Return the options that all axes have: unit, relative, also.
+
+    `value` is the table of the axis. `values` is its list of values; it is empty for an interval.
+    `where` is the prefix of error messages.
+    """
     unit, relative = value.get("unit"), _switch(value, "relative", where)
     if unit is not None and (not isinstance(unit, str) or relative):
         raise ScenarioError(

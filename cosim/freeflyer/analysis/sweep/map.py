@@ -34,9 +34,10 @@ def draw(
 ) -> Any:
     """Draw one panel per case, and return the figure.
 
-    A panel has one cell for each pair of values of the columns `x` and `y`. If the sweep has
-    further axes, a cell has several runs and shows the worst run. `units` are the units of the
-    columns. `boundary` has a line for each case, which is drawn on top of the cells.
+    `table` has one row per run. A panel has one cell for each pair of values of the columns `x` and
+    `y`. If the sweep has more than these two axes, several runs have the same cell, and the cell
+    shows the worst run. `units` maps each column to its unit. `boundary` maps a case to a line that
+    is drawn on top of the cells.
     """
     frame = table.to_pandas()
     cases = list(dict.fromkeys(frame["case"]))
@@ -84,7 +85,11 @@ def draw(
 
 
 def cells(rows: Any, x: str, y: str, xs: Array, ys: Array, shading: Any) -> Array:
-    """Return the colours (len(ys), len(xs), 4) of the cells. A cell without a run is white."""
+    """Return the colours (len(ys), len(xs), 4) of the cells. A cell without a run is white.
+
+    `rows` are the runs of one case. `xs` and `ys` are the ascending values of the columns `x` and
+    `y`. `shading` is the colour scale for the times of divergence.
+    """
     image = np.ones((ys.size, xs.size, 4))
     # The worst run of a cell is drawn last. The order from the best to the worst result is: stable,
     # growing errors, failed, late divergence, early divergence.
@@ -127,8 +132,8 @@ def edges(values: Array) -> Array:
     else:
         borders = edges_between(values)
         borders = np.maximum(borders, 0.0) if values[0] > 0.0 else borders  # no negative period
-    # The logarithm has a rounding error. If two values are close together, this error can move the
-    # edge between the values out of their interval.
+    # The logarithm has a rounding error. If two neighbouring values are almost equal, this error
+    # can be larger than their distance. Then the edge would not lie between the values.
     borders[1:-1] = np.clip(borders[1:-1], values[:-1], values[1:])
     borders[[0, -1]] = min(borders[0], values[0]), max(borders[-1], values[-1])
     return borders

@@ -1,4 +1,4 @@
-"""Plan of a sweep: checks before the first run, settings of each run, and content of the plan."""
+"""Plan of a sweep: the checks before the first run, and the settings of each run."""
 
 from __future__ import annotations
 
@@ -28,6 +28,7 @@ from freeflyer.scenario.scenario import ComponentSpec, Scenario
 from freeflyer.scenario.steps import communication_steps
 
 Assignments = tuple[tuple[str, Any], ...]
+"""Targets (left sides of `--set`) with their values."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +43,10 @@ class Setup:
     """SHA-256 of the files of each component."""
 
     def scenario(self, case: str, assignments: Assignments = ()) -> Scenario:
-        """Return the scenario of one run. Raises ScenarioError."""
+        """Return the scenario of one run. Raises ScenarioError.
+
+        The values of the case are set first, then `assignments`.
+        """
         tables = copy.deepcopy(self.tables)
         for target, value in self.cases[case].items():
             assign(tables, target, value, f"[cases.{case}] {target}")
@@ -63,9 +67,11 @@ class Run:
 class Plan:
     """All runs of a sweep, numbered from 0.
 
-    From run to run, the case changes fastest. Therefore an unfinished sweep has results of all
-    cases for its designs. The constructor loads the scenario of each case. It checks the first
-    design, the last design and every value of the grid. It raises CosimError.
+    The runs of one design in all cases have consecutive numbers. Therefore an unfinished sweep has
+    the results of all cases for almost every design that it has started.
+    The constructor loads the scenario of each case. In each case, it checks the first design, the
+    last design and each value of each axis. If an axis is an interval, the constructor checks the
+    two ends of the interval. It raises CosimError.
     """
 
     def __init__(self, sweep: Sweep, fmi: int | None = None) -> None:
@@ -89,7 +95,7 @@ class Plan:
         return len(self.designs) * len(self.sweep.cases)
 
     def design(self, number: int) -> tuple[int, str, tuple[Any, ...]]:
-        """Return the design number, the case, and the values of all axes for a run."""
+        """Return the design number, the case, and the values of all axes for the run `number`."""
         design, place = divmod(number, len(self.sweep.cases))
         return design, list(self.sweep.cases)[place], self.designs[design]
 
@@ -125,7 +131,7 @@ class Plan:
         return result
 
     def levels(self, target: str) -> tuple[Any, ...]:
-        """Return the values of a grid axis."""
+        """Return the values of the grid axis that varies `target`."""
         return next(
             levels
             for axis, levels in zip(self.designs.grid, self.designs.levels, strict=True)
@@ -139,9 +145,9 @@ class Plan:
     # Settings of a run
 
     def assignments(self, case: str, values: tuple[Any, ...]) -> Assignments:
-        """Return the targets of `--set` and their values for a run of a case.
+        """Return the assignments for the run of one design in a case.
 
-        `values` has one value for each axis.
+        `values` is the design: one value for each axis.
         """
         found: dict[str, Any] = {}
         vectors: dict[str, Array] = {}
@@ -205,8 +211,9 @@ class Plan:
             pass
 
     def _tried(self) -> Iterator[tuple[Any, ...]]:
-        """Yield the first and the last design, then designs with each value of each axis.
+        """Yield the first design and the last design. Then vary one axis of the first design.
 
+        Each value of each axis is yielded once in this way.
         If an axis is an interval, only the two ends of the interval are used.
         """
         first, last = self.designs[0], self.designs[len(self.designs) - 1]
@@ -224,8 +231,11 @@ class Plan:
     def _look_up(
         self, case: str, axis: Axis, target: Target, plain: Scenario, system: System
     ) -> None:
-        """Store the unit of a target. For factors and elements, also store the scenario's value.
+        """Store the unit of a target of `axis`.
 
+        Also store the scenario's value, if the axis has factors (`relative`) or if the target is
+        only some elements of a vector. `plain` is the scenario of the case, without the values of a
+        design. `system` has its components.
         Raises ScenarioError if the target cannot be varied.
         """
         needed = axis.relative or target.elements is not None
@@ -252,7 +262,7 @@ class Plan:
                 "s" if parameter == "step_s" or target.name in ("stop_s", "record.every_s") else ""
             )
             return
-        # Only elements and factors need the value in the scenario.
+        # The value in the scenario is needed only for factors and for targets with elements.
         port = system.components[component].ports[parameter]
         first, last = target.elements or (1, port.size)
         if last > port.size:

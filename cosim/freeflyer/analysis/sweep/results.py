@@ -1,8 +1,9 @@
 """Output directory of a sweep.
 
-sweep.json contains the plan. The folder parts has one Parquet file for each finished batch of runs.
-results.parquet contains all runs. Parts are written atomically. Therefore a sweep with the same
-plan and the same directory can continue after the finished runs.
+sweep.json contains the plan. The folder parts contains one Parquet file (a part) for each finished
+batch of runs. results.parquet contains all runs. A part is written atomically: it is complete, or
+it does not exist. Therefore an interrupted sweep can be started again with the same plan and the
+same directory. Only the missing runs are then computed.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ PLAN, PARTS, RESULTS = "sweep.json", "parts", "results.parquet"
 
 
 class Results:
-    """Finished results of a plan. `runs` are the numbers of the finished runs."""
+    """Results of the finished runs of a plan. `runs` are the numbers of these runs."""
 
     def __init__(self, directory: Path, plan: Plan) -> None:
         self.directory, self.plan = directory, plan
@@ -64,7 +65,7 @@ class Results:
         self.runs.update(row["run"] for row in rows)
 
     def write(self) -> pa.Table:
-        """Write and return all parts as one table, sorted by run. Raises OutputError."""
+        """Write all parts as one table, sorted by run, and return the table. Raises OutputError."""
         tables = [parquet.read_table(path, schema=self.schema) for path in self._parts()]
         table = (
             pa.concat_tables(tables).sort_by("run").replace_schema_metadata(self.schema.metadata)
@@ -95,7 +96,10 @@ class Results:
                     path.unlink()
 
     def _check_plan(self) -> None:
-        """Write the plan to an empty directory, or compare it with the stored plan."""
+        """Compare the plan with the plan in sweep.json. Write the plan if there is no sweep.json.
+
+        Raises ScenarioError if the plans differ, or if there are parts without a sweep.json.
+        """
         path, content = self.directory / PLAN, self.plan.content
         try:
             found = json.loads(path.read_text(encoding="utf-8"))
@@ -130,7 +134,7 @@ class Results:
 
 
 def schema(plan: Plan) -> pa.Schema:
-    """Return the schema of the results. The units are in the same metadata as in records."""
+    """Return the schema of the results. Units are stored in the same way as in record.parquet."""
     fields: list[tuple[str, pa.DataType, str]] = [
         ("run", pa.int64(), ""),
         ("design", pa.int64(), ""),

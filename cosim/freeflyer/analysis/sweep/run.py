@@ -25,8 +25,8 @@ from freeflyer.scenario.metrics import versions
 BATCH = 1.0
 """Target duration of a batch [s].
 
-It is much longer than the overhead of a task. It is not longer than necessary, because an interrupt
-discards unfinished batches.
+A batch is one Dask task. The duration is much longer than the overhead of a task. It is not longer
+than necessary, because an interrupt discards unfinished batches.
 """
 LARGEST_BATCH = 200
 AHEAD = 3
@@ -105,9 +105,9 @@ class _Work:
 
     def _send(self, numbers: list[int]) -> None:
         runs = [self.plan.run(number) for number in numbers]
-        # The setup (5 kB) is sent with each batch. Therefore a worker needs no stored state, which
-        # could be lost. All tasks have the same key prefix. Therefore the scheduler assigns the
-        # tasks one by one to free threads.
+        # The setup (5 kB) is sent with each batch. Therefore a worker stores nothing that would be
+        # lost if the worker is replaced. All tasks have the same key prefix. Therefore the
+        # scheduler assigns the tasks one by one to free threads.
         self.sent += 1
         future = self.client.submit(
             run_batch, self.plan.setup, self.version, runs, key=(self.name, self.sent)
@@ -144,7 +144,11 @@ class _Work:
         self._keep(rows)
 
     def _handle_killed(self, numbers: Sequence[int], error: KilledWorker) -> None:
-        """Mark a run as failed if no other run was active. Otherwise repeat each run alone."""
+        """Handle a batch whose worker died. `numbers` are the runs of the batch.
+
+        If the batch has one run and no other run was active, this run has failed. Otherwise each
+        run of the batch is repeated alone later.
+        """
         alone = len(numbers) == 1 and not self.batches and not self.pending
         if not alone:
             self.suspects.extend(numbers)

@@ -1,10 +1,12 @@
 """Verdict on a run: the rule by which a sweep calls a run stable.
 
-A finite run cannot show convergence. It can only show whether the errors still grow. A run is
-stable if the errors in its last 10 s are not larger than before. The first 10 s are left out.
-The shipped references have a period of 10 s. They reach their full amplitude within 5 s. Therefore
-the window at the end contains one whole period of the reference. The window at the start contains
-the transient of the start.
+A finite run cannot show convergence. It can only show whether the errors still grow. A run that
+diverged or failed is not stable. For any other run, the maximum of each error in the last 10 s (the
+last window) is compared with the maximum before. The first 10 s (the first window) are left out of
+this comparison. The run is stable if no error has grown. GROWTH and FLOORS define the tolerance.
+The desired motions of the shipped scenarios have a period of 10 s. They reach their full amplitude
+within 5 s. Therefore the last window contains one whole period of the motion, and the first window
+contains the transient of the start.
 docs/sweeps.md explains the choice of the constants.
 """
 
@@ -19,26 +21,27 @@ from freeflyer.scenario import metrics
 WINDOW = metrics.LAST
 """Length of the windows at the start and at the end of a run [s]."""
 GROWTH = 1.05
-"""Allowed ratio of the maximum error in the last window to the maximum before it."""
+"""Largest ratio that does not count as growth: maximum in the last window / maximum before it."""
 FLOORS = {"m": 3e-3, "deg": 0.1}
-"""The growth of an error is ignored if the error is below this value [m, deg].
+"""Growth is ignored if the error in the last window does not exceed this value. Keys are units.
 
-3 mm is a quarter of the residual base error in the paper, 12 mm. 0.1 deg is about a tenth of the
-smallest orientation error in the paper, 1.1 deg.
+The residual base error in the paper is 12 mm; 3 mm is a quarter of it. The smallest orientation
+error in the paper is 1.1 deg; 0.1 deg is about a tenth of it.
 """
 EARLIER = "earlier"
 LAST = f"last_{WINDOW:g}_s"
 
 
 def criterion() -> dict[str, Any]:
-    """Return the constants of the rule. They are part of the plan's content."""
+    """Return the constants of the rule. They are a part of `Plan.content`."""
     return {"window_s": WINDOW, "growth": GROWTH, "floors": FLOORS}
 
 
 def earlier(time: Array, error: Array, end: float) -> float | None:
-    """Return the maximum of an error (n) between the first and the last window.
+    """Return the maximum of an error between the first and the last window.
 
-    `time` (n) and `end` are in s. The result is None if no value is finite.
+    `error` (n) has the values at the times `time` (n) [s]. `end` [s] is the end of the run. The
+    result is None if no value is finite.
     """
     return metrics.finite_maximum(error[(time >= WINDOW) & (time < end - WINDOW)])
 

@@ -1,6 +1,7 @@
-"""Code of a sweep that runs on a worker. It computes the runs of a batch one after the other.
+"""The part of a sweep that runs on a worker (a process of Dask).
 
-Each run gives one row of results.
+A worker receives a batch, which is a list of runs. It computes these runs one after the other. Each
+run gives one row of the table of results.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ _one_at_a_time = threading.Lock()
 The lock is necessary, because loading an FMU changes the working directory of the process.
 """
 _checked: list[Mapping[str, str]] = []
-"""Hashes of the files of each plan that this worker has checked."""
+"""One entry for each plan that this worker has checked: the hashes of the plan's files."""
 
 
 class WorkerRefused(ScenarioError):
@@ -40,7 +41,7 @@ def run_batch(setup: Setup, version: str, runs: Sequence[Run]) -> list[Row]:
     """Compute `runs` and return their rows in the same order.
 
     The row of a failed run contains the cause. Raises WorkerRefused if this worker does not have
-    the package version `version`, or if it has other files than the sweep.
+    the package version `version`, or if its files differ from the files in `setup`.
     """
     with _one_at_a_time:
         _check_worker(setup, version)
@@ -64,10 +65,10 @@ def row(setup: Setup, run: Run) -> Row:
 
 
 def measured(result: Result) -> Row:
-    """Return the results of a run.
+    """Return the columns of the row of a run that was simulated.
 
-    They are values of summary.json, the maximum of each error before the last window, and the
-    verdict.
+    The columns are values of summary.json, the maximum of each error before the last window, and
+    the verdict.
     """
     summary, record = result.summary, result.outcome.record
     before = {
@@ -88,7 +89,7 @@ def measured(result: Result) -> Row:
 
 
 def failure(cause: str) -> Row:
-    """Return the columns of a failed run."""
+    """Return the columns of the row of a run that failed. `cause` is one line."""
     return {"stable": False, "diverged": False, "failed": True, "cause": cause}
 
 
@@ -104,9 +105,10 @@ def _folders_kept() -> AbstractContextManager[None]:
 
 
 def _check_worker(setup: Setup, version: str) -> None:
-    """Raise WorkerRefused if the package version or a file differs from the sweep.
+    """Raise WorkerRefused if this worker has another package version or other files.
 
-    The files are checked once per plan.
+    `version` and the hashes in `setup` are those of the process that started the sweep. The files
+    are checked once per plan.
     """
     here = metrics.versions()["freeflyer-cosim"]
     if here != version:
