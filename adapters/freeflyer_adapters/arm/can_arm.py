@@ -6,9 +6,12 @@ of the loop starts with a state frame. The host answers each state frame with on
 Terms in this file:
 
 - Session: one activation of the arm by this host. Each session has a random session number.
-- Claim: a command frame with a new session number. The arm accepts the claim if it echoes the
-  number in its state frames.
-- Permit: permission of the host to send frames that give power to the arm (`permit.py`).
+- Claim: a command frame with a new session number. After the arm has accepted the claim, it echoes
+  the number in its state frames.
+- Controller: a host that sends command frames to an arm.
+- Role: name of a quantity in a frame, for example `joint_position` (`frames.py`).
+- Permit: object that decides whether the host may send frames that give power to the arm
+  (`permit.py`).
 - Graded stop: the torque decreases to zero, then the brakes engage.
 """
 
@@ -161,9 +164,10 @@ class CanArm:
     def _described(self, receiver: Receiver) -> dict[str, list[float]]:
         """Wait for a description frame. Return the values of the frame: role -> values [SI].
 
-        An arm in the state active sends no description frames. The state frames of such an arm
-        contain the session number of its controller. Therefore the state frames are checked, too.
-        Raises DeviceError if no description frame arrives, and in the cases of `_check_conflicts`.
+        `receiver`: receiver of the description frames. An arm that another controller has activated
+        sends no description frames. Its state frames can show this reason. Therefore the state
+        frames are checked during the wait. Raises DeviceError if no description frame
+        arrives, and in the cases of `_check_conflicts`.
         """
         end = self._deadline()
         while (left := end - self._environment.monotonic()) > 0.0:
@@ -189,7 +193,8 @@ class CanArm:
         """Receive `frames` state frames, and send nothing.
 
         Raises DeviceError if a state frame does not arrive in time, and in the cases of
-        `_check_conflicts`.
+        `_check_conflicts`. If `frames` is LISTEN, DeviceError is also raised if the rate of the
+        state frames shows a second arm.
         """
         end = self._deadline() + 2 * frames * self.cycle
         self._states.drain()
@@ -268,10 +273,11 @@ class CanArm:
                 )
 
     def activate(self, meanwhile: Callable[[], bool]) -> None:
-        """Activate the arm. The first torque command is zero, as in the braked arm.
+        """Activate the arm.
 
-        Torque commands do not include the torque that carries the weight of the arm. The arm itself
-        adds this torque.
+        The first torque command is zero, like the commands while the brakes are engaged. Torque
+        commands do not include the torque that carries the weight of the arm. The arm itself adds
+        this torque.
         """
         session = self.session
         self._states.drain()
@@ -284,8 +290,8 @@ class CanArm:
             self._released = True
             self._send(self._last_torque)
             received = self._states.wait(min(2 * self.cycle, end - self._environment.monotonic()))
-            # If no state frame arrives for a long time, revoke the permit. In this time, the arm
-            # may have become active, stopped by itself, and ended the session.
+            # If no state frame arrives for longer than the age limit, revoke the permit. In this
+            # time, the arm may have become active, stopped by itself, and ended the session.
             silent = 0 if received else silent + 1
             if 2 * silent * self.cycle > self._age_limit:
                 session.permit.lose(self._silence("state", self._states.receiver))
@@ -319,9 +325,9 @@ class CanArm:
             raise SafeStop(self.name, f"{sentence}{self._states.flood}")
         # Count lost frames.
         if received:
-            # Each missing cycle number is a lost frame. Frames that were already counted when they
-            # did not arrive are not counted again. If the arm itself has paused, no number is
-            # missing.
+            # Each missing cycle number is a lost frame. Some of these frames were already counted
+            # at their deadlines (`_silent_cycles`). They are not counted again. If the arm itself
+            # has paused, no number is missing.
             gap = (self._cycle_number - before) % self.frames.cycles
             missing = gap - 1 - self._silent_cycles
             reason = self.monitor.lose(max(missing, 0))
@@ -361,9 +367,9 @@ class CanArm:
         return f"{self.session.permit.lost}{self._states.errors}"
 
     def _expect_next(self) -> None:
-        """Move the deadline for the next state frame by one cycle.
+        """Move the deadline for the next state frame by one cycle, after a frame did not arrive.
 
-        Commands still answer the cycle number of the last received state frame.
+        The next command still answers the cycle number of the last received state frame.
         """
         self._arrived += round(self.cycle * 1e9)
         self._silent_cycles += 1
@@ -463,9 +469,10 @@ class CanArm:
     # Frames
 
     def _is_stale(self, numbers: Mapping[str, list[float]]) -> bool:
-        """Return whether the frame has the cycle number of the last frame, or an earlier number.
+        """Return whether a state frame is not newer than the last used state frame.
 
-        The result is False if the device is not in the state active.
+        `numbers`: role -> values of the frame. The cycle numbers are compared. The result is always
+        False if this device is not in the state active.
         """
         ahead = (int(numbers["cycle"][0]) - self._cycle_number) % self.frames.cycles
         return self.state.now is LifeCycle.active and not 0 < ahead < self.frames.cycles // 2
@@ -473,8 +480,8 @@ class CanArm:
     def _take(self, numbers: Numbers, now: int, empty_at: int) -> bool:
         """Process a state frame. Return True if it is used, or False if it is stale.
 
-        `now` [ns]: time when the frame was read. `empty_at` [ns]: earliest time when the frame can
-        have been sent.
+        `numbers`: role -> values of the frame in SI units. `now` [ns]: time when the frame was
+        read. `empty_at` [ns]: the frame was not sent before this time.
         """
         if self._is_stale(numbers):
             self._states.receiver.rejected["stale"] += 1
@@ -511,7 +518,8 @@ class CanArm:
     def _send(self, torque: Array, *, brake: bool = False) -> None:
         """Send a command with the mode that the session allows.
 
-        Only a command of the mode torque contains `torque`.
+        In the mode torque, the frame contains `torque`. In all other modes, the torques in the
+        frame are zero. `brake`: whether the arm must brake now.
         """
         self._put(self.session.answer(self._environment.monotonic_ns(), brake=brake), torque)
 
@@ -522,7 +530,7 @@ class CanArm:
             and mode is not Mode.torque
             and not session.permits(Mode.torque, clock())
         ):
-            return  # for an arm without modes, every command frame is a torque command
+            return  # if the command frame has no mode, the arm treats it as a torque command
         if mode is not Mode.torque:
             torque = np.zeros_like(torque)
         self._brake_sent = mode is Mode.brake

@@ -28,7 +28,8 @@ def compare(
     because different position limits indicate a different arm. The error message contains both
     values.
 
-    `where`: name of the arm in error messages. `described`: role -> values of `frame` in SI units.
+    `where`: name of the arm in error messages. `frame`: the description frame. `described`: its
+    values in SI units, as role -> values. A role is the name of a quantity, see `frames.py`.
     `expected`: settings of `freeflyer_adapters.device.settings.ARM`, one value per joint. `joints`:
     number of joints in the scenario.
     """

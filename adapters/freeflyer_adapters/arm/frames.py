@@ -4,8 +4,8 @@ Role: name of a quantity in a frame, for example `joint_position`. A mapping ass
 a DBC to the roles. The shipped `arm.dbc` needs no mapping. For a user's DBC, the mapping contains
 the names of the messages and signals.
 
-Both ends of a link use `ArmFrames`. The host packs commands and unpacks states. The virtual arm
-unpacks commands and packs states.
+Both ends of a link use `ArmFrames`. The host packs commands and unpacks states. The virtual arm is
+the simulated other end: it unpacks commands and packs states.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Role:
     """Quantity in a frame.
 
     `signal`: name of the signal in the shipped DBC. `per_joint`: whether each joint has one signal.
-    Then `{}` in the name stands for the number of the joint. `required`: whether every DBC must
+    Then `{}` in `signal` stands for the number of the joint. `required`: whether every DBC must
     contain this role.
     """
 
@@ -114,7 +114,8 @@ LIMIT_ROLES = (
 class FrameMapping:
     """DBC of a scenario, and the names and numbers in this DBC.
 
-    An empty table selects the names and numbers of the shipped DBC.
+    An empty table selects the names and numbers of the shipped DBC. A frame is "command", "state"
+    or "description".
 
     - `messages`: frame -> message name.
     - `signals`: role -> signal name. For a role with one signal per joint, the name contains `{}`
@@ -158,7 +159,8 @@ class FrameMapping:
     def has_description(self) -> bool:
         """Whether the arm sends a description frame.
 
-        The description frame is a mapped message or the message of the shipped DBC.
+        The arm sends it if `messages` contains it, or if all frames in the DBC, including the
+        description frame, have the shipped names.
         """
         if "description" in self.messages or self.dbc == SHIPPED_DBC:
             return True
@@ -221,7 +223,11 @@ def _names(role: Role, mapping: FrameMapping, joints: int, present: set[str]) ->
 
 
 def _check_values(title: str, numbers: Mapping[Any, int], fields: Sequence[Field] | None) -> None:
-    """Raise DeviceError if a number is used twice, or if its signal cannot represent the number."""
+    """Raise DeviceError if a number is used twice, or if its signal cannot represent the number.
+
+    `title`: name of the table in error messages. `numbers`: mode or state -> raw number. `fields`:
+    the signal, or None if the frame has no such signal.
+    """
     for name, number in numbers.items():
         if list(numbers.values()).count(number) > 1:
             raise DeviceError(

@@ -1,7 +1,7 @@
 """Options of a device of the kind "can_arm", from the table `[devices.NAME]` of a scenario.
 
-Both ends of the link use these options. The numeric settings of the table `parameters` are defined
-in `freeflyer_adapters.device.settings`.
+Both ends of the link, the host and the virtual arm, use these options. The numeric settings of the
+table `parameters` are defined in `freeflyer_adapters.device.settings`.
 """
 
 from __future__ import annotations
@@ -39,9 +39,10 @@ class ArmOptions:
 
 
 def options_from(name: str, raw: Mapping[str, Any], directory: Path) -> ArmOptions:
-    """Return the options from the device's table.
+    """Return the options from the device's table `raw`.
 
-    Raises DeviceError for an unknown key or an invalid value.
+    `name`: name of the device. `directory`: relative paths of a DBC start in this directory. Raises
+    DeviceError for an unknown key or an invalid value.
     """
     known_keys(name, raw, ("interface", "channel", "bus", "joints", "dbc", "messages", "signals", "data_ids", "e2e_offset",
                            "mode_values", "life_cycle_values", "activation"))  # fmt: skip

@@ -1,7 +1,8 @@
 """Session of the host with an arm. The session determines the mode of the next command frame.
 
-A session is one activation of the arm, with its own session number. A session has these phases, as
-in the interface control document:
+A session is one activation of the arm, with its own session number. At first, a session is in the
+phase listening: the host does not claim the session number yet. Then the session has these phases,
+as in the interface control document:
 
 1. Claiming: the host sends the session number until the arm echoes this number.
 2. Activating: the host requests the activation until the arm reports the state active.
@@ -23,12 +24,13 @@ from freeflyer_adapters.device.permit import Permit
 CLAIMS = 100
 """Number of claims without an echo after which the host uses a new session number.
 
-The arm does not echo a session number that has already expired.
+A session number expires when the arm leaves the state active. The arm neither accepts nor echoes an
+expired number. If the random number of this session is such a number, only a new number can help.
 """
 REMEMBERED = 32
-"""Number of answers whose send times are stored.
+"""Number of command frames whose send times are stored.
 
-This is half of the smallest accepted modulus of the cycle numbers.
+This is half of `FEWEST_CYCLES`, the smallest accepted modulus of the cycle numbers.
 """
 STOPPED = (LifeCycle.safe_stop, LifeCycle.fault)
 
@@ -73,7 +75,11 @@ class ArmSession:
 
     @property
     def is_claimed(self) -> bool:
-        """Whether the arm echoes the number of this session and can be activated."""
+        """Whether the arm has accepted this session and can be activated.
+
+        An arm that echoes session numbers must echo the number of this session. Unless `implicit`
+        is True, the arm must also be in the state inactive.
+        """
         echoed = self.echoed_number == self.number or not self.echoes
         return echoed and (self.implicit or self.state is LifeCycle.inactive)
 
@@ -95,18 +101,22 @@ class ArmSession:
     def report(
         self, state: LifeCycle | None, number: int, at: int, echoed_cycle: int | None = None
     ) -> None:
-        """Process a state frame that was received at `at` or later.
+        """Process a state frame that was sent at `at` or later.
 
         `state`: reported state, or None if the arm does not report its state. `number`: echoed
-        session number. `echoed_cycle`: cycle number of the last answer that the arm accepted.
+        session number; 0: none. `echoed_cycle`: the arm reports the last command frame that it has
+        accepted. This command frame answered the state frame with the cycle number `echoed_cycle`.
+        None: the arm does not report this.
         """
         if echoed_cycle is not None:
-            # The arm has sent this frame after it accepted the echoed answer. The frame may have
-            # been delayed on the bus. Therefore use the send time of the echoed answer.
+            # The arm has sent this frame after it accepted the reported command. The frame may have
+            # been delayed on the bus. Therefore use the send time of the command as the earliest
+            # time of this frame.
             at = self._answered_at.get(echoed_cycle, 0)
         if state is None:
-            # If the arm echoes answers, it counts as active while it echoes recent answers of this
-            # session. If the arm echoes no answers, it counts as active while its frames arrive.
+            # This arm does not report its state. If it reports the last accepted command, it counts
+            # as active while this command is recent and was sent in this session. Otherwise it
+            # counts as active while its frames arrive.
             is_recent = at > 0 and self.permit.last_write - at <= self.permit.watchdog
             state = LifeCycle.active if is_recent or echoed_cycle is None else LifeCycle.inactive
         self.state, self.echoed_number = state, number

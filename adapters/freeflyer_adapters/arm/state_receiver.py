@@ -1,7 +1,9 @@
 """Reception of state frames by the host, and detection of other senders on the bus.
 
-Every wait is limited to a number of frames and to a duration. Therefore a flood of frames cannot
-block the loop.
+The duration of every wait is limited, even if frames arrive without a pause. Therefore a flood of
+frames cannot block the loop.
+
+Role: name of a quantity in a frame (`frames.py`). Controller: a host that sends command frames.
 """
 
 from __future__ import annotations
@@ -16,7 +18,10 @@ from freeflyer_adapters.can.link import Receiver, Sender, driver_message
 from freeflyer_adapters.foundation import environment
 
 MOST_FRAMES = 64
-"""Largest number of frames that one wait reads. Later waits read the remaining frames."""
+"""Number of frames after which a wait ends if it has used a state frame or its time is over.
+
+Later waits read the remaining frames.
+"""
 FOREIGN, WITHIN = 3, 20
 """Condition for a second controller.
 
@@ -24,11 +29,13 @@ A second controller is detected if FOREIGN command frames of another controller 
 WITHIN cycles.
 """
 MOST_PER_CYCLE, BURST = 1.5, 24
-"""Condition for a second arm by the rate of the state frames: more than MOST_PER_CYCLE frames in a
-cycle, and BURST frames that waited on the bus.
+"""Condition for a second arm.
+
+In N cycles, more than N * MOST_PER_CYCLE + BURST state frames arrive. BURST allows for frames that
+have waited on the bus.
 """
 FLOOD = 10
-"""Number of other frames per state frame from which an error message reports a flood."""
+"""Condition for a flood: at least FLOOD frames with other identifiers per accepted state frame."""
 SLICE = 2e-4
 """Duration of one sleep during a flood [s]."""
 Numbers = Mapping[str, list[float]]
@@ -37,6 +44,7 @@ Numbers = Mapping[str, list[float]]
 class StateFrames:
     """Reader of the state frames of one arm.
 
+    `bus`: open CAN bus. `sender`: sender of the command frames of this host.
     `take(numbers, now, empty_at)` processes a new state frame, and returns whether the frame is
     used. `numbers`: role -> values in SI units. `now` [ns]: time when the frame was read.
     `empty_at` [ns]: last time when the receive buffer was empty. The frame was not sent before
@@ -54,7 +62,7 @@ class StateFrames:
         self._environment = environment.present()
         self.receiver = Receiver(frames.state)
         self.others = 0
-        """Number of frames with other identifiers."""
+        """Number of frames that are neither state frames nor command frames."""
         self.error = ""
         """The driver's message for the last failed reception."""
         self.stamp = 0.0
@@ -88,10 +96,11 @@ class StateFrames:
         return None
 
     def rate_problem(self, frames: int, cycles: float) -> str | None:
-        """Return the message about a second arm if `frames` state frames came in `cycles`, or None.
+        """Return a message about a second arm, or None.
 
-        One arm sends one frame in a cycle. The counters of two arms do not show the second arm if
-        the frames of each arm arrive in long bursts.
+        `frames`: number of state frames that arrived in `cycles` cycles. One arm sends one frame in
+        a cycle. If the frames of two arms arrive in long bursts, their counters do not show the
+        second arm. Then only the number of frames shows it.
         """
         if frames <= MOST_PER_CYCLE * cycles + BURST:
             return None
@@ -128,7 +137,10 @@ class StateFrames:
         return f"; a flood of frames: {self.others} frames with other identifiers were received beside {self.receiver.accepted} state frames"
 
     def silence(self, what: str, receiver: Receiver, waited: float) -> str:
-        """Return an error message for a frame type that was not received within `waited` [s]."""
+        """Return an error message for a frame type that was not received within `waited` [s].
+
+        `what`: name of the frame type. `receiver`: receiver of this frame type.
+        """
         why = (
             f"; frames were received but rejected: {dict(receiver.rejected)}"
             if receiver.rejected
@@ -141,7 +153,7 @@ class StateFrames:
         )
 
     def wait(self, timeout: float) -> bool:
-        """Wait up to `timeout` [s] for a state frame, and read all pending frames.
+        """Wait up to `timeout` [s] for a state frame. Also read the frames that are pending then.
 
         Return whether a state frame was used.
         """

@@ -1,6 +1,7 @@
 """Conversion between the bytes of a DBC message and values in SI units.
 
-Role: name of a quantity in a frame. A role does not depend on the signal names of the DBC.
+Role: name of a quantity in a frame, for example `joint_position`. The names of the signals in a DBC
+may be different from the roles.
 """
 
 from __future__ import annotations

@@ -20,10 +20,11 @@ from freeflyer_adapters.device.device import DeviceError
 from freeflyer_adapters.foundation import environment
 
 FILTERING = ("local", "socketcan")
-"""Interfaces that get a filter. These interfaces filter frames before `recv` returns.
+"""Interfaces to which `open_bus` gives a filter.
 
-The other interfaces filter inside `recv`. If such a `recv` with timeout 0 has removed a frame, it
-returns None, even if further frames are waiting. Therefore these interfaces get no filter.
+These interfaces remove unwanted frames before python-can's `recv` sees them. For the other
+interfaces, `recv` itself removes unwanted frames. After it has removed a frame, `recv` with timeout
+0 returns None, even if further frames are waiting. Therefore the other interfaces get no filter.
 `Receiver.take` compares the identifiers for every interface.
 """
 RECENT = 32
@@ -39,8 +40,8 @@ def open_bus(
 ) -> can.BusABC:
     """Open and return a bus of any python-can interface.
 
-    `identifiers`: frames to receive. `options`: further arguments of the interface. Raises
-    DeviceError if the bus cannot be opened.
+    `is_fd`: whether to enable CAN FD. `identifiers`: frames to receive. `options`: further
+    arguments of the interface. Raises DeviceError if the bus cannot be opened.
     """
     valid = sorted(can.VALID_INTERFACES)
     if interface not in valid:
@@ -112,11 +113,11 @@ class Sender:
     def send(
         self, numbers: Mapping[str, Sequence[float]], permitted: Callable[[], bool] | None = None
     ) -> bool:
-        """Send one frame. Return whether the interface accepted the frame.
+        """Send one frame. Return whether the frame was sent.
 
-        `numbers`: role -> values in SI units. If the interface rejects the frame, the frame counts
-        as lost. When the frame is ready, `permitted` is called. The frame is sent only if
-        `permitted` returns True.
+        `numbers`: role -> values in SI units. A role is the name of a quantity in the frame. When
+        the frame is ready, `permitted` is called. The frame is sent only if `permitted` returns
+        True. If the interface rejects the frame, the frame counts as lost.
         """
         data = self.frame.pack(numbers)
         if self._protector is not None:
@@ -148,7 +149,8 @@ class Receiver:
     def __init__(self, frame: Frame) -> None:
         self.frame = frame
         self._checker = None if frame.data_id is None else Checker(frame.data_id, frame.e2e_offset)
-        # Without E2E protection, the cycle number of a state frame replaces the E2E counter.
+        # The detection of a second sender needs a counter in each frame. Without E2E protection,
+        # the cycle number of a state frame replaces the E2E counter.
         self._counts_cycles = self._checker is None and "cycle" in frame
         self._counters = (
             1 << max(int(frame.fields["cycle"][0].most).bit_length(), 5)

@@ -4,6 +4,8 @@ Every bus object listens on a Unix socket (SOCK_SEQPACKET) in the directory of i
 connects to all other sockets in this directory. No server process is needed. Each packet is one
 `struct canfd_frame` (linux/can.h, 72 bytes).
 
+Node: one bus object on a channel. Peer: another node on the same channel.
+
 This interface is for tests. It has these limits:
 
 - There is no bit timing, no arbitration and no acknowledgement.
@@ -45,10 +47,11 @@ IGNORED = ("bitrate", "data_bitrate", "timing", "state", "single_handle", "ignor
 MOST_UNWANTED, MOST_PEERS = 64, 16
 """Limits that bound the duration of a receive call.
 
-MOST_UNWANTED: largest number of filtered frames. MOST_PEERS: largest number of new nodes.
+MOST_UNWANTED: if the timeout of the call is over and the filters have removed at least this number
+of frames, the call fails. MOST_PEERS: largest number of new peers that are accepted at once.
 """
 SLICE = 2e-4
-"""Sleep [s] after MOST_UNWANTED filtered frames."""
+"""Sleep [s] each time after the filters have removed MOST_UNWANTED frames."""
 SO_TIMESTAMPNS = 35
 TIMESPEC = struct.Struct("=qq")
 
@@ -86,7 +89,8 @@ class LocalBus(BusABC):
     ) -> None:
         """Join a channel. `fd`: whether to enable CAN FD.
 
-        A node without CAN FD neither sends nor receives CAN FD frames.
+        A node without CAN FD neither sends nor receives CAN FD frames. The other arguments have the
+        same meaning as for other interfaces of python-can.
         Raises CanInitializationError for an unknown setting, or if the channel cannot be opened.
         """
         # Check the settings and the system.

@@ -1,4 +1,8 @@
-"""Detection of two nodes that send the same CAN identifier, by counters and contents."""
+"""Detection of two nodes that send the same CAN identifier, by counters and contents.
+
+Counter: number in a frame that its sender increments with each frame. Content: data bytes of a
+frame. Stream: sequence of frames with one continuous counter. Evidence: see `SecondSender`.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +10,8 @@ REACH = 8
 """Largest distance between the counter of a frame and the last counter of its stream.
 
 A frame within this distance may be late, or may follow a loss of frames. After a restart of the
-sender or a long loss, the counter jumps. If the link delays frames by up to 8 places, frames from
-before and after the jump are mixed. The mixture is 16 frames long."""
+sender or a long loss, the counter jumps. A link may reorder frames by up to 8 places. Then frames
+that were sent before and after the jump are mixed. The mixture is 16 frames long."""
 EVIDENCE = 3
 """Number of pieces of evidence that are needed to detect a second sender.
 
@@ -58,7 +62,7 @@ class SecondSender:
     other stream. Second, at least one of these statements is true:
 
     - A frame with the same counter and different content was received before.
-    - The counters of the two streams do not overlap.
+    - The two streams have passed through different counter values, without overlap.
 
     Faults of one sender or of the link do not make two streams alternate for long enough. These
     faults are loss, duplication, reordering by up to REACH places, delay, a counter that stops, and
@@ -166,6 +170,10 @@ class SecondSender:
         """Make the other stream the current stream. Return whether two senders were detected.
 
         The change is not evidence if one stream may consist of late frames of the other stream.
+
+        `current`, `other`: the streams before the change. The frame (`counter`, `content`)
+        continues `other`. `repeated`: whether an earlier frame of `current` has the same counter
+        and different content. `fits`: whether the frame could also belong to `current`.
         """
         current.advanced += self._run
         if self._run >= ALONE or self._since >= OLD:

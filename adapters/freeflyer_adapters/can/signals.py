@@ -53,7 +53,8 @@ class Field:
 def field_of(message: Any, name: str, unit: str | None, path: Path) -> Field:
     """Return the signal `name` of a message, with its range in `unit`.
 
-    If `unit` is None, the unit is not converted. Raises DeviceError in these cases:
+    If `unit` is None, the unit is not converted. `path`: DBC file in error messages. Raises
+    DeviceError in these cases:
 
     - The signal is missing, is multiplexed, or is not a scaled integer.
     - The scale or the size of the signal is invalid.

@@ -10,7 +10,13 @@ target torques. The drives apply these targets at the next SYNC.
 
 Terms in this file:
 
-- Permit: permission of the host to send frames that give power to the drives (`permit.py`).
+- RPDO, TPDO: cyclic frame that a drive receives, and cyclic frame that a drive sends.
+- SDO: request and response that read or write one object of a drive.
+- NMT: CANopen service that changes a node between the states pre-operational and operational.
+- EMCY, emergency: frame that a drive sends when an error occurs.
+- Permit: object that decides whether the host may send frames that give power to the drives
+  (`permit.py`).
+- Controller: a host that sends SYNC and targets on the bus.
 - Graded stop: the torque decreases to zero, then a quick stop disables the drives. The brakes of
   disabled drives are engaged.
 """
@@ -197,7 +203,7 @@ class Cia402Arm:
     def _on_foreign_frame(self, can_id: int, data: object, timestamp: float) -> None:
         """Count a frame of another controller.
 
-        The CAN interface must not return frames that this host has sent.
+        Precondition: the CAN interface does not return the frames that this host has sent.
         """
         self._foreign_frames += 1
 
@@ -262,14 +268,16 @@ class Cia402Arm:
         self._first_measurement()
 
     def activate(self, meanwhile: Callable[[], bool]) -> None:
-        """Enable all drives. The first target torques are zero, as in braked joints.
+        """Enable all drives.
 
-        Target torques do not include the torques that carry the weight of the arm.
+        The first target torques are zero, like the torques of the drives while the joints are
+        braked. Target torques do not include the torques that carry the weight of the arm.
         """
         self._last_torque = np.zeros(self.options.joints)
         self.scaling.reset()
-        # The first heartbeat of the host starts the heartbeat monitors of the drives. Therefore the
-        # host sends its first heartbeat now, because the cycles are not interrupted from now on.
+        # The first heartbeat of the host starts the heartbeat monitors of the drives. From then on,
+        # the host must send heartbeats without an interruption. It sends them in its cycles, and
+        # the cycles are not interrupted from now on. Therefore the next cycle sends a heartbeat.
         self._is_host, self._cycles = True, 0
         for drive in self.drives:
             drive.emergency = 0
@@ -384,7 +392,7 @@ class Cia402Arm:
         """
         network = self._network
         assert network is not None
-        network.drain()  # pending frames belong to an earlier SYNC
+        network.drain()  # pending TPDOs are responses to an earlier SYNC
         for drive in self.drives:
             drive.expect()
         network.sync.transmit()
@@ -404,15 +412,15 @@ class Cia402Arm:
         if not missing and self.state.now is LifeCycle.active:
             self.answers.add(self._environment.monotonic_ns() - self._synced)
         if not missing:
-            # The drives sent these TPDOs after this SYNC, so the time of SYNC is a lower bound for
-            # the time of the report.
+            # The permit needs a time that is not later than the states in these TPDOs. The drives
+            # sent the TPDOs after this SYNC. Therefore use the time of SYNC.
             self.permit.report(
                 all(d.state is DriveState.operation_enabled for d in self.drives), self._synced
             )
         self._take()
 
     def _take(self) -> None:
-        """Convert the raw numbers to SI units.
+        """Convert the raw numbers of the drives to measurements in SI units.
 
         A joint without a new TPDO keeps its last measurement.
         """
@@ -449,8 +457,9 @@ class Cia402Arm:
     def _send_targets(self, torque: Array, *, brake: bool = False) -> None:
         """Send one RPDO to every drive, with the command that the session of the drive allows now.
 
-        All target torques are zero unless the sessions of all drives allow the command "enable
-        operation".
+        Each drive has a session (`drive_session.py`). If the sessions of all drives allow the
+        command "enable operation", the target torques are `torque`. Otherwise all target torques
+        are zero. `brake`: whether the drives must stop now.
         """
         now = self._environment.monotonic_ns()
         commands = [drive.session.answer(now, brake=brake) for drive in self.drives]
@@ -489,7 +498,10 @@ class Cia402Arm:
 
     @property
     def at_rest(self) -> bool:
-        """Whether all drives report that the drive function is off. Then the brakes are engaged."""
+        """Whether all drives have reported, in the last cycle, a state without torque.
+
+        In these states, the brakes are engaged.
+        """
         return bool(self.drives) and all(
             drive.state is not None and not drive.powered and not silent
             for drive, silent in zip(self.drives, self._silent, strict=True)

@@ -9,10 +9,10 @@ from freeflyer_adapters.device.permit import Permit
 class DriveSession:
     """Decision logic of a session. This class reads no clock and sends nothing.
 
-    All drives of an arm share one permit: the permission of the host to send commands that give
-    power. Times are [ns] of the monotonic clock. On the way to the state Operation enabled, each
-    command is chosen from the statusword that followed the previous command. Cyclic frames never
-    reset a fault.
+    All drives of an arm share one permit. The permit decides whether the host may send commands
+    that give power. Times are [ns] of the monotonic clock. On the way to the state Operation
+    enabled, the state in the last statusword of the drive determines the next command. No command
+    of a session resets a fault. `subject`: name of the drive in messages.
     """
 
     def __init__(self, permit: Permit, subject: str) -> None:
@@ -21,7 +21,10 @@ class DriveSession:
         self._was_enabled = False
 
     def report(self, state: DriveState | None) -> None:
-        """Process the state from a statusword. None: the statusword contains no known state."""
+        """Process the state in a received statusword.
+
+        `state` is None if the statusword contains no defined state.
+        """
         self.state = state
         if state is DriveState.operation_enabled:
             self._was_enabled = True

@@ -1,4 +1,7 @@
-"""Worst-case load of a classic CAN bus by the frames of the drives, and check of this load."""
+"""Worst-case bus load that the drives and the host cause on a classic CAN bus.
+
+The bus load is the share of the time in which the bus is busy.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +12,9 @@ from freeflyer_adapters.cia402.process_data import ACTUAL, SPEED, TARGET
 from freeflyer_adapters.device.device import DeviceError
 
 SDO_FRAMES = 2
-"""Number of further frames per cycle that are included in the load. Each frame has 8 bytes.
+"""Number of frames per cycle that are added to SYNC, PDOs and heartbeats. Each has 8 bytes.
 
-The further frames are one SDO request and one SDO response, or an EMCY.
+These frames are one SDO request and one SDO response, or an EMCY.
 """
 LONGEST = 0.1
 """Longest cycle that an error message suggests [s]."""
@@ -22,8 +25,9 @@ def load(
 ) -> float:
     """Return the worst-case bus load as a fraction.
 
-    The load includes SYNC, PDOs, SDO_FRAMES further frames and heartbeats. `cycle`, `heartbeat`:
-    periods [s]. `bitrate` [bit/s]. `measured_velocity`: whether the drives send TPDO2.
+    The load includes SYNC, PDOs, heartbeats, and the frames that SDO_FRAMES counts. `joints`:
+    number of drives. `cycle`, `heartbeat`: periods [s]. `bitrate` [bit/s]. `measured_velocity`:
+    whether the drives send TPDO2.
     """
 
     def taken(size: int) -> float:
@@ -46,7 +50,8 @@ def check(
 ) -> float:
     """Return the bus load. Raises DeviceError if the bus load is above `largest`.
 
-    The message contains possible remedies.
+    The message contains possible remedies. `name`: name of the device in the message. For the other
+    arguments, see `load`.
     """
     share = load(joints, cycle, bitrate, heartbeat, measured_velocity=measured_velocity)
     if share <= largest:

@@ -1,11 +1,11 @@
-"""canopen network without threads: the caller polls for frames, and every transmission is a call.
+"""canopen network without threads. The caller receives and sends every frame by its own calls.
 
 The function `connect` of canopen starts a Notifier of python-can. The thread of the Notifier takes
 the GIL from the loop at each received frame. The periodic tasks of canopen are threads, too.
 
-This module starts no threads. The loop receives each frame (`poll`) and passes it to the function
-`notify` of canopen. SDO clients poll the network while they wait. The sender of a heartbeat counts
-the cycles between two heartbeats.
+This module starts no threads. The loop calls `poll`, which receives one frame and passes it to the
+function `notify` of canopen. An SDO client also calls `poll` while it waits for its response. There
+are no timers for heartbeats: the sender of a heartbeat counts the cycles between two heartbeats.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Options of a device of the kind "cia402_arm", from the table `[devices.NAME]` of a scenario.
 
-Both ends of the bus use these options. The numeric settings of the table `parameters` are defined
-in `freeflyer_adapters.cia402.settings`.
+The host and the virtual drives use these options. The numeric settings of the table `parameters`
+are defined in `freeflyer_adapters.cia402.settings`.
 """
 
 from __future__ import annotations
@@ -53,7 +53,11 @@ class DriveOptions:
 
 
 def options_from(name: str, raw: Mapping[str, Any], directory: Path) -> DriveOptions:
-    """Return the options of a device's table. Raises DeviceError for an invalid key or value."""
+    """Return the options in the device's table `raw`.
+
+    `name`: name of the device. `directory`: a relative path of an EDS starts in this directory.
+    Raises DeviceError for an invalid key or value.
+    """
     known_keys(name, raw, KEYS)
     joints = checked(name, raw, "joints", int, 6)
     if not 1 <= joints <= 126:

@@ -1,6 +1,6 @@
 """Cyclic frames in the predefined connection set of CiA 301.
 
-The cyclic frames are SYNC, one RPDO to each drive, and one or two TPDOs from each drive.
+The host sends SYNC and one RPDO for each drive. Each drive sends one or two TPDOs.
 """
 
 from __future__ import annotations
@@ -13,9 +13,10 @@ from freeflyer_adapters.cia402 import objects
 from freeflyer_adapters.cia402.objects import Entry
 
 NMT, SYNC, HEARTBEAT = 0x000, 0x080, 0x700
-"""COB-IDs. An EMCY has the COB-ID SYNC plus the node number.
+"""COB-IDs (identifiers of CAN frames).
 
-A heartbeat has the COB-ID HEARTBEAT plus the node number.
+The COB-ID of an emergency frame (EMCY) is SYNC plus the node number of the drive. The COB-ID of a
+heartbeat is HEARTBEAT plus the node number of the sender.
 """
 ON_SYNC = 1
 """Transmission type: at every SYNC.
@@ -28,7 +29,7 @@ When a drive has received a target, the drive applies the target at the next SYN
 class ProcessData:
     """One PDO of a drive.
 
-    `number`: number of the PDO; the first PDO is 1. `base`: COB-ID without the node number.
+    `number`: number of the PDO; the first PDO is 1. `base`: COB-ID minus the node number.
     `mapping`: objects in the PDO, with their sizes [bits]. `layout`: format of the data bytes.
     """
 

@@ -29,14 +29,18 @@ from freeflyer_adapters.device.permit import Permit
 NOT_VALID = 1 << 31
 """Bit of a PDO's COB-ID: the PDO is disabled."""
 HEARTBEATS_MISSED = 2.5
-"""Timeout for a heartbeat, in heartbeat periods. The host and the drives use this timeout."""
+"""Time without a heartbeat, in heartbeat periods, after which a node counts as failed.
+
+The host and the drives use the same value.
+"""
 
 
 class RemoteDrive:
     """One drive of an arm.
 
-    `torque`, `position`, `velocity`: raw numbers of the newest TPDOs. `fresh`: whether all TPDOs of
-    the present SYNC were received. `timeout`: timeout for an SDO response [s].
+    `torque`, `position`, `velocity`: raw numbers in the newest TPDOs. `fresh`: whether all TPDOs of
+    the drive have arrived since the last SYNC. `timeout`: timeout for an SDO response [s].
+    `permit`: the permit that all drives of the arm share (`permit.py`).
     """
 
     def __init__(
@@ -152,7 +156,7 @@ class RemoteDrive:
         )
 
     def compare(self, effort: float) -> None:
-        """Compare the drive's conversion factors and torque limit with the scenario.
+        """Compare the conversion factors and the torque limit of the drive with the scenario.
 
         `effort`: effort limit of the joint [N m]. Raises DeviceError if the drive does not match
         the scenario. The message contains both values.
@@ -230,7 +234,10 @@ class RemoteDrive:
         self.cycles_since_heartbeat = 0
 
     def _disable_other_pdos(self) -> None:
-        """Disable the other PDOs of the drive. The computed bus load does not include them."""
+        """Disable all PDOs of the drive that the host does not use.
+
+        The reason is that the computed bus load does not include these PDOs.
+        """
         for maps, used in (
             (self.node.rpdo, {TARGET.number}),
             (self.node.tpdo, {ACTUAL.number, SPEED.number}),
@@ -249,10 +256,11 @@ class RemoteDrive:
                     ) from error
 
     def _map(self, maps: Any, pdo: ProcessData, *, used: bool) -> None:
-        """Write the mapping of a PDO.
+        """Write the mapping of a PDO: the list of the objects in the PDO.
 
-        The PDO is disabled and the count is set to 0. Then the entries and the count are written.
-        Finally, the PDO is enabled if `used` is True.
+        The PDO is disabled, and the number of objects is set to 0. Then the objects and their
+        number are written. Finally, the PDO is enabled if `used` is True. `maps`: canopen's RPDOs
+        or TPDOs of the drive.
         """
         what = f"the mapping of {pdo.name}"
         try:

@@ -14,7 +14,7 @@ MOST_RAW_TORQUE = 0x7FFF
 
 @dataclass(frozen=True, kw_only=True)
 class Motor:
-    """Motor, encoder and gear of one joint. Most values are objects of the drive.
+    """Motor, encoder and gear of one joint. Numbers such as 6076h are objects of the drive.
 
     - `rated_torque`: rated torque of the motor [N m] (6076h).
     - `encoder_resolution`: increments per motor revolution (608Fh).
@@ -65,8 +65,9 @@ class Scaling:
     def raw_torque(self, torque: Array) -> Array:
         """Convert joint torques, shape (n) [N m], to whole raw units.
 
-        The rounding error is added to the torque of the next cycle. Therefore the mean torque is
-        exact. This is necessary because the torques of a slow motion are only a few raw units.
+        The rounding error is added to the torque of the next cycle. Therefore the mean of the sent
+        torques is the mean of the wanted torques. This is necessary because the torques of a slow
+        motion are only a few raw units.
         """
         wanted = torque / self.torque_step + self._left
         raw: Array = np.minimum(np.maximum(np.rint(wanted), -MOST_RAW_TORQUE), MOST_RAW_TORQUE)

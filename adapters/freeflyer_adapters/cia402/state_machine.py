@@ -1,7 +1,8 @@
-"""State machine of a power drive system (CiA 402-2; IEC 61800-7-201, "FSA") as tables.
+"""State machine of a power drive system as tables.
 
-The tables define the statusword, the controlword and the transitions. FSA: finite state automaton.
-The host and the virtual drive use the same tables.
+The standards CiA 402-2 and IEC 61800-7-201 define this state machine, and call it FSA (finite state
+automaton). The tables define the statusword, the controlword and the transitions. The host and the
+virtual drive use the same tables.
 """
 
 from __future__ import annotations
@@ -65,8 +66,8 @@ def statusword_of(state: DriveState, *, limit_active: bool = False) -> int:
 class Command(Enum):
     """Command in bits 0 to 3 of the controlword (6040h).
 
-    The value is the controlword that the host sends for the command.
-    A rising edge of bit 7 resets a fault.
+    The value is the controlword that the host sends for the command. Bit 7 belongs to no command: a
+    rising edge of bit 7 resets a fault (FAULT_RESET).
     """
 
     disable_voltage = 0x00
@@ -116,10 +117,10 @@ TRANSITIONS: Mapping[tuple[DriveState, Command], tuple[int, DriveState]] = {
 }
 """State and command -> number of the transition in the standard, and next state.
 
-Some transitions are automatic. Transitions 0 and 1 occur at power on. Transition 12 occurs at the
-end of a quick stop, 13 at a fault, and 14 after the fault reaction. Transition 15 is the fault
-reset. Transition 16 enables the drive again after a quick stop. Transition 16 is optional and is
-not used here."""
+The table contains only the transitions that a command causes. The drive itself causes transitions 0
+and 1 at power on, 12 at the end of a quick stop, 13 at a fault, and 14 after the fault reaction.
+Transition 15 is the fault reset (see `following`). Transition 16 enables the drive again after a
+quick stop. Transition 16 is optional and is not used here."""
 
 TOWARDS_ENABLED: Mapping[DriveState, Command] = {
     S.switch_on_disabled: C.shutdown,
@@ -130,7 +131,7 @@ TOWARDS_ENABLED: Mapping[DriveState, Command] = {
 }
 """State -> next command of the host on the way to the state Operation enabled.
 
-In all other states, the host waits or resets the fault."""
+In all other states, the host waits, or resets the fault by SDO before the activation."""
 
 
 def following(state: DriveState, controlword: int, before: int) -> DriveState:

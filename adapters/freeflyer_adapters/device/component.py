@@ -1,8 +1,8 @@
-"""Component of the master for one device.
+"""Component through which the master uses one device.
 
-A step of the component reads the measurements of the device. The loop (`freeflyer_adapters.loop`)
-writes the commands to the device at the end of each instant. Instant: a point in time at which the
-master steps components.
+Instant: a point in time at which the master steps components. A step of this component reads the
+measurements of the device. At the end of each instant, the loop (`freeflyer_adapters.loop`) writes
+the commands to the device.
 """
 
 from __future__ import annotations

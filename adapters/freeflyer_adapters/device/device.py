@@ -6,9 +6,10 @@ The loop calls the methods of a device in this order:
 2. `read` and `write` in every cycle.
 3. `revoke`, `ramp_down` and `deactivate`.
 
-The loop may call `on_error` at any time. An active device is then in the state safe_stop or fault.
-With the option `--check`, the run ends after `check_start`. Until the end of `check_start`, no
-message changes the state of the device. The host and the device both follow `TRANSITIONS`.
+The loop may call `on_error` at any time. This changes an active device to the state safe_stop. With
+the option `--check`, the run ends after `check_start`. Until the end of `check_start`, the host
+sends no message that changes the state of the device. The host and the device both follow
+`TRANSITIONS`.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
-"""Limits between controllers and devices. This module reads no clock and sends nothing.
+"""Limits of the commands to a device, and of its measurements.
 
-A clamping limit reduces a command to the allowed range, and counts how often this happens. A
-stopping limit returns the reason to stop. The reason contains the value and the unit.
+This module reads no clock and sends nothing. A clamping limit reduces a command to the allowed
+range, and counts how often this happens. For a stopping limit, the methods return the reason to
+stop. The reason contains the value and the unit.
 """
 
 from __future__ import annotations
@@ -16,7 +17,11 @@ from freeflyer_adapters.foundation.pose import distance
 
 
 class ArmLimits:
-    """Limits of one arm. `settings`: values of `freeflyer_adapters.device.settings.ARM`."""
+    """Limits of one arm.
+
+    `settings`: values of `freeflyer_adapters.device.settings.ARM`. `cycle`: period of the commands
+    [s].
+    """
 
     def __init__(self, settings: Mapping[str, Array], cycle: float) -> None:
         self.effort = np.array(settings["joint_effort_limit"])

@@ -1,10 +1,10 @@
-"""Permit: permission of the host to send frames that give power to a device.
+"""Permit: object that decides whether the host may send frames that give power to a device.
 
 Every activation takes a new permit. A permit is lost permanently in these cases:
 
 - There is a reason to stop.
 - The loop is delayed for longer than the watchdog time of the device.
-- The device reports a state other than active.
+- The device has reported the state active, and then reports another state.
 
 A lost permit cannot be taken again. Without a permit, the host sends only frames that lower the
 power of the device.
@@ -16,8 +16,9 @@ from __future__ import annotations
 class Permit:
     """Decision logic of the permit. This class reads no clock and sends nothing.
 
-    Times are [ns] of the monotonic clock. `watchdog` [ns]: longest time for which the device
-    continues without a command. After a longer delay of the loop, the device counts as stopped.
+    Times are [ns] of the monotonic clock. `subject`: name of the device in messages. `watchdog`
+    [ns]: longest time for which the device continues without a command. After a longer delay of the
+    loop, the device counts as stopped.
     `reports_state`: whether the device reports its life cycle state. If the device reports no
     state, every measurement counts as a report of the state active.
     """
@@ -58,7 +59,8 @@ class Permit:
     def report(self, active: bool, at: int) -> None:
         """Process a state report that the device sent at `at` or later [ns].
 
-        Reports before the permit is taken are ignored.
+        `active`: whether the reported state is active. Reports before the permit is taken are
+        ignored.
         """
         if not self._is_taken:
             return
@@ -104,7 +106,9 @@ class Permit:
         """Return whether the torques of a graded stop may be sent.
 
         The last report of the state active must not be older than the watchdog time. Without such a
-        report, the device may have stopped, and a torque could activate the device again.
+        report, the device may have stopped, and a torque could activate the device again. After a
+        delay of the loop, a device that reports no state may also have stopped. Then the result is
+        False.
         """
         if self.hold_up(now) and not self.reports_state:
             return False

@@ -1,6 +1,6 @@
 """Graded stop of one torque-controlled arm: damped ramp-down of the torque, then the brakes.
 
-The host and the arm's own watchdog use it.
+The host uses this module. The watchdogs of the virtual arms use it, too.
 """
 
 from __future__ import annotations

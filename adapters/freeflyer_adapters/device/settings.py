@@ -19,13 +19,15 @@ from freeflyer_adapters.device.device import DeviceError
 class Setting:
     """One setting of a device.
 
-    `effect`: effect of a limit.
+    `effect`: if the setting is a limit, what happens when the limit is exceeded.
 
     - "clips": the command is limited to the allowed range. Limited commands are counted and
       reported.
     - "stops": the loop stops.
     - "refuses": the activation is rejected.
     - Empty text: the setting is not a limit.
+
+    `per_joint`: whether each joint has one value. `whole`: whether only whole numbers are allowed.
     """
 
     name: str

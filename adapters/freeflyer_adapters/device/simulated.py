@@ -211,7 +211,7 @@ class SimulatedDevice:
     def _write_inputs(self) -> None:
         first = 0
         for name in self._inputs:
-            # An arm gets the torque after the limits, not the latest command of the controller.
+            # An arm gets the torque that `write` has limited, not the command of the controller.
             value = (
                 self._last_torque
                 if self.is_arm and name == "joint_torque_command"
