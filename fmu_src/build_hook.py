@@ -24,7 +24,7 @@ class BuildHook(BuildHookInterface):  # type: ignore[misc]
 
             robot = load_robot_file()
             directory = Path(self.root) / "fmu_src" / "freeflyer_fmus" / "prebuilt"
-            # Remove the FMUs of an earlier build. They must not be in the wheel.
+            # Remove the FMUs of an earlier build, because they must not be in the wheel.
             shutil.rmtree(directory, ignore_errors=True)
             core = Path(self.root) / "cosim" / "freeflyer" / "master" / "core"
             compile_core(core, core / "prebuilt" / "core.so", host_platform())

@@ -24,9 +24,12 @@ from freeflyer_fmus.robot.urdf import (
 )
 
 SOURCES = "sources"
-"""Platform name that adds C sources, for importers that compile the FMU themselves."""
+"""Name in --platforms that adds the C sources, for importers that compile an FMU themselves."""
 AGREEMENT = 1e-8
-"""Largest accepted relative difference from Pinocchio's forward dynamics, for a user's robot."""
+"""Largest accepted relative difference between the forward dynamics and Pinocchio's result.
+
+Only a robot that is selected with --robot is checked.
+"""
 
 
 class FmusCommand:
@@ -141,7 +144,7 @@ def chosen_platforms(text: str) -> tuple[list[Platform], bool]:
 def chosen_robot(arguments: argparse.Namespace) -> Robot:
     """Load the robot that the command line selects.
 
-    Raises RobotError if an option does not apply to this robot.
+    Raises RobotError if an option for a URDF is given with another kind of robot.
     """
     lock = dict(assignment(text, "--lock") for text in arguments.lock)
     posture = posture_of(arguments.posture)

@@ -1,4 +1,4 @@
-"""Errors in the steps from a URDF to an FMU. Every message is one sentence for the user."""
+"""Errors in making FMUs from a URDF and blocks. Every message is one sentence for the user."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """In-process block: evaluates the equations of a block in Python.
 
-Sampling and integration are the same as in the C runtime. Unlike the C runtime, the in-process
-block does not check the order of calls and does not use compensated summation. The in-process block
-needs no compiler. It can be stepped in a debugger, and it can replace an FMU in any scenario (`kind
-= "twin"`).
+Sampling and integration are the same as in the C runtime of the FMUs, with two exceptions: the
+in-process block does not check the order of calls, and it does not use compensated summation. It
+needs no compiler and can be stepped in a debugger. It can replace an FMU in any scenario
+(`kind = "twin"`).
 """
 
 from __future__ import annotations
@@ -39,7 +39,12 @@ class RequirementError(InProcessError):
 
 @dataclass(frozen=True, kw_only=True)
 class BlockPort:
-    """Variable of a block, with the interface that the master expects."""
+    """Variable of a block, with the interface that the master expects.
+
+    `direct` contains the inputs that affect this output at the same instant. `sampled` is True for
+    an output of a sampled block. `prompt` is True if the step that starts at an instant computes
+    the output at this instant.
+    """
 
     name: str
     size: int
@@ -122,7 +127,7 @@ class InProcessBlock:
         return self.block.terminals
 
     def value(self, name: str) -> Array:
-        """Return a view (size) of the variable's values."""
+        """Return the values of a variable as a view (size): it always shows the present values."""
         variable = self.block.variables[name]
         first = self.block.offset(name)
         return self._vectors[variable.causality][first : first + variable.size]
@@ -130,8 +135,8 @@ class InProcessBlock:
     def set(self, name: str, value: object) -> None:
         """Set the value of a variable.
 
-        After initialisation, only inputs and tunable parameters may be set. Raises InProcessError
-        if a value is not finite.
+        After initialisation, set only inputs and tunable parameters (this is not checked). Raises
+        InProcessError if a value is not finite.
         """
         numbers = np.asarray(value, dtype=float)
         if not np.isfinite(numbers).all():
@@ -157,7 +162,8 @@ class InProcessBlock:
     def step(self, time: float, size: float) -> None:
         """Advance from `time` by `size` [s].
 
-        Raises InProcessError if a requirement is violated, or if a sample is inside the step.
+        Raises InProcessError if a requirement is violated, or if a sample is between the start and
+        the end of the step.
         """
         self._time = time
         if self.block.period is not None:
@@ -263,7 +269,7 @@ class InProcessBlock:
 
 
 class _Evaluator:
-    """CasADi function with a call through its buffer interface, which needs no conversions."""
+    """CasADi function, called through its buffer interface. Such a call converts no arrays."""
 
     def __init__(self, function: ca.Function) -> None:
         self._buffer, self._evaluate = cast(tuple[Any, Callable[[], None]], function.buffer())

@@ -2,8 +2,9 @@
 
 The model includes friction, torque ripple, imperfect gravity compensation, noise and quantisation.
 The block is sampled. Its period is the cycle of the arm. The outputs describe the state at the
-present cycle. This state results from the torque that was applied since the last cycle. Therefore
-the torque command is a delayed input, as for a real arm.
+present cycle. This state results from the torque that was applied since the last cycle, not from
+the torque that is commanded at the present cycle. Therefore the torque command is a delayed input:
+it gets the value that its source had before the present cycle. A real arm has the same delay.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from freeflyer_fmus.robot.robot import Robot
 
 SX = ca.SX
 SMOOTHING = 1e-2
-"""Width [rad/s] of the smooth sign change of Coulomb friction at zero speed."""
+"""Speed scale [rad/s]: near zero speed, Coulomb friction is proportional to tanh(speed / scale)."""
 
 
 def arm_drive(robot: Robot) -> Block:
@@ -83,6 +84,7 @@ def arm_drive(robot: Robot) -> Block:
         """Return the torque at the sensor behind the gear (n).
 
         The torque is the command, plus the modelled gravity torque, plus ripple, minus friction.
+        `position` and `speed` are those of the joints.
         """
         friction = coulomb * ca.tanh(speed / SMOOTHING) + viscous * speed
         model = compensation * gravity_model(mechanism, R_b, position, gravity)
@@ -94,7 +96,7 @@ def arm_drive(robot: Robot) -> Block:
             mechanism, state, a_b, link_torque(position, speed), gravity
         )
 
-    # One classical Runge-Kutta step over the last cycle.
+    # One classical Runge-Kutta step over the last cycle. At the first cycle, its size is 0.
     h = T * begun
     k1 = rates(SX(0), q, qd)
     k2 = rates(h / 2, q + h / 2 * k1[0], qd + h / 2 * k1[1])
@@ -104,6 +106,7 @@ def arm_drive(robot: Robot) -> Block:
         x + h / 6 * (a + 2 * b + 2 * c + d)
         for x, a, b, c, d in zip((q, qd), k1, k2, k3, k4, strict=True)
     )
+    # If the brakes hold, the joints keep their positions and have zero speed.
     q, qd = (
         ca.if_else(brake > 0.5, held, moved)
         for held, moved in zip((q, SX(n, 1)), free, strict=True)

@@ -1,4 +1,7 @@
-"""Base controller, sampled at T_b: law (17) and the passivity controller's damper, (25), (26)."""
+"""Base controller, sampled at T_b: control law (17), and the damper of the passivity controller.
+
+Equations (25) and (26) describe the damper.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +40,7 @@ SX = ca.SX
 def base_controller(robot: Robot) -> Block:
     require_full_jacobian(robot, "base_controller")
     block = Block("base_controller", "Regulation of the base with its passivity controller")
-    # Parameters. The manipulator gains enter J_b^T F'_m of the matched law.
+    # Parameters. The manipulator gains are used only with discretisation `matched`, in J_b^T F'_m.
     # fmt: off
     T_b = block.sampled_every("period", 0.3, "T_b: sampling time of this controller")
     mechanism = mass_parameters(block, robot)
@@ -58,7 +61,8 @@ def base_controller(robot: Robot) -> Block:
         "orientation_setpoint", IDENTITY, "1", "Base orientation to hold, quaternion x, y, z, w", tunable=True
     )
 
-    # Inputs: measurements, reference, and the values of the manipulator controller at this instant.
+    # Inputs: measurements, reference, and the values that the manipulator controller computes at
+    # the same instant.
     p_b = block.input("base_position", np.zeros(3), "m", "Measured position of B in I")
     state = measured_state(block, robot)
     v_d, a_d = desired_motion(block)
@@ -87,10 +91,11 @@ def base_controller(robot: Robot) -> Block:
     M_e = articulated_end_effector_inertia(mechanism, state)
     mean_m = mean_wrench(M_e, ca.diag(K_Pm), ca.diag(K_Dm), T_b, spring_m, dv_m)
     Jb_F = base_jacobian_transposed_times(star.p_be, ca.if_else(is_matched, star.F_m + mean_m, F_m))
-    # Eqs. (25) and (26). The paper prints beta_m in (25). The code uses beta_b. With bookkeeping
-    # `applied`, an upper bound of beta prevents the held damper from generating energy. With
-    # bookkeeping `as_printed`, the observer counts the energy of the damper without this bound.
-    # Therefore beta must not be bounded with `as_printed`.
+    # Eqs. (25) and (26). The paper prints beta_m in (25). The code uses beta_b. The force of the
+    # damper is constant between two samples. Therefore the damper generates energy if beta is too
+    # large. With bookkeeping `applied`, beta has an upper bound for this reason. With bookkeeping
+    # `as_printed`, the observer counts the energy of the damper with the unbounded beta_b.
+    # Therefore this controller must apply the unbounded beta_b.
     is_bounded = ca.logic_and(bookkeeping == int(Bookkeeping.applied), share > 0)
     own_damping = ca.if_else(is_matched, sampled_damping(ca.diag(M), K_P, K_D, T_b), K_D)
     beta = ca.if_else(

@@ -1,9 +1,9 @@
 """The facility's base robot: a position-controlled industrial robot that follows set points.
 
-The robot follows a set point after a delay of some cycles. It responds as a critically damped
-second-order system with a given bandwidth. Speed and acceleration are limited. The block is
-sampled. Its outputs are the motion at the sample and the constant acceleration until the next
-sample.
+The robot accepts one set point per cycle, and follows it after a delay of some cycles. It responds
+as a critically damped second-order system with a given bandwidth. Speed and acceleration are
+limited. The block is sampled; several samples can be in one cycle. Its outputs are the motion at
+the sample, and the acceleration, which is constant until the next sample.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from freeflyer_fmus.robot.robot import Robot
 
 SX = ca.SX
 LONGEST_DELAY = 8
-"""Number of set points in the delay buffer."""
+"""Number of set points in the delay buffer. The largest delay is one cycle less."""
 
 
 def base_robot(robot: Robot) -> Block:
@@ -81,15 +81,15 @@ def base_robot(robot: Robot) -> Block:
     block.initial("true_orientation", rotation.normalised(R))
     block.initial("random", noise.first_state(seed))
 
-    # Compute the motion since the last sample with the acceleration of that sample. The translation
-    # is exact. The rotation uses the mean angular velocity of the interval.
+    # Compute the motion since the last sample. The acceleration was set at the last sample. The
+    # translation is exact. The rotation uses the mean angular velocity since the last sample.
     h = T * begun
     p_now = p + h * v[:3] + 0.5 * h**2 * a[:3]
     rotation_vector = h * v[3:] + 0.5 * h**2 * a[3:]
     R_now = rotation.normalised(rotation.product(rotation.about(rotation_vector), R))
     v_now = v + h * a
 
-    # Accept a set point once per cycle and shift the delay buffer.
+    # Accept a set point once per cycle, and shift the delay buffer then.
     samples = ca.floor(cycle / T + 0.5)
     take = ca.logic_or(begun == 0, age + 1 >= samples)
     newest = ca.vertcat(p_set, R_set, v_set)

@@ -1,9 +1,10 @@
 """Block: declared variables and equations of one FMU.
 
-The C code, both modelDescription.xml files, the documentation and the in-process block are derived
-from the block. A continuous block has derivatives. Its outputs are valid at the end of a
-communication step. A sampled block has a `period`. If a sample is due, the sampled block reads its
-inputs at the start of the communication step. It holds its outputs until the next sample.
+The C code, both modelDescription.xml files, the documentation and the in-process block (evaluation
+in Python) are derived from the block. A continuous block has derivatives. Its outputs are valid at
+the end of a communication step. A sampled block has a `period`, and takes one sample per period. At
+a sample, it reads its inputs at the start of the communication step and computes its outputs. It
+holds its outputs until the next sample.
 """
 
 from __future__ import annotations
@@ -34,7 +35,10 @@ ACCELERATION: Units = ("m/s2",) * 3 + ("rad/s2",) * 3
 class Variable:
     """Variable of a block: a scalar (`size` 1, `is_array` False) or an array of `size` elements.
 
-    `units` has one entry per element.
+    `units` has one entry per element. `start` contains the start values; it is None for an output.
+    A `tunable` parameter can be changed between steps. `choices` are the names of the options of an
+    enumeration. A `local` state is not visible as an output. `nominal` is the typical magnitude of
+    a state.
     """
 
     name: str
@@ -64,8 +68,9 @@ class Variable:
 class Requirement:
     """Condition `value >= minimum`, or `value > minimum` if `strict` is True.
 
-    If the condition is violated, the FMU returns an error. The error message contains `subject`,
-    the value and `remedy`.
+    If the condition is violated, the FMU returns an error. The error message contains `subject`
+    (what the value is), the value and `remedy` (what the user can do). If `initially` is True, the
+    condition is checked only at initialisation and after a change of parameters.
     """
 
     value: SX
@@ -80,8 +85,8 @@ class Block:
     """Variables and equations of one FMU.
 
     Each declaration of a variable returns a symbol. The equations are expressions in these symbols.
-    All derived functions have the arguments (t, p, u, x). t is the time [s]. p, u and x are flat
-    vectors of all parameters, inputs and states.
+    The block derives functions from the equations. Their arguments are (t, p, u, x). t is the time
+    [s]. p is a flat vector of all parameters, u of all inputs, and x of all states.
     """
 
     def __init__(self, name: str, description: str) -> None:
@@ -216,9 +221,9 @@ class Block:
     def terminal(self, name: str, *variables: str, **members: str) -> None:
         """Declare a terminal: a group of inputs and outputs that are connected together.
 
-        A connection of two terminals connects the members of the same name, from output to input.
-        A member in `variables` has the name of its variable. A member in `members` is given as
-        MEMBER = variable, and its name is MEMBER.
+        If two terminals are connected, each output is connected to the input with the same member
+        name. For a variable in `variables`, the member name is the name of the variable. `members`
+        contains the other variables, each as MEMBER_NAME = name of the variable.
         """
         group = {variable: variable for variable in variables} | members
         for variable in group.values():
@@ -233,7 +238,8 @@ class Block:
     def initial(self, state: str, value: SX) -> None:
         """Set the value of a state after initialisation.
 
-        The value is an expression of parameters and start values.
+        The value is an expression of parameters and start values. In this expression, the symbol of
+        a state is the start value of the state.
         """
         self._assign(self._initial, state, value)
 
@@ -243,9 +249,10 @@ class Block:
         self._assign(self._next, state, value)
 
     def update(self, state: str, value: SX) -> None:
-        """Set the value x(k) of a state in a sampled block.
+        """Set the value x(k) of a state at sample k, in a sampled block.
 
-        The value is an expression of x(k-1) and of the inputs at sample k.
+        The value is an expression of the states x(k-1) before this sample and of the inputs at
+        sample k. The symbol of a state is x(k-1).
         """
         self._kinds.add("update")
         self._assign(self._next, state, value)
@@ -268,7 +275,7 @@ class Block:
         strict: bool = False,
         initially: bool = False,
     ) -> None:
-        """Add a requirement.
+        """Add a requirement (see `Requirement` for the arguments).
 
         The requirement is checked at every sample or step. If the requirement depends only on
         parameters, or if `initially` is True, the requirement is checked only at initialisation and
@@ -308,7 +315,10 @@ class Block:
 
     @cached_property
     def static_requirements(self) -> list[Requirement]:
-        """Requirements that depend only on parameters, and requirements on start values."""
+        """Requirements that depend only on parameters, and requirements with `initially`.
+
+        They are checked only at initialisation and after a change of parameters.
+        """
         others = ca.vertcat(self.time, *self.arguments[2:])
         return [
             r
@@ -360,10 +370,11 @@ class Block:
 
     @cached_property
     def linked(self) -> int:
-        """Number of output elements up to the last element that is in a terminal.
+        """Number of linked outputs: all output elements up to the last one that is in a terminal.
 
-        The number is 0 for a sampled block. Outputs in terminals are usually connected. If a master
-        reads only these elements, the FMU does not compute the other outputs.
+        The elements are in the order of declaration. The number is 0 for a sampled block. The
+        outputs in terminals are usually connected. If a master reads only linked outputs, the FMU
+        does not compute the other outputs.
         """
         members = {variable for group in self.terminals.values() for variable in group.values()}
         ends = [
@@ -383,8 +394,9 @@ class Block:
     def sensitivities(self) -> dict[str, ca.Function]:
         """Directional derivatives of every function except `check`. Margins are left out.
 
-        `forward_NAME`: (t, p, u, x, seed of the arguments) -> derivatives of the results.
-        `reverse_NAME`: (t, p, u, x, seed of the results) -> derivatives by the arguments.
+        J is the Jacobian of the results of NAME by its arguments (t, p, u, x).
+        `forward_NAME`: (t, p, u, x, seed) -> J seed. The seed has the size of the arguments.
+        `reverse_NAME`: (t, p, u, x, seed) -> J^T seed. The seed has the size of the results.
         """
         derived = {}
         knowns = ca.vertcat(*self.arguments)
@@ -403,9 +415,10 @@ class Block:
 
     @cached_property
     def dependencies(self) -> dict[str, list[str]]:
-        """Direct dependencies of every output and derivative element, at the same instant.
+        """Direct dependencies of every element of an output, a state or a derivative.
 
-        A dependency is an element of an input or of a continuous state, or `time`.
+        A dependency is `time`, an element of an input, or an element of a state of a continuous
+        block. Its value at an instant affects the dependent element at the same instant.
         """
         knowns = ["time", *self._elements("input")]
         given = ca.vertcat(self.time, self._symbols("input"))
@@ -436,7 +449,7 @@ class Block:
         if start:
             together = ca.substitute(together, self._symbols("state"), ca.vertcat(*start.values()))
         substituted = dict(zip(expressions, ca.vertsplit(together), strict=True))
-        # Before the first sample, a state's visible value is its initial value.
+        # Before the first sample, an importer that reads a state gets the initial value.
         for variable in self.having("state"):
             substituted |= zip(
                 variable.element_names, ca.vertsplit(start[variable.name]), strict=True
@@ -450,8 +463,8 @@ class Block:
         """Return the expressions of all outputs, states and derivatives `der(...)`, by element."""
         found: dict[str, SX] = {}
         for variable in self.having("output", "state"):
-            # The visible value of a sampled state is its updated value, which depends on the
-            # inputs.
+            # After a sample, an importer that reads a state of a sampled block gets the updated
+            # value, which depends on the inputs.
             expression = self._outputs.get(variable.name)
             if expression is None:
                 expression = (

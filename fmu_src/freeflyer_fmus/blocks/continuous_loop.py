@@ -1,6 +1,7 @@
 """The closed loop in continuous time, (1) with (7) and (8): plant, reference and both control laws.
 
-Nothing is sampled. The block is the reference for the sampled loops and evaluates (10) and (15).
+Nothing is sampled. The results of the sampled loops are compared with the results of this block. It
+also computes the Lyapunov function V of (10) and its derivative by (15).
 """
 
 from __future__ import annotations
@@ -99,8 +100,8 @@ def continuous_loop(robot: Robot) -> Block:
     block.derivative("joint_position", qd)
     block.derivative("joint_velocity", qdd)
 
-    # Eq. (10). The kinetic part is the kinetic energy at the error velocity [x_b'; dx_m'],
-    # expressed in generalised coordinates.
+    # Eq. (10). The kinetic part is the kinetic energy of the robot at the error velocity
+    # [x_b'; dx_m']. In generalised coordinates, the error velocity is [x_b'; q' - qd_r].
     kinetic = dynamics.kinetic_energy(mechanism, State(R_b, v_b[:3], v_b[3:], q, qd - star.qd_r))
     V = kinetic + spring_energy(K_Pm, dx_m) + spring_energy(K_Pb, dx_b)
     # Eq. (15), plus the power of the null-space damper.

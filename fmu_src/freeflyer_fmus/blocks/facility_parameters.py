@@ -27,8 +27,9 @@ def gravity_parameters(block: Block) -> tuple[SX, SX]:
 def gravity_model(mechanism: Mechanism, orientation: SX, q: SX, gravity: SX) -> SX:
     """Return the joint torques (n) that hold the arm at rest under gravity.
 
-    `gravity` (3) is in I. The torques result from inverse dynamics with the base acceleration
-    -`gravity`.
+    `orientation` is the quaternion of the base. `gravity` (3) is in I. Gravity needs the same
+    torques as a base acceleration of -`gravity`. Therefore the torques are computed by inverse
+    dynamics with this base acceleration.
     """
     rest = State(orientation, SX(3, 1), SX(3, 1), q, SX(q.numel(), 1))
     accelerated = ca.vertcat(-gravity, SX(3 + q.numel(), 1))

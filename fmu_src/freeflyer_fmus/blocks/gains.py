@@ -13,6 +13,7 @@ from freeflyer_fmus.robot.robot import Robot
 SX = ca.SX
 STIFFNESS = ("N/m",) * 3 + ("N.m/rad",) * 3
 DAMPING = ("N.s/m",) * 3 + ("N.m.s/rad",) * 3
+# Default gains of each control law: stiffness and damping.
 MANIPULATOR = ([500.0] * 3 + [50.0] * 3, [80.0] * 3 + [3.0] * 3)
 BASE = ([150.0] * 3 + [40.0] * 3, [10.0] * 3 + [2.0] * 3)
 
@@ -25,7 +26,10 @@ class Gains(NamedTuple):
 
 
 def gains(block: Block, default: tuple[list[float], list[float]], prefix: str = "") -> Gains:
-    """Declare the parameters PREFIXstiffness and PREFIXdamping with these start values."""
+    """Declare the parameters PREFIXstiffness and PREFIXdamping.
+
+    `default` contains the start values of both parameters, in this order.
+    """
     stiffness, damping = default
     return Gains(
         block.parameter(

@@ -18,8 +18,8 @@ def linear_trajectory(robot: Robot) -> Block:
         "linear_trajectory",
         "Desired end-effector motion: a straight line from the start posture, then rest",
     )
-    # The start pose of the end-effector is computed from the base pose and the joint positions. A
-    # separate parameter could contradict these values.
+    # The start pose of the end-effector is computed from the base pose and the joint positions. If
+    # the start pose were a parameter, it could contradict them.
     # fmt: off
     p_b = block.parameter("start_base_position", np.zeros(3), "m", "Position of B at t = 0, in I")
     R_b = block.parameter("start_base_orientation", IDENTITY, "1", "Orientation of B at t = 0, quaternion x, y, z, w")

@@ -1,4 +1,8 @@
-"""Manipulator controller, sampled at T_m: law (16), passivity observers and dampers, (20)-(24)."""
+"""Manipulator controller, sampled at T_m: control law (16), passivity observers and dampers.
+
+Equations (20) to (24) describe the observers and dampers of both ports, M and B. The base
+controller applies the damper of port B.
+"""
 
 from __future__ import annotations
 
@@ -86,8 +90,9 @@ def manipulator_controller(robot: Robot) -> Block:
     p_d = block.input("desired_position", p_start, "m", "Desired position of E in I")
     R_d = block.input("desired_orientation", R_start, "1", "Desired orientation of E in I, quaternion x, y, z, w")
     v_d, a_d = desired_motion(block)
-    # Delayed inputs: wrenches that were applied since the previous sample. Delayed inputs do not
-    # affect the order in which the components are stepped.
+    # Delayed inputs: they get the values that were valid before this sample, so they contain the
+    # wrenches that acted since the previous sample. Therefore this controller can be stepped before
+    # the base controller, which computes these wrenches.
     F_b_applied = block.input("applied_base_wrench", np.zeros(6), WRENCH, "F'_b that acted since the previous sample (delayed)")
     F_B_held = block.input("held_port_wrench", np.zeros(6), WRENCH, "F'_B(k_b): held since the last sample of the base controller (delayed)")
     F_pcb_held = block.input("base_passivity_wrench", np.zeros(6), WRENCH, "F_pcb: wrench of the base's passivity controller (delayed)")
@@ -128,7 +133,7 @@ def manipulator_controller(robot: Robot) -> Block:
     tracking = observer == int(Observer.tracking)
     u_m = v_m - ca.if_else(tracking, v_d, 0)
     excluded_m = ca.if_else(tracking, star.F_m, 0)
-    # Eq. (20) with corrected sign, in the chosen bookkeeping.
+    # Eq. (20) with corrected sign, with the selected bookkeeping.
     E_m = passivity.choose(
         bookkeeping,
         {
@@ -170,8 +175,8 @@ def manipulator_controller(robot: Robot) -> Block:
             Bookkeeping.applied: passivity.observed_as_applied(E_b, held + S_b_1, u_b_1, v_b, T_m),
         },
     )
-    # Eq. (24). The paper prints T_m. The bookkeeping `applied` uses T_b, because the damper is held
-    # for T_b and dissipates the deficit over T_b.
+    # Eq. (24). The paper prints T_m. The bookkeeping `applied` uses T_b, because the force of the
+    # damper is constant for T_b. During this time, the damper dissipates the missing energy.
     beta_b = passivity.damper(E_b, v_b, ca.if_else(applied, T_b, T_m), floor)
     beta_b = ca.if_else(base_on, beta_b, 0)
 

@@ -1,4 +1,4 @@
-"""Declarations of all blocks that have a robot model: masses, measured state, joint limits."""
+"""Declarations for the blocks that contain a robot model: masses, measured state, joint limits."""
 
 from __future__ import annotations
 
@@ -34,7 +34,10 @@ def joint_units(robot: Robot, revolute: str, prismatic: str) -> Units:
 
 
 def start_pose(robot: Robot) -> tuple[Array, Array]:
-    """Return position (3) [m] and quaternion (4) of E in I at the start posture, with B at I."""
+    """Return position (3) [m] and quaternion (4) of E in I at the start posture.
+
+    The frame B coincides with I.
+    """
     position, orientation = end_effector_pose(
         constant_mechanism(robot), SX(3, 1), SX(list(IDENTITY)), SX(ca.DM(robot.posture))
     )
@@ -43,7 +46,7 @@ def start_pose(robot: Robot) -> tuple[Array, Array]:
 
 
 def mass_parameters(block: Block, robot: Robot) -> Mechanism:
-    """Declare mass and inertia of base and tool. Return the mechanism in these symbols."""
+    """Declare mass and inertia of base and tool. Return the mechanism with these symbols."""
     base_mass = block.parameter(
         "base_mass", robot.base.mass, "kg", "Mass of the base body without the arm", above=0.0
     )
@@ -71,7 +74,8 @@ def mass_parameters(block: Block, robot: Robot) -> Mechanism:
 def _require_physical(block: Block, name: str, entries: SX, *, strict: bool) -> None:
     """Require a positive (semi)definite inertia that satisfies the triangle inequality.
 
-    The triangle inequality holds if the density-weighted covariance is positive semidefinite.
+    `entries` are xx, yy, zz, xy, xz, yz. The triangle inequality holds if the covariance of the
+    mass distribution is positive semidefinite. If `strict` is False, the inertia may be zero.
     """
     matrix = symmetric_matrix(entries)
     covariance = 0.5 * ca.trace(matrix) * SX.eye(3) - matrix
@@ -128,9 +132,9 @@ class JointLimits:
 
 
 def joint_limits(block: Block, robot: Robot) -> JointLimits:
-    """Declare the joint limits of the robot file.
+    """Declare the joint limits of the robot as parameters.
 
-    An arm adapter compares these limits with the limits of the device.
+    An arm adapter compares these parameters with the limits of the device.
     """
 
     def declared(name: str, values: list[float], units: Units, description: str) -> SX:
@@ -194,7 +198,8 @@ def require_regular_jacobian(block: Block, sigma_min: SX, threshold: SX | float)
 def require_full_jacobian(robot: Robot, subject: str) -> None:
     """Raise RobotError if J_m is singular at the start posture or has fewer than six columns.
 
-    Every FMU must be valid at its start values.
+    The start posture is checked, because every FMU must be valid at its start values. `subject` is
+    the name of the block in the message.
     """
     if robot.joint_count < 6:
         raise RobotError(

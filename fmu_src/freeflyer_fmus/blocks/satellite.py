@@ -1,6 +1,7 @@
-"""Simulated satellite: base rows of (1) with measured joint positions, velocities and torques.
+"""Simulated satellite: base motion by (1), for measured joint positions, velocities and torques.
 
-The facility's base robot follows the motion of this satellite.
+The facility's base robot follows the motion of this satellite. Its pose and velocity are the set
+point of the base robot.
 """
 
 from __future__ import annotations
@@ -45,7 +46,8 @@ def satellite(robot: Robot) -> Block:
     # fmt: on
     state = State(R, v[:3], v[3:], q, qd)
     # The measured torque includes the gravity torque. Gravity does not act on the satellite.
-    # Therefore the modelled gravity torque is subtracted. The model's accuracy is a parameter.
+    # Therefore the modelled gravity torque is subtracted. The ratio of the modelled to the true
+    # gravity torque is a parameter.
     torque = measured - knowledge * gravity_model(mechanism, R_robot, q, gravity)
     acceleration, _ = dynamics.forward_dynamics(mechanism, state, F_b, torque)
     block.initial("base_orientation", rotation.normalised(R))

@@ -1,4 +1,4 @@
-"""Members of the terminals of several blocks. A member has the same meaning in every block."""
+"""Terminal members that several blocks have. A member has the same meaning in every block."""
 
 END_EFFECTOR = {
     "position": "end_effector_position",

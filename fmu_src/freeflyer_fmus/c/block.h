@@ -8,16 +8,17 @@
 typedef void Equations(const double *t, const double *p, const double *u, const double *x,
                        double *r0, double *r1, double *r2);
 
-/* Directional derivative of an `Equations` function. Forward: `seed` is a direction of (t, p, u, x),
-   and `result` is the derivative of r0. For `update`, the derivative of r1 follows. Reverse: `seed`
-   belongs to these result vectors, and `result` is the derivative by (t, p, u, x). */
+/* Directional derivative of an `Equations` function. J is the Jacobian of r0 by (t, p, u, x). For
+   `update`, J is the Jacobian of (r0, r1). Forward: `result` is J seed, and `seed` has the size of
+   (t, p, u, x). Reverse: `result` is J^T seed, and `seed` has the size of the result vectors. */
 typedef void Sensitivity(const double *t, const double *p, const double *u, const double *x,
                          const double *seed, double *result);
 
 typedef enum { REAL, BOOLEAN, ENUMERATION } Kind;
 
-/* Access to a value. READ_ONLY: cannot be set. FIXED: can be set until the end of initialisation.
-   TUNABLE: can also be set between steps. INPUT: is an input. START: is a start value of a state. */
+/* How a value can be set. READ_ONLY: cannot be set. FIXED: can be set until the end of
+   initialisation. TUNABLE: can also be set between steps. INPUT: is an input. START: is a start
+   value of a state. */
 typedef enum { READ_ONLY, FIXED, TUNABLE, INPUT, START } Access;
 
 /* Description of one value. The value reference is the index in the value vector. The value
@@ -30,7 +31,9 @@ typedef struct {
     unsigned short extent; /* size of the variable at its first element, 0 at all others */
 } Value;
 
-/* Requirement. A margin is a pair (value, minimum). Margins are in the order of requirements. */
+/* Condition value >= minimum, or value > minimum if `strict` is nonzero. The block's functions
+   return the pair (value, minimum) of each requirement as its margin, in the order of the
+   requirements. */
 typedef struct {
     const char *subject, *remedy;
     int strict;
@@ -56,8 +59,8 @@ typedef struct {
     Equations *update;     /* sampled: r0 new states, r1 outputs, r2 margins */
     Equations *rates;      /* continuous: r0 derivatives */
     Equations *outputs_;   /* continuous: r0 outputs, r1 margins */
-    /* continuous: r0 the first `linked` outputs, r1 margins. The last of these outputs is the last
-       output that is in a terminal. */
+    /* continuous: r0 the linked outputs, r1 margins. The linked outputs are the first `linked`
+       outputs: all outputs up to and including the last one that is in a terminal. */
     Equations *linked_outputs;
     int linked;
     /* Derivatives of initial, update, rates and outputs_. */

@@ -1,4 +1,4 @@
-/* Evaluation of the block's functions on demand, and checks of its requirements. */
+/* Evaluation of the block's functions when their results are needed, and checks of requirements. */
 #include "internal.h"
 
 #include <string.h>
@@ -118,7 +118,8 @@ Status instance_update_rates(Instance *c)
 
 void instance_changed(Instance *c)
 {
-    /* The outputs of a sampled block follow its inputs only during initialisation. */
+    /* After initialisation, the outputs of a sampled block change only at a sample. A change of its
+       inputs does not make them invalid. */
     if (block.period < 0 || (c->memory->state & (INSTANTIATED | INITIALIZATION)))
         c->memory->outputs_valid = NONE;
     c->memory->rates_valid = 0;

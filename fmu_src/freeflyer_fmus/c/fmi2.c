@@ -351,7 +351,8 @@ fmi2Status fmi2CancelStep(fmi2Component c)
     return status(instance_unsupported(c, "asynchronous steps to cancel"));
 }
 
-/* A step is never pending. Only the last successful time and `terminated` have a status. */
+/* When fmi2DoStep returns, the step is complete. Therefore there is no status of a pending step.
+   Only fmi2LastSuccessfulTime and fmi2Terminated can be read. */
 
 #define NO_PENDING_STATUS(Name, Type)                                        \
     fmi2Status Name(fmi2Component c, const fmi2StatusKind kind, Type *value) \

@@ -110,8 +110,8 @@ fmi3Instance fmi3InstantiateScheduledExecution(
 
 void fmi3FreeInstance(fmi3Instance c)
 {
-    /* The call is rejected during an intermediate update, because the running step still uses the
-       instance. */
+    /* During an intermediate update, the instance is not freed, because the running step still uses
+       it. */
     if (c && instance_allow((Instance *)c, __func__, BETWEEN, 1) == OK)
         instance_free(c);
 }

@@ -47,7 +47,8 @@ Instance *instance_new(const char *name, int model_exchange)
     /* One allocation contains instance, name, memory and scratch. The size of the name is a
        multiple of 8 bytes. */
     size_t name_size = (length / sizeof(double) + 1) * sizeof(double);
-    /* `scratch` has space for an integration step, or for an evaluation and its margins. */
+    /* `scratch` has space for an integration step, or for the states, outputs and margins of one
+       evaluation. */
     int n = block.states.count, evaluated = n + block.outputs.count;
     int margins =
         2 * (block.running_requirements > block.static_requirements ? block.running_requirements

@@ -37,6 +37,7 @@ typedef struct {
     uint64_t identity; /* hash of the token and the interface type */
     State state;
     int outputs_valid; /* Outputs */
+    /* The rates are the derivatives of the states. */
     int rates_valid, parameters_checked;
     int64_t start, stop, next_sample; /* ns */
     double clock;                     /* s; the exact time given by the importer */
@@ -57,8 +58,8 @@ typedef struct Instance {
     Message message;
     double *scratch;              /* memory for one evaluation or integration step */
     double *saved;                /* states, rounding errors and inputs before a step */
-    double *initial;              /* states after initialisation */
-    double *seed, *result, *part; /* for a sensitivity; size of the value vector */
+    double *initial;              /* for instance_present_states: states after initialisation */
+    double *seed, *result, *part; /* for instance_sensitivity; size of the value vector */
     Memory *memory;               /* content of a saved FMU state */
 } Instance;
 
@@ -71,17 +72,18 @@ void instance_free(Instance *);
 void instance_reset(Instance *);
 /* Sends the message to the log and returns `status`. */
 Status instance_report(Instance *, Status status, const char *category);
-/* Returns OK if the function may be called in the present state and `given` is not zero. `given` is
-   zero if a needed pointer is NULL. */
+/* Returns OK if the function may be called in the present state and all needed pointers are given.
+   The caller sets `given` to zero if a needed pointer is NULL. */
 Status instance_allow(Instance *, const char *function, int states, int given);
 /* Reports "this FMU has no ..." and returns ERROR. */
 Status instance_unsupported(Instance *, const char *what);
 /* Returns OK if all `categories` are log categories of this FMU. */
 Status instance_check_categories(Instance *, const char *const categories[], size_t n);
 
-/* Access by value reference. If `whole` is nonzero, a reference denotes a variable (FMI 3.0). If
-   `whole` is zero, a reference denotes an element (FMI 2.0). To set values, call `instance_check` for
-   all values first. It checks access, range and finiteness. Then call `instance_put`. */
+/* Reading and setting of values by value reference. If `whole` is nonzero, a reference denotes a
+   variable with all its elements (FMI 3.0). If `whole` is zero, a reference denotes one element
+   (FMI 2.0). To set values, call `instance_check` for all values first. It checks whether the
+   values may be set now, are in their ranges and are finite. Then call `instance_put`. */
 typedef struct {
     const unsigned *reference;
     size_t n;
@@ -107,15 +109,16 @@ Status instance_get_states(Instance *, double *x, size_t n);
 Status instance_get_rates(Instance *, double *dx, size_t n);
 Status instance_get_nominals(Instance *, double *nominals, size_t n);
 
-/* Computes directional derivatives of unknowns by knowns at the present values. Unknowns are outputs,
-   derivatives, and states that are visible as outputs. Knowns are time, real parameters, inputs and
-   states. For a sampled block, the derivatives are computed as if the block took a sample at the
-   present time. Forward: `seed` belongs to the knowns. Reverse: `seed` belongs to the unknowns. */
+/* Computes directional derivatives of unknowns by knowns at the present values. Unknowns are
+   outputs, derivatives, and states that are visible as outputs. Knowns are time, real parameters,
+   inputs and states. For a sampled block, the derivatives are computed as if the block took a
+   sample at the present time. Forward: `seed` has one value per known, and `result` one value per
+   unknown. Reverse: `seed` has one value per unknown, and `result` one value per known. */
 Status instance_sensitivity(Instance *, References unknowns, References knowns, int whole,
                             int reverse, const double *seed, size_t seeds, double *result,
                             size_t results);
-/* Saved states. A saved state is one flat copy of the memory. If `*slot` is not NULL, the memory at
-   `*slot` is reused. */
+/* Saved states. A saved state is a flat copy of `Memory`, and `*slot` points to it. `*slot` may be
+   NULL before instance_save and instance_deserialize; they then allocate a saved state. */
 size_t instance_memory_size(void);
 size_t instance_serialized_size(void); /* includes a checksum */
 Status instance_save(Instance *, void **slot);

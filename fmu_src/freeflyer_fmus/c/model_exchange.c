@@ -10,7 +10,7 @@ Status instance_set_time(Instance *c, double time)
     return OK;
 }
 
-/* Copies n values. The arrays may be NULL if n is 0. */
+/* Copies n values. Unlike for memcpy, the arrays may be NULL if n is 0. */
 static void transfer(double *to, const double *from, size_t n)
 {
     for (size_t i = 0; i < n; i++)

@@ -53,8 +53,8 @@ Status instance_serialize(Instance *c, const void *saved, void *bytes, size_t si
     return OK;
 }
 
-/* Returns why the saved state is rejected, or NULL. The bytes and the checksum are untrusted input. A
-   saved state that this runtime cannot have written is rejected. */
+/* Returns why the saved state is rejected, or NULL. The bytes are untrusted input, even if their
+   checksum is correct. A saved state that this runtime cannot have written is rejected. */
 static const char *fault(const Instance *c, const Memory *m)
 {
     int state = (int)m->state, both = INSTANTIATED | INITIALIZATION | TERMINATED;
@@ -69,8 +69,8 @@ static const char *fault(const Instance *c, const Memory *m)
         return "its bytes are damaged";
     for (int i = 0; i < block.values + block.states.count; i++) {
         const Value *value = &block.value[i < block.values ? i : 0];
-        /* After a failed evaluation, some values are not valid. They are not used and need not be
-           finite. */
+        /* Some outputs and derivatives may be marked as not valid, for example after a failed
+           evaluation. They are not used, so they need not be finite. */
         int stale = (inside((unsigned)i, block.outputs) &&
                      i >= block.outputs.first + computed_outputs(m)) ||
                     (inside((unsigned)i, block.derivatives) && !m->rates_valid);

@@ -15,7 +15,8 @@ static int is_unknown(unsigned i)
     return inside(i, block.outputs) || inside(i, block.states) || inside(i, block.derivatives);
 }
 
-/* Returns the number of elements. If a reference is invalid, writes a message and returns -1. */
+/* Returns the number of elements that the list refers to. If `allowed` rejects a reference, writes
+   a message that ends in `kind` and returns -1. */
 static long count(Instance *c, References list, int whole, int (*allowed)(unsigned),
                   const char *kind)
 {
@@ -34,6 +35,7 @@ static long count(Instance *c, References list, int whole, int (*allowed)(unsign
     return sum;
 }
 
+/* Adds the values at `from` to the elements of `vector` (value vector) that the list refers to. */
 static void scatter(References list, int whole, const double *from, double *vector)
 {
     for (size_t i = 0; i < list.n; i++) {
@@ -43,6 +45,7 @@ static void scatter(References list, int whole, const double *from, double *vect
     }
 }
 
+/* Copies the elements of `vector` (value vector) that the list refers to. */
 static void gather(References list, int whole, const double *vector, double *to)
 {
     for (size_t i = 0; i < list.n; i++) {
@@ -52,8 +55,8 @@ static void gather(References list, int whole, const double *vector, double *to)
     }
 }
 
-/* In initialization mode, the states depend on the start values. Then a derivative by a state is the
-   derivative by its start value. */
+/* Computes forward derivatives. In initialization mode, the states depend on their start values. In
+   this mode, "derivative by a state" means the derivative by its start value. */
 static void forward(Instance *c, const double *x, double *seed, double *result)
 {
     const double *t = &c->memory->clock, *p = at(c, block.parameters), *u = at(c, block.inputs);
@@ -64,7 +67,7 @@ static void forward(Instance *c, const double *x, double *seed, double *result)
     }
     if (block.period >= 0) {
         block.forward_update(t, p, u, x, seed, result + block.states.first);
-        /* Before the first sample, the visible value of a state is its initial value. */
+        /* Before the first sample, an importer that reads a state gets the initial value. */
         if (c->memory->state == INITIALIZATION)
             memcpy(result + block.states.first, seed + block.states.first, size);
         return;
@@ -80,6 +83,7 @@ static void add(double *sum, const double *part, int count)
         sum[i] += part[i];
 }
 
+/* Computes adjoint derivatives: the steps of `forward`, transposed and in reverse order. */
 static void reverse(Instance *c, const double *x, double *seed, double *result)
 {
     const double *t = &c->memory->clock, *p = at(c, block.parameters), *u = at(c, block.inputs);

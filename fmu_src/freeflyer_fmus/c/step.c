@@ -5,8 +5,8 @@
 
 #include "integrate.h"
 
-/* Returns the time of the next sample [ns], start + count x period. The time is computed from the
-   count, so that rounding errors do not accumulate. */
+/* Returns the time [ns] of the sample after m->next_sample: the start time plus a whole number of
+   periods. Because it is not computed by adding up periods, rounding errors do not accumulate. */
 static int64_t sample_after(const Memory *m, double period)
 {
     int64_t count = (int64_t)llround((double)(m->next_sample - m->start) * 1e-9 / period);
@@ -36,8 +36,8 @@ static Status step_sampled(Instance *c, int64_t begin, int64_t end, double size)
     return OK;
 }
 
-/* Makes an intermediate update, in which the importer may read values and set inputs. Returns nonzero
-   if the importer ends the communication step at this time. */
+/* Makes an intermediate update, in which the importer may read values and set inputs. Returns
+   nonzero if the importer ends the communication step at this time. */
 static int interrupted(Instance *c, double time)
 {
     Memory *m = c->memory;
@@ -63,7 +63,7 @@ static Status step_continuous(Instance *c, double time, double size)
         message_add(&c->message, " s; choose a shorter step");
         return instance_report(c, ERROR, MISUSE);
     }
-    /* States, rounding errors and inputs are restored if the step fails. */
+    /* Save states, rounding errors and inputs. They are restored if the step fails. */
     int64_t count = size > 0 ? (int64_t)steps : 0;
     double h = count > 0 ? size / (double)count : 0;
     memcpy(saved, x, (size_t)n * sizeof(double));
@@ -85,8 +85,8 @@ static Status step_continuous(Instance *c, double time, double size)
     m->rates_valid = 0;
     Status status = instance_check_finite(
         c, block.states.first, n, x, " after this step; the step was rejected: check the inputs");
-    /* Outputs are computed when they are read. If there are requirements to check at every step, the
-       outputs are computed here. */
+    /* Usually, outputs are computed when they are read. But the requirements are checked together
+       with the outputs. If there are requirements to check at every step, compute outputs now. */
     if (status == OK && block.running_requirements > 0)
         status = instance_update_outputs(c, LINKED);
     if (status == OK)

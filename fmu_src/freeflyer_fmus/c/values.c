@@ -27,8 +27,8 @@ static inline int extent(unsigned reference, int whole)
     return whole ? block.value[reference].extent : 1;
 }
 
-/* Returns ALL if the list contains an output after the linked outputs. Then all outputs are computed
-   together. */
+/* Returns which outputs to compute for the list: ALL if it contains an output that is not a linked
+   output, and LINKED otherwise. */
 static int wanted_outputs(References list)
 {
     for (size_t i = 0; i < list.n; i++)
@@ -58,8 +58,8 @@ Status instance_get(Instance *c, References list, int whole, Kind kind, double *
         } else if (m->state == INITIALIZATION && inside(reference, block.states)) {
             from = instance_present_states(c) + ((int)reference - block.states.first);
         }
-        /* The first element is copied outside the loop, because the loop takes longer than one
-           copy. */
+        /* The first element is copied before the loop. For a scalar, this is faster than a loop
+           with one iteration. */
         *value++ = from[0];
         for (int k = 1, n = extent(reference, whole); k < n; k++)
             *value++ = from[k];

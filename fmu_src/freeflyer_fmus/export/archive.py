@@ -1,6 +1,7 @@
 """Building of .fmu files as reproducible archives.
 
-Each block has one library, and one model description for each FMI version.
+Each block has one library for each platform, and one model description for each FMI version. The
+library of a platform is in the FMUs of both FMI versions.
 """
 
 from __future__ import annotations
@@ -50,9 +51,9 @@ def build_all(
     """Write `directory/fmi2/NAME.fmu` and `directory/fmi3/NAME.fmu` of every block.
 
     The default of `platforms` is the host platform. If `sources` is True, the FMUs contain the C
-    sources. Yields each block, and the paths of its two FMUs by FMI version. Compilation uses all
-    cores. Files are written atomically. Raises BuildError if the compiler fails or if the directory
-    is not writable.
+    sources. Yields each block and the paths of its two FMUs; the keys of the paths are the FMI
+    versions. Compilation uses all cores. Files are written atomically. Raises BuildError if the
+    compiler fails or if the directory is not writable.
     """
     targets = [host_platform()] if platforms is None else platforms
     with _scratch() as scratch, ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -81,7 +82,11 @@ def build(
 def _submit(
     pool: Executor, block: Block, scratch: Path, targets: Sequence[Platform]
 ) -> tuple[str, dict[Platform, Future[bytes]]]:
-    """Return the block's C code and the futures of its libraries."""
+    """Start the compilation of a block for all targets.
+
+    Returns the C code of the block, and for each target the future of its library (bytes). Source
+    and libraries are written below `scratch`.
+    """
     block_c = print_block(block, content_token(block))
     source = scratch / block.name / "block.c"
     source.parent.mkdir()

@@ -1,8 +1,9 @@
 """Generation of block.c: C99 code of the symbolic functions, and tables for the runtime.
 
 The C code is straight-line code in static single assignment form. It has one operation per line, in
-the order of the symbolic program. The compiler may not reorder or contract the
-operations (-ffp-contract=off). Therefore every platform computes the same bits.
+the order of the CasADi function. With -ffp-contract=off, the compiler must not combine a product
+and a sum into one operation. Therefore every platform computes the same bits, except for some
+functions of the C library (see `operations`).
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ def operations() -> dict[int, str]:
     infix = {"ADD": "+", "SUB": "-", "MUL": "*", "DIV": "/"}
     compared = {"LT": "<", "LE": "<=", "EQ": "==", "NE": "!="}
     called = {"FABS": "fabs", "SQRT": "sqrt", "FLOOR": "floor", "CEIL": "ceil"}
-    # These functions are in the C library of the platform. Between platforms, their results agree
-    # to about 1e-12, but not to the last bit.
+    # These functions are in the C library of the platform. Their results on two platforms agree to
+    # about 1e-12, but not to the last bit.
     library = {
         "EXP": "exp",
         "LOG": "log",
@@ -86,12 +87,13 @@ def number(value: float) -> str:
 def print_function(
     function: ca.Function, name: str, arguments: Sequence[str], results: Sequence[str]
 ) -> str:
-    """Print a static C function with the signature of `Equations` or `Sensitivity` in block.h.
+    """Return a static C function with the signature of `Equations` or `Sensitivity` in block.h.
 
-    Raises BlockError if an operation has no C expression.
+    `arguments` and `results` are the names of the C parameters. Raises BlockError if an operation
+    has no C expression.
     """
     table = operations()
-    held: dict[int, str] = {}  # C expression by work vector index
+    held: dict[int, str] = {}  # C expression of each element of CasADi's work vector
     pairs: dict[str, tuple[str, str]] = {}
     lines: list[str] = []
     count = 0
@@ -101,7 +103,7 @@ def print_function(
         count += 1
         return f"a{count}"
 
-    # One statement per operation. Equal angles share one call of sin_cos.
+    # One statement per operation. sin and cos of the same angle share one call of sin_cos.
     for k in range(function.n_instructions()):
         operation, inputs, outputs = (
             function.instruction_id(k),
@@ -200,7 +202,7 @@ def print_block(block: Block, token: str) -> str:
         print_requirements("static_requirement", block.static_requirements),
         print_requirements("running_requirement", block.running_requirements),
     ]
-    # The table `block`, whose fields are declared in block.h.
+    # The table `block`. Its fields are declared in block.h.
     period = plan.reference[block.period] if block.period else -1
     ranges = "\n".join(
         f"    .{name} = {{{first}, {count}}}," for name, (first, count) in plan.ranges.items()

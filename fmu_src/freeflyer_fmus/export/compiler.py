@@ -29,7 +29,7 @@ FLAGS += ("-fno-slp-vectorize",)
 
 @dataclass(frozen=True)
 class Platform:
-    """Target platform: names in FMI 2.0 and FMI 3.0, compiler target, suffix of libraries."""
+    """Platform: names in FMI 2.0 and FMI 3.0, target name of the compiler, suffix of libraries."""
 
     fmi2: str
     fmi3: str
@@ -69,7 +69,7 @@ def fmi_headers() -> Path:
 
 
 def compiler(target: Platform, *flags: str) -> list[str]:
-    """Return the first arguments of a compiler call for a platform."""
+    """Return the start of a compiler command for a platform: program, target and `flags`."""
     return [sys.executable, "-P", "-m", "ziglang", "cc", "-target", target.target, *flags]
 
 
@@ -88,7 +88,7 @@ def compile_library(block_c: Path, output: Path, target: Platform) -> None:
     sources = sorted(str(path) for path in SOURCES.glob("*.c"))
     command = compiler(target, "-shared", "-fPIC", *FLAGS)
     if target.suffix == ".dylib":
-        # A macOS library contains its own path. By default, this is the path during the build.
+        # A macOS library contains its own path. By default, it is the temporary build path.
         command.append(f"-Wl,-install_name,@rpath/{output.name}")
     command += [
         "-Wl,-s",
@@ -108,7 +108,8 @@ def compile_library(block_c: Path, output: Path, target: Platform) -> None:
 def run(command: list[str], subject: str) -> None:
     """Run a compiler command.
 
-    Raises BuildError if the command fails. The message contains the output of the compiler.
+    Raises BuildError if the command fails. The message contains `subject` (what the command does)
+    and the output of the compiler.
     """
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:

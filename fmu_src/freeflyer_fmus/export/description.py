@@ -11,7 +11,7 @@ from freeflyer_fmus.units import DISPLAY, UNITS, rate
 
 TOOL = "freeflyer-cosim"
 UNITS_ANNOTATION = "org.freeflyer-cosim.units"
-"""Type of the FMI 3.0 annotation that contains the units of an array. Each element has one unit."""
+"""Type of the FMI 3.0 annotation that contains the units of an array, one unit per element."""
 TERMINAL_KINDS = "org.freeflyer-cosim"
 
 
@@ -161,7 +161,7 @@ def build_description(block: Block) -> bytes:
 
 
 def _fmi2_variables(parent: ElementTree.Element, block: Block, plan: Layout) -> dict[str, int]:
-    """Add all scalar variables. Return the 1-based index of each variable by name."""
+    """Add all scalar variables. Return the index (from 1) of each variable by name."""
     index: dict[str, int] = {}
 
     def scalar(name: str, reference: int, **attributes: str) -> ElementTree.Element:
@@ -273,8 +273,8 @@ def fmi3(block: Block, token: str) -> bytes:
         "providesDirectionalDerivatives": "true",
         "providesAdjointDerivatives": "true",
     }
-    # A continuous block makes several inner steps in a communication step. Between inner steps, it
-    # supports intermediate update and early return.
+    # A continuous block divides a communication step into inner steps (integration steps). Between
+    # two inner steps, it supports intermediate update and early return.
     inner = (
         {}
         if block.is_sampled
@@ -333,8 +333,8 @@ def _fmi3_variables(parent: ElementTree.Element, block: Block, plan: Layout) -> 
             attributes["nominal"] = number(variable.nominal)
         if variable.causality != "parameter" and not block.is_sampled:
             attributes["intermediateUpdate"] = "true"
-        # An array has only one unit in FMI 3.0. The units of a wrench or twist are in an
-        # annotation.
+        # An array has only one unit in FMI 3.0. If the elements have different units (wrench or
+        # twist), the units are in an annotation.
         if variable.kind == "real" and len(set(variable.units)) == 1:
             attributes["unit"] = variable.units[0]
         tag = {"real": "Float64", "boolean": "Boolean", "enumeration": "Enumeration"}[variable.kind]

@@ -1,4 +1,4 @@
-"""Layout of a block's values in one flat vector.
+"""Layout of a block's values in one flat vector, the value vector.
 
 The index of a value is its value reference in FMI 2.0 and FMI 3.0. The order is time, parameters,
 inputs, states, outputs, derivatives. Only a continuous block has derivatives. In FMI 3.0 the value
@@ -17,10 +17,12 @@ Access = Literal["read_only", "fixed", "tunable", "input", "start"]
 
 @dataclass(frozen=True)
 class Value:
-    """Entry of the value vector.
+    """Entry of the value vector: one element of a variable.
 
-    At the first element of a variable, `extent` is the size of the variable. At all other elements,
-    `extent` is 0.
+    `element` is the name of the element. `kind` is the kind of the variable: real, boolean or
+    enumeration. `access` is how the value can be set. `maximum` is the number of options of an
+    enumeration, and 0 for other kinds. At the first element of a variable, `extent` is the size of
+    the variable. At all other elements, `extent` is 0.
     """
 
     element: str
@@ -34,8 +36,10 @@ class Value:
 class Layout:
     """Layout of all values of a block.
 
-    `values` are in the order of their value references. `ranges` contains (first, count) for each
-    kind of variable. `reference` contains the value reference of each variable's first element.
+    `values` are in the order of their value references, and so are their `start` values. `nominal`
+    contains the nominal values of the states. `ranges` contains (first value reference, count) of
+    the parameters, inputs, states, outputs and derivatives. `reference` contains the value
+    reference of each variable's first element.
     """
 
     values: tuple[Value, ...]

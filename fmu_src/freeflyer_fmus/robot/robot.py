@@ -2,7 +2,7 @@
 
 The conventions are in NOTATION.md. The origin of the base frame B is the centre of mass of the base
 body. The axes of B are the axes of the base link. The z axis of every joint frame is the joint
-axis. Therefore all joints have the same motion subspace in the recursions.
+axis. Therefore all joints have the same motion subspace in the recursions of the dynamics.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ class Inertial:
         )
 
     def seen_from(self, rotation: Array, translation: Array) -> Inertial:
-        """Return the body in a new frame.
+        """Return the values of this body in a new frame.
 
-        The old frame has the pose (rotation, translation) in the new frame.
+        (rotation, translation) is the pose of the old frame in the new frame.
         """
         return Inertial(
             mass=self.mass,
@@ -130,11 +130,12 @@ class Joint:
 class Robot:
     """Free-flyer: base, joints, one body per joint, tool and end-effector.
 
-    `base` is in B. Its centre of mass is the origin of B. `base_attachment` is the part of the arm
-    that is fixed to the base, in B. `bodies[i]` moves with joint i and is in joint frame i.
-    `end_effector_rotation` and `end_effector_translation` are the pose of the end-effector frame E
-    in the last joint frame. `tool` moves with the last joint and is in E. `posture` (n) contains
-    the joint positions at the start.
+    The values of `base` are given in B. The centre of mass of `base` is the origin of B.
+    `base_attachment` is the part of the arm that is fixed to the base, given in B. `bodies[i]` is
+    the body that joint i moves, given in the frame of joint i. `end_effector_rotation` and
+    `end_effector_translation` are the pose of the end-effector frame E in the last joint frame.
+    `tool` is fixed to the last body and is given in E. `posture` (n) contains the joint positions
+    at the start.
 
     Raises RobotError if sizes are inconsistent or if values are impossible.
     """

@@ -30,7 +30,7 @@ def robot_path(text: str, directory: Path = Path()) -> Path:
     """Return the path of a robot file.
 
     `text` is the name of a shipped robot, or a file relative to `directory`. Raises RobotError if
-    `text` is neither a shipped robot nor a file name.
+    `text` is not a shipped robot and contains no "." (then it is not a file name).
     """
     if text not in shipped_robots() and "." not in text:
         raise RobotError(
@@ -76,12 +76,13 @@ def load_urdf(
     """Read a URDF as a free-flyer.
 
     `base_link` (default: the root) becomes the floating base. `end_effector` (default: the only
-    link without children) is the link of frame E. The mass and inertia of `tool_link` (default:
-    none) become FMU parameters. `lock` fixes joints at the given positions [rad or m]. `posture`
-    contains the start positions of the free joints, by name or in order. The default position of a
-    joint is zero. If zero is outside the limits of the joint, the default is the middle of the
-    limits. Raises RobotError if the file is malformed, if the robot is not a serial chain, or if
-    the robot is physically impossible.
+    link without children) is the link whose frame is E. The mass and inertia of `tool_link`
+    (default: none) become FMU parameters. `lock` fixes joints at the given positions [rad or m].
+    The other joints of the chain are free. `posture` contains the start positions of the free
+    joints, either by name or as a list in the order of the chain. Without `posture`, every free
+    joint starts at zero, or in the middle of its limits if zero is outside the limits. Raises
+    RobotError if the file is malformed, if the robot is not a serial chain, or if the robot is
+    physically impossible.
     """
     tree = UrdfTree(path)
     base = base_link or tree.root
@@ -137,8 +138,8 @@ def _robot(
     body = _welded(
         tree, base, rotation, translation, path[0] if path else None, {base, tool}, lock, tip
     )
-    # Go outward along the chain. A free joint starts a new body. The joint axis is the z axis of
-    # the new body.
+    # Go along the chain from the base to the end-effector. A free joint starts a new body. The
+    # frame of the new body is the joint frame, and its z axis is the joint axis.
     link, tool_pose = base, None
     for joint, following in zip(path, [*path[1:], None], strict=True):
         translation = translation + rotation @ joint.translation
@@ -197,9 +198,12 @@ def _welded(
     lock: Mapping[str, float],
     tip: str,
 ) -> Inertial:
-    """Return the inertia of `link` and of all links that are fixed to it, in the body frame.
+    """Return the mass and inertia of `link` and of all links that are fixed to it.
 
-    The links in `apart` and the links below the joint `skip` are excluded.
+    (rotation, translation) is the pose of `link` in the frame of its body. The result is in the
+    frame of the body. The joint `skip` continues the chain; the links below this joint are not
+    included. The mass of a link in `apart` is not included. Raises RobotError if a free joint is
+    not on the chain to the end-effector `tip`.
     """
     own = tree.links[link]
     total = (
@@ -258,7 +262,7 @@ def _z_onto(axis: Array) -> Array:
 def _exact(rotation: Array) -> Array:
     """Round the entries that differ by less than 1e-15 from 0, 1 or -1.
 
-    Exact zeros keep the generated code short, because products with zero are omitted.
+    Products with an exact zero are omitted from the generated code, so the code is shorter.
     """
     nearest = np.round(rotation)
     return constant(np.where(np.abs(rotation - nearest) < 1e-15, nearest, rotation) + 0.0, (3, 3))

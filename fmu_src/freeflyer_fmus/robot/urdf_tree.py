@@ -1,7 +1,7 @@
 """Links and joints of a URDF file, with a check of each element.
 
-The XML is parsed without a robotics library. The checks need the `<inertial>` element of every
-link, but robotics libraries merge or discard these elements.
+The XML is parsed without a robotics library, because the checks need the `<inertial>` element of
+every link. Robotics libraries merge or discard some of these elements.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class UrdfJoint:
     ) -> tuple[Array, Array]:
         """Return the pose of the child link if the joint is locked at `position` [rad or m].
 
-        The joint frame has the pose (rotation, translation).
+        (rotation, translation) is the pose of the joint frame. Both poses are in the same frame.
         """
         if self.kind == "prismatic":
             return rotation, translation + rotation @ self.axis * position
@@ -133,9 +133,9 @@ class UrdfTree:
         return path[::-1]
 
     def refuse_mass_above(self, base: str) -> None:
-        """Raise RobotError if a link with mass is not below the base link.
+        """Raise RobotError if a link with mass is neither the base link nor below the base link.
 
-        The robot would not contain the mass of such a link.
+        Such a link would be missing from the robot.
         """
         below, stack = set(), [base]
         while stack:
@@ -293,7 +293,7 @@ class UrdfTree:
 
 
 def _rotation_from_rpy(rpy: Array) -> Array:
-    """Return the rotation matrix of URDF's fixed-axis roll, pitch, yaw."""
+    """Return the rotation matrix of the angles roll, pitch, yaw about fixed axes, as in URDF."""
     (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
     return np.array(
         [
