@@ -1,4 +1,7 @@
-"""Virtual facility that runs in virtual time, in the process of the host."""
+"""Virtual facility that runs in virtual time, in the process of the host.
+
+The host is the program that runs the control loop.
+"""
 
 from __future__ import annotations
 
@@ -28,8 +31,9 @@ def accelerated(
 ) -> Iterator[Accelerated]:
     """Run a facility in virtual time within the context.
 
-    Call `freeflyer_adapters.loop.hil.run` without real time within the context. This control loop
-    then connects to the facility and uses the virtual time. `log` receives one line per event.
+    Within the context, call `freeflyer_adapters.loop.hil.run` with `real_time=False`. It runs the
+    control loop, which connects to the facility and uses the virtual time. `fmi`, if given,
+    overrides the FMI version of the models. `log` receives one line per event of the facility.
     Raises CosimError if the facility cannot be created.
     """
     time = VirtualTime()

@@ -43,8 +43,10 @@ class Command:
 class ArmLogic:
     """State machine of the arm's controller.
 
+    `joints`: number of joints. `cycle` [s]: time between two calls of `begin`.
     `watchdog` [cycles]: at this age of the last command, the arm goes to the state safe_stop.
     `silence` [cycles]: after this time without a frame of the controller, the session ends.
+    `ramp`: torque of the ramp-down in the state safe_stop.
     `cycles`: number of different cycle numbers. After the last number, counting starts at 0 again.
     `implicit`: the arm has no session numbers and no mode `activate`. A torque frame activates the
     arm.
@@ -82,13 +84,13 @@ class ArmLogic:
         self.braked = True
         # Counters and events.
         self.lost = 0
-        """Number of cycles without a new command since the activation."""
+        """Number of cycles, counted since the activation, in which no new command arrived."""
         self.foreign = 0
-        """Number of commands from other controllers."""
+        """Number of commands that do not belong to the present session."""
         self.excessive = 0
         """Number of commands with a torque larger than `effort`."""
         self.ignored = 0
-        """Number of torque frames outside the state active, and of invalid activations."""
+        """Number of torque frames outside the state active, plus number of invalid activations."""
         self.total_lost = 0
         self.was_active = False
         self.events: list[tuple[int, str]] = []
@@ -122,7 +124,11 @@ class ArmLogic:
 
     @property
     def command_age(self) -> int:
-        """Number of cycles from the state frame that was answered last to the last state frame."""
+        """Age of the last accepted command at the last call of `begin` [cycles].
+
+        The age counts from the state frame that the command answers. It is 0 if the arm has not
+        been active in this session.
+        """
         return (self.cycle - self._answered - 1) % self.cycles if self.was_active else 0
 
     @property
@@ -131,7 +137,7 @@ class ArmLogic:
         return self.was_active and self.controller == 0
 
     def begin(self, commands: Sequence[Command], velocity: Array) -> None:
-        """Start a new cycle. Afterwards `torque` and `braked` act until the next cycle.
+        """Start a new cycle. It updates `torque` and `braked`, which act until the next cycle.
 
         `commands`: commands received since the last state frame. `velocity` (n) [rad/s]: last
         measured joint velocities.
@@ -219,7 +225,7 @@ class ArmLogic:
         return not self.implicit and self.controller in self.used
 
     def _use_up(self) -> None:
-        """Reject every later activation with the present session number."""
+        """Let the present session number expire: it cannot activate the arm again."""
         if not self.implicit and self.controller not in self.used:
             self.used.append(self.controller)
 
@@ -246,7 +252,8 @@ class ArmLogic:
         if self.life.now is not LifeCycle.active:
             self.ignored += 1
             return
-        # A command was delayed or reordered if it answers an older cycle than the last command.
+        # `older`: the command answers an older state frame than the last accepted command does. So
+        # the command was delayed or reordered.
         older = (command.answered - self._answered) % self.cycles >= self.cycles // 2
         if (self.cycle - command.answered) % self.cycles < self.watchdog and not older:
             self.torque = command.torque

@@ -11,7 +11,7 @@ from freeflyer_adapters.device.device import LifeCycle, State
 from freeflyer_adapters.foundation.pose import distance
 
 MOST_USED = 64
-"""Maximum number of expired publishers that are stored."""
+"""Maximum number of expired publishers that are stored (see `BaseLogic`)."""
 
 
 class BaseLogic:
@@ -19,14 +19,16 @@ class BaseLogic:
 
     The unit [calls] is the time between two calls of `tick`.
 
-    `watchdog` [calls]: longest time without a set point, and largest age of a set point.
+    `watchdog` [calls]: after this time without a set point, the robot stops and holds its pose. A
+    set point that is older than this time is rejected.
     `silence` [calls]: after this time without a set point, the session has ended.
     `proof` [calls]: duration of the test of a new publisher.
-    `jump` [m, rad]: largest distance and angle between the robot and the first set point, and
-    between two set points.
+    `jump`: a distance [m] and an angle [rad]. They limit the step from the pose of the robot to the
+    first set point, and the step from one accepted set point to the next.
     `used`: GIDs of expired publishers. All sessions share this list. A GID identifies a publisher.
 
-    A publisher can activate the robot only once. Before the activation, the publisher is tested.
+    A publisher can activate the robot only once. It expires when the robot leaves the state active.
+    Before the activation, the publisher is tested.
     In the test, set points must arrive at the rate of their time stamps. Delayed set points that
     arrive in a burst do not pass the test, so they do not activate the robot.
     """
@@ -42,7 +44,8 @@ class BaseLogic:
         proof: int = 0,
     ) -> None:
         self.proof = proof
-        # The tolerance [calls] must be shorter than the test.
+        # Permitted time error of a set point in the test [calls]. It must be shorter than the
+        # test.
         self.tolerance = min(watchdog, max(1, proof // 2)) if proof else watchdog
         self.period, self.watchdog, self.silence, self.jump = period, watchdog, silence, jump
         self.used: deque[bytes] = deque(maxlen=MOST_USED) if used is None else used
@@ -55,7 +58,7 @@ class BaseLogic:
             np.array([0.0, 0.0, 0.0, 1.0]),
             np.zeros(6),
         )
-        """Set point of the robot, in the inertial frame I."""
+        """Last accepted set point or held pose, in the inertial frame I."""
         self.refused = 0
         self.was_active = False
         self.events: list[tuple[int, str]] = []
@@ -93,9 +96,10 @@ class BaseLogic:
     ) -> bool | None:
         """Handle a set point. Return True if the set point is accepted, False if it is rejected.
 
-        Return None while the test of the publisher is incomplete. `pose`: present position and
-        orientation of the robot. `delay` [s]: age of the set point. `stamp` [s]: time stamp of the
-        set point.
+        Return None while the test of the publisher is incomplete. `position`, `orientation` and
+        `velocity`: the set point, in the inertial frame I. `pose`: present position and orientation
+        of the robot. `publisher`: GID of the publisher. `delay` [s]: age of the set point.
+        `stamp` [s]: time stamp of the set point.
         """
         # Reject invalid values and old set points.
         finite = (
@@ -131,7 +135,7 @@ class BaseLogic:
         return True
 
     def refuse(self, publisher: bytes) -> None:
-        """Mark `publisher` as expired, because it sent while another publisher was accepted."""
+        """Mark `publisher` as expired, because it sent set points in the session of another one."""
         if publisher != self.publisher and publisher not in self.used:
             self.used.append(publisher)
 
@@ -174,7 +178,7 @@ class BaseLogic:
         return passed >= self.proof
 
     def tick(self) -> None:
-        """Advance by one servo cycle. Call `tick` after `take` has handled the set points."""
+        """Advance by one period. First pass the set points of this period to `take`."""
         self._calls += 1
         if self.life.now is LifeCycle.active and self._calls - self._accepted_at > self.watchdog:
             self._to(

@@ -1,4 +1,4 @@
-"""Faults on CAN: a bus with faults for a virtual arm, and frames as a faulty sender sends them."""
+"""Faults on CAN. `FaultyBus` is a bus with faults. `CanTamper` changes the content of frames."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MOST_FRAMES = 256
 """Maximum number of frames per call, so that a flood of frames cannot block a virtual device."""
 OF_DRIVES = tuple(kind for kind in FAULT_KINDS if kind not in TAMPERING)
 STAMPS = {"to_controller": ("cycle",), "to_device": ("answered_cycle",)}
-"""Roles of the cycle number in a frame, by direction."""
+"""Role of the frame field that contains a cycle number, by direction."""
 EXTREME = {"to_controller": "joint_position", "to_device": "joint_torque_command"}
 
 
@@ -28,7 +28,8 @@ class CanTamper:
     """Implementation of `Tamper` for command and state frames. Other frames are not changed."""
 
     def __init__(self, frames: ArmFrames, period: float) -> None:
-        # A frame object stores the values that were packed last. So do not share it with the arm.
+        # A frame object stores the values that were packed last. So the arm must not use the same
+        # object `frames`.
         self._frames = {frame.identifier: frame for frame in (frames.command, frames.state)}
         self._cycles, self._period = frames.cycles, period
 
@@ -72,7 +73,10 @@ class CanTamper:
     def _with_wrong_values(
         self, frame: Frame, packet: can.Message, fault: Fault, way: Way, memory: dict[str, Any]
     ) -> bytearray | None:
-        """Return the data of a frame with changed values and a correct E2E protection."""
+        """Return the data of a frame with changed values and a correct E2E protection.
+
+        Return None if the fault changes the cycle number, and the frame contains no cycle number.
+        """
         numbers = frame.unpack(packet.data)
         if fault.kind == "out_of_range":
             role = EXTREME[way]

@@ -21,8 +21,9 @@ STOPPING = (S.quick_stop_active, S.fault_reaction_active)
 class DriveLogic:
     """Controller of one drive. `advance` is called every `tick` [s].
 
-    `watchdog`: number of SYNC periods without SYNC, or without a target, after which an enabled
-    drive fails.
+    `watchdog`: after this number of SYNC periods without a SYNC, or without a target torque, an
+    enabled drive fails.
+    `ramp`: torque of the ramp-down.
     `torque`: torque at the joint [N m]. In the state `Operation enabled` it is the target. In the
     states `Quick stop active` and `Fault reaction active` it is the torque of the ramp-down. In
     all other states it is zero.
@@ -56,11 +57,11 @@ class DriveLogic:
         return self.state is not S.operation_enabled and self.state not in STOPPING
 
     def restart_host_watchdog(self) -> None:
-        """Restart the watchdog of the host. Call this after each heartbeat of the host."""
+        """Restart the watchdog that monitors the host. Call this after each of its heartbeats."""
         self._since_host = 0
 
     def disarm_host_watchdog(self) -> None:
-        """Disable the watchdog of the host until the next heartbeat.
+        """Disable the watchdog that monitors the host. The next heartbeat enables it again.
 
         Call this after a reset, and at the start of a session.
         """
@@ -81,7 +82,7 @@ class DriveLogic:
                 self.torque = target if np.isfinite(target) else 0.0
 
     def apply_controlword(self, controlword: int) -> None:
-        """Make the state transition that the controlword commands, if CiA 402 defines one."""
+        """Make the transition of CiA 402 for this state and controlword, if there is one."""
         before, self._controlword = self._controlword, controlword
         to = following(self.state, controlword, before)
         if to is self.state:
@@ -147,9 +148,10 @@ class DriveLogic:
 
 
 class DriveGroup:
-    """The drives of one arm with a common brake circuit.
+    """The drives of one arm. They share one brake circuit.
 
-    The brakes are released only while every drive function is enabled.
+    The brakes are released only while the drive functions of all drives are enabled. `silence`
+    [ticks]: after this time without a SYNC, the host counts as disconnected.
     """
 
     def __init__(self, drives: Sequence[DriveLogic], silence: int) -> None:

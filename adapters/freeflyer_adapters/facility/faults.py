@@ -1,8 +1,10 @@
-"""Faults of the links and devices of a virtual facility: kinds, and tables of a scenario.
+"""Faults of a virtual facility: faults of its links, and faults of its devices.
+
+This module defines the kinds of faults, and reads the tables of a scenario that select faults.
 
 The table `[[facility.faults]]` schedules faults. The table `[facility.random_faults]` draws random
-faults with a seed. The module `link_faults` applies faults to packets. The modules `can_faults`
-and `zenoh_faults` contain the changes of packets for each transport.
+faults with a seed. The module `link_faults` applies faults to packets (CAN frames or Zenoh
+samples). It calls the module `can_faults` or `zenoh_faults` to change the content of a packet.
 """
 
 from __future__ import annotations
@@ -24,8 +26,8 @@ DIRECTIONS: tuple[str, ...] = get_args(Direction)
 class Kind:
     """A kind of fault.
 
-    `takes`: the keys of `Fault` that apply to this kind. `whole_device`: the fault affects the
-    whole device and has no direction.
+    `takes`: the keys of `Fault` for this kind, besides the keys that apply to all kinds.
+    `whole_device`: the fault affects the whole device and has no direction.
     """
 
     description: str
@@ -54,7 +56,7 @@ KINDS: Mapping[str, Kind] = {
 }  # fmt: skip
 
 MOST = 1000
-"""Maximum number of random faults in a session."""
+"""Largest value of `count` in `[facility.random_faults]`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +74,7 @@ class Fault:
     duration_s: float = math.inf
     """The duration is rounded to whole cycles of the facility."""
     probability: float = 1.0
-    """Probability for each packet."""
+    """Probability that the fault affects a packet. It is applied to each packet separately."""
     delay_s: float = 0.01
     """The delay is rounded up to whole cycles of the facility."""
     bits: int = 1
@@ -261,7 +263,11 @@ def draw(chosen: RandomFaults, devices: Mapping[str, Sequence[str]]) -> tuple[Fa
 
 
 def check(faults: Sequence[Fault], devices: Mapping[str, Sequence[str]]) -> None:
-    """Check the faults. Raises DeviceError if a device is unknown or does not support the kind."""
+    """Check that each fault names a known device, and a kind that this device supports.
+
+    `devices` maps each device name to the kinds that the device supports. Raises DeviceError for an
+    invalid fault.
+    """
     for fault in faults:
         if fault.device not in devices:
             hint = (

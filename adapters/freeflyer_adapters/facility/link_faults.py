@@ -25,7 +25,8 @@ class Tamper(Protocol[P]):
     ) -> P | None:
         """Return the changed packet, or None if the fault does not apply to this packet.
 
-        `memory` keeps data of this fault between calls. It is empty when the fault starts.
+        `way`: direction of the packet. `generator`: random numbers of this fault. `memory`: data
+        that this fault keeps between calls. It is empty when the fault starts.
         """
 
 
@@ -42,11 +43,15 @@ TAMPERING = (
 
 @dataclass
 class _Fault:
-    """A fault with its own random generator, so that faults do not influence each other."""
+    """A fault with its state.
+
+    Each fault has its own random generator. So the random numbers of a fault do not depend on the
+    other faults.
+    """
 
     fault: Fault
     begin: int | None
-    """Start [cycles since the activation]. None: the fault is always active."""
+    """Start [cycles since the first activation]. None: the fault is always active."""
     end: float
     generator: random.Random
     memory: dict[str, Any]
@@ -67,8 +72,11 @@ class LinkFaults(Generic[P]):
     """The faults of one device in both directions of its link.
 
     Call these methods in every cycle, in this order: `begin_cycle`, `pass_on` for every sent
-    packet, and `due` for the arriving packets. If `keeps` is True, `tampered` stores each change
-    for tests: direction, original packet and changed packet.
+    packet, and `due` until it returns None. `period`: length of a cycle [s]. `seed`: seed of all
+    random numbers. `tamper`: changes the content of packets.
+
+    For tests, `keeps` can be set to True. Then `tampered` stores each change of a packet: the
+    direction, the original packet and the changed packet.
     """
 
     def __init__(
@@ -82,7 +90,8 @@ class LinkFaults(Generic[P]):
             self._all.append(
                 _Fault(fault, begin, end, random.Random(f"{seed}/{i}/{fault.kind}"), {})
             )
-        # Flip bits last: a cable changes a packet after the sender has added the checksum.
+        # Flip bits last. This fault stands for a disturbance on the cable, so it acts after the
+        # sender has added the checksum.
         self._all.sort(key=lambda one: one.fault.kind == "flipped_bits")
         self.period, self._tamper = period, tamper
         self._queues: dict[Way, deque[tuple[int, P]]] = {
@@ -92,7 +101,7 @@ class LinkFaults(Generic[P]):
         self._overtaken: dict[Way, list[P]] = {"to_controller": [], "to_device": []}
         self._cycle = 0
         self.acted: Counter[str] = Counter()
-        """Number of packets changed by each kind."""
+        """Number of packets that were affected, by kind of fault."""
         self.keeps = False
         self.tampered: list[tuple[Way, P, P]] = []
 
@@ -107,7 +116,7 @@ class LinkFaults(Generic[P]):
             one.move(since_active)
 
     def acts(self, kind: str) -> bool:
-        """Return whether a fault of the whole device is active now."""
+        """Return whether a fault of kind `kind` is active now (for faults of the whole device)."""
         return any(one.acts and one.fault.kind == kind for one in self._all)
 
     def reset(self) -> None:
@@ -152,7 +161,7 @@ class LinkFaults(Generic[P]):
             else:
                 continue
             self.acted[fault.kind] += 1
-        # Except for reordering, a packet never arrives before an earlier packet.
+        # Only the fault `reordering` changes the order of packets. All other faults keep the order.
         due = self._cycle + delay
         if queue:
             due = max(due, queue[-1][0])

@@ -22,7 +22,7 @@ class Time(Protocol):
 
 
 class MemoryBus(can.BusABC):
-    """A node of a channel. `nodes` lists all nodes of the channel.
+    """A node of a CAN channel. `nodes` is the list of all nodes. A new node adds itself to it.
 
     Frames arrive without delay and in order.
     """

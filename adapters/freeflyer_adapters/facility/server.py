@@ -1,8 +1,9 @@
-"""Virtual facility: the device models of a scenario, connected by the protocols of the devices.
+"""Virtual facility: the device models of a scenario, reached through the devices' protocols.
 
 The facility runs in a separate process. The scenario defines the models, their parameters and the
 connections between the models. All connections to the controllers are links. Time is counted in
-cycles. A delayed process skips no cycle. Therefore data can be lost only on a link.
+cycles. If the process is delayed, it skips no cycle: it runs the delayed cycles later. Therefore
+data can be lost only on a link.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ class _Outgoing(PythonComponent):
 
 
 class _SessionEnd:
-    """An instant hook that reports the events of the devices and ends a session."""
+    """A hook that the master calls at every instant. It reports events and ends a session."""
 
     def __init__(self, devices: list[VirtualDevice[Any]], log: Callable[[str], None]) -> None:
         self.devices, self.log = devices, log
@@ -96,9 +97,9 @@ class Prepared:
 class Facility:
     """A facility with open links.
 
-    `run` serves one session after another until it is interrupted. Call `close` at the end. The
-    constructor raises DeviceError if the scenario, or its table [facility], is not valid for a
-    facility.
+    `fmi`, if given, overrides the FMI version of the models. `run` serves one session after another
+    until it is interrupted. Call `close` at the end. The constructor raises DeviceError if the
+    scenario, or its table [facility], is not valid for a facility.
     """
 
     def __init__(self, scenario: Scenario, fmi: int | None = None) -> None:
@@ -153,7 +154,8 @@ class Facility:
     ) -> Generator[None, None, None]:
         """Run all sessions and yield after every cycle. The caller controls the time.
 
-        The generator ends when `interruptions` is not empty, or when a model fails.
+        `log` receives one line per event. The generator ends when `interruptions` is not empty, or
+        when a model fails.
         """
         while True:
             outcome = self.outcome = yield from self._session(log, interruptions)
@@ -189,7 +191,11 @@ class Facility:
 
     @contextmanager
     def _models(self) -> Iterator[tuple[Master, dict[str, dict[str, Array]]]]:
-        """Yield the master of device models and link ends, and the parameters of each model."""
+        """Yield a master and the parameter values of each device model.
+
+        The components of the master are the device models and the link ends. A link end is an
+        `_Incoming` or an `_Outgoing`, which connects a model to the link of its device.
+        """
         scenario, names = self.scenario, [device.name for device in self.devices]
         everything: dict[str, Component] = {}
         try:
@@ -204,7 +210,7 @@ class Facility:
             components |= models
             for device in self.devices:
                 components[f"{device.name}_outgoing"] = _Outgoing(device)
-            # A link end (`_Incoming`, `_Outgoing`) has the period of the facility.
+            # The step of a link end is the cycle of the facility.
             steps = communication_steps(scenario, everything, values)
             plan = schedule.build(
                 {name: steps.get(name, self.period) for name in components},
@@ -276,7 +282,7 @@ class Facility:
 
 
 def _cycle(scenario: Scenario) -> int:
-    """Return the smallest step of the device models [ns]."""
+    """Return the cycle of the facility [ns]: the smallest step of its device models."""
     names = {spec.name for spec in scenario.devices}
     steps = [
         spec.step
@@ -303,7 +309,7 @@ def _factory(name: str, kind: str) -> Factory:
 def _with_drawn_faults(
     settings: FacilitySettings, factories: Mapping[str, Factory]
 ) -> FacilitySettings:
-    """Return the settings with all scheduled and random faults, after a check of the faults."""
+    """Return the settings with the scheduled faults and the drawn random faults. Check them."""
     kinds: dict[str, tuple[str, ...]] = {
         name: getattr(factory, "fault_kinds", ()) for name, factory in factories.items()
     }

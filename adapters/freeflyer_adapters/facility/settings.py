@@ -26,7 +26,7 @@ class FacilitySettings:
     arm_watchdog_cycles: int = 4
     """Age of the last command [cycles] at which the arm goes to the state safe_stop.
 
-    With the default value, the arm goes to this state within five cycles after a command."""
+    With the default value, the arm goes to this state within five cycles after the last command."""
     base_watchdog_s: float = 0.02
     """Time without a set point [s] after which the base holds its position."""
     forget_after_s: float = 1.0
@@ -34,12 +34,14 @@ class FacilitySettings:
     start poses."""
     base_jump_m: float = 0.01
     base_jump_rad: float = 0.02
-    """Largest distance (`base_jump_m`) and angle (`base_jump_rad`) of a first set point from the
-    robot."""
+    """Limits of the base for the step to a new set point: distance [m] and angle [rad].
+
+    The step to the first set point starts at the pose of the robot. Every later step starts at the
+    previous set point."""
     measure_every: int = 4
     """Arm cycles between two measurements of the base."""
     describe_every: int = 100
-    """Cycles between two description frames of an arm that is not in the state active."""
+    """Cycles between two description frames. In the state active, an arm sends none."""
     ramp_down_time_s: float = 0.25
     ramp_down_damping: float = 5.0
     """Damping of the joint speeds during the ramp-down [N m s/rad]."""
@@ -54,7 +56,7 @@ class FacilitySettings:
 
 
 def with_watchdogs(scenario: Scenario) -> Scenario:
-    """Return the scenario with the watchdogs of [facility] as device parameters.
+    """Return a copy of the scenario that has the watchdogs of [facility] as device parameters.
 
     With these parameters, the controllers use the same watchdogs as the facility. If a device
     already has the parameter `watchdog_cycles` (arm) or `watchdog` (base), the value of this

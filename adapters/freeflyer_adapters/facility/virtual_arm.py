@@ -1,6 +1,6 @@
 """Virtual arm: the device end of the CAN link, connected to an arm model.
 
-A real arm has the same frames, the same E2E protection and the same watchdog.
+The frames, the E2E protection and the watchdog are those of a real arm.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from freeflyer_adapters.foundation import environment
 from freeflyer_adapters.foundation.histogram import Histogram
 
 MOST_FRAMES = 256
-"""Maximum number of frames per cycle."""
+"""Maximum number of frames that the arm reads in one cycle."""
 SENSED = ("joint_position", "joint_velocity", "joint_torque")
 
 
 class VirtualArm(VirtualDevice[ArmLogic]):
-    """A virtual arm with one CAN command frame and one state frame per cycle."""
+    """A virtual arm. Per cycle, it receives one command frame and sends one state frame on CAN."""
 
     fault_kinds = FAULT_KINDS
 
@@ -112,7 +112,7 @@ class VirtualArm(VirtualDevice[ArmLogic]):
         )
 
     def begin_session(self, parameters: Mapping[str, Array]) -> None:
-        """Start a session with the limits of the model. The cycle number continues."""
+        """Start a session. The model defines the joint limits. The cycle number continues."""
         self._limits = {
             role: list(map(float, parameters[role])) for role in LIMIT_ROLES if role in parameters
         }

@@ -26,8 +26,8 @@ from freeflyer_adapters.foundation.pose import twist_rotated
 PROOF = 0.04
 """Duration of the test of a new publisher [s].
 
-During the test, set points must arrive at the rate of their time stamps. Only then is the first
-set point accepted."""
+During the test, set points must arrive at the rate of their time stamps. No set point is accepted
+before the end of the test."""
 
 
 class VirtualBase(VirtualDevice[BaseLogic]):
@@ -78,7 +78,8 @@ class VirtualBase(VirtualDevice[BaseLogic]):
         self._pose = (np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))
         self._calls = 0
         self._session: Any = open_session([], o.connect, name, access_control.robot_protection(o))
-        # The token exists as long as this object.
+        # These tokens name the certificates that may command the robot. They exist as long as the
+        # session.
         self._commanders = commanders.announce(self._session, o)
         self.faults = LinkFaults(settings.faults_of(name), period, settings.seed, ZenohTamper())
         self._link = FaultyOdometryLink(self._session, o, o.measured_topic, o.setpoint_topic)
@@ -124,7 +125,7 @@ class VirtualBase(VirtualDevice[BaseLogic]):
         self.logic.hold(*self._pose)
 
     def _take(self, received: Received) -> bool | None:
-        """Pass a set point to the controller. Return the result of `BaseLogic.take`."""
+        """Pass a usable set point to `BaseLogic.take` and return the result. Reject any other."""
         odometry = received.odometry
         if not is_usable(odometry):
             return False

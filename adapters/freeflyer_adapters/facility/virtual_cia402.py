@@ -72,7 +72,7 @@ class VirtualDrive:
         self._power_on()
 
     def _power_on(self) -> None:
-        """Set the objects to rated and default values. `advance` then sends a boot-up message."""
+        """Set the objects to rated and default values. `advance` then sends the boot-up message."""
         m = self.motor
         self.node.data_store.clear()
         for entry, value in (
@@ -125,7 +125,10 @@ class VirtualDrive:
     # Frames
 
     def _take(self, pdo: Any) -> None:
-        """Store the values of an RPDO for the next SYNC. Apply an asynchronous RPDO at once."""
+        """Store the values of an RPDO for the next SYNC.
+
+        An asynchronous RPDO (transmission type above 240) is applied at once.
+        """
         if (
             self.node.nmt._state != OPERATIONAL
             or pdo not in self.node.rpdo.values()
@@ -170,7 +173,10 @@ class VirtualDrive:
         self._pending.clear()
 
     def on_host_heartbeat(self, can_id: int) -> None:
-        """Restart the watchdog if the heartbeat is from the host that object 1016h names."""
+        """Handle a heartbeat with the identifier `can_id`.
+
+        Restart the watchdog if the sender is the host whose node ID is in object 1016h.
+        """
         watched = self.get(objects.CONSUMER_HEARTBEAT)
         self.logic.heartbeat_timeout = 1e-3 * (watched & 0xFFFF)
         if can_id == process_data.HEARTBEAT + (watched >> 16 & 0x7F):
@@ -197,7 +203,7 @@ class VirtualDrive:
             self.logic.new_error = None
 
     def _start(self) -> None:
-        """Read the PDO mapping from the local dictionary at NMT start."""
+        """Read the PDO mapping from the drive's own objects. Called at NMT start."""
         for maps in (self.node.rpdo, self.node.tpdo):
             for pdo in maps.values():
                 try:

@@ -1,4 +1,8 @@
-"""Interface of virtual devices. A virtual device is the device end of a link."""
+"""Interface of virtual devices.
+
+A virtual device is connected to a model of a robot. For the controllers, it is the device at the
+other end of a link.
+"""
 
 from __future__ import annotations
 
@@ -33,8 +37,8 @@ L = TypeVar("L", bound=Logic)
 class VirtualDevice(ABC, Generic[L]):
     """A virtual device.
 
-    The facility calls `begin_session` first. In every cycle, the facility then calls `receive`,
-    steps the model, and calls `send`.
+    The facility calls `begin_session` at the start of a session. Then, in every cycle, the facility
+    calls `receive`, steps the model, and calls `send`.
     """
 
     name: str
@@ -91,11 +95,11 @@ class VirtualDevice(ABC, Generic[L]):
 
     @abstractmethod
     def receive(self, values: Mapping[str, Array]) -> None:
-        """Write the `commands` for this cycle into `values`."""
+        """Write the `commands` for this cycle into `values`, which has one array per port name."""
 
     @abstractmethod
     def send(self, values: Mapping[str, Array]) -> None:
-        """Send the `measurements` of `values`."""
+        """Send the `measurements` in `values`, which has one array per port name."""
 
     @abstractmethod
     def report(self) -> Mapping[str, float]:

@@ -1,9 +1,10 @@
 """Virtual time for a facility and its host in one process. Runs are fast and reproducible.
 
-The code of the host and the bytes of frames and samples are the same as in real time. There are
-three differences. Buses and Zenoh sessions are in memory. Computation takes no virtual time. The
-facility runs its next cycle when the host waits. Therefore the times of reactions to faults are
-exact. A test of 10,000 schedules of faults takes minutes.
+The host is the program that runs the control loop. Its code is the same as in real time. The CAN
+frames and Zenoh samples also contain the same bytes. There are three differences. Buses and Zenoh
+sessions are in memory. Computation takes no virtual time. The facility runs its next cycle only
+when the host waits. Therefore delays of the computer do not change when the host or the facility
+reacts to a fault. A test of 10,000 schedules of faults takes minutes.
 """
 
 from __future__ import annotations
@@ -19,7 +20,9 @@ from freeflyer_adapters.facility.memory_zenoh import MemorySession, Net
 from freeflyer_adapters.foundation.environment import Environment
 
 START = 1_000_000_000
-"""Start of both clocks [ns]. It is not zero, because zero may mean that a time is not set."""
+"""First time of both clocks, the monotonic clock and the wall clock [ns].
+
+It is not zero, because zero may mean that a time is not set."""
 
 
 class VirtualTime(Environment):
@@ -56,7 +59,7 @@ class VirtualTime(Environment):
         return MemorySession(self._net)
 
     def pass_until(self, duration: float, happened: Callable[[], bool]) -> bool:
-        """Advance by `duration` [s], or until `happened` returns True.
+        """Advance by `duration` [s], or until `happened` returns True after a facility cycle.
 
         Return whether `happened` has returned True. Raises RuntimeError if the facility itself
         calls this method.
@@ -75,7 +78,7 @@ class VirtualTime(Environment):
             try:
                 next(self._facility)
             except StopIteration:
-                self._facility = None  # the facility has ended, because a model failed
+                self._facility = None  # the facility has ended, because a device model failed
             finally:
                 self._is_stepping = False
             if happened():

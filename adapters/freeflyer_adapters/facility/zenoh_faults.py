@@ -1,4 +1,4 @@
-"""Faults on Zenoh: a base robot's link whose samples are lost, delayed, duplicated or wrong."""
+"""Faults on Zenoh: a link of a base robot that loses, delays, duplicates or changes samples."""
 
 from __future__ import annotations
 
@@ -23,8 +23,9 @@ Sample = tuple[bytes, bytes]
 class ZenohTamper:
     """Implementation of `Tamper` for samples.
 
-    The fault `flipped_bits` does not correct the checksum. All other faults are faults of the
-    sender. After such a fault, the changed sample has a correct checksum.
+    The fault `flipped_bits` stands for a disturbance on the link. It changes bits and keeps the old
+    checksum. All other faults stand for errors of the sender. After such a fault, the changed
+    sample has a correct checksum.
     """
 
     def changed(
@@ -52,7 +53,8 @@ class ZenohTamper:
                 attachment, sequence=memory.setdefault("sequence", attachment.sequence)
             )
         elif fault.kind == "stale_stamp":
-            # All samples of this fault have the same stamp, 1 ns before that of the first sample.
+            # While this fault is active, all samples have the same stamp. It is 1 ns before the
+            # original stamp of the first of these samples.
             attachment = replace(attachment, stamp=memory.setdefault("stamp", attachment.stamp - 1))
         elif fault.kind == "clock_jump":
             attachment = replace(attachment, stamp=attachment.stamp + round(fault.jump_s * 1e9))
@@ -65,7 +67,8 @@ class ZenohTamper:
 def _with_numbers(payload: bytes, value: float) -> bytes:
     """Replace the three numbers of the position by `value`.
 
-    `NUMBERS` numbers are at the end of the message. Less than eight bytes of padding follow them.
+    The message ends with `NUMBERS` numbers, and then less than eight bytes of padding. The position
+    is the first three of these numbers.
     """
     place = 4 + (len(payload) - 4 - 8 * NUMBERS) // 8 * 8
     order = "<" if payload[1] else ">"
@@ -73,7 +76,7 @@ def _with_numbers(payload: bytes, value: float) -> bytes:
 
 
 class FaultyOdometryLink(OdometryLink):
-    """An `OdometryLink` with faults between the link and the session."""
+    """An `OdometryLink` with faults. They act between this object and its Zenoh session."""
 
     faults: LinkFaults[Sample]
     silent = False

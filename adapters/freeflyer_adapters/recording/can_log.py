@@ -1,6 +1,6 @@
 """Log of the frames on the CAN channels of a loop, in file formats of python-can.
 
-The recorder receives the frames as an additional node on the channel.
+The recorder opens each channel itself, as one more node, and receives all frames.
 """
 
 from __future__ import annotations
@@ -18,18 +18,19 @@ from freeflyer_adapters.recording.wall_clock import WallClock
 
 FORMATS = ("blf", "asc")
 COMPRESSION = 1
-"""Fastest compression level: 2000 frames per second must need only a small part of a CPU core."""
+"""Fastest level of zlib, so that 2000 frames per second need only a small part of a CPU core."""
 BUFFER = 2**20
 MOST = 5000
-"""Maximum number of frames per call, so that a busy channel cannot block the recorder."""
+"""Maximum number of frames per call of `take`. So a busy channel cannot block the recorder."""
 
 
 class WholeBlfWriter(can.BLFWriter):
     """A BLF writer that writes the open container and the file header with every `save`.
 
-    The base class writes a container only after 128 KiB. It writes the header with the start time
-    only at the end. Without `save`, a killed logger would lose the frames of the last seconds and
-    the date of all frames.
+    A BLF file consists of containers, which contain the frames. The base class collects 128 KiB of
+    frames in the open container before it writes this container. It writes the header, which
+    contains the start time, only at the end. Without `save`, a killed recorder would lose the
+    frames of the last seconds. It would also lose the date of all frames.
     """
 
     def save(self) -> None:
@@ -49,7 +50,12 @@ class CanLog:
     """
 
     def __init__(self, channel: CanChannel, path: Path, clock: WallClock | None = None) -> None:
-        """Open the bus and the file. If `clock` is None, the times of the interface are used."""
+        """Open the bus and the file.
+
+        With `clock`, the frame times of some interfaces are converted to the time scale of the
+        recording (see `FrameTimes`). Otherwise the log contains the times that the interface
+        reports.
+        """
         self.path = path
         self.frames = 0
         self._times: FrameTimes | None = None

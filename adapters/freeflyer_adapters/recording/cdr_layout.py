@@ -1,6 +1,7 @@
 """Serialisation of many messages in CDR (XCDR1, little-endian).
 
-A template of fixed length contains all fields except the numbers.
+All messages of a layout have the same length. A template contains one message with zeros in place
+of the numbers. The template is copied for each message, and the numbers are filled in.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ Numbers = Callable[[Rows], NDArray[np.float64] | NDArray[np.int64]]
 
 @dataclass(frozen=True)
 class Place:
-    """Numbers in a message: offset [bytes], count and source."""
+    """Numbers in a message: offset [bytes], count, and the function that returns the numbers."""
 
     offset: int
     size: int
@@ -31,7 +32,8 @@ class Place:
 class Layout:
     """The layout of a message.
 
-    Add the fields in the order of the message definition. Then `bytes_of` serialises rows.
+    Add the fields in the order of the message definition. Then `bytes_of` serialises one
+    message for each row.
     """
 
     def __init__(self, frame: str) -> None:
@@ -52,7 +54,7 @@ class Layout:
         self._template += struct.pack("<I", count)
 
     def numbers(self, size: int, numbers: Numbers) -> None:
-        """Add `size` numbers of eight bytes."""
+        """Add `size` numbers of eight bytes. The function `numbers` returns them for given rows."""
         if size:
             self._align(8)
             self._places.append(Place(len(self._template), size, numbers))

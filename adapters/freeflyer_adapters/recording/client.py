@@ -1,7 +1,9 @@
 """Recording client of the loop: starts the recorder and writes one row per instant.
 
-The rows are written to a ring (`freeflyer_adapters.recording.ring`). A ring is a ring buffer in
-shared memory, which the recorder reads.
+The recorder is a separate process. An instant is a point in time at which the loop computes. The
+row of an instant contains the values of all signals, states and counters. The client writes the
+rows to a ring (`freeflyer_adapters.recording.ring`). A ring is a ring buffer in shared memory,
+which the recorder reads.
 """
 
 from __future__ import annotations
@@ -37,9 +39,9 @@ from freeflyer_adapters.recording.ring_header import CanChannel, RecordingHeader
 from freeflyer_adapters.recording.wall_clock import WallClock
 
 COUNTERS_EVERY = 10
-"""Number of instants between two readings of the counters. States are read at every instant."""
+"""The counters are read once per this number of instants. States are read at every instant."""
 TIMEOUT = 30.0
-"""Timeout of the recorder's start and end [s]. No device is active during the wait."""
+"""Longest wait for the start of the recorder, and for its end [s]. No device is active then."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +57,7 @@ class Recording:
 
 
 def can_channels(devices: Sequence[Device]) -> list[CanChannel]:
-    """Return the CAN channels in the options of the devices, without repetition."""
+    """Return the CAN channels that the devices use. A shared channel is listed only once."""
     found: dict[tuple[str, str], CanChannel] = {}
     for device in devices:
         options = getattr(device, "options", None)
@@ -86,7 +88,9 @@ class RecordingClient:
         values: Values,
         devices: Sequence[Device],
     ) -> None:
-        """Start the recorder. If the start fails, `close` reports this.
+        """Start the recorder. If the start fails, the result of `close` contains a message.
+
+        `wanted`: options of the recording. `values`: parameter values of the components.
 
         Raises RecordError if there is not enough memory for the ring.
         """
@@ -189,8 +193,8 @@ class RecordingClient:
     def close(self, reason: str, k: int | None = None) -> Mapping[str, Any]:
         """End the recording. Return the written files and the missing data, for the result.
 
-        `reason` is the reason of the stop. `k` is the last instant. If the ring does not contain
-        the row of instant `k`, this row is written now.
+        `reason` is a text that explains why the loop has stopped. `k` is the last instant. If the
+        ring does not yet contain the row of instant `k`, this row is written now.
         """
         # A driver that has failed must not prevent the writing of the last row.
         with contextlib.suppress(Exception):
@@ -201,14 +205,14 @@ class RecordingClient:
                 self._states[i] = device.state.now
             self._ring.write(k, self._line)
         self._ring.set_reason(reason)
-        # The recorder reports each clock step with its time. If the recorder reports no clock step,
-        # the total step is reported instead.
+        # The recorder reports each step of the wall clock with its time. If the recorder reports no
+        # step, the sum of all steps is reported instead.
         written = self._written(self._clock.total_step())
         self._ring.close()
         return {**asdict(written), "missing": [*self._missing, *written.missing]}
 
     def _add_rest(self, reader: RingReader, written: Written) -> None:
-        """Write the part of the recording that only the ring contains."""
+        """Write the rows that are in the ring, but not yet in the recording."""
         try:
             save_rest(reader, "the loop, without its recorder", written.clock_steps)
             if reader.head.records and self._directory.is_dir():

@@ -1,7 +1,7 @@
 """Reader for truncated, damaged or untrusted CAN logs in BLF.
 
-A BLF file consists of containers, and the containers contain the frames. Only intact containers
-are passed to the reader of python-can.
+A BLF file consists of containers. A container holds objects. Most objects
+are frames. Only intact containers are passed to the reader of python-can.
 """
 
 from __future__ import annotations
@@ -48,7 +48,8 @@ def copy_frames(
     message about lost data, and whether the file is complete. Raises RecordError if the file is
     not a BLF file.
     """
-    # The reader needs the true size of the file header. Other versions of BLF write another size.
+    # The reader needs the true size of the file header. Some versions of BLF store another size
+    # in the header, so this size is corrected.
     file.seek(0)
     head = file.read(FILE_HEADER_SIZE)
     if len(head) < FILE_HEADER_SIZE or head[:4] != SIGNATURE:
@@ -58,8 +59,8 @@ def copy_frames(
     size = FILE_HEADER_STRUCT.unpack_from(head)[10]
     head = head[:4] + struct.pack("<L", FILE_HEADER_SIZE) + head[8:]
     log = _Log(file)
-    # Copy frame by frame. A section is a sequence of intact containers. After an invalid object,
-    # the rest of its section is lost.
+    # Copy frame by frame. A section is a sequence of intact containers, without a damaged place
+    # between them. If an object is invalid, the rest of its section is lost.
     kept, begin, end, broken = 0, None, None, 0
     writer = None if output is None else can.BLFWriter(output)
     try:
@@ -94,7 +95,7 @@ def copy_frames(
 
 
 class BlfError(Exception):
-    """Error for invalid content of an intact container. python-can does not check the content."""
+    """Error for invalid content of an intact container, which python-can does not check."""
 
 
 class _Log:
@@ -114,7 +115,8 @@ class _Log:
     def sections(self, head: bytes) -> Iterator[BinaryIO]:
         """Yield each sequence of intact containers as a separate log with the header `head`.
 
-        An object may continue in the next container. It cannot continue after a damaged place.
+        An object may continue in the next container. Therefore the containers of a section stay
+        together. An object cannot continue after a damaged place.
         """
         place, section, after_gap = FILE_HEADER_SIZE, _new_section(head), False
         while place < self.length:
@@ -192,7 +194,7 @@ def _uncompressed_container(content: bytes) -> bytes:
 
 
 def _first_object(content: bytes) -> int:
-    """Return the offset of the first object whose start is in `content`.
+    """Return the offset in `content` at which the first object starts.
 
     From this offset to the end of `content`, each object is followed by the next object. The bytes
     before this offset belong to an object whose start is lost. If there is no such object, return
@@ -231,7 +233,7 @@ def _unpacked(data: bytes, allowance: int) -> bytes | None:
         found = unpacker.decompress(packed, size + 1)
     except zlib.error:
         return None
-    # zlib checks its checksum at the end of the stream.
+    # `eof`: zlib has reached the end of the stream and has found a correct checksum there.
     return found if len(found) == size and unpacker.eof else None
 
 

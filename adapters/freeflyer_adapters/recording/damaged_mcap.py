@@ -2,9 +2,10 @@
 
 Messages are read from chunks with a correct checksum. A message outside a chunk has no checksum.
 Such messages are read only if the file has no intact chunk. After a damaged place, the reader
-searches for the next chunk. The reader needs memory for only one chunk at a time, and the size of a
-chunk is limited. The amounts of decompressed data and of read data are limited, too. These limits
-depend on the size of the file. Therefore an untrusted file cannot block the reader.
+searches for the next chunk. The reader keeps only one chunk at a time in memory, and the size of a
+chunk is limited. Two sums are limited, too: the bytes that are read, and the bytes after
+decompression. These two limits depend on the size of the file. Therefore an untrusted file cannot
+block the reader.
 """
 
 from __future__ import annotations
@@ -31,13 +32,15 @@ CHUNK = struct.Struct("<QQQII")
 MESSAGE = struct.Struct("<HIQQ")
 FOOTER_SIZE = 20
 LARGEST = 16 * 2**20
-"""Maximum size of a record, and of a decompressed chunk [bytes]."""
+"""Maximum size of a record, and maximum size of a chunk after decompression [bytes]."""
 UNPACKED, UNPACKED_A_BYTE = 4 * 2**20, 200
 """Limit of the decompressed data of all chunks [bytes].
 
 The limit is `UNPACKED`, plus `UNPACKED_A_BYTE` for each byte of the file."""
 MOST_DEFINITIONS = 2**16 - 1
-"""Maximum number of schemas, and of channels. The IDs have two bytes and start at one."""
+"""Maximum number of schemas, and maximum number of channels.
+
+Their IDs have two bytes and start at one."""
 MOST_OTHERS = 100_000
 """Maximum number of metadata records and attachments.
 
@@ -81,8 +84,9 @@ Whole = WholeMessage | Metadata | Attachment
 class Damage:
     """Damage of a file.
 
-    `is_whole`: the file has a correct end, and nothing was skipped. `places`: number of damaged
-    places. `expected`: number of messages in the file's statistics.
+    `is_whole`: the file has a correct start and a correct end, and nothing was skipped. `places`:
+    number of damaged places. `expected`: number of messages according to the statistics record of
+    the file. None if the file has no such record.
     """
 
     is_whole: bool = False
@@ -122,8 +126,8 @@ class DamagedMcap:
         If `tail` is given, skip the chunks before the last `tail` bytes of the file. In this case,
         `damage` is not meaningful.
         """
-        # Read the definitions at the end of the file first. The definitions at the start may be
-        # damaged.
+        # A definition is a schema or a channel. A complete file repeats its definitions at its end.
+        # Read them there first, because the definitions at the start may be damaged.
         self._take_summary()
         damage, place = self.damage, len(MAGIC) if self.has_magic else 0
         if not self.has_magic:
@@ -187,7 +191,7 @@ class DamagedMcap:
 
         Return None if the record at `place` is damaged.
         """
-        # The limit applies to the sum of all reads.
+        # The limit `WORK` applies to the sum of all records that are read.
         self._work_left -= length
         if self._work_left < 0:
             self.damage.exhausted = True
@@ -251,8 +255,8 @@ class DamagedMcap:
     def _define(self, opcode: int, body: bytes, *, checked: bool = False) -> bool:
         """Store a schema or channel. Return whether the record is valid.
 
-        If an ID has several definitions, the first definition is kept. But a definition with a
-        checksum (`checked`) replaces a definition without a checksum.
+        If an ID has several definitions, the first definition is kept. There is one exception: a
+        definition from a chunk (`checked`) has a checksum, and replaces a definition without one.
         """
         schema = _parsed(Schema, body) if opcode == Opcode.SCHEMA else None
         channel = _parsed(Channel, body) if opcode == Opcode.CHANNEL else None
@@ -381,7 +385,7 @@ class DamagedMcap:
 
 
 def _inside(data: bytes) -> Iterator[tuple[int, int, int]]:
-    """Yield opcode, start and end of the record bodies, up to the first incomplete record."""
+    """Yield the opcode of each record, and start and end of its body. Stop if one is incomplete."""
     place, size = 0, len(data)
     while place + HEAD.size <= size:
         opcode, length = HEAD.unpack_from(data, place)
@@ -406,7 +410,7 @@ def _unpacked(compression: bytes, packed: bytes, size: int) -> bytes:
 
 
 def _parsed(kind: type[R], body: bytes) -> R | None:
-    """Parse a record with mcap. Return None if mcap would not write the same bytes.
+    """Parse a record with the mcap library. Return None if the library would write other bytes.
 
     Further bytes at the end are permitted, because later versions of MCAP may add fields.
     """

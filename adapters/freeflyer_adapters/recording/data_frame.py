@@ -24,20 +24,21 @@ FIRST = 20
 
 The encapsulation header, the stamp, the frame ID and padding are before the numbers."""
 LOOP_NUMBERS = ("monotonic_ns", "instant", "time")
-"""First numbers in a message of the loop: two integers, then the time of the scenario [s]."""
+"""First numbers in a message of the topic /loop: two integers, then the scenario time [s]."""
 
 Found = dict[tuple[str, str], tuple[str, str, list[int], list[bytes]]]
-"""Topic, columns, times and messages of each topic. The key contains the topic and the columns."""
+"""Maps (topic, columns) to (topic, columns, times, messages). `columns` is a text in JSON."""
 
 
 def read_recording(path: str | Path) -> pandas.DataFrame:
     """Read a file, or all parts of the recording in the directory of a run.
 
-    The table has one row per instant. The columns are `time` [s], the elements of the signals, the
-    states and counters of the loop, and the clocks. The attribute `attrs` of the table contains
-    `units`, `run` and `stop`. `run` and `stop` are empty if the file does not contain them. If a
-    file is unfinished or damaged, its intact data is read. Raises RecordError if the file is not a
-    recording of a loop.
+    A recording consists of one or more files, its parts. The table has one row per instant. The
+    columns are, in this order: `time` [s], the elements of the signals, the states and counters of
+    the loop, `monotonic_ns`, `instant`, and the wall time `wall_ns`. The attribute `attrs` of the
+    table contains `units`, and the metadata `run` and `stop` of the recording. If the recording
+    does not contain the metadata, `run` and `stop` are empty. If a file is unfinished or damaged,
+    its intact data is read. Raises RecordError if the file is not a recording of a loop.
     """
     path = Path(path)
     found: Found = {}
@@ -58,7 +59,7 @@ def read_recording(path: str | Path) -> pandas.DataFrame:
 
 
 def _take(path: Path, found: Found, metadata: dict[str, dict[str, str]]) -> None:
-    """Add the messages and metadata of a file. Stop if the file belongs to another run."""
+    """Add the messages and metadata of a file. Stop if its metadata names another run."""
     with path.open("rb") as file:
         for record in DamagedMcap(file).records():
             if isinstance(record, WholeMessage):

@@ -17,9 +17,12 @@ from freeflyer_adapters.recording.ring_header import CanChannel
 def set_aside(directory: Path, channels: Sequence[CanChannel], can_format: str) -> None:
     """Prepare the directory of a run for a new recording.
 
-    If the earlier recording is unfinished, all its parts and its CAN logs are renamed. If the
-    earlier recording is finished, its parts are removed. Otherwise these parts could be confused
-    with the parts of the new run.
+    A recording consists of one or more MCAP files, its parts. If an earlier recording in this
+    directory is unfinished, all its parts and its CAN logs are renamed. If it is finished, its
+    parts are removed. Otherwise they could be confused with the parts of the new run.
+
+    `channels`, `can_format`: CAN channels and format of the CAN logs. They determine the file names
+    of the logs.
     """
     with contextlib.suppress(OSError):
         found = parts(directory)

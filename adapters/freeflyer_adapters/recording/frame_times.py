@@ -1,9 +1,10 @@
 """Conversion of frame times in a CAN log to the time scale of the recording.
 
-The kernel stamps a frame with the wall clock when the frame arrives. During the recording, the wall
-clock may be set to another time. Such a change is a step. Steps are measured each time the bus is
-read, but frames arrive between two readings. Therefore a frame may have been stamped before or
-after a step, and two times are possible. The conversion chooses the time that is not before the
+The time scale of the recording is the wall clock without steps (see `wall_clock`). A step is a
+change of the wall clock to another time. The kernel stamps a frame with the wall clock when the
+frame arrives. Steps are measured each time the bus is read, but frames arrive between two readings.
+If there was a step between two readings, a frame may have been stamped before or after this step.
+Then two times are possible for the frame. The conversion chooses the time that is not before the
 times of the previous frames and not in the future.
 """
 
@@ -16,9 +17,13 @@ import can
 from freeflyer_adapters.recording.wall_clock import WallClock
 
 STAMPED_BY_THE_WALL_CLOCK = ("local", "socketcan")
-"""Interfaces that stamp frames with CLOCK_REALTIME. Other interfaces have another zero of time."""
+"""Interfaces that stamp frames with CLOCK_REALTIME.
+
+The times of other interfaces may count from another zero. They are not converted."""
 FOLLOWED = 5_000_000
-"""Smallest step that is corrected [ns]. A smaller step may be an error in reading the clocks."""
+"""Smallest step that is corrected [ns].
+
+A smaller difference may be only an error in reading the two clocks."""
 
 
 class FrameTimes:
@@ -27,7 +32,7 @@ class FrameTimes:
     def __init__(self, clock: WallClock) -> None:
         self._clock = clock
         self._steps = [_followed(clock.step(), 0)]
-        """Possible total steps of the wall clock [ns] when the next frames are stamped."""
+        """Sums of all steps [ns] that may apply to the next frames: before and after new steps."""
         self._last = self._from = clock.now() * 1e-9
 
     def corrected(self, frames: Sequence[can.Message], is_all: bool) -> list[can.Message]:
@@ -42,8 +47,8 @@ class FrameTimes:
         for frame in frames:
             frame.timestamp = latest = self._time(frame.timestamp, latest, now)
         if is_all:
-            # Keep the previous step, because the step is read after the bus. A frame may have
-            # arrived between these two readings.
+            # Keep the newest two sums. The step is read after the bus, so a frame that was stamped
+            # before this step may still arrive with the next call.
             del self._steps[:-2]
             self._from = now
         # The senders of a `local` channel are read one after another. So frames may be unordered.

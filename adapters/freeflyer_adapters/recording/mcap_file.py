@@ -1,4 +1,4 @@
-"""MCAP files of a run: the recording, and the flight recording of the last seconds."""
+"""MCAP files of a run: the recording, and the flight recording (only the last seconds)."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from freeflyer_adapters.recording.ring_header import RecordingHeader
 from freeflyer_adapters.recording.topics import topics
 
 CHUNK_SECONDS = 0.05
-"""Length of a chunk in real time [s]. An incomplete chunk is lost if the writer is killed."""
+"""Length of a chunk in real time [s]. If the process is killed, an incomplete chunk is lost."""
 DEFINITIONS_EVERY = 5.0
 """Time after which the schemas and channels are written again [s].
 
@@ -53,7 +53,10 @@ def library() -> str:
 
 
 class RecordingFile:
-    """Writer of an MCAP file. All methods raise the errors of the stream."""
+    """Writer of an MCAP file with the messages of `signals` and of the loop.
+
+    `chunk_seconds`: length of a chunk in real time [s]. All methods raise the errors of the stream.
+    """
 
     def __init__(
         self,
@@ -65,7 +68,8 @@ class RecordingFile:
         self._topics = topics(head, signals)
         a_row = sum(topic.layout.size + MESSAGE_OVERHEAD for topic in self._topics)
         rows = max(1, round(chunk_seconds * 1e9 / head.tick))
-        # The mcap writer ends a chunk when it has a given size. All rows have the same size.
+        # The mcap writer ends a chunk at a given size. All rows have the same size, so this size is
+        # that of `rows` rows.
         self._writer = Writer(stream, chunk_size=a_row * rows - 1, compression=CompressionType.ZSTD)
         self._stream, self._number, self._repeated = stream, 0, -1
         self._writer.start(profile="ros2", library=library())
@@ -114,8 +118,8 @@ class RecordingFile:
         if not len(rows):
             return
         if self._number // self._repeat_rows > self._repeated:
-            # The mcap writer buffers no bytes between calls and reads its position from the
-            # stream, so this direct write is safe.
+            # Write directly to the stream. This is safe, because the mcap writer buffers no bytes
+            # between calls and asks the stream for its position.
             self._repeated = self._number // self._repeat_rows
             self._stream.write(self._definitions)
         messages = [
@@ -144,12 +148,16 @@ class RecordingFile:
 
 
 def chosen(head: RecordingHeader) -> list[Signal]:
-    """Return the signals that `[record]` selects."""
+    """Return the signals that the scenario table `[record]` selects."""
     return [signal for signal in head.signals if signal.name in head.chosen]
 
 
 def stop_of(ring: RingReader, recorder: str, clock_steps: Sequence[str] = ()) -> dict[str, str]:
-    """Return the metadata `STOP`. `clock_steps`: messages about steps of the wall clock."""
+    """Return the metadata `STOP`.
+
+    `recorder`: text that names the program that writes the file. `clock_steps`: messages about
+    steps of the wall clock.
+    """
     stop = {
         "reason": ring.reason or SILENT,
         "rows written by the loop": str(ring.written),
@@ -164,7 +172,9 @@ def save_flight(
 ) -> Path | None:
     """Write all signals of the last seconds before the stop. Return the path of the file.
 
-    Return None if the ring has no row. `save` describes the directory of the file and the errors.
+    Return None if the ring has no row. `recorder`, `clock_steps`: see `stop_of`. `name`: name of
+    the file in the directory of the run. See `save` for the errors, and for the case that this
+    directory cannot be written.
     """
     rows = ring.last(FLIGHT_SECONDS)
     if not len(rows):
@@ -183,7 +193,7 @@ def write_rows(
     recorder: str,
     clock_steps: Sequence[str] = (),
 ) -> None:
-    """Write a complete MCAP file with the rows `rows` of a ring."""
+    """Write a complete MCAP file with the given rows. For the other arguments, see `stop_of`."""
     file = RecordingFile(stream, ring.head, signals, FLIGHT_SECONDS / 4)
     file.add(rows)
     file.finish(stop_of(ring, recorder, clock_steps))

@@ -1,7 +1,8 @@
 """Parts of a long recording: `recording.mcap`, `recording_2.mcap`, and so on.
 
-Each part is a complete MCAP file. The mcap writer keeps the index of all chunks in memory until the
-end of the file. Therefore a new part is started before this index is large.
+Each part is a complete MCAP file. The mcap writer keeps an index of all chunks of a file in memory,
+and writes this index at the end of the file. Therefore a new part is started before the index is
+large.
 """
 
 from __future__ import annotations
@@ -35,8 +36,9 @@ from freeflyer_adapters.recording.topics import topics
 PART_SECONDS = 300.0
 """Length of a part in real time [s].
 
-The index grows by some MiB per minute. Writing the index takes 0.08 to 0.15 s (26 topics). During
-this time no CAN frame is read. The sockets buffer the frames of 0.3 s at 1 kHz."""
+The index grows by some MiB per minute. With 26 topics, it takes 0.08 to 0.15 s to write the index.
+During this time no CAN frame is read. But the sockets lose no frame, because their buffers have
+space for 0.3 s (loop at 1 kHz)."""
 NEXT = "freeflyer.next"
 """Name of the metadata at the end of every part except the last part.
 
@@ -61,7 +63,7 @@ def parts(directory: Path) -> list[Path]:
 
 
 class PartedRecording:
-    """Writer of a recording in parts. All methods raise OSError if the disk reports an error."""
+    """Writer of a recording that consists of parts. All methods raise OSError for disk errors."""
 
     def __init__(self, head: RecordingHeader) -> None:
         self._head, self._signals = head, chosen(head)
@@ -92,8 +94,8 @@ class PartedRecording:
     def _change(self) -> None:
         """Start the next part, then finish the previous part.
 
-        A run may be killed between these two steps. In this order, at least one part is then
-        unfinished, so the recording is recognised as unfinished.
+        A run may be killed between these two actions. In this order, at least one part is then
+        unfinished. This part shows that the recording is unfinished.
         """
         with self._stream:
             before, self._file = self._file, self._next()
@@ -102,8 +104,8 @@ class PartedRecording:
     def flush(self) -> None:
         """Flush complete chunks.
 
-        Raises OSError also if the file was deleted or replaced, because all further data would be
-        lost.
+        If the file was deleted or replaced, all further data would be lost. Therefore this method
+        also raises OSError in this case.
         """
         self._file.flush()
         found = os.stat(self.paths[-1])
@@ -117,7 +119,7 @@ class PartedRecording:
 
 
 def started(path: Path) -> str | None:
-    """Return the start of the run from the metadata of a part, or None if it is missing."""
+    """Return the start of the run, as the metadata of a part states it. None if it is missing."""
     try:
         with path.open("rb") as file:
             for record in DamagedMcap(file).records():
@@ -134,7 +136,7 @@ def save_rest(ring: RingReader, recorder: str, clock_steps: Sequence[str] = ()) 
     """Write a further part with the rows that are in the ring but not in the recording.
 
     Return the path of this part. Return None if no row is missing, or if the run is not recorded.
-    Raises OutputError if the part cannot be written.
+    `recorder`, `clock_steps`: see `stop_of`. Raises OutputError if the part cannot be written.
     """
     head = ring.head
     rows = ring.everything()
@@ -145,7 +147,8 @@ def save_rest(ring: RingReader, recorder: str, clock_steps: Sequence[str] = ()) 
     ours = [path for path in there if started(path) == str(head.started)]
     # For each instant in the ring, find the topics that are missing in the last two parts.
     made = topics(head, chosen(head))
-    # Upper limit of the size of these rows in a file. Compression makes the rows smaller.
+    # Size of the end of a part that is searched for these rows. It is an upper limit, because
+    # compression makes the rows smaller.
     enough = (len(rows) + 1000) * sum(topic.layout.size + MESSAGE_OVERHEAD for topic in made)
     has = _recorded(ours[-2:], set(rows.times[:, 0].tolist()), enough)
     every = {topic.name for topic in made}
@@ -175,7 +178,11 @@ def number_of(path: Path) -> int:
 
 
 def _recorded(paths: list[Path], times: set[int], tail: int) -> dict[int, set[str]]:
-    """Return the topics in the last `tail` bytes of the parts, by time [ns since the epoch]."""
+    """Return the topics that are already recorded for each of the times `times`.
+
+    A time is the wall time of a row [ns since the epoch]. Only the last `tail` bytes of each part
+    are searched.
+    """
     found: dict[int, set[str]] = defaultdict(set)
     for path in paths:
         with path.open("rb") as file:

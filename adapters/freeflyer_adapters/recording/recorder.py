@@ -1,10 +1,11 @@
 """Recorder: a separate process that reads the ring of a loop and writes the recording.
 
-A ring is a ring buffer in shared memory (`freeflyer_adapters.recording.ring`). When the loop ends
-or crashes, the pipe between loop and recorder is closed. The recorder then writes the remaining
-rows, the index, the summary and the flight recording. The flight recording contains the last
-seconds before the stop. The recorder removes the ring, and reports the written files in one line
-of JSON. Errors of the recorder do not affect the loop.
+A ring is a ring buffer in shared memory (`freeflyer_adapters.recording.ring`). The loop writes one
+row to the ring at every instant, and a pipe connects the loop to the recorder. When the loop ends
+or crashes, this pipe is closed. The recorder then writes the remaining rows, and the index and the
+summary of the MCAP file. It also writes the flight recording, which contains the last seconds
+before the stop. Then the recorder removes the ring, and reports the written files in one line of
+JSON. Errors of the recorder do not affect the loop.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from freeflyer_adapters.recording.wall_clock import WallClock
 PERIOD = 0.05
 """Time between two reads of the ring [s]."""
 NICE = -10
-"""Nice value of the recorder, if the system permits it."""
+"""Change of the recorder's nice value (see `follow`), if the system permits it."""
 BATCH = 1000
 """Maximum number of rows per read."""
 READY = "ready"
@@ -43,8 +44,10 @@ GOODBYE = b"."
 class Written:
     """The result of a recorder.
 
-    `recording`: paths of the parts. `missing`: messages about data that could not be written.
-    `clock_steps`: messages about steps of the wall clock.
+    `recording`: paths of the parts. `can`: paths of the CAN logs. `flight`: path of the flight
+    recording. `rows_lost`: number of rows that were overwritten before they were read. `missing`:
+    messages about data that could not be written. `clock_steps`: messages about steps of the wall
+    clock.
     """
 
     recording: list[str] = field(default_factory=list)
@@ -59,7 +62,7 @@ class Written:
 class Recorder:
     """The recorder of a loop. Call `step` while the loop runs, then `finish`.
 
-    Errors of a disk or of a bus are reported and never raised.
+    An error of the disk or of a bus is not raised. It is passed to `complain` as a message.
     """
 
     def __init__(self, ring: RingReader, complain: Callable[[str], None]) -> None:
@@ -86,7 +89,7 @@ class Recorder:
 
     @contextlib.contextmanager
     def _watched(self, subject: str) -> Iterator[None]:
-        """Report an error once and add the error to the result. The other outputs continue."""
+        """Report an error of the output `subject`, and add it to the result. Do not raise it."""
         try:
             yield
         except (OSError, CosimError, DeviceError) as error:
@@ -154,7 +157,7 @@ class Recorder:
 def follow(recorder: Recorder, pipe: int, loop: int) -> None:
     """Record until the loop sends `GOODBYE` or closes the pipe.
 
-    `loop` is the process ID of the loop.
+    `pipe` is the file descriptor of the pipe from the loop. `loop` is the process ID of the loop.
     """
     waiting = select.poll()
     waiting.register(pipe, select.POLLIN | select.POLLHUP)
@@ -163,8 +166,9 @@ def follow(recorder: Recorder, pipe: int, loop: int) -> None:
         recorder.step()
         if recorder.written.rows and not has_priority:
             has_priority = True
-            # On a busy machine, a recorder with normal priority loses CAN frames. A loop under
-            # SCHED_FIFO still has a higher priority than the recorder.
+            # On a busy machine, a recorder with normal priority loses CAN frames. Therefore raise
+            # its priority, but only if the loop has SCHED_FIFO. Such a loop precedes every process
+            # without SCHED_FIFO.
             with contextlib.suppress(OSError, AttributeError):
                 if os.sched_getscheduler(loop) == os.SCHED_FIFO:
                     os.nice(NICE)
@@ -193,7 +197,7 @@ def main(path: str) -> int:
     follow(recorder, sys.stdin.fileno(), os.getppid())
     written = recorder.finish()
     if written.flight is not None or ring.written == 0:
-        # Without a flight recording, the ring is not removed: it is the only copy of the data.
+        # If the flight recording could not be written, keep the ring: only it has these rows.
         ring.remove()
     with contextlib.suppress(OSError):
         print(json.dumps(asdict(written)), flush=True)

@@ -1,6 +1,7 @@
 """Recovery of damaged or unfinished recordings, CAN logs and rings.
 
-The result is a new file. The original is not changed.
+The result is a new file. A damaged recording or CAN log is not changed. A ring is removed after its
+data has been written to files.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ SUFFIXES = (".mcap", ".blf", ".ring")
 CHUNK = 256 * 1024
 EARLIEST, LATEST = 0, 2**63
 Progress = Callable[[int, int], None]
-"""Called with the processed bytes and the total bytes."""
+"""Function that is called with the number of processed bytes and the size of the file."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +49,7 @@ class Recovered:
     end: int | None
     lost: str
     rest: Path | None = None
-    """Further part of a recording, written from a ring."""
+    """Further part of the recording, with rows that were only in the ring."""
 
     @property
     def sentence(self) -> str:
@@ -71,10 +72,11 @@ class Recovered:
 def recover(path: Path, out: Path | None = None, progress: Progress | None = None) -> Recovered:
     """Recover a recording, a CAN log or a ring.
 
-    Raises RecordError if the file is not a recording, a CAN log or a ring. Raises OutputError if
-    the result cannot be written.
+    `out`: path of the new file. By default, the name ends in `_recovered`, and no file is written
+    if `path` is complete. Raises RecordError if the file is not a recording, a CAN log or a ring.
+    Raises OutputError if the result cannot be written.
     """
-    # The data of a ring is written to files in the directory of the run.
+    # The data of a ring is written to files in the directory of its run, so `out` is not possible.
     suffix = path.suffix.lower()
     if suffix == ".ring":
         if out is not None:
@@ -115,8 +117,9 @@ def recover(path: Path, out: Path | None = None, progress: Progress | None = Non
 def _reject_foreign_ring(path: Path) -> None:
     """Raise RecordError if a ring is not trusted.
 
-    The header of a ring selects the directory of the output. A ring is trusted if it is in this
-    directory, or in the user's directory of rings.
+    The header of a ring names the directory to which the files are written. A foreign ring could
+    name any directory. Therefore a ring is trusted only if it is in the directory that it names, or
+    in the user's directory of rings.
     """
     if path.absolute().parent not in (folder().absolute(), _directory_of(path)):
         raise RecordError(
@@ -128,7 +131,7 @@ def _reject_foreign_ring(path: Path) -> None:
 def copy_whole(
     path: Path, file: BinaryIO, output: BinaryIO | None, progress: Progress | None = None
 ) -> Recovered:
-    """Copy the intact data of a CAN log (.blf) or of a recording to `output`.
+    """Copy the intact data of `file` to `output`. `file` is a CAN log (.blf) or a recording.
 
     If `output` is None, only check the file.
     """
@@ -137,9 +140,10 @@ def copy_whole(
 
 
 def unfinished(directory: Path) -> Iterator[Path]:
-    """Yield the rings of ended runs in `directory`, then the files that `recover` accepts.
+    """Yield the rings of ended runs, then the files in `directory` that `recover` accepts.
 
-    The results of earlier recoveries are left out.
+    The rings are those whose run wrote its results to `directory`. The results of earlier
+    recoveries are left out.
 
     Raises RecordError if the directory cannot be read.
     """
@@ -152,7 +156,7 @@ def unfinished(directory: Path) -> Iterator[Path]:
 
 
 def rings_of(directory: Path) -> Iterator[Path]:
-    """Yield the rings of runs in this directory, if loop and recorder of the run have ended."""
+    """Yield the rings of runs with this directory whose loop and recorder have ended."""
     for path in sorted(folder().glob("*.ring")):
         try:
             if is_left_behind(path) and _directory_of(path) == directory.absolute():
@@ -248,7 +252,7 @@ def _lost(damage: Damage, kept: int) -> str:
 
 
 class _Output:
-    """An MCAP file with definitions copied from the damaged file."""
+    """The new MCAP file. Its schemas and channels are copied from the damaged file."""
 
     def __init__(self, stream: BinaryIO) -> None:
         self._stream = stream

@@ -1,4 +1,6 @@
-"""Ring buffer in shared memory with the last seconds of a loop: one row for every instant.
+"""Ring buffer in shared memory. It contains the last seconds of a loop.
+
+An instant is a point in time at which the loop computes. The loop writes one row for every instant.
 
 The buffer is a file in the user's runtime directory or in /dev/shm. The file remains when the loop
 ends. A write only copies numbers. It needs no lock, no system call and no allocation.
@@ -12,16 +14,16 @@ order:
 - the number of the row plus 1 again
 
 While a row is being written, both copies of its number are zero. So a reader can reject a row that
-is only partly written. This check is reliable on x86, where other processes see the stores in the
-order of the program. On other processors, a reader could accept a partly written row. The second
-copy makes this unlikely.
+is only partly written. This check is reliable on x86: there, other processes see the memory writes
+in the order in which the program makes them. On other processors, this order may change, so a
+reader could accept a partly written row. The second copy makes this unlikely.
 
 The wall time is the monotonic clock plus a constant offset, `clock_offset` in the header.
 Therefore the wall time does not jump when the wall clock is set. Rings of earlier versions contain
 the wall clock itself.
 
-Every process that uses a ring holds a shared lock on the file of the ring. The lock ends with the
-process. If a ring has no lock, all processes that used the ring have ended.
+Every process that uses a ring holds a shared lock on the file of the ring. The lock of a process
+ends with this process. If no process holds a lock, no process uses the ring any more.
 """
 
 from __future__ import annotations
@@ -55,7 +57,7 @@ The reason of the stop follows this number: first the size of the text, then the
 WRITTEN_AT, REASON_AT, LONGEST_REASON = 64, 72, 2000
 PAGE = 4096
 TIMES = 4
-"""Number of 64-bit numbers before the values of a row. One 64-bit number follows the values."""
+"""Number of 64-bit integers before the values of a row. One 64-bit integer follows the values."""
 SECONDS = 8.0
 LARGEST = 256 * 2**20
 """Maximum size of all rows [bytes]."""
@@ -122,7 +124,8 @@ class RingWriter:
         self.rows = max(64, min(round(SECONDS * 1e9 / head.tick), LARGEST // row_bytes))
         first = PAGE + -(-len(text) // PAGE) * PAGE
         size = first + self.rows * row_bytes
-        # Lock the file before its memory is reserved, so that no other process removes it.
+        # Lock the file before its memory is reserved. Otherwise another process could take the file
+        # for the ring of an ended run, and remove it.
         handle, name = tempfile.mkstemp(
             prefix=f"{os.getpid()}-", suffix=".ring", dir=directory or folder()
         )
@@ -265,7 +268,7 @@ class RingReader:
     def take(self, most: int) -> Rows:
         """Return the next intact rows, the oldest row first. Read at most `most` rows.
 
-        Rows that were overwritten before this call are added to `lost`.
+        The number of rows that were overwritten before they were read is added to `lost`.
         """
         written = self.written
         # Do not read the oldest row in the ring, because it is overwritten next.
@@ -289,7 +292,7 @@ class RingReader:
         return Rows(taken[:, 1:TIMES], taken[:, TIMES:-1].view("<f8"))
 
     def last(self, seconds: float) -> Rows:
-        """Return the intact rows of the last `seconds` [s], up to the newest row."""
+        """Return the intact rows that are at most `seconds` [s] older than the newest row."""
         rows = self.everything()
         if not len(rows):
             return rows

@@ -1,7 +1,9 @@
 """Recording header: a description of the recording, stored as JSON at the start of a ring.
 
-A ring is a ring buffer in shared memory (`freeflyer_adapters.recording.ring`). With the header, a
-ring can be read even after all processes of the run have ended.
+A ring is a ring buffer in shared memory (`freeflyer_adapters.recording.ring`). It contains one row
+of numbers for every instant, that is, for every point in time at which the loop computes. The
+header describes the columns of the rows. Therefore a ring can be read even after all processes of
+the run have ended.
 """
 
 from __future__ import annotations
@@ -15,12 +17,16 @@ from freeflyer.foundation.errors import RecordError
 from freeflyer.master.record import Signal
 
 WIDEST = 100_000
-"""Maximum number of columns of a row. A header with more columns is rejected."""
+"""Maximum number of columns of a row. A header that describes more columns is rejected."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CanChannel:
-    """A logged CAN channel, with the interface and channel names of python-can."""
+    """A CAN channel whose frames are logged.
+
+    `name`: name for the log file. `interface`, `channel`: names in python-can. `is_fd`: the channel
+    uses CAN FD. `bus`: further options of python-can.
+    """
 
     name: str
     interface: str
@@ -33,8 +39,9 @@ class CanChannel:
 class RecordingHeader:
     """The header of a recording.
 
-    `tick`: time between two instants [ns]. `loop`: names of the columns after the signals. The
-    states of the devices are first, then the counters.
+    `tick`: time between two instants [ns]. A row contains the signals, then the states of the
+    devices, then the counters. `loop`: names of the columns for states and counters.
+    `can`, `can_format`: logged CAN channels, and file format of the logs.
     """
 
     scenario: str
@@ -45,9 +52,9 @@ class RecordingHeader:
     directory: str
     """Directory of the run's results."""
     signals: Sequence[Signal]
-    """All outputs of the system, in the order of a row."""
+    """The outputs of all components, in the order of the columns."""
     chosen: frozenset[str]
-    """Names of the signals that `[record]` selects."""
+    """Names of the signals that the scenario table `[record]` selects."""
     loop: Sequence[str]
     origin: Mapping[str, Any]
     """Provenance of the run, see freeflyer.master.provenance.Provenance."""
@@ -75,7 +82,8 @@ class RecordingHeader:
     def from_json(cls, text: bytes) -> RecordingHeader:
         """Parse the JSON of `to_json`. Raises RecordError for any other text."""
         try:
-            # Signals must be contiguous in a row.
+            # The first signal starts at column 0. Each further signal starts where the one before
+            # ends.
             raw = json.loads(text)
             signals = [
                 Signal(**{**signal, "units": tuple(signal["units"])}) for signal in raw["signals"]

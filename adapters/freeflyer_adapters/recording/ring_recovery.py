@@ -1,4 +1,8 @@
-"""Recovery of the rings that killed loops have left in shared memory."""
+"""Recovery of the rings that killed loops have left in shared memory.
+
+A ring is a ring buffer with the last seconds of a loop (`freeflyer_adapters.recording.ring`). The
+flight recording is a file with these last seconds. The recording contains the whole run.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +21,8 @@ from freeflyer_adapters.recording.ring import RingReader, is_left_behind, left_b
 class Saved:
     """Files that were written from a ring.
 
-    `flight`: the flight recording, or None if the ring has no row. `rest`: the end of the recording
-    that was missing on disk, or None if nothing was missing.
+    `flight`: the flight recording, or None if the ring has no row. `rest`: file with the end of the
+    recording, which only the ring contained. It is None if the recording was complete.
     """
 
     flight: Path | None
@@ -26,7 +30,10 @@ class Saved:
 
 
 def rescue(directory: Path | None = None) -> Iterator[str]:
-    """Save the last seconds of all runs that were killed. Yield one message for each run."""
+    """Save the data of all rings that no process uses. Yield one message for each run.
+
+    `directory`: the directory of the rings. By default, it is the directory of the user.
+    """
     for path in left_behind(directory):
         try:
             saved = save_ring(path)
@@ -43,7 +50,7 @@ def rescue(directory: Path | None = None) -> Iterator[str]:
 
 
 def save_ring(path: Path) -> Saved:
-    """Write the flight recording and the missing end of the recording. Then remove the ring.
+    """Write the flight recording, and the end of the recording if it is missing. Remove the ring.
 
     The files are written to the directory of the run. Raises RecordError if the file is not a ring,
     or if the ring is in use. Raises OutputError if a file cannot be written.

@@ -41,7 +41,10 @@ DEFINITIONS = {
 
 
 def full_text(definition: str) -> str:
-    """Return `definition`, then the definition of each field type. No definition is repeated."""
+    """Return the text of a schema: `definition`, then the definitions of all types in it.
+
+    These definitions can contain further types. Each type is defined only once in the text.
+    """
     found: dict[str, str] = {}
     waiting = [definition]
     while waiting:
@@ -67,7 +70,7 @@ def message_name(text: str) -> str:
 
 
 def field_names(texts: Sequence[str]) -> list[str]:
-    """Return valid and unique ROS field names for `texts`, in the same order."""
+    """Convert each of `texts` to a valid ROS field name. The returned names are unique."""
     found: list[str] = []
     for text in texts:
         name = "_".join(re.findall(r"[a-z0-9]+", text.lower()))

@@ -1,28 +1,34 @@
 """The topics and messages for the signals of a run.
 
-Each component has one topic /COMPONENT with all signals of the component. The signals are not
-changed. The message definition of this topic is generated from the scenario and contains the units
-in comments. The topic /loop contains the states and counters of the loop.
+Each component has one topic /COMPONENT with all signals of the component. The values are not
+changed. The message definition of this topic is generated from the names, sizes and units of the
+signals. The units are in comments. The topic /loop contains the states of the devices and the
+counters of the loop.
 
 Some signals fit a standard ROS message. The name, the size and the unit of a signal decide which
 message it fits. These signals are also written to a topic /COMPONENT/PREFIX/NAME with this message.
-Tools display such a topic without configuration. The table shows the standard messages:
+Tools display such a topic without configuration. In the table, PREFIX stands for the start of the
+names of the signals, and may be empty. NAME is the last name in the topic. n is the number of
+joints, and "base" is explained below the table. If a message contains several signals, the sizes
+and units are in the same order as the signals:
 
-| variables of one component (PREFIX may be empty) | size, unit | message, NAME |
+| signals of one component | size and unit | message, NAME |
 |---|---|---|
-| PREFIXjoint_position, _velocity, _torque (at least 1) | n | sensor_msgs/JointState, joint_states |
-| PREFIXposition, _orientation, _velocity (base) | 3 m; 4; 6 | nav_msgs/Odometry, odometry |
-| PREFIXposition, _orientation (others) | 3 m; 4 | geometry_msgs/PoseStamped, pose |
+| PREFIXjoint_position, _velocity, _torque (or fewer) | n | sensor_msgs/JointState, joint_states |
+| PREFIXposition, _orientation, _velocity (of a base) | 3 m; 4; 6 | nav_msgs/Odometry, odometry |
+| PREFIXposition, _orientation (in all other cases) | 3 m; 4 | geometry_msgs/PoseStamped, pose |
 | PREFIXvelocity | 6 m/s, rad/s | geometry_msgs/TwistStamped, twist |
 | PREFIXacceleration | 6 m/s2, rad/s2 | geometry_msgs/AccelStamped, accel |
 | PREFIXwrench | 6 N, N.m | geometry_msgs/WrenchStamped, wrench |
 
-A body is a base if the prefix, split at "_", contains "base". If the prefix is empty or "true_",
-this test uses the name of the component instead. The name of the topic does not change.
+A body is a base if PREFIX, split at each "_", has a part that is equal to "base". If PREFIX is
+empty or "true_", this test uses the name of the component instead of PREFIX. This has no effect on
+the name of the topic.
 
-The frames have the same names as on the Zenoh link: the frame I has the name "inertial". The twist
-of a nav_msgs/Odometry is expressed in the child frame "base", because the definition of
-nav_msgs/Odometry requires this.
+The coordinate frames have the same names as on the Zenoh link. The inertial frame I has the name
+"inertial", and the frame of the base has the name "base". In a nav_msgs/Odometry, the pose is
+expressed in the frame "inertial". But the twist is expressed in the frame "base", because the
+definition of nav_msgs/Odometry requires this.
 """
 
 from __future__ import annotations
@@ -50,7 +56,7 @@ from freeflyer_adapters.recording.ros_definitions import (
 
 INERTIAL, BASE = "inertial", "base"
 COLUMNS = "freeflyer.columns"
-"""Metadata key of the topics with all signals.
+"""Metadata key of /loop and of the topics /COMPONENT.
 
 The value is JSON, [{name, size, units}, ...], in the order of the fields."""
 COVARIANCE = 36
@@ -146,7 +152,7 @@ def _component_topic(component: str, variables: Mapping[str, Signal]) -> Topic:
 
 
 def _standard_topics(component: str, variables: Mapping[str, Signal]) -> list[Topic]:
-    """Return topics of all variables that fit a standard message. Use each variable only once."""
+    """Return the topics with standard messages. Each variable is in at most one of them."""
     found: list[Topic] = []
     done: set[str] = set()
     for variable in variables:
@@ -235,7 +241,7 @@ TopicFactory = Callable[[str, str, Mapping[str, Signal]], tuple[Topic | None, se
 
 
 def _twist_like(kind: str) -> TopicFactory:
-    """Return a function that creates the topic of a vector (6): linear part, angular part."""
+    """Return a function that creates the topic of a vector (6): linear part, then angular part."""
     ending = {"Twist": "velocity", "Accel": "acceleration", "Wrench": "wrench"}[kind]
 
     def create(
@@ -251,7 +257,10 @@ def _twist_like(kind: str) -> TopicFactory:
 
 
 def _in_body(orientation: Numbers, velocity: Numbers) -> Numbers:
-    """Return a function that transforms twists from I to the frame of the body."""
+    """Return a function that gives the twists in the frame of the body.
+
+    `orientation`: orientations of the body. `velocity`: the twists, expressed in I.
+    """
 
     def numbers(rows: Rows) -> Array:
         q, v = np.asarray(orientation(rows), dtype=float), np.asarray(velocity(rows), dtype=float)

@@ -1,9 +1,10 @@
 """Detection of steps of the wall clock during a recording.
 
 The times of a recording are the times of the monotonic clock plus an offset. The offset is measured
-at the start of the run. Slewing by NTP changes the rates of both clocks equally. Therefore the
-difference of the clocks is constant until the wall clock is set to another time (a step). Steps
-are reported. They do not change the times of the recording.
+at the start of the run. It is the difference of the wall clock and the monotonic clock. NTP can
+correct the rate of a clock slowly, but then it changes the rates of both clocks equally. Therefore
+the difference is constant until the wall clock is set to another time. Such a change is a step.
+Steps are reported. They do not change the times of the recording.
 """
 
 from __future__ import annotations
@@ -14,14 +15,15 @@ from freeflyer_adapters.foundation.environment import Environment
 SMALLEST_REPORTED = 100_000_000
 """Smallest step that is reported [ns]."""
 MOST_REPORTED = 100
-"""Maximum number of reported steps. The clock may be set often, but the result stays small."""
+"""Maximum number of reported steps, so that the result stays small if there are many steps."""
 READINGS = 3
 
 
 def offset_of(clocks: Environment) -> int:
     """Return wall clock minus monotonic clock [ns].
 
-    The fastest of several readings is used, because the process may be suspended during a reading.
+    The clocks are read several times, and the fastest reading is used. In a slow reading, the
+    process may have been suspended after it read one clock and before it read the other.
     """
     readings = []
     for _ in range(READINGS):
@@ -51,7 +53,7 @@ class WallClock:
     def __init__(self, offset: int, started: int) -> None:
         self.offset, self.started = offset, started
         self.steps: list[str] = []
-        """Messages about all steps that `check` has found."""
+        """Messages that `check` has returned."""
         self._environment = environment.present()
         self._known = 0
 
@@ -64,7 +66,7 @@ class WallClock:
 
     @property
     def is_system_clock(self) -> bool:
-        """Whether other processes have the same clocks. False in virtual time."""
+        """Whether the clocks are the system clocks, as in all processes. False in virtual time."""
         return type(self._environment) is Environment
 
     def now(self) -> int:
@@ -94,7 +96,10 @@ class WallClock:
         return message
 
     def total_step(self) -> list[str]:
-        """Return a message about the total step, for a run in which `check` was never called."""
+        """Return a message about the total step. Return an empty list if there was no step.
+
+        Use this for a run in which `check` was never called.
+        """
         step = self.step()
         is_reported = abs(step) >= SMALLEST_REPORTED
         return [sentence(step, "some time during the run")] if is_reported else []
