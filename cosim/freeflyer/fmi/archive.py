@@ -1,16 +1,16 @@
 """Reader for untrusted zip archives (FMUs, SSP files).
 
-The whole archive is checked before any entry is used. Nothing in the archive is executed.
+The list of entries is checked before any entry is read. Nothing in the archive is executed.
 An archive is rejected if it contains:
 - an entry with a name that points outside the target folder;
-- entries that another operating system would store in one file;
+- two entries that some operating system would store in one file, for example NAME and name;
 - an entry that is neither a regular file nor a folder;
 - an encrypted entry;
-- an entry with a compression method that FMI does not allow (FMI 3.0, 2.5: deflate or none);
+- an entry with a compression method other than deflate or none (section 2.5 of FMI 3.0);
 - a decompression bomb: a small archive that unpacks to a very large size.
 
-XML with a document type is rejected as well. Otherwise the parser could fetch or expand external
-entities.
+An XML entry with a document type is rejected when it is read. A document type can define entities,
+and the XML parser could fetch or expand them.
 """
 
 from __future__ import annotations
@@ -34,33 +34,38 @@ from freeflyer.foundation.bounded_file import size
 
 MOST_ENTRIES = 50_000
 LARGEST = 8 << 30
-"""Largest allowed unpacked size of an archive [bytes]. The limit also applies to each entry."""
+"""Largest allowed unpacked size of an archive [bytes], as the sum of all entries."""
 LARGEST_RATIO, FREE_OF_RATIO = 200, 256 << 20
-"""Two limits of the unpacked size. An archive that exceeds both limits is rejected.
+"""Two limits of the unpacked size. An archive is rejected only if it exceeds both limits.
 
-The first limit is a multiple of the packed size. The second limit is in bytes.
+The first limit is LARGEST_RATIO times the size of the archive file. The second limit is
+FREE_OF_RATIO [bytes]. Thus a small archive with a large ratio is allowed.
 """
 LARGEST_XML, MOST_ELEMENTS, DEEPEST_ELEMENT = 64 << 20, 2_000_000, 200
 LARGEST_VARIABLE = "FREEFLYER_LARGEST_ARCHIVE"
-"""Environment variable for trusted archives.
+"""Name of an environment variable with which the user allows large archives.
 
-If it is set, its value [GiB] replaces LARGEST, and LARGEST_RATIO is not checked.
+If the variable is set, its value [GiB] replaces LARGEST, and LARGEST_RATIO is not checked.
 """
 LARGEST_DIRECTORY = 32 << 20
-"""Largest allowed size of the central directory of an archive [bytes]."""
+"""Largest allowed size [bytes] of an archive's central directory, which is its list of entries."""
 LONGEST_NAME = 1024
 
 Element = ElementTree.Element
 
 
 class ArchiveError(ValueError):
-    """An archive is rejected. The message is the reason. The caller adds the archive's name."""
+    """An archive is rejected. The message contains only the reason.
+
+    A caller that catches this exception adds the name of the archive.
+    """
 
 
 class _Bounded(io.BufferedReader):
-    """A file that limits the size of a single read.
+    """A file that rejects a single read of more than LARGEST_DIRECTORY bytes.
 
-    The limit is needed because `zipfile` reads the whole central directory with one read.
+    `zipfile` reads the whole central directory with one read. Without the limit, a large central
+    directory could use all memory before the archive is checked.
     """
 
     def read(self, count: int | None = -1) -> bytes:
@@ -73,8 +78,9 @@ class _Bounded(io.BufferedReader):
 def opened(path: Path) -> Iterator[Archive]:
     """Open and check an archive.
 
-    Raises ArchiveError if the archive is invalid. This exception can also occur later, while the
-    archive is read. Raises OSError if the archive does not exist or the disk is full.
+    Raises ArchiveError if the archive is invalid. The `with` block can also raise ArchiveError,
+    when it reads an invalid entry. Raises OSError if the archive file cannot be read. The `with`
+    block can also raise OSError, for example if the disk is full when an entry is extracted.
     """
     with _Bounded(io.FileIO(path)) as file:
         try:
@@ -106,7 +112,10 @@ _DAMAGE = (
 
 
 class Archive:
-    """A checked archive. `names` contains the names of all entries."""
+    """A checked archive. `names` contains the names of all entries.
+
+    `packed` is the size of the archive file [bytes].
+    """
 
     def __init__(self, archive: zipfile.ZipFile, packed: int) -> None:
         self._archive = archive
@@ -117,7 +126,7 @@ class Archive:
         return self._archive.namelist()
 
     def read(self, name: str, largest: int) -> bytes:
-        """Return the content of an entry of at most `largest` bytes.
+        """Return the content of an entry. The entry may have at most `largest` bytes.
 
         Raises KeyError if the entry does not exist, ArchiveError if the entry is larger.
         """
@@ -129,7 +138,7 @@ class Archive:
         return self._archive.read(entry)  # returns at most file_size bytes
 
     def xml(self, name: str) -> tuple[Element, bytes]:
-        """Parse an entry as XML. Return the root element and the text in UTF-8.
+        """Parse an entry as XML. Return the root element, and the XML text in UTF-8.
 
         Raises KeyError if the entry does not exist, ArchiveError if the entry is invalid.
         """
@@ -170,8 +179,9 @@ class Archive:
 def _checked(
     entries: list[zipfile.ZipInfo], packed: int
 ) -> Mapping[tuple[str, ...], zipfile.ZipInfo]:
-    """Check all entries. Return the entries by the parts of their names.
+    """Check all entries of an archive whose file has `packed` bytes.
 
+    Return the entries. The key of an entry is the tuple of the parts of its path.
     Raises ArchiveError if an entry is unsafe, or if the archive exceeds a limit.
     """
     if len(entries) > MOST_ENTRIES:
@@ -191,8 +201,8 @@ def _checked(
     spelled: dict[tuple[str, ...], str] = {}
     for entry in entries:
         place = _place(entry)
-        # Some file systems ignore case or normalize Unicode. Such a file system would store these
-        # entries in one file.
+        # Some file systems ignore case or normalize Unicode. Such a file system would store two
+        # entries in one file if their names are equal in this form.
         alike = tuple(unicodedata.normalize("NFC", part).casefold() for part in place)
         if alike in spelled:
             raise ArchiveError(
@@ -223,7 +233,7 @@ def _trusted(text: str) -> int:
 
 
 def _place(entry: zipfile.ZipInfo) -> tuple[str, ...]:
-    """Return the parts of an entry's name. Raises ArchiveError if the entry is unsafe."""
+    """Return the parts of an entry's path. Raises ArchiveError if the entry is unsafe."""
     name = entry.filename
     path = PurePosixPath(name.replace("\\", "/"))
     if path.is_absolute() or ".." in path.parts or (len(name) > 1 and name[1] == ":"):
@@ -251,8 +261,9 @@ def _place(entry: zipfile.ZipInfo) -> tuple[str, ...]:
 
 
 def _check_xml(name: str, data: bytes) -> str:
-    """Check XML before it is parsed. Return the encoding of the XML in lower case.
+    """Check the XML text `data` before ElementTree parses it.
 
+    Return the name of its encoding in lower case. `name` is the name of the entry in messages.
     Raises ArchiveError if the XML is not well-formed, has a document type, or exceeds a limit.
     """
     parser = expat.ParserCreate()

@@ -22,12 +22,14 @@ Array = NDArray[np.float64]
 class Port:
     """A variable of a component.
 
-    `units`: one entry per element. The entry is None if the element has no declared unit.
-    `settable`: True for parameters and for start values of states.
+    `units`: one item per element of the variable. The item is None if no unit is declared.
+    `settable`: True for parameters, and for variables whose start value can be set, such as states.
     `choices`: names of the items of an enumeration.
     `real`: True for real variables. Only real variables can be connected and recorded.
-    `direct`: names of the inputs on which an output depends at the same instant.
-    `sampled`: True if an output is computed at the start of a step, even without `direct` inputs.
+    `direct`: for an output, the names of the inputs on which it depends at the same instant.
+    `sampled`: True if an output is computed for the start of a step, even if `direct` is empty.
+
+    An instant is a point in time at which components may start a step.
     """
 
     name: str
@@ -66,7 +68,7 @@ class Port:
 
     @property
     def prompt(self) -> bool:
-        """Whether the step that starts at an instant computes the output at this instant."""
+        """Whether a step computes the output for the start of the step, and not for its end."""
         return bool(self.direct) or self.sampled
 
 
@@ -89,7 +91,9 @@ class Component(Protocol):
     def ports(self) -> Mapping[str, Port]: ...
 
     def enter_initialization(self, start: float, values: Mapping[str, Array]) -> None:
-        """Set parameters and start values [SI] at the time `start` [s].
+        """Set parameters and start values, for a run that begins at the time `start` [s].
+
+        `values` contains the values [SI] by the names of the variables.
 
         Raises ComponentError if a value is rejected.
         """
@@ -131,7 +135,7 @@ class _FixedArrays(dict[str, Array]):
 
 
 def memory(ports: Iterable[Port]) -> dict[str, Array]:
-    """Return one array for each port, by name. It contains the port's start value, or zeros."""
+    """Return one array for each port, by name. The array contains the start value, or zeros."""
     starts = ((port.name, port.start or (0.0,) * port.size) for port in ports)
     return _FixedArrays((name, np.array(start, dtype=float)) for name, start in starts)
 
@@ -140,9 +144,9 @@ class PythonComponent:
     """Base class of components that are written in Python.
 
     A subclass declares ports and overrides `advance`. `values` contains each variable as an array,
-    by name. If the port of an output has `direct` or `sampled`, the output is a value at the start
-    of a step. This is the case for controllers. Any other output is a value at the end of a step.
-    This is the case for plants.
+    by name. In `advance`, a subclass computes an output for the start of the step if its port has
+    `direct` inputs or is `sampled`. Controllers have such outputs. A subclass computes any other
+    output for the end of the step. Plants have such outputs.
     """
 
     variable_step = True
@@ -150,10 +154,10 @@ class PythonComponent:
     def __init__(
         self, name: str, ports: Sequence[Port], values: dict[str, Array] | None = None
     ) -> None:
-        """Allocate the variables, unless `values` is given.
+        """Allocate the arrays of the variables, unless `values` is given.
 
-        `values` must be the result of `memory` for these ports. Raises ComponentError if a unit is
-        unknown.
+        If `values` is given, it must be the result of `memory(ports)`. Raises ComponentError if the
+        unit of a port is unknown.
         """
         self.name = name
         self._ports = {port.name: port for port in ports}

@@ -39,19 +39,24 @@ from freeflyer.foundation.errors import ComponentError, StepFailed
 TERMINATE_REQUESTED = "the FMU requests the end of the simulation"
 DISCARD = 2
 FATAL = 4
-"""Status of FMI 2.0 and 3.0 after which no further function of the FMU may be called."""
+"""Status fmi2Fatal or fmi3Fatal. After this status, no function of the FMU may be called."""
 CALLS = {
     2: ("fmi2SetReal", "fmi2DoStep", "fmi2GetReal"),
     3: ("fmi3SetFloat64", "fmi3DoStep", "fmi3GetFloat64"),
 }
-"""FMI functions that write inputs, make a step and read outputs, by FMI version."""
+"""For FMI versions 2 and 3: the FMI functions that write inputs, make a step and read outputs."""
 REQUIREMENT = "logRequirement"
-"""Log category of our FMUs for the report that the equations left their range of validity."""
+"""Log category that our FMUs use only if their equations left their range of validity.
+
+See `StepFailed.left_validity`.
+"""
 
 
-# An FMI 2.0 message is a format string with a variable number of arguments. FMPy's proxy formats
-# such messages, but the proxy supports only one logger per process. This logger is `_route`. The
-# environment pointer identifies the component that sent a message.
+# An FMI 2.0 log message is a format string with a variable number of arguments. FMPy contains a
+# C function, the logger proxy, that formats such messages and calls a logger with the result. The
+# proxy supports only one logger per process. This logger is `_route`. An FMU calls the logger with
+# its environment pointer. We use a number as this pointer: it identifies the component in
+# `_listeners`, and the message is stored in this component.
 _listeners: dict[int, FmuComponent] = {}
 _numbers = itertools.count(1)
 
@@ -73,10 +78,11 @@ _LOGGER = fmi2.fmi2CallbackLoggerTYPE(_route)
 
 
 def _remove_modules(directory: Path) -> None:
-    """Remove the modules of an FMU from `sys.modules`.
+    """Remove the Python modules in the folder of an unpacked FMU from `sys.modules`.
 
-    Python modules inside an FMU are imported by our own interpreter. Another FMU may contain other
-    modules with the same names. Imports in that FMU must not find the modules of the first FMU.
+    An FMU that is written in Python may import its modules with our own interpreter. Another FMU
+    may contain different modules with the same names. Without this removal, the imports of the
+    other FMU would find the modules of the first FMU.
     """
     inside = _inside(directory)
     for name, module in list(sys.modules.items()):
@@ -95,7 +101,11 @@ def _inside(directory: Path) -> Callable[[object], bool]:
 
 
 class FmuComponent:
-    """One co-simulation instance of an FMU. FMPy's class FMU2Slave or FMU3Slave calls the FMU."""
+    """One co-simulation instance of an FMU.
+
+    `name` is the name of the component, and `path` is the path of the FMU file. FMPy's class
+    FMU2Slave or FMU3Slave calls the functions of the FMU.
+    """
 
     _classes: tuple[Any, Any] = (fmi2.FMU2Slave, fmi3.FMU3Slave)
 
@@ -200,8 +210,8 @@ class FmuComponent:
         return slave
 
     def _remove_python_modules(self) -> None:
-        # The search through all modules takes 1 ms. Our own FMUs contain no Python, so that the
-        # search is not needed for them.
+        # The search through all modules takes 1 ms. Our own FMUs contain no Python modules.
+        # Therefore their search is omitted.
         if self.description.generationTool != OWN_TOOL:
             _remove_modules(self._directory)
 
@@ -211,8 +221,8 @@ class FmuComponent:
         callbacks.componentEnvironment = self._listener = _listen(self)
         callbacks.allocateMemory = fmi2.defaultCallbacks.allocateMemory
         callbacks.freeMemory = fmi2.defaultCallbacks.freeMemory
-        # PythonFMU passes a log text as the format string. The proxy would therefore interpret a
-        # "%" in this text.
+        # FMUs of the tool PythonFMU pass the final log text as the format string. The proxy would
+        # interpret each "%" in this text. Therefore these FMUs call `_route` without the proxy.
         if not (self.description.generationTool or "").startswith("PythonFMU"):
             addLoggerProxy(ctypes.byref(callbacks))
         return callbacks
@@ -223,9 +233,10 @@ class FmuComponent:
         self.note(category, message)
 
     def note(self, category: object, message: bytes | None) -> None:
-        """Store a log message of the FMU.
+        """Store a log message of the FMU with its log category.
 
-        The last messages are kept until a failure is reported or a step succeeds.
+        Only the last messages are kept. They are discarded when a failure is reported with these
+        messages, when a step succeeds, or when a message arrives at a later instant.
         """
         if message:
             if self._moment() != self._noted_at:
@@ -239,7 +250,7 @@ class FmuComponent:
         return StepFailed(self.name, self._reason(error), left_validity=left)
 
     def _reason(self, error: Exception) -> str:
-        """Return the log messages of the FMU. Without such messages, return the message of FMPy."""
+        """Return the stored log messages of the FMU. If there are none, return FMPy's message."""
         self._fatal |= getattr(error, "status", None) == FATAL
         messages = "; ".join(" ".join(message.split()) for message in self._messages)
         self._messages.clear()
@@ -301,23 +312,26 @@ class FmuComponent:
         return int(ctypes.cast(getattr(self._slave.dll, call), ctypes.c_void_p).value or 0)
 
     def references(self, names: Sequence[str]) -> NDArray[np.uint32]:
-        """Return the value references of variables as uint32.
+        """Return the value references of the ports `names`, one for each model variable.
 
-        The array contains one reference per value in FMI 2.0, and one reference per variable in
-        FMI 3.0. Raises ComponentError if a variable is not real.
+        An FMI 2.0 array has one model variable for each element. An FMI 3.0 array is one model
+        variable. Raises ComponentError if a variable is not real.
         """
         variables = self._reals(names)
         return np.array([variable.valueReference for variable in variables], dtype=np.uint32)
 
     def count_moments_by(self, moment: Callable[[], int]) -> None:
-        """Set a function that returns the number of the present instant.
+        """Set the function `moment`, which returns the number of the present instant of the run.
 
-        The first log message at a new instant discards the messages of earlier instants.
+        The first log message at an instant discards the log messages of earlier instants.
         """
         self._moment = moment
 
     def failure(self, call: str, status: int) -> StepFailed:
-        """Convert a status that the FMI function `call` returned to the C core to StepFailed."""
+        """Return the exception for a failure in the C core.
+
+        The C core called the FMI function `call`, and this function returned `status`.
+        """
         if self._noted_at != self._moment():
             self._messages.clear()
         if call == "fmi2DoStep" and status == DISCARD and self._terminate_requested():
@@ -336,9 +350,10 @@ class FmuComponent:
         return variables
 
     def _bound(self, names: Sequence[str], buffer: Array) -> tuple[Any, int, Any, int]:
-        """Return the value references and a pointer to the buffer, each with its length.
+        """Return the value references and a pointer to `buffer`, each followed by its length.
 
-        The component keeps the memory of the references and of the buffer.
+        Later calls of the FMU use the memory of both arrays. Therefore the component keeps both
+        arrays in `_buffers`.
         """
         variables = self._reals(names)
         references = (ctypes.c_uint32 * len(variables))(
@@ -399,8 +414,8 @@ class FmuComponent:
     def close(self) -> None:
         slave, self._slave = self._slave, None
         if slave is not None:
-            # A failed instance may reject terminate(), but it must still be freed. After the status
-            # FATAL, neither terminate() nor freeInstance() may be called.
+            # An instance may reject terminate() after a failed step, but it must still be freed.
+            # After the status FATAL, neither terminate() nor freeInstance() may be called.
             if not self._fatal:
                 with contextlib.suppress(FMICallException, OSError):
                     slave.terminate()

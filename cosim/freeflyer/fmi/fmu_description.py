@@ -1,7 +1,8 @@
 """Reader for the model description, the ports and the terminals of an FMU.
 
-An unusable file raises ComponentError with a clear message. The variables `name[1]` ... `name[n]`
-of an FMI 2.0 array are combined into one port. An FMI 3.0 array is one port as well.
+If an FMU is unusable, ComponentError is raised and the message contains the reason. A port is a
+scalar variable or a whole array. FMI 2.0 has no arrays. Therefore FMI 2.0 variables with the names
+`name[1]` ... `name[n]` are combined into one port. An FMI 3.0 array is one port as well.
 """
 
 from __future__ import annotations
@@ -25,25 +26,32 @@ from freeflyer.foundation.errors import ComponentError
 
 DESCRIPTION = "modelDescription.xml"
 MOST_NUMBERS = 1 << 22
-"""Largest allowed number of elements of all variables of an FMU."""
+"""Largest allowed number of elements in an FMU. A scalar variable counts as one element."""
 ELEMENT = re.compile(r"^(?P<name>.+)\[(?P<index>\d+)\]$")
 REAL = ("Real", "Float64")
 UNITS_ANNOTATION = "org.freeflyer-cosim.units"
 OWN_TOOL = "freeflyer-cosim"
-"""Name of the generation tool in our FMUs. Our FMUs keep no state outside their instances."""
+"""Value of the attribute generationTool in our FMUs.
+
+Our FMUs keep no state outside their instances. Therefore some precautions apply only to other FMUs.
+"""
 Read = TypeVar("Read")
 
 
 def same_file(path: Path) -> tuple[int, ...]:
-    """Return values that change when a file changes. Raises OSError if the file does not exist."""
+    """Return numbers that identify the present version of a file. They change if the file changes.
+
+    Raises OSError if the file does not exist.
+    """
     status = path.stat()
     return status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns
 
 
 def _cached_per_file(read: Callable[[Path], Read]) -> Callable[[Path], Read]:
-    """Cache the result of a reader until the file changes. Callers must not modify the result.
+    """Cache the result of the function `read` for each file, until the file changes.
 
-    Without the cache, each run of a sweep would need half of its time for reading XML.
+    Callers must not modify the result, because later callers receive the same object. Without the
+    cache, each run of a sweep would need half of its time for reading XML.
     """
     kept: dict[Path, tuple[tuple[int, ...], Read]] = {}
 
@@ -64,8 +72,8 @@ def _cached_per_file(read: Callable[[Path], Read]) -> Callable[[Path], Read]:
 def opened(path: Path) -> Iterator[Archive]:
     """Open and check an FMU's archive.
 
-    Raises ComponentError if the archive is invalid. This exception can also occur later, while the
-    archive is read.
+    Raises ComponentError if the archive is invalid. The `with` block can also raise ComponentError,
+    when it reads an invalid entry.
     """
     if not path.is_file():
         raise ComponentError(
@@ -84,10 +92,10 @@ def opened(path: Path) -> Iterator[Archive]:
 
 @_cached_per_file
 def describe_fmu(path: Path) -> ModelDescription:
-    """Read the model description of an FMU. Raises ComponentError if the file is unusable.
+    """Read the model description of an FMU. Raises ComponentError if the FMU is unusable.
 
-    Nothing in the FMU is executed. FMPy parses XML with lxml and does not reject entities and
-    document types. Therefore FMPy receives only text that has been checked here.
+    Nothing in the FMU is executed. FMPy parses XML with lxml, and FMPy rejects neither entities nor
+    document types. Therefore FMPy receives only XML text that `Archive.xml` has checked.
     """
     try:
         with opened(path) as found:
@@ -109,7 +117,10 @@ def describe_fmu(path: Path) -> ModelDescription:
 
 
 def _alone(text: bytes) -> io.BytesIO:
-    """Return a zip archive for FMPy. It contains only the model description."""
+    """Return a zip archive that contains only the model description `text`.
+
+    FMPy accepts text in memory only in this form.
+    """
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w") as made:
         made.writestr(DESCRIPTION, text)
@@ -118,9 +129,10 @@ def _alone(text: bytes) -> io.BytesIO:
 
 @_cached_per_file
 def annotated_units(path: Path) -> dict[str, tuple[str, ...]]:
-    """Read the unit of each array element from the annotation in our FMI 3.0 FMUs.
+    """Return the units of the elements of FMI 3.0 arrays, by the name of the array.
 
-    The annotation is needed because FMI 3.0 allows only one unit per array.
+    FMI 3.0 allows only one unit per array. Therefore our FMI 3.0 FMUs contain these units in an
+    annotation. For an FMU without this annotation, the result is empty.
     """
     with opened(path) as found:
         root, _ = found.xml(DESCRIPTION)
@@ -134,10 +146,11 @@ def annotated_units(path: Path) -> dict[str, tuple[str, ...]]:
 
 @_cached_per_file
 def terminals_of(path: Path) -> dict[str, dict[str, str]]:
-    """Read the terminals of an FMU.
+    """Return the terminals of an FMU. A terminal is a named group of variables, its members.
 
-    The result contains the members of each terminal, and the variable of each member. FMI 3.0 FMUs
-    declare terminals in terminalsAndIcons.xml. Our FMI 2.0 FMUs declare terminals in an annotation.
+    For each name of a terminal, the result maps the names of its members to names of variables.
+    FMI 3.0 FMUs declare terminals in the file terminalsAndIcons.xml. Our FMI 2.0 FMUs declare
+    terminals in an annotation of the model description.
     """
     with opened(path) as found:
         inside = "terminalsAndIcons/terminalsAndIcons.xml"
@@ -153,7 +166,7 @@ def terminals_of(path: Path) -> dict[str, dict[str, str]]:
 
 @_cached_per_file
 def ports_in(path: Path) -> tuple[dict[str, Port], dict[str, list[ModelVariable]]]:
-    """Return the result of `ports_of` for an FMU file, with the annotated units.
+    """Return the result of `ports_of` for an FMU file, with the units of `annotated_units`.
 
     Raises ComponentError if the model description is invalid.
     """
@@ -168,7 +181,10 @@ def ports_in(path: Path) -> tuple[dict[str, Port], dict[str, list[ModelVariable]
 def ports_of(
     description: ModelDescription, annotated: Mapping[str, tuple[str, ...]]
 ) -> tuple[dict[str, Port], dict[str, list[ModelVariable]]]:
-    """Return the ports by name, and the model variables of each port in order.
+    """Return the ports by name, and the model variables of each port by the name of the port.
+
+    The variables of a port have the order of its elements. `annotated` is the result of
+    `annotated_units`.
 
     Raises ValueError for an invalid number or for more than MOST_NUMBERS elements.
     """
@@ -181,8 +197,8 @@ def ports_of(
     for variable in description.modelVariables:
         match = ELEMENT.match(variable.name)
         groups.setdefault(match["name"] if match else variable.name, []).append(variable)
-    # The model structure declares the dependencies of outputs. An output without declared
-    # dependencies depends on every input.
+    # The element ModelStructure of the model description declares the inputs on which an output
+    # depends. According to FMI, an output without this declaration depends on every input.
     unknown = {id(item.variable): item for item in description.outputs}
     inputs = {
         id(variable) for variable in description.modelVariables if variable.causality == "input"
@@ -192,7 +208,8 @@ def ports_of(
     ports = {}
     for name, group in groups.items():
         first = group[0]
-        # Find the unit of each element. Annotated units replace the single unit of an array.
+        # Find the unit of each element. Annotated units replace the unit that the array declares
+        # for all its elements.
         sizes = [_size(variable) for variable in group]
         units: list[str | None] = []
         for variable, size in zip(group, sizes, strict=True):
@@ -203,7 +220,7 @@ def ports_of(
         items = (
             first.declaredType.items if first.type == "Enumeration" and first.declaredType else []
         )
-        # Collect the inputs on which the port depends directly.
+        # Collect the inputs on which the port depends at the same instant.
         direct: set[str] = set()
         for variable in group:
             item = unknown.get(id(variable))

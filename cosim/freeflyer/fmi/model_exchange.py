@@ -1,6 +1,7 @@
 """Component for a model-exchange FMU.
 
-SciPy's solver DOP853 integrates the states of the FMU with a tight tolerance.
+A model-exchange FMU computes only the derivatives of its states. SciPy's solver DOP853 integrates
+the states with a tight tolerance.
 """
 
 from __future__ import annotations
@@ -23,7 +24,10 @@ ABSOLUTE_TOLERANCE = 1e-12
 
 
 class ModelExchangeComponent(FmuComponent):
-    """A model-exchange FMU that has neither event indicators nor time events."""
+    """One model-exchange instance of an FMU.
+
+    An FMU with event indicators or time events is rejected with ComponentError.
+    """
 
     _classes = (fmi2.FMU2Model, fmi3.FMU3Model)
 
@@ -104,8 +108,8 @@ class ModelExchangeComponent(FmuComponent):
                 raise StepFailed(
                     self.name, f"the integration from {time:g} s to {end:g} s did not converge"
                 )
-            # Each communication step creates a new solver. The new solver starts with the last step
-            # size of the present solver. Therefore the new solver need not search for a step size.
+            # Each communication step creates a new solver. The next solver starts with the last
+            # step size of this solver. Therefore the next solver need not search for a step size.
             self._first_step = max(solver.h_abs, 1e-6)
             self._x = solver.y
             self._rates(end, self._x)

@@ -1,4 +1,8 @@
-"""Folders into which FMUs are unpacked. Each instance has a folder that no other instance uses."""
+"""Folders into which FMUs are unpacked.
+
+Each instance of an FMU has its own folder. While the instance exists, no other instance uses this
+folder. A later instance of the same FMU may reuse the folder.
+"""
 
 from __future__ import annotations
 
@@ -11,22 +15,23 @@ from pathlib import Path
 from freeflyer.fmi.fmu_description import OWN_TOOL, describe_fmu, opened, same_file
 
 Version = tuple[Path, tuple[int, ...]]
+"""The path of an FMU file, and the result of `same_file` for this file."""
 _free: dict[Version, list[Path]] = {}
 _of: dict[Path, Version] = {}
-"""For each reusable folder that is in use: the FMU file and the version of this file."""
+"""For each reusable folder that an instance uses: the version of the FMU file."""
 _place: Path | None = None
-"""Directory in which folders are kept for the next instance of the same FMU file.
+"""Directory in which folders are kept for later instances of the same FMU file.
 
-If it is None, each folder is removed after use.
+If it is None, no folder is reused, and each folder is removed after use.
 """
 
 
 @contextmanager
 def kept_in(place: Path) -> Iterator[None]:
-    """Keep the folders of our own FMUs in `place` for reuse. The caller removes `place`.
+    """Keep the folders of our own FMUs in the directory `place`, so that they can be reused.
 
-    Each instance of a third-party FMU gets a new folder. Such an FMU may store state in the folder
-    or in the memory of its library.
+    The caller removes `place` afterwards. Folders of other FMUs are not reused, because such an FMU
+    may store state in its folder, or in the memory of the library that is loaded from this folder.
     """
     global _place
     before, _place = _place, place
@@ -37,8 +42,9 @@ def kept_in(place: Path) -> Iterator[None]:
 
 
 def take(path: Path) -> Path:
-    """Return a folder with the FMU's contents for one instance. Nothing in the FMU is executed.
+    """Return a folder for one instance. The folder contains the unpacked FMU file `path`.
 
+    Nothing in the FMU is executed.
     Raises OSError if the folder cannot be written, ComponentError if the FMU is rejected.
     """
     again = _place is not None and describe_fmu(path).generationTool == OWN_TOOL

@@ -11,11 +11,12 @@ from pathlib import Path
 def content(path: Path, largest: int) -> bytes:
     """Return the content of a regular file of at most `largest` bytes.
 
-    Raises OSError if the path is not a regular file, or if the file is larger. The attribute
-    `strerror` of the exception contains the reason.
+    Raises OSError if the file cannot be opened, is not a regular file, or has more than `largest`
+    bytes. The attribute `strerror` of the exception contains the reason.
     """
     try:
-        # The open call must not block on a FIFO without a writer or on a terminal.
+        # Without O_NONBLOCK, `open` would wait if the path is a FIFO without a writer. Without
+        # O_NOCTTY, a terminal could become the controlling terminal of this process.
         descriptor = os.open(
             path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
         )

@@ -1,4 +1,7 @@
-"""Time in integer nanoseconds. Times are never added or compared as floating-point numbers."""
+"""Time as an integer number of nanoseconds.
+
+Floating-point times would have rounding errors. Therefore only integer times are added or compared.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +15,8 @@ SECOND = 1_000_000_000
 def nanoseconds(seconds: float, subject: str) -> int:
     """Convert a positive decimal number of seconds to nanoseconds without rounding.
 
-    `subject` is the name of the quantity in the error message. Raises ScenarioError if the result
-    is not a positive whole number.
+    `subject` is the name of the time in the error message. Raises ScenarioError if the number of
+    nanoseconds is not a positive whole number.
     """
     exact = Decimal(repr(float(seconds))) * SECOND if abs(seconds) < 9e9 else Decimal(0)
     if exact != int(exact) or exact <= 0:

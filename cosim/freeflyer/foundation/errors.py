@@ -39,7 +39,7 @@ class OutputError(CosimError):
 
 
 class StepFailed(Exception):
-    """A component failed in a step. The run stops and keeps the results up to that instant.
+    """A component failed in a step. The run stops and keeps the results up to this step.
 
     `left_validity` is True if the equations left their range of validity. Examples are a singular
     Jacobian and a state that is not finite. Such a run counts as diverged. If `left_validity` is
@@ -52,6 +52,6 @@ class StepFailed(Exception):
 
 
 def report_error(sentence: str, code: int) -> int:
-    """Print the error message of a command to stderr. Return the exit code `code`."""
+    """Print the error message `sentence` to stderr. Return `code`, the command's exit code."""
     print(f"freeflyer: {sentence}", file=sys.stderr)
     return code

@@ -1,6 +1,7 @@
-"""Deferred handling of Ctrl-C and SIGTERM.
+"""Deferred handling of Ctrl-C and of signals that end a process, such as SIGTERM.
 
-The master checks between two instants whether one of these signals has arrived.
+A run consists of instants, at which the master steps components. Between two instants, the master
+checks whether such a signal has arrived.
 """
 
 from __future__ import annotations
@@ -19,18 +20,25 @@ ENDING = tuple(
 If the process already ignores a signal (nohup), `interrupts` leaves this signal ignored.
 """
 _noted: list[list[float]] = []
-"""Contains the list of the outermost `interrupts` context. Empty if no context is active."""
+"""Contains one item while an `interrupts` context is active, otherwise no items.
+
+The item is the list of arrival times that the outermost context returned.
+"""
 
 
 @contextmanager
 def interrupts() -> Iterator[list[float]]:
-    """Collect the arrival times [s] of the signals in `ENDING` in a list.
+    """Collect the signals in `ENDING`. The context returns a list of their arrival times [s].
 
-    If this list is not empty, a run ends between two instants. Nested contexts share one list. If a
-    signal arrives in the outer context before a run, this run therefore ends at its first instant.
+    The master ends a run between two instants if this list is not empty. Nested contexts share one
+    list. The outer context may be opened before a run, and the run opens the inner context. If a
+    signal arrives before the run starts, the run ends at its first instant.
 
-    A further signal raises KeyboardInterrupt immediately if it arrives more than two seconds after
-    the first signal. In this case the user is waiting for a component that does not respond.
+    A second or later signal raises KeyboardInterrupt immediately if it arrives more than two
+    seconds after the first signal. In this case the run has not ended yet, probably because a
+    component does not respond.
+
+    In a thread other than the main thread, no signals are collected and the list stays empty.
     """
     if _noted:
         yield _noted[0]
@@ -63,7 +71,8 @@ def interrupts() -> Iterator[list[float]]:
 def no_interrupts() -> Iterator[None]:
     """Ignore the signals in `ENDING` during a short block.
 
-    Devices are stopped in such a block. Therefore a signal cannot prevent the stop of a device.
+    The code that stops devices runs in such a block, so that no signal can interrupt this code. In
+    a thread other than the main thread, this context has no effect.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

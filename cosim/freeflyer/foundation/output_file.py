@@ -14,8 +14,8 @@ from freeflyer.foundation.errors import BAD_INPUT, OutputError
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:
     """Write a file completely or not at all.
 
-    `write(partial_path)` writes a temporary file. The temporary file is then renamed to `path`.
-    Raises OutputError if the file cannot be written.
+    `write` is called with the path of a temporary file, and must write this file. The temporary
+    file is then renamed to `path`. Raises OutputError if the file cannot be written.
     """
     partial = path.with_name(path.name + ".partial")
     try:
@@ -25,7 +25,7 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
     except OSError as error:
         raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
     finally:
-        # After an interruption, the partial file still exists and is removed here.
+        # If `write` was interrupted, the temporary file still exists. It is removed here.
         with contextlib.suppress(OSError):
             partial.unlink(missing_ok=True)
 
@@ -39,9 +39,9 @@ def write_text(path: Path, text: str) -> None:
 
 
 def check_writable(directory: Path) -> None:
-    """Check before a run that results can be written to a directory.
+    """Check that results can be written to a directory. Call this before a run.
 
-    Raises OutputError with exit code 2 if the directory cannot be written.
+    Raises OutputError with exit code 2 if no file can be written to the directory.
     """
     probe = directory / ".writable"
     try:

@@ -1,6 +1,6 @@
-"""Entry points of other packages.
+"""Entry points of installed packages.
 
-They define component kinds, FMU directories, devices and commands.
+With entry points, a package adds component kinds, FMU directories, devices or commands.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from typing import Any
 from freeflyer.foundation.errors import CosimError
 
 RENAMED = {"cosim": "freeflyer", "fmu_src": "freeflyer_fmus", "adapters": "freeflyer_adapters"}
-"""Import names of version 0.1.0, and the present import names of the same packages."""
+"""For each import name of a package in version 0.1.0: the import name since version 0.2.0."""
 
 
 @functools.cache
 def plugins(group: str) -> Mapping[str, EntryPoint]:
-    """Return the entry points of a group by name.
+    """Return the entry points of the group `group`. The keys are the names of the entry points.
 
     The result is cached, because a scan of all installed packages takes longer than loading an FMU.
     """
@@ -28,7 +28,7 @@ def plugins(group: str) -> Mapping[str, EntryPoint]:
 def load(point: EntryPoint) -> Any:
     """Load the object of an entry point.
 
-    Raises CosimError if the package of the entry point raises any exception during the import.
+    Raises CosimError if the import of this object raises any exception.
     """
     try:
         return point.load()
@@ -42,9 +42,10 @@ def load(point: EntryPoint) -> Any:
 
 
 def renamed(error: BaseException) -> str:
-    """Return the remedy for an import that failed because of a name of version 0.1.0.
+    """Return the remedy if an import failed because it uses an import name of version 0.1.0.
 
-    For any other exception, the result is an empty text.
+    The remedy is a text that is appended to the error message. If `error` has another cause, the
+    text is empty.
     """
     old = (error.name or "").partition(".")[0] if isinstance(error, ImportError) else ""
     return (

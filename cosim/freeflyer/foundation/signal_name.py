@@ -19,8 +19,9 @@ def component_of(signal: str) -> str:
 def split_connection(text: str) -> tuple[str, str, list[str]]:
     """Return the source, the arrow and the targets of a connection text.
 
-    The text is "SOURCE -> TARGET, ..." or "TERMINAL <-> TERMINAL". If the text contains no arrow,
-    the returned arrow is empty.
+    The text has the form "SOURCE -> TARGET, ..." or "TERMINAL <-> TERMINAL". In the second form,
+    the first terminal is returned as the source. If the text contains no arrow, the returned arrow
+    is empty.
     """
     source, arrow, targets = text.partition("<->" if "<->" in text else "->")
     return source.strip(), arrow, [target.strip() for target in targets.split(",")]

@@ -1,9 +1,9 @@
 """Parser for untrusted TOML. The result consists of tables with plain values.
 
-TOML 1.0 leaves some limits to the parser, but Python's `tomllib` does not set these limits.
-`tomllib` accepts integers of any size, and nesting up to Python's recursion limit. For a dotted
-key, the time of `tomllib` is quadratic in the number of parts of the key. Therefore this module
-sets the limits.
+TOML 1.0 permits a parser to limit the size of integers and the nesting depth. Python's parser
+`tomllib` sets no such limits: it accepts integers of much more than 64 bits, and nesting up to
+Python's recursion limit. In addition, its time for a dotted key (a.b.c) is quadratic in the number
+of parts of the key. Therefore this module limits the integers, the nesting and the dotted keys.
 """
 
 from __future__ import annotations
@@ -20,7 +20,10 @@ LARGEST = 256 << 10
 DEEPEST = 40
 """Largest allowed nesting depth of tables and arrays."""
 MOST_PARTS = 500
-"""Largest allowed number of dots in a line. Decimal points of numbers in a list do not count."""
+"""Largest allowed number of dots in a line.
+
+This number limits the parts of a dotted key. The decimal points of numbers in a list do not count.
+"""
 INTEGERS = range(-(1 << 63), 1 << 63)
 """The integers that every TOML 1.0 parser must accept."""
 _NUMBER_OF_A_LIST = re.compile(r"\d\.\d[\d_eE+-]*[ \t]*[,\]]")
@@ -55,7 +58,7 @@ def parsed(text: str) -> dict[str, Any]:
         raise ValueError(f"it is nested deeper than {DEEPEST} tables and arrays") from error
     except tomllib.TOMLDecodeError:
         raise
-    except ValueError as error:  # Python's int() accepts only a few thousand digits
+    except ValueError as error:  # Python's int() rejects more than a few thousand digits
         raise ValueError("an integer of more than 64 bits") from error
     _check(tables, 0)
     return tables

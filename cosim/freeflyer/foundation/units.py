@@ -20,16 +20,17 @@ _EXPONENT = (
 _ENDLESS = re.compile(
     rf"{_POWER}(?!{_EXPONENT})|{_POWER}{_EXPONENT}\s*{_POWER}|(?:\)\s*{_POWER}.*){{3}}", re.DOTALL
 )
-"""Matches powers such as 9**99999999 and 9**9**9.
+"""Matches texts with powers such as 9**99999999 and 9**9**9. Such texts are rejected.
 
-pint would compute the exact integer, and this computation would practically never end.
+pint would compute the power as an exact integer, and this computation would practically never end.
 """
 _SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹", "0123456789")
 
 
 @lru_cache(maxsize=1)
 def registry() -> Any:
-    # This import takes 0.5 s. A run with identical unit names does not need pint.
+    # This import takes 0.5 s. It is here, and not at the top of the file, because many runs do not
+    # need pint: two units with the same spelling are compared without pint.
     import pint
 
     return pint.UnitRegistry()
@@ -70,7 +71,8 @@ def factor(source: str, target: str) -> float:
 def converted(value: float, by: float) -> float:
     """Multiply two numbers in decimal arithmetic.
 
-    Thus 104 ms are converted to 0.104 s, not to 0.10400000000000001 s.
+    `value` is a value in one unit, and `by` is the result of `factor`. Decimal arithmetic converts
+    104 ms to 0.104 s. Floating-point arithmetic would result in 0.10400000000000001 s.
     """
     return float(Decimal(repr(float(value))) * Decimal(repr(float(by))))
 
@@ -78,8 +80,8 @@ def converted(value: float, by: float) -> float:
 def same(source: str | None, target: str | None) -> bool:
     """Return whether a value needs no conversion from the unit `source` to the unit `target`.
 
-    If one of the units is None, the result is True. An unknown unit matches only a unit with
-    exactly the same spelling.
+    None means that no unit is declared. If one of the units is None, the result is True. If one of
+    the units is unknown, the result is True only if both units have exactly the same spelling.
     """
     if source is None or target is None or source == target:
         return True

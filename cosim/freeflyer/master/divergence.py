@@ -17,13 +17,14 @@ from freeflyer.master.graph import port
 class Limit:
     """A bound for a signal.
 
-    By default, the bound is an upper bound of the largest absolute element. With `euclidean`, the
-    bound is an upper bound of the Euclidean norm. With `is_minimum`, the bound is a lower bound of
-    the smallest element.
+    By default, `bound` is an upper bound for the largest absolute value of the elements. If
+    `euclidean` is True, `bound` is an upper bound for the Euclidean norm. If `is_minimum` is True,
+    `bound` is a lower bound for the smallest element.
 
-    The run has diverged if the signal exceeds the bound without interruption for longer than
-    `lasting` [ns]. `elements` selects a part of an array: the first and the last element, counted
-    from 1.
+    The run has diverged if the signal violates the bound without interruption for longer than
+    `lasting` [ns]. If `lasting` is 0, one violation is sufficient. `elements` selects a part of an
+    array: it contains the numbers of the first and of the last element, counted from 1. `cause` is
+    the first part of the message.
     """
 
     signal: str
@@ -51,10 +52,11 @@ def check(limit: Limit, components: Mapping[str, Component]) -> None:
 
 
 class Watch:
-    """The check of one limit.
+    """The check of one limit. `signal` is a view of the signal's present value.
 
     Call the object at each instant at which the limit may be exceeded. Call the object also at the
-    first instant at which the limit is no longer exceeded.
+    first instant after that at which the limit is not exceeded. This call resets the count of
+    instants for `lasting`. At all other instants, the call can be omitted.
     """
 
     def __init__(self, limit: Limit, signal: Array, tick: int) -> None:
@@ -65,7 +67,7 @@ class Watch:
         self._passed = 0
 
     def __call__(self) -> str | None:
-        """Return the cause if the run has diverged, otherwise None."""
+        """Return the message if the run has diverged, otherwise None."""
         cause = self._below() if self.limit.is_minimum else self._above()
         if not self._patience:
             return cause
@@ -77,9 +79,9 @@ class Watch:
         )
 
     def _above(self) -> str | None:
-        # The largest absolute element is never larger than the Euclidean norm. If the norm is
-        # within the bound, no further computation is needed. For NaN, each comparison is false, so
-        # that the limit is exceeded.
+        # The largest absolute element is never larger than the Euclidean norm. Therefore no further
+        # computation is needed if the norm is within the bound, whatever `euclidean` is. If an
+        # element is NaN, both comparisons with `<=` are false, and the limit counts as exceeded.
         limit, view = self.limit, self.view
         if view @ view <= self._square:
             return None

@@ -1,14 +1,16 @@
 """The graph of components and connections: checks, and the execution order at an instant.
 
-A controller computes its outputs at the start of a step. Such an output depends directly on inputs,
-or it is declared as sampled. The outputs of a controller must be computed before other components
-use these outputs at the same instant.
+An instant is a point in time at which steps may start.
 
-A plant computes its outputs at the end of a step. Therefore the outputs of a plant at an instant
-are known from the last step.
+A controller computes its outputs for the start of a step. Such an output depends on inputs at the
+same instant, or it is declared as sampled. A controller must be stepped before other components use
+its outputs at the same instant.
 
-A delayed connection transfers the value from before the instant. Therefore a delayed connection
-imposes no order.
+A plant computes its outputs for the end of a step. Therefore the outputs of a plant at an instant
+are known from the step that ends at this instant. They impose no order.
+
+A delayed connection transfers the value that its source had before the instant. Therefore a delayed
+connection imposes no order.
 """
 
 from __future__ import annotations
@@ -27,10 +29,11 @@ from freeflyer.foundation.units import same
 Exchange = Literal["sequential", "parallel"]
 """The coupling scheme of the components.
 
-Sequential (Gauss-Seidel): a controller samples and computes its outputs at an instant. Other
-components use these outputs at the same instant.
-Parallel (Jacobi): every component steps with the outputs that exist at the end of the last steps.
-Therefore a controller's output reaches the other components one controller step later.
+Sequential (Gauss-Seidel): a controller reads its inputs and computes its outputs at an instant.
+Other components use these outputs at the same instant.
+Parallel (Jacobi): at an instant, every component uses outputs of steps that ended at this instant
+or before. The output of a controller is available at the end of its step. Therefore it reaches the
+other components one controller step later than in sequential exchange.
 """
 
 
@@ -38,8 +41,11 @@ Therefore a controller's output reaches the other components one controller step
 class Connection:
     """A connection from the output `source` to the input `target`.
 
-    Both names have the form COMPONENT.VARIABLE. If `of_terminals` is True, both names have the form
-    COMPONENT.TERMINAL, and all matching members of the two terminals are connected.
+    Both names have the form COMPONENT.VARIABLE. If `delayed` is True, the connection transfers the
+    value that the source had before the present instant.
+
+    If `of_terminals` is True, both names have the form COMPONENT.TERMINAL. A terminal is a named
+    group of variables, its members. All matching members of the two terminals are connected.
     """
 
     source: str
@@ -57,8 +63,9 @@ class Connection:
 class Graph:
     """Checked components and connections with their execution order.
 
-    At an instant the master steps the components of `first` one after the other. The master then
-    writes the inputs of all components of `then`. Finally it steps the components of `then`.
+    `first` contains the names of the controllers, and `then` contains the names of all other
+    components. At an instant, the master steps the controllers one after the other. The master then
+    writes the inputs of all other components. Finally it steps these components.
     """
 
     components: Mapping[str, Component]
@@ -84,8 +91,8 @@ def has_source(components: Mapping[str, Component], connection: Connection) -> b
 def port(components: Mapping[str, Component], signal: str, subject: str) -> Port:
     """Return the port with the name COMPONENT.VARIABLE.
 
-    Raises GraphError if the port does not exist. The message starts with `subject` and contains a
-    suggestion.
+    Raises GraphError if the port does not exist. The message starts with `subject`. If a similar
+    name exists, the message suggests it.
     """
     component, variable = split(signal)
     if component not in components:
@@ -103,17 +110,17 @@ def port(components: Mapping[str, Component], signal: str, subject: str) -> Port
 def expand(
     components: Mapping[str, Component], connections: Sequence[Connection]
 ) -> list[Connection]:
-    """Replace connections of terminals by connections of their members.
+    """Replace each connection of two terminals by the connections of their members.
 
-    A member that is an output of one terminal is connected to the member of the same name that is
-    an input of the other terminal. Raises GraphError if a terminal does not exist, or if no members
-    match.
+    Two members match if they have the same name, and if one of them is an output and the other one
+    is an input. The output is connected to the input. Raises GraphError if a terminal does not
+    exist, or if no members match.
     """
     single = [connection for connection in connections if not connection.of_terminals]
     given = {(connection.source, connection.target, connection.delayed) for connection in single}
     for connection in connections:
         if connection.of_terminals:
-            # Do not repeat connections of members that are also declared individually.
+            # Omit the connections that are also declared as connections of single variables.
             members = _members(components, connection)
             single += [m for m in members if (m.source, m.target, m.delayed) not in given]
     return single
@@ -158,10 +165,12 @@ def build(
 ) -> Graph:
     """Check all connections and determine the execution order.
 
-    `samples` overrides the model description of a component. True: the outputs are values at the
-    start of a step. False: the outputs are values at the end of a step. In `parallel` exchange all
-    outputs are values at the end of a step. Therefore the components have no execution order in
-    `parallel` exchange, and `delayed` has no effect.
+    The ports of a component declare which outputs are values at the start of a step. `samples`
+    replaces these declarations for a component. True: all its outputs are values at the start of a
+    step, and the component is a controller. False: all its outputs are values at the end of a step.
+
+    In parallel exchange, the outputs of all components are values at the end of a step. Therefore
+    the components need no execution order, and `samples` and `delayed` have no effect.
 
     Raises GraphError if a connection is invalid or the connections form an algebraic loop.
     """
@@ -211,9 +220,9 @@ def _order(
 ) -> tuple[str, ...]:
     """Return the controllers in their execution order.
 
-    A controller computes its used outputs at the start of a step. In the result, each controller
-    comes after the controllers whose outputs it uses. Raises GraphError if the connections form an
-    algebraic loop.
+    In the result, each controller comes after the controllers whose outputs it uses through
+    connections that are not delayed. For `samples`, see `build`. Raises GraphError if the
+    connections form an algebraic loop.
     """
     used: dict[str, set[str]] = {name: set() for name in components}
     for connection in connections:
@@ -243,11 +252,14 @@ def _order(
 
 
 def _is_early(name: str, component: Component, used: set[str], samples: bool | None) -> bool:
-    """Return whether a component computes its used outputs at the start of a step.
+    """Return whether a component is a controller: its outputs are values at the start of a step.
 
-    A used output has a connection. If no output is used, as for a monitor, all outputs are
-    considered. Raises GraphError if `samples` is not declared and the component has used outputs of
-    both kinds: outputs at the start of a step, and outputs at the end of a step.
+    `samples` is the declaration for this component, or None. If it is None, the ports decide. Only
+    the outputs in `used` are considered: the outputs with a connection. If `used` is empty, as for
+    a monitor, all outputs are considered.
+
+    Raises GraphError if the ports decide and `used` contains outputs of both kinds: values at the
+    start of a step, and values at the end of a step.
     """
     if samples is not None:
         return samples

@@ -1,17 +1,21 @@
-"""The master. It steps the components of a graph on a multi-rate schedule and records the outputs.
+"""The master. It steps the components of a graph, each with its own step, and records the outputs.
 
-A controller computes its outputs at the start of a step. A plant computes its outputs at the end of
-a step. Here, each component that is not a controller is called a plant. A component is due at an
-instant if its next step starts at this instant. At an instant t, the master does the following:
-1. It stores the source values of the delayed connections. These are the values from before t.
+An instant is a point in time at which steps may start. A component is due at an instant if its next
+step starts at this instant. A controller computes its outputs for the start of a step. A plant
+computes its outputs for the end of a step. Here, each component that is not a controller is called
+a plant. A delayed connection transfers the value that its source had before the instant.
+
+At an instant t, the master does the following:
+1. It stores the present values of the sources of delayed connections. No output has been computed
+   for t yet. Therefore these are the values from before t.
 2. It reads the outputs of the plants whose last step ends at t.
-3. It steps the controllers that are due at t one after the other, in the order of the graph. Each
-   controller uses the outputs that earlier controllers have computed at t.
+3. It steps the controllers that are due at t one after the other, in the order that the graph
+   contains. Each controller uses the outputs that earlier controllers have computed at t.
 4. It records the outputs if t is a recording instant. Then it checks the limits.
 5. It writes the inputs of all plants that are due at t. Then it steps these plants.
 
-`Master.run` is the implementation in Python. The implementation in C is in
-cosim/freeflyer/master/core. cosim/freeflyer/master/native.py runs a master with the C code.
+`Master.run` executes these operations in Python. The C code in cosim/freeflyer/master/core executes
+the same operations. cosim/freeflyer/master/native.py runs a master with this C code.
 """
 
 from __future__ import annotations
@@ -41,6 +45,7 @@ class Outcome:
 
     `simulated`: simulated time [s].
     `wall`: wall-clock time [s].
+    `steps`: number of steps of each component.
     `diverged`: a limit was exceeded, or the equations of an FMU left their range of validity.
     `failed`: any other error occurred.
     `interrupted`: the user stopped the run.
@@ -68,10 +73,11 @@ Progress = Callable[[float], None]
 
 
 class InstantHook(Protocol):
-    """Hook that is called at every instant k of a run.
+    """Hook that is called at every instant of a run. `k` is the number of the instant.
 
-    `before` is called before the first operation of the instant. `before` returns None, or a reason
-    to end the run before this instant. `after` is called after the last operation of the instant.
+    `before` is called before the first operation of the instant. The result of `before` is None, or
+    the reason why the run must end before this instant. `after` is called after the last operation
+    of the instant, unless the run ends early at this instant.
     """
 
     def before(self, k: int) -> str | None: ...
@@ -80,10 +86,11 @@ class InstantHook(Protocol):
 
 
 class Master:
-    """A graph with the buffers of its components. A master can run only once.
+    """A graph with buffers for the values of its components. A master can run only once.
 
-    The function `recorded` is called with the name COMPONENT.VARIABLE of each signal. If the
-    function returns True, the signal is recorded.
+    `limits` contains the limits that end the run when they are exceeded. The function `recorded` is
+    called with the name COMPONENT.VARIABLE of each output. If the function returns True, the output
+    is recorded.
     """
 
     def __init__(
@@ -104,11 +111,14 @@ class Master:
         self.record = Record(signals, schedule.ticks // schedule.record_ratio + 2)
 
     def initialise(self, start_values: Mapping[str, Mapping[str, Array]]) -> None:
-        """Initialise all components with their start values.
+        """Initialise all components.
 
-        The controllers are initialised last. Therefore the controllers receive the initial outputs
-        of all plants. An input keeps its own start value if the source of this input is not
-        initialised yet. Raises CosimError if a component cannot be initialised.
+        `start_values` contains values [SI] by the name of the component and of the variable.
+
+        The controllers are initialised after the plants. Therefore a controller receives the
+        initial outputs of all plants. If the source of an input is initialised later than the
+        component of the input, the input keeps its own start value during the initialisation.
+        Raises CosimError if a component cannot be initialised.
         """
         ready: set[str] = set()
         for name in (*self.graph.then, *self.graph.first):
@@ -132,18 +142,19 @@ class Master:
         return self.slaves.value(signal)
 
     def write_inputs_now(self, name: str) -> None:
-        """Write the inputs of a component at the end of an instant.
+        """Write the present values of the sources to the inputs of the component `name`.
 
-        A hook calls this method before it sends commands. All connections transfer the present
-        source values here, including delayed connections.
+        Delayed connections transfer the present value, too. In a run with devices, a hook calls
+        this method at the end of an instant, before the device sends its inputs as commands.
         """
         self.slaves[name].take_present_inputs()
         self.slaves[name].write()
 
     def run(self, progress: Progress | None = None, hooks: Sequence[InstantHook] = ()) -> Outcome:
-        """Run to the stop time, or until the run stops early.
+        """Run to the stop time, or until the run ends early.
 
-        Raises ComponentError if a component fails at instant 0 and the run has no hooks.
+        `progress` is called now and then with the simulated time [s]. Raises ComponentError if a
+        component fails at instant 0 and there are no hooks.
         """
         outcome = self.outcome()
         start = time.perf_counter()
@@ -160,9 +171,11 @@ class Master:
         progress: Progress | None = None,
         hooks: Sequence[InstantHook] = (),
     ) -> Iterator[None]:
-        """Run, and yield after every instant. `outcome` is complete when the iterator ends.
+        """Run, and yield after every instant, unless the run ends early at this instant.
 
-        The run ends at the first instant at which `interrupted` is not empty.
+        Pass the result of the method `outcome` as the argument `outcome`. It is complete when the
+        iterator ends. `interrupted` is the list of the context `interrupts`: the run ends at the
+        first instant at which this list is not empty.
         """
         schedule = self.schedule
         before, after = [hook.before for hook in hooks], [hook.after for hook in hooks]
@@ -202,9 +215,10 @@ class Master:
         )
 
     def reject_failure_at_start(self, k: int, error: StepFailed) -> None:
-        """Raise ComponentError if a component failed at instant 0, because no result exists yet.
+        """Raise ComponentError if the failure `error` occurred at instant 0.
 
-        The method does nothing if the equations left their range of validity (`left_validity`).
+        No result exists yet at this instant. If k is not 0, the method does nothing. It also does
+        nothing if the equations left their range of validity: such a run counts as diverged.
         """
         if k == 0 and not error.left_validity:
             raise ComponentError(f"component {error}") from error
@@ -212,8 +226,9 @@ class Master:
     def finish(self, outcome: Outcome, k: int, *, whole: bool) -> None:
         """End the run at instant k.
 
-        `whole` is False if a failed step has left instant k incomplete. If instant k is complete
-        and not recorded yet, it is recorded. If the record is empty, instant k is always recorded.
+        `whole` is False if a failed step has left the outputs at instant k incomplete. If `whole`
+        is True and instant k is not recorded yet, this method records instant k. If the record is
+        empty, this method always records instant k.
         """
         outcome.simulated = seconds(k * self.schedule.tick)
         record = self.record
@@ -221,9 +236,10 @@ class Master:
             record.append(outcome.simulated, self.slaves.now[self.columns])
 
     def _instant(self, k: int, outcome: Outcome, *, last: bool) -> str | None:
-        """Execute instant k. Return the cause if a limit is exceeded.
+        """Execute the operations of instant k.
 
-        If `last` is True, no component steps.
+        If a limit is exceeded, return the message, otherwise None. If `last` is True, the run ends
+        at this instant, and no component steps.
         """
         schedule, graph, slaves = self.schedule, self.graph, self.slaves
         moment = seconds(k * schedule.tick)
@@ -270,17 +286,17 @@ class Master:
 
 
 def failure(name: str, error: Exception) -> StepFailed:
-    """Convert an exception of a component to StepFailed."""
+    """Convert an exception that the component `name` has raised to StepFailed."""
     return StepFailed(
         name, message_of(error), left_validity=bool(getattr(error, "left_validity", False))
     )
 
 
 def message_of(error: Exception) -> str:
-    """Return the message of an exception of a component.
+    """Return the message of an exception that a component has raised.
 
-    Our own exceptions have the attribute `left_validity`. For any other exception, the message also
-    contains the type of the exception and the location in the source code.
+    An exception with the attribute `left_validity` has a message for the user. For any other
+    exception, the result also contains the type of the exception and its place in the source code.
     """
     if hasattr(error, "left_validity"):
         return " ".join(str(error).split())

@@ -1,8 +1,8 @@
 """Execution of a master in C.
 
-The C code in cosim/freeflyer/master/core steps FMUs without Python's global interpreter lock (GIL).
-Components that are not co-simulation FMUs are called in Python. The record is bit-for-bit identical
-to the record of `Master.run`.
+The C code in cosim/freeflyer/master/core is called the core. It steps co-simulation FMUs without
+Python's global interpreter lock (GIL). For any other component, it calls Python. The record is
+bit-for-bit identical to the record of `Master.run`.
 """
 
 from __future__ import annotations
@@ -27,7 +27,11 @@ from freeflyer.master.slaves import Places, Slave
 DIRECTORY = Path(__file__).parent / "core"
 LIBRARY = DIRECTORY / "prebuilt" / "core.so"
 LONGEST = 2**53
-"""Upper limit of the times [ns] for which the division in the core is correctly rounded."""
+"""Upper limit of the stop time [ns].
+
+The core divides a time [ns] by 1e9 to convert it to seconds. Below this limit, the double that it
+divides is exact. Therefore the result is the same as in Python.
+"""
 PAUSE = 0.05
 """Approximate wall-clock time [s] of one call of the core.
 
@@ -51,14 +55,19 @@ def _library() -> tuple[FFI, Any]:
 
 
 def run(master: Master, progress: Progress | None = None) -> Outcome:
-    """Run a master like `Master.run`. Raises ComponentError if a component fails at instant 0."""
+    """Run a master in C, with the same result as `Master.run`.
+
+    `progress` is called now and then with the simulated time [s]. Raises ComponentError if a
+    component fails at instant 0.
+    """
     return Run(master).run(progress)
 
 
 class Run:
-    """A master in the form of the C structures of core.h.
+    """One run of a master in C. This class copies the master into the C structures of core.h.
 
-    `_alive` keeps references to the memory of these structures.
+    C pointers do not keep Python objects alive. Therefore the list `_alive` contains all Python
+    objects whose memory the structures use.
     """
 
     def __init__(self, master: Master) -> None:
@@ -117,9 +126,11 @@ class Run:
     # Callbacks from C
 
     def _called(self, index: int, operation: int, moment: float, size: float) -> int:
-        """Run an operation of a Python component, or check a limit.
+        """Execute an operation of a component in Python, or check a limit.
 
-        The result is 1 if the run must stop, otherwise 0.
+        The core calls this method. `index` is the number of the component or of the limit. For
+        STEP, `moment` is the time at the start of the step and `size` is its length [s]. The result
+        is 1 if the run must stop, otherwise 0.
         """
         try:
             if operation == LIMIT:
@@ -136,10 +147,10 @@ class Run:
         return 0
 
     def _step_failure(self) -> StepFailed:
-        """Return the failure of the component that stopped the core.
+        """Return the failure that stopped the core.
 
-        An exception from a step is converted to StepFailed. Any exception that does not mean the
-        failure of a component is raised again.
+        An exception that a component raised in a step is converted to StepFailed. Any other
+        exception except StepFailed is raised again, for example KeyboardInterrupt.
         """
         core = self._core
         if self._failure is not None:
@@ -209,8 +220,8 @@ class Run:
         native.used.values = sum(
             component.ports[variable].size for variable in slave.outputs[: slave.used]
         )
-        # The C code calls only the FMI functions. Subclasses of FmuComponent override methods.
-        # Therefore subclasses must be called in Python.
+        # The core calls the FMI functions of an FmuComponent directly, and not its methods. A
+        # subclass overrides methods. Therefore the core must call Python for a subclass.
         if type(component) is FmuComponent:
             self._fill_fmu(native, slave, component)
 
@@ -244,6 +255,6 @@ class Run:
         return (array.ctypes.data + array.itemsize * places).astype(np.uintp)
 
     def _pointers(self, *addresses: NDArray[np.uintp]) -> Any:
-        """Return a C array of pointers to elements of existing arrays of doubles."""
+        """Return a C array of pointers to doubles. It contains all given addresses in order."""
         every = np.concatenate([np.zeros(0, dtype=np.uintp), *addresses])
         return self._ffi.cast("double **", self._keep(self._ffi.from_buffer(every)))

@@ -1,4 +1,4 @@
-"""Provenance of a record: parameters, steps and connections of the simulated system."""
+"""Provenance of a record: metadata that describe the simulated system and its scenario."""
 
 from __future__ import annotations
 
@@ -8,12 +8,16 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 KEY = b"freeflyer.origin"
-"""Key in the schema metadata of the Parquet file. The value is JSON text."""
+"""Key of the provenance in the schema metadata of the Parquet file. Its value is a JSON text."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Provenance:
-    """Metadata of a record. With the metadata, the record can be evaluated without its scenario."""
+    """Metadata of a record. With these metadata, no scenario file is needed to evaluate the record.
+
+    `scenario`: name of the scenario.
+    `exchange`: coupling scheme, see `freeflyer.master.graph.Exchange`.
+    """
 
     scenario: str
     exchange: str

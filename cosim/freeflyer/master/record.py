@@ -1,9 +1,10 @@
 """The record of a run, as a Parquet file.
 
-The columns are the time and each element of each recorded signal. `pandas.read_parquet(path)` loads
-a record as a data frame. The units are in `.attrs["units"]` of the data frame and in the schema of
-the file. If the run was started from a scenario, the schema also contains the `provenance`, under
-the key freeflyer.origin.
+The first column is the time. Each further column is one element of a recorded signal.
+`pandas.read_parquet(path)` loads a record as a data frame. The attribute `attrs["units"]` of the
+data frame contains the units of the columns. The schema of the file also contains these units. If
+the run was started from a scenario, the schema contains the provenance of the record under the key
+freeflyer.origin (see `freeflyer.master.provenance`).
 """
 
 from __future__ import annotations
@@ -23,14 +24,15 @@ from freeflyer.foundation.output_file import write_whole
 from freeflyer.master.provenance import KEY, Provenance
 
 MOST_NUMBERS = 1 << 30
-"""Largest allowed number of values in a record that is read. In memory, they need 8 GiB."""
+"""Largest allowed number of values in a file that is read. This number of values needs 8 GiB."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Signal:
     """One recorded variable with the name COMPONENT.VARIABLE.
 
-    The elements of the variable are in the columns `first` to `first + size - 1`.
+    The elements of the variable are in the columns `first` to `first + size - 1` of the record. The
+    time is not counted as a column here. `units` contains the unit of each element, or None.
     """
 
     name: str
@@ -46,9 +48,10 @@ class Signal:
 
 
 class Record:
-    """A table of time and signals. The memory of all rows is allocated at the start.
+    """A table of times and of the values of signals.
 
-    Raises CosimError if there is not enough memory.
+    The constructor allocates the memory for the largest number of rows, `rows`. Raises CosimError
+    if there is not enough memory. The attribute `rows` is the number of rows that contain data.
     """
 
     def __init__(self, signals: Sequence[Signal], rows: int) -> None:
@@ -73,9 +76,10 @@ class Record:
 
     @property
     def storage(self) -> tuple[Array, Array]:
-        """Allocated arrays: times, and values with one row per time and one column per element.
+        """The two allocated arrays. The first array contains the times.
 
-        Only the first `rows` rows contain data.
+        The second array contains the values, with one row for each time and one column for each
+        element of a signal. In both arrays, only the first `rows` rows contain data.
         """
         return self._time, self._values
 
@@ -115,7 +119,8 @@ class Record:
         """
         with parquet.ParquetFile(path) as file:
             rows, columns = file.metadata.num_rows, file.metadata.num_columns
-            # A few bytes of compressed Parquet can expand to any number of rows.
+            # Check the number of values before they are read: a small file can contain compressed
+            # data that expand to any number of rows.
             if not 0 < columns * max(rows, 1) <= MOST_NUMBERS:
                 raise ValueError(
                     f"it has {rows} rows of {columns} columns; at most {MOST_NUMBERS} numbers are expected"

@@ -1,6 +1,10 @@
-"""The multi-rate schedule. The smallest step is the tick. All steps are multiples of the tick.
+"""The multi-rate schedule: the times at which each component starts its steps.
 
-`freeflyer.master.graph` orders the components that step at the same instant.
+Each component has its own communication step. The smallest of these steps is called the tick. All
+steps are multiples of the tick. Instant k is the time k * tick.
+
+The schedule does not order the components that step at the same instant. `freeflyer.master.graph`
+determines their order.
 """
 
 from __future__ import annotations
@@ -14,10 +18,13 @@ from freeflyer.foundation.errors import GraphError
 
 @dataclass(frozen=True, kw_only=True)
 class Schedule:
-    """Times of a run [ns].
+    """The times of a run.
 
-    Instant k is at the time k * tick. At instant k, every component with k % ratio == 0 starts a
-    step.
+    `tick`: the smallest step [ns].
+    `ratios`: for each component, the length of its step in ticks. At instant k, each component with
+    k % ratio == 0 starts a step.
+    `stop`: the stop time [ns].
+    `record_ratio`: the length of the recording interval in ticks.
     """
 
     tick: int
@@ -40,11 +47,15 @@ class Schedule:
 def build(
     steps: Mapping[str, int], stop: int, record_every: int, variable_step: Mapping[str, bool]
 ) -> Schedule:
-    """Build the schedule from steps, stop time and recording interval [ns].
+    """Build a schedule.
 
-    Raises GraphError if a time is not a multiple of the smallest step. Raises GraphError also if a
-    step does not divide the stop time and the component cannot shorten its last step. The message
-    contains times that would fit.
+    `steps` contains the step of each component, `stop` is the stop time, and `record_every` is the
+    recording interval [ns]. `variable_step` contains for each component whether its last step may
+    be shorter than its other steps.
+
+    Raises GraphError if a time is not a multiple of the smallest step. Raises GraphError also if
+    the stop time is not a multiple of a component's step and the component cannot shorten its last
+    step. The message contains times that would fit.
     """
     tick = min(steps.values())
     for name, step in steps.items():

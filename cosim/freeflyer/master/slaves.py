@@ -1,7 +1,7 @@
 """Buffers for the components of a graph.
 
-One flat vector contains all outputs. Each component has its own buffer for inputs. A slave is a
-component with its buffers.
+One vector contains the outputs of all components. Each component has its own buffer for its
+connected inputs. A slave is a component with its input buffer and its part of the vector.
 """
 
 from __future__ import annotations
@@ -19,14 +19,15 @@ from freeflyer.master.graph import Graph
 from freeflyer.master.record import Signal
 
 Places = NDArray[np.int64]
+"""Indices of values in a buffer."""
 
 
 @dataclass(frozen=True)
 class Wires:
-    """Connected values from the component `source` to one slave.
+    """The values of one connection from the component `source` to a slave.
 
-    Each value is copied: buffer[into[i]] = outputs[places[i]]. Here, `outputs` is the vector of all
-    outputs.
+    Each value is copied: buffer[into[i]] = outputs[places[i]]. Here, `buffer` is the input buffer
+    of the slave, and `outputs` is the vector of the outputs of all components.
     """
 
     source: str
@@ -38,9 +39,14 @@ class Wires:
 class Slave:
     """A component with its buffers.
 
-    `buffer` contains the connected inputs one after the other. `targets` are the variables of these
-    inputs. `view` contains the outputs. The first `used` variables among the outputs are those that
-    connections and limits need at every step.
+    `buffer` contains the values of the connected inputs one after the other, and `targets` contains
+    the names of these inputs. `view` contains the values of the outputs, and `outputs` contains the
+    names of these outputs. The first `used` outputs are needed by connections or limits. The other
+    outputs are only recorded.
+
+    `ratio` is the communication step in ticks. `now` is the vector of the outputs of all
+    components, and `own` is the part of this vector with the outputs of this component. `before`
+    contains the values for delayed connections, see `Slaves`.
     """
 
     def __init__(
@@ -58,7 +64,7 @@ class Slave:
         self.component, self.ratio = component, ratio
         self.targets, self.wires = targets, wires
         self.outputs, self.used, self.view = outputs, used, now[own]
-        # An input has the start value of its port until the value of a source is copied.
+        # Until the first value of its source is copied, an input has the start value of its port.
         starts = [
             np.array(component.ports[target].start or [0.0] * component.ports[target].size)
             for target in targets
@@ -89,7 +95,10 @@ class Slave:
         return self.component.bind_outputs(self.outputs, self.view) if self.outputs else _nothing
 
     def take_inputs(self) -> None:
-        """Copy the source values of all connections to the buffer."""
+        """Copy the source values of all connections to the buffer.
+
+        For a delayed connection, this is the value from before the present instant.
+        """
         into, places = self._prompt
         if into.size:
             self.buffer[into] = self._now[places]
@@ -98,7 +107,10 @@ class Slave:
             self.buffer[into] = self._before[places]
 
     def take_first_inputs(self, ready: set[str]) -> None:
-        """Copy the source values from the components that are initialised (`ready`)."""
+        """Copy the source values of the connections whose source component is in `ready`.
+
+        `ready` contains the names of the components that are already initialised.
+        """
         for wire in self.wires:
             if wire.source in ready:
                 self.buffer[wire.into] = self._now[wire.places]
@@ -112,8 +124,12 @@ class Slave:
 class Slaves:
     """All slaves by name.
 
-    `now` is the flat vector of all outputs. `before` has the same layout. `before` contains the
-    values from before the present instant, but only for the sources of delayed connections.
+    `now` is the vector of the present outputs of all components. `before` has the same layout.
+    `before` contains the values from before the present instant, but only for the outputs that are
+    sources of delayed connections. `delayed` contains the indices of these outputs.
+
+    `ratios` contains the communication step of each component in ticks. `watched` contains the
+    names of the signals with limits.
     """
 
     def __init__(
@@ -151,13 +167,15 @@ class Slaves:
             self.before[self.delayed] = self.now[self.delayed]
 
     def value(self, signal: str) -> Array:
-        """Return a view of the present value of an output."""
+        """Return a view of the present value of the output COMPONENT.VARIABLE."""
         return self.now[self.places[signal]]
 
     def signals(self, graph: Graph, recorded: Callable[[str], bool]) -> tuple[list[Signal], Places]:
-        """Return the signals of the record, and the index in `now` of each column of the record.
+        """Return the signals of the record. Return also the index in `now` for each of its columns.
 
-        The signals have the order of the components and of the ports.
+        The record contains the outputs for which `recorded` returns True. The signals have the
+        order of the components in the graph. The signals of one component have the order of its
+        ports.
         """
         signals, columns = [], [np.zeros(0, dtype=np.int64)]
         first = 0
@@ -201,9 +219,10 @@ class Slaves:
 
 
 def _outputs(name: str, component: Component, used: set[str]) -> list[str]:
-    """Return the outputs of a component. Outputs that are used come first.
+    """Return the outputs of a component. The outputs in `used` come first.
 
-    With this order, the outputs that are used can be read without the other outputs.
+    `used` contains the outputs that connections or limits need. Because these outputs come first,
+    one FMI call can read them without the other outputs.
     """
     found = [
         port.name for port in component.ports.values() if port.causality == "output" and port.real

@@ -6,11 +6,15 @@ from xml.etree import ElementTree
 
 DESCRIPTION = "SystemStructure.ssd"
 ANNOTATION = "org.freeflyer-cosim"
-"""Type of our annotations. They contain the parts of a scenario for which SSP has no elements."""
-STEP_ANNOTATION = "com.opensimulationplatform"
-"""Type of the annotations that contain communication steps.
+"""Value of the attribute `type` of our annotations.
 
-SSP has no elements for communication steps. libcosim and ecos read these annotations.
+Our annotations contain the parts of a scenario for which SSP has no elements.
+"""
+STEP_ANNOTATION = "com.opensimulationplatform"
+"""Value of the attribute `type` of the annotations that contain communication steps.
+
+SSP has no elements for communication steps. The master programs libcosim and ecos, which are not
+part of this project, read these annotations.
 """
 FMU_TYPE = "application/x-fmu-sharedlibrary"
 SETTINGS = (
@@ -24,12 +28,13 @@ SETTINGS = (
     "observed_energy",
     "roles",
 )
-"""Scenario keys that describe the experiment and not the system.
+"""Scenario keys that describe the experiment and not the simulated system.
 
-An annotation contains these keys as TOML.
+One of our annotations contains a TOML text with these keys and their values.
 """
 
-# libcosim and ecos compare prefixes and not namespaces. Therefore the prefixes must not change.
+# libcosim and ecos compare the prefixes of XML names, and not the namespaces. Therefore the
+# prefixes in this table must not change.
 NAMESPACES = {
     "ssc": "http://ssp-standard.org/SSP1/SystemStructureCommon",
     "ssd": "http://ssp-standard.org/SSP1/SystemStructureDescription",

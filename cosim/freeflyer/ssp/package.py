@@ -24,8 +24,8 @@ Element = ElementTree.Element
 def opened(path: Path, directory: Path) -> Iterator[Package]:
     """Open and check an SSP file. `directory` is the directory for the unpacked FMUs.
 
-    Raises ScenarioError if the archive is invalid. This exception can also occur later, while the
-    archive is read.
+    Raises ScenarioError if the archive is invalid. The `with` block can also raise ScenarioError,
+    when it reads an invalid entry.
     """
     package = Package(path, directory)
     if not path.is_file():
@@ -63,9 +63,10 @@ class Package:
             raise self.fail(f"it contains no {name}{did_you_mean(name, self._archive.names)}")
 
     def xml(self, name: str, wanted: str) -> Element:
-        """Return the root element of an XML entry.
+        """Return the root element of the XML entry `name`.
 
-        Raises ScenarioError if the entry does not exist, or if its root element is not `wanted`.
+        `wanted` is the expected name of the root element with its prefix, for example `ssd:System`.
+        Raises ScenarioError if the entry does not exist, or if its root element has another name.
         """
         self._require(name)
         root, _ = self._archive.xml(name)
@@ -74,10 +75,11 @@ class Package:
         return root
 
     def source(self, element: Element, subject: str) -> str:
-        """Return the name of the archive entry to which a `source` attribute refers.
+        """Return the name of the archive entry to which the attribute `source` of `element` refers.
 
-        The source must be a path relative to the description file, and inside the archive. Raises
-        ScenarioError for any other source. `subject` is the subject of the error message.
+        The source must be a relative path. It starts from the folder of the description file, and
+        must not leave the archive. Raises ScenarioError for any other source. `subject` is the
+        subject of the error message.
         """
         try:
             uri = urlsplit(element.get("source", ""))
@@ -104,7 +106,10 @@ class Package:
         return name
 
     def unpack(self, name: str) -> Path:
-        """Return the path of an extracted entry. Each entry is extracted only once."""
+        """Extract the entry `name` and return the path of the extracted file.
+
+        A second call for the same entry returns the same path.
+        """
         if name not in self._unpacked:
             self._require(name)
             target = self.directory / name

@@ -1,9 +1,12 @@
 """Conversion of a system structure package (SSP) to a scenario.
 
-SSP files of versions 1.0 and 2.0 are accepted from any tool. Nested systems are flattened, and the
-parameter sets of all levels are collected. Unsupported content is rejected. SSP has no elements for
-communication steps. The communication steps come from annotations, from the argument `step`, or
-from the default experiments of the FMUs.
+SSP files of versions 1.0 and 2.0 are accepted from any tool. A system contains components and
+further systems. Nested systems are flattened: the scenario contains all components and connections
+in one level. The parameter sets of all levels are collected. Unsupported content is rejected.
+
+SSP has no elements for communication steps. The step of a component is taken from the first of
+these sources that contains a step: the annotation of the component, the argument `step`, the
+annotation of the default experiment, and the default experiments of the FMUs.
 """
 
 from __future__ import annotations
@@ -40,7 +43,11 @@ from freeflyer.ssp.package import Package, opened
 
 Element = ElementTree.Element
 Node = tuple[tuple[str, ...], str]
-"""A connector: the path of the element, and the name of the connector."""
+"""A connector of a component or of a system.
+
+The first item is the path of this element: the names of the systems around it, and its own name.
+The second item is the name of the connector.
+"""
 
 
 def read(
@@ -49,7 +56,8 @@ def read(
     """Read a scenario from an SSP file, and unpack its FMUs into `directory`.
 
     The directory must exist as long as the scenario is used. `step` [s] is the communication step
-    of components without a step in the file. `overrides` are the arguments of `--set`.
+    of each component for which the file contains no step. `overrides` contains the arguments of
+    `--set`, for example "stop_s=10".
 
     Raises CosimError if the file is invalid or contains unsupported content.
     """
@@ -70,7 +78,10 @@ class _Part:
     description: ModelDescription
     ports: Mapping[str, Port]
     owner: Mapping[str, tuple[str, int]]
-    """For each model variable: the port, and the index of the variable within the port."""
+    """For each model variable: the name of its port, and its index among the port's variables.
+
+    The elements of an FMI 2.0 array are separate model variables of one port.
+    """
     width: Mapping[str, int]
     """For each port: the number of its model variables."""
     parameters: dict[str, Any] = field(default_factory=dict)
@@ -79,7 +90,11 @@ class _Part:
 
 
 class _System:
-    """The flattened system. This class collects FMUs and connections from the description."""
+    """The flattened system. This class reads FMUs and connections from SystemStructure.ssd.
+
+    `parts` contains the FMUs, and `elements` contains the paths of all components and systems.
+    Each item of `edges` is a connection: start connector, end connector, and whether it is delayed.
+    """
 
     def __init__(self, package: Package) -> None:
         self.package, self.fail = package, package.fail
@@ -87,10 +102,13 @@ class _System:
         self.edges: list[tuple[Node, Node, bool]] = []
         self.elements: set[tuple[str, ...]] = {()}
         self.unmatched: list[str] = []
-        """Names of parameters that do not belong to any FMU."""
+        """Names of parameters that match no variable of an FMU in this system."""
 
     def tables(self, step: float | None, overrides: Sequence[str]) -> Raw:
-        """Read the description and return the tables of the scenario."""
+        """Read SystemStructure.ssd and return the tables of the scenario.
+
+        For `step` and `overrides`, see `read`.
+        """
         root = self.package.xml(DESCRIPTION, "ssd:SystemStructureDescription")
         if not root.get("version", "").startswith(("1.", "2.")):
             raise self.fail(
@@ -177,7 +195,10 @@ class _System:
         return part
 
     def _free_name(self, place: tuple[str, ...]) -> str:
-        """Return an unused component name that contains only letters, digits and underscores."""
+        """Return a component name for the element with the path `place`.
+
+        The name is not used yet, and contains only letters, digits and underscores.
+        """
         name = re.sub(r"\W", "_", "_".join(place), flags=re.ASCII)
         name = name if name.isidentifier() else f"_{name}"
         taken = {part.name for part in self.parts.values()}
@@ -200,7 +221,7 @@ class _System:
                 raise self.fail(
                     f"{subject} connects single elements of an array, which is not supported"
                 )
-        # The direction of the data follows from the connectors, not from `start` and `end`.
+        # In SSP, `start` need not be the source of the data. The kinds of the connectors decide.
         if self._takes(end, where, kinds) is False or self._takes(start, where, kinds) is True:
             start, end = end, start
         delayed = self._annotated(element, ANNOTATION, "freeflyer:Delayed") is not None
@@ -225,9 +246,10 @@ class _System:
         return node
 
     def _takes(self, node: Node, where: tuple[str, ...], kinds: Mapping[Node, str]) -> bool | None:
-        """Return True if data flows into a connector, False if data flows out of the connector.
+        """Return True if a connection transfers data to the connector `node`.
 
-        The result is None if the direction is unknown.
+        The result is False if the connection transfers data from the connector, and None if the
+        direction is unknown. `where` is the path of the system that contains the connection.
         """
         part = self.parts.get(node[0])
         kind = part.ports[part.owner[node[1]][0]].causality if part else kinds.get(node, "")
@@ -237,7 +259,8 @@ class _System:
             "output": False,
             "calculatedParameter": False,
         }.get(kind)
-        # For connections inside a system, data flows out of the inputs of this system.
+        # If the connector is one of the containing system itself, the direction is reversed: inside
+        # a system, a connection transfers data from an input of this system to a component.
         return takes if takes is None or node[0] != where else not takes
 
     # Parameters
@@ -245,10 +268,11 @@ class _System:
     def _parameters(
         self, element: Element, place: tuple[str, ...], above: list[tuple[str, Any]]
     ) -> None:
-        """Collect the parameters of an element and its children.
+        """Collect the parameters of an element and of the elements inside it.
 
-        `above` contains values from higher levels, with names relative to this element. Values in
-        `above` take precedence over the values of this element.
+        `above` contains names and values of parameters that the systems around this element set.
+        The names are relative to this element. The values in `above` replace the values that this
+        element sets itself.
         """
         values = [*self._bound(element, place), *above]
         part = self.parts.get(place)
@@ -311,10 +335,10 @@ class _System:
         return targets
 
     def _value(self, parameter: Element, subject: str) -> Any:
-        """Convert a parameter to a value of a scenario.
+        """Return the value of a parameter in the form that a scenario requires.
 
-        The result is a number, a Boolean, a list, the name of an enumeration item, or a table
-        { value, unit }.
+        The result is a number, a Boolean, the name of an enumeration item, or a list of numbers or
+        Booleans. If the parameter has a unit, the result is a table { value, unit }.
         """
         typed = next(
             (child for child in parameter if child.tag.startswith(f"{{{NAMESPACES['ssv']}}}")), None
@@ -347,9 +371,11 @@ class _System:
     def _grouped(self, part: _Part, values: list[tuple[str, Any]]) -> dict[str, Any]:
         """Combine the values of model variables into values of ports.
 
-        Names that are not model variables of this FMU are ignored.
+        `values` contains names of model variables and their values. Names that are not model
+        variables of this FMU are ignored.
         """
-        # For each port: values by index of the variable. A later value replaces an earlier value.
+        # For each port: the values by the index of the model variable among the port's variables. A
+        # later value replaces an earlier value.
         given: dict[str, dict[int, Any]] = {}
         for name, value in values:
             if name in part.owner:
@@ -390,8 +416,9 @@ class _System:
         raw: Raw = {"title": root.get("description") or root.get("name", "")}
         settings = self._annotated(root, ANNOTATION, "freeflyer:Experiment")
         if settings is None:
-            # Other SSP tools use parallel exchange. In parallel exchange, the components have no
-            # execution order. Therefore an algebraic loop is not an error.
+            # The file is from another SSP tool. Such tools use parallel exchange. In parallel
+            # exchange, the components have no execution order. Therefore an algebraic loop is not
+            # an error.
             raw["exchange"] = "parallel"
         else:
             try:
@@ -413,8 +440,9 @@ class _System:
             raise self.fail("it has no stop time: set it with --set stop_s=SECONDS")
         if step is not None and all(part.step is not None for part in self.parts.values()):
             raise self.fail("--step has no effect: every component has its step in the file")
-        # In our files, a parameter that belongs to no FMU is an error. Other tools may use the same
-        # parameter set for several systems. Therefore such parameters are allowed in other files.
+        # In our files, a parameter that matches no variable of an FMU is an error. Files of other
+        # tools may contain a parameter set that is used for several systems. Therefore such
+        # parameters are allowed in these files.
         if settings is not None and self.unmatched:
             raise self.fail(f"parameter {self.unmatched[0]} belongs to none of its FMUs")
         # Create the tables of components and connections.
@@ -454,9 +482,11 @@ class _System:
         return table if part.samples is None else table | {"samples": part.samples}
 
     def _joined(self) -> tuple[list[str], list[str]]:
-        """Return the immediate connections and the delayed connections between whole ports.
+        """Return two lists of connections between whole ports: not delayed, and delayed.
 
-        Each connection of model variables is followed through the connectors of nested systems.
+        In the file, a connection connects single model variables. It may end at a connector of a
+        nested system. Therefore each connection to an FMU is followed back through such connectors,
+        until the connector of another FMU is found.
         """
         # Check that each connector has at most one source.
         giver = {end: (start, delayed) for start, end, delayed in self.edges}
@@ -464,9 +494,10 @@ class _System:
         twice = [end for end, count in ends.items() if count > 1]
         if twice:
             raise self.fail(f"{shown(twice[0])} has two sources")
-        # The keys are pairs of an output port and an input port. For each index of a variable of
-        # the input port, the value contains the index of the variable of the output port, and
-        # whether the connection is delayed.
+        # The keys are pairs of an output port and an input port. The value describes the
+        # connections between their variables. It maps the index of a variable in the input port to
+        # two items: the index of the connected variable in the output port, and whether the
+        # connection is delayed.
         pairs: dict[tuple[str, str], dict[int, tuple[int, bool]]] = {}
         for end in giver:
             if end[0] not in self.parts:
@@ -545,7 +576,10 @@ def shown(node: Node) -> str:
 
 
 def _plain(value: Any, unit: str | None) -> Any:
-    """Remove the unit from a value if it is equal to the unit in the FMU."""
+    """Return a value without its unit if this unit is equal to `unit`, the unit in the FMU.
+
+    Otherwise, return the value unchanged.
+    """
     if isinstance(value, dict) and (
         unit is None or value["unit"] == unit or same(value["unit"], unit or DIMENSIONLESS)
     ):

@@ -1,9 +1,11 @@
 """Export of a scenario as a system structure package (SSP).
 
 A system with FMUs of FMI 2.0 is exported as SSP 1.0. A system with FMUs of FMI 3.0 is exported as
-SSP 2.0. Each element of an FMI 2.0 array has its own connector. An FMI 3.0 array has one connector
-with dimensions. Communication steps are written to annotations that libcosim and ecos read. Our own
-annotations contain all other data for which SSP has no elements.
+SSP 2.0. In SSP, a connector represents a variable of a component. Each element of an FMI 2.0 array
+has its own connector. An FMI 3.0 array has one connector with dimensions.
+
+SSP has no elements for communication steps. They are written to annotations that libcosim and ecos
+read. Our own annotations contain all other data for which SSP has no elements.
 """
 
 from __future__ import annotations
@@ -38,7 +40,8 @@ Element = ElementTree.Element
 def write(scenario: Scenario, system: System, path: Path) -> None:
     """Write an SSP file, completely or not at all.
 
-    Equal systems result in identical files. Raises ScenarioError or ComponentError if SSP cannot
+    `system` contains the assembled components of `scenario`. Equal systems result in identical
+    files. Raises ScenarioError or ComponentError if SSP cannot
     represent the system. Raises OutputError if the file cannot be written.
     """
     specs = {spec.name: spec for spec in scenario.components}
@@ -77,9 +80,9 @@ def _checked(specs: Mapping[str, ComponentSpec], system: System) -> dict[str, Fm
 
 
 def _sources(components: Mapping[str, FmuComponent]) -> dict[str, str]:
-    """Return the name of the archive entry of each component's FMU.
+    """Return, for each component, the name of the archive entry that contains its FMU.
 
-    Components with the same FMU have the same entry.
+    Components with the same FMU file have the same entry.
     """
     places: dict[Path, str] = {}
     for name, component in components.items():
@@ -94,9 +97,9 @@ def _sources(components: Mapping[str, FmuComponent]) -> dict[str, str]:
 def _changed(component: FmuComponent, values: Mapping[str, Array]) -> dict[str, Array]:
     """Return the values that differ from the FMU's start values.
 
-    Values that are equal to the start values are not written to the SSP file. Thus an enumeration
-    with its start value is not written. This is important, because libcosim and ecos reject a file
-    that contains an enumeration.
+    Values that are equal to the start values are not written to the SSP file. This is important for
+    enumerations, because libcosim and ecos reject a file that contains an enumeration. Such a file
+    is written only if an enumeration does not have its start value.
     """
     return {
         name: value
@@ -217,10 +220,10 @@ def _dimensions(parent: Element, variable: ModelVariable) -> None:
 
 
 def _unit_name(variable: ModelVariable, port: Port) -> str | None:
-    """Return the unit of a connector.
+    """Return the unit of the connector of `variable`, which is a model variable of `port`.
 
     In SSP, as in FMI, an array has only one unit. If the elements of an array have different units,
-    the result is None. The annotation in the FMU contains the units of the elements.
+    the result is None. In this case only the annotation in the FMU contains their units.
     """
     if variable.shape:
         return port.units[0] if len(set(port.units)) == 1 else None
@@ -299,7 +302,10 @@ def _value(port: Port, variable: ModelVariable, numbers: Array) -> str:
 def _unit(
     component: FmuComponent, name: str | None, known: Mapping[str, Mapping[str, str]]
 ) -> dict[str, dict[str, str]]:
-    """Return the FMU's definition of a unit in SI base units. SSP requires such a definition.
+    """Return the definition of the unit `name` in SI base units, by the name of the unit.
+
+    SSP requires such a definition. It is read from the FMU. `known` contains the definitions that
+    were read from all FMUs before. If `name` is None, the result is empty.
 
     Raises ComponentError if the FMU does not define the unit, or if the definition differs from the
     definition in `known`.

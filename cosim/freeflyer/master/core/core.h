@@ -1,7 +1,11 @@
-/* A multi-rate schedule as plain data. A slave is a component that the master steps.
-   cosim/freeflyer/master/native.py parses this header and fills the structures. `core_run` executes
-   the schedule. The operations at an instant have the same order as in `Master.run` in
-   cosim/freeflyer/master/master.py. The C code allocates no memory. */
+/* The structures and the main function of the C core, which executes a run.
+
+   A slave is a component that the master steps. The length of a slave's step is a multiple of the
+   tick. Instant k is the time k * tick, and steps start only at instants. The operations at an
+   instant have the same order as in `Master.run` in cosim/freeflyer/master/master.py.
+
+   cosim/freeflyer/master/native.py parses this header and fills the structures. The C code
+   allocates no memory. */
 #ifndef CORE_H
 #define CORE_H
 
@@ -20,20 +24,23 @@ typedef int Get3(void *instance, const uint32_t *reference, size_t references, d
 typedef int Step3(void *instance, double time, double size, bool no_state_set_before, bool *event,
                   bool *terminate, bool *early, double *reached);
 
-/* SET, STEP and GET are operations of a slave. LIMIT evaluates a limit that may be exceeded. */
+/* Operations for which C calls Python. SET writes the inputs of a slave, STEP makes a step, and GET
+   reads the outputs. LIMIT checks whether a limit is exceeded. */
 typedef enum { SET, STEP, GET, LIMIT } Operation;
 
-/* Callback for slaves that are not FMUs, and for limits. Any result except 0 stops the run. */
+/* Callback to Python, for slaves that are not co-simulation FMUs, and for limits. `index` is the
+   index of the slave or of the limit. `time` and `size` [s] are the start and the length of a step;
+   for other operations they are 0. Any result except 0 stops the run. */
 typedef int Call(int index, Operation operation, double time, double size);
 
-/* Number of value references and number of values in one FMI call. FMI 2.0 has one value reference
-   per value. FMI 3.0 has one value reference per variable. */
+/* Number of value references and number of values in one FMI call. FMI 2.0 needs one value
+   reference for each value. FMI 3.0 needs one for each variable; an array is one variable. */
 typedef struct {
     size_t references, values;
 } Batch;
 
 typedef struct {
-    int fmi; /* FMI version 2 or 3; 0: the slave is not an FMU, and `call` is used */
+    int fmi; /* 2 or 3: FMI version; 0: the core calls Python (`call`) for this slave */
     void *instance;
     Set2 *set2;
     Get2 *get2;
@@ -41,11 +48,12 @@ typedef struct {
     Set3 *set3;
     Get3 *get3;
     Step3 *step3;
-    /* `used` is the first part of `outputs`. Connections and limits need only this part. */
+    /* `outputs` describes a call that reads all outputs. `used` describes a call that reads only
+       the first outputs: those that connections and limits need. */
     Batch inputs, used, outputs;
     const uint32_t *input, *output;
     double *input_value, *output_value;
-    size_t wires; /* number of connected input values; *target[i] = *source[i] */
+    size_t wires; /* number of connected input values; the core copies *target[i] = *source[i] */
     double *const *target;
     const double *const *source;
     int64_t ratio, due; /* [ticks]: communication step; instant of the next step */
@@ -61,18 +69,20 @@ typedef struct {
 
 typedef struct {
     Slave *slave;
-    /* `slaves` is the number of slaves. The slaves 0 to `first` - 1 step one after the other. The
-       remaining slaves step after these slaves. */
+    /* `slaves` is the number of slaves. The slaves 0 to `first` - 1 are the controllers. At an
+       instant they step one after the other. The remaining slaves step after the controllers. */
     int slaves, first;
     Call *call;
-    size_t delays; /* number of delayed outputs; at the start of an instant: *before[i] = *now[i] */
+    /* `delays` is the number of output values that delayed connections transfer. At the start of an
+       instant, the core copies *before[i] = *now[i]. */
+    size_t delays;
     double *const *before;
     const double *const *now;
     Limit *limit;
     int limits;
     int64_t tick, ticks; /* length of a tick [ns]; number of ticks in the run */
     int64_t record_ratio;
-    size_t columns; /* number of columns of the record; row[i] = *recorded[i] */
+    size_t columns; /* columns of the record without the time; column i contains *recorded[i] */
     const double *const *recorded;
     double *row_time, *row;
     int64_t rows;
@@ -85,11 +95,12 @@ typedef struct {
 
 typedef enum { PAUSED, DONE, FAILED, LIMIT_EXCEEDED } End;
 
-/* Status of a step in which a slave of FMI 3.0 requested the end of the simulation. */
+/* Value of `Core.status` if an FMI 3.0 FMU requested the end of the simulation in a step. */
 enum { TERMINATE_REQUESTED = -1 };
 
-/* Run from instant `at` to the last instant before `until`, or to the end of the run. After FAILED
-   and LIMIT_EXCEEDED, `index`, `operation` and `status` identify the cause. */
+/* Execute the instants from `core->at` to `until` - 1, or to the end of the run. The result is
+   PAUSED if the run has not ended. After FAILED and LIMIT_EXCEEDED, the fields `index`, `operation`
+   and `status` of the core identify the cause. */
 End core_run(Core *core, int64_t until);
 
 #endif

@@ -17,7 +17,7 @@ static double seconds(int64_t time)
 
 static int64_t least(int64_t a, int64_t b) { return a < b ? a : b; }
 
-/* Return true and store the cause in the core if `status` is a failure. */
+/* If `status` is a failure (not 0), store the cause of the stop in the core and return true. */
 static bool fails(Core *core, int index, Operation operation, int status)
 {
     if (status == 0) {
@@ -41,10 +41,10 @@ static bool step_fails(Core *core, int index, int64_t k)
     return false;
 }
 
-/* Read the outputs of a slave. Outputs that no connection and no limit needs are read only if `all`
-   is true: at a recorded instant, or at the end of the run. A slave with a step of several ticks is
-   an exception. After the next step of this slave, its outputs belong to a later instant. Therefore
-   all outputs of this slave are read now. */
+/* Read the outputs of a slave. Some outputs are needed by no connection and no limit. They are read
+   only if `all` is true: at a recorded instant, or at the end of the run. A slave with a step of
+   several ticks is an exception: all its outputs are read at each of its steps. The next recorded
+   instant may be between two of its steps, and its outputs are not read at this instant. */
 static bool get_fails(Core *core, int index, bool all)
 {
     return fails(core, index, GET, get_outputs(core, index, all || core->slave[index].ratio > 1));
@@ -59,13 +59,14 @@ static bool maybe_exceeded(const Limit *limit)
         within = within && (limit->minimum ? x >= limit->bound : fabs(x) <= limit->bound);
         sum += x * x;
     }
-    /* Python may round the sum of squares differently. Therefore Python decides all cases in which
-       the sum is near the bound. */
+    /* Python may round the sum of squares differently. Therefore the result is also true if the sum
+       is only near the square of the bound, and Python decides. */
     return !within || (limit->euclidean && !(sum <= limit->bound * limit->bound * (1.0 - 1e-12)));
 }
 
-/* Python decides whether a limit is exceeded, and counts how long the limit is exceeded. When the
-   limit is no longer exceeded, one more call of Python resets this count. */
+/* Return true if a limit ends the run. C only finds the limits that may be exceeded. For these
+   limits, it calls Python. Python decides, and counts the instants at which a limit is exceeded.
+   When a limit is no longer exceeded, C calls Python once more. Python then resets this count. */
 static bool limit_exceeded(Core *core)
 {
     for (int i = 0; i < core->limits; i++) {
@@ -89,8 +90,9 @@ static void record(Core *core, int64_t k)
     }
 }
 
-/* Read the outputs of the slaves whose step ends at instant k. Controllers are left out, because
-   they compute their outputs at the start of a step. */
+/* Read the outputs of the plants (all slaves except the controllers) whose step ends at instant k.
+   At the last instant of the run, read the outputs of all plants. The outputs of controllers are
+   read after the start of a step, in `samples_fail`. */
 static bool settled_outputs_fail(Core *core, int64_t k, bool all)
 {
     for (int i = core->first; i < core->slaves; i++) {
@@ -101,8 +103,8 @@ static bool settled_outputs_fail(Core *core, int64_t k, bool all)
     return false;
 }
 
-/* Step the controllers one after the other. Each controller uses the outputs that the controllers
-   before it have computed at the same instant. */
+/* Step the controllers whose step starts at instant k, one after the other. Each controller uses
+   the outputs that the controllers before it have computed at the same instant. */
 static bool samples_fail(Core *core, int64_t k, bool all)
 {
     for (int i = 0; i < core->first; i++) {
@@ -118,7 +120,8 @@ static bool samples_fail(Core *core, int64_t k, bool all)
     return false;
 }
 
-/* Step all other slaves. The inputs of all these slaves are set before the first slave steps. */
+/* Step the plants whose step starts at instant k. The inputs of all these plants are written before
+   the first of them steps. */
 static bool steps_fail(Core *core, int64_t k)
 {
     for (int i = core->first; i < core->slaves; i++) {
@@ -137,8 +140,8 @@ static bool steps_fail(Core *core, int64_t k)
     return false;
 }
 
-/* Read all outputs of the slaves with a step of one tick. These outputs are needed if the run ends
-   between two recorded instants. */
+/* Read all outputs of the slaves with a step of one tick. `get_fails` has omitted some of these
+   outputs if the run ends between two recorded instants. The last instant is always recorded. */
 static bool reading_all_fails(Core *core)
 {
     for (int i = 0; i < core->slaves; i++) {

@@ -1,5 +1,7 @@
-/* Functions that write inputs, make a step and read outputs of one slave. The result is 0, or the
-   status of a failure. */
+/* Operations of one slave. `take_inputs` copies the values of the sources to the input buffer, and
+   `set_inputs` writes the buffer to the inputs of the component. `get_outputs` reads all outputs if
+   `all` is true, otherwise only the outputs that connections and limits need. The result is 0, or
+   the status of a failure. */
 #ifndef SLAVE_H
 #define SLAVE_H
 
