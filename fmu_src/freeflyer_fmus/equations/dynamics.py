@@ -1,5 +1,7 @@
-"""Equation (1): forward dynamics, two-velocity inverse dynamics, H and C, energy and momentum.
+"""Dynamics of the robot: equation (1) of the paper, and energy and momentum.
 
+The module computes the forward dynamics, the matrices H and C, and an inverse dynamics with two
+velocities. One of them is the actual velocity, the other one is a reference velocity.
 All recursions run in body coordinates. Wrenches and velocities in arguments and results are in I.
 """
 
@@ -59,10 +61,12 @@ def body_angular_velocities(mechanism: Mechanism, state: State) -> list[SX]:
 
 
 def without_joint(inertia: ArticulatedInertia, joint: Joint) -> ArticulatedInertia:
-    """Return the inertia transmitted across a free joint: I - U U^T / D (Featherstone, 7.3).
+    """Return the inertia that acts on the parent through a joint without torque.
 
-    The joint moves about or along z. In the result, the row and the column of the joint's direction
-    are zero. They are structural zeros, for which no code is generated.
+    The result is I - U U^T / D (Featherstone, 7.3). I is the articulated inertia of the child
+    (6, 6). U is the column of I for the joint's direction, and D is the diagonal element in this
+    column. The joint moves about or along z. In the result, the row and the column of the joint's
+    direction are zero. They are structural zeros, for which no code is generated.
     """
     M, H, I = inertia
     if joint.kind == "revolute":
@@ -79,7 +83,8 @@ def without_joint(inertia: ArticulatedInertia, joint: Joint) -> ArticulatedInert
 def articulated_base_inertia(mechanism: Mechanism, q: SX) -> ArticulatedInertia:
     """Return M~ = ((M^-1)_bb)^-1 about B, in B's axes.
 
-    M~ is the inertia at the base if all joint torques are zero.
+    M~ is the inertia at the base if all joint torques are zero. (M^-1)_bb is the block of M^-1 for
+    the base.
     """
     inertia = mechanism.bodies[-1].articulated()
     for i in reversed(range(len(mechanism.joints))):
@@ -93,7 +98,8 @@ def articulated_base_inertia(mechanism: Mechanism, q: SX) -> ArticulatedInertia:
 def articulated_end_effector_inertia(mechanism: Mechanism, state: State) -> SX:
     """Return the end-effector inertia ((M^-1)_mm)^-1 (6, 6) at E, in I.
 
-    This is the inertia at E if the base wrench and all joint torques are zero.
+    This is the inertia at E if the base wrench and all joint torques are zero. (M^-1)_mm is the
+    block of M^-1 for the end-effector.
     """
     inertia, R_I = mechanism.base.articulated(), rotation.matrix(state.orientation)
     for i, joint in enumerate(mechanism.joints):
@@ -107,7 +113,12 @@ def articulated_end_effector_inertia(mechanism: Mechanism, state: State) -> SX:
 
 
 class _Pass(NamedTuple):
-    """Results of the inward pass of the articulated-body algorithm, for the outward pass."""
+    """Results of the pass from tip to base. The pass from base to tip uses these results.
+
+    Both passes belong to the articulated-body algorithm. `base_bias` contains the bias force and
+    the bias torque of the base. `saved` contains for each joint U / D, u / D, and the linear and
+    the angular acceleration of the child if q'' = 0 and the parent does not accelerate.
+    """
 
     transforms: list[tuple[SX, SX]]
     base_inertia: ArticulatedInertia
@@ -118,9 +129,11 @@ class _Pass(NamedTuple):
 def _outside_in(mechanism: Mechanism, state: State, joint_torque: SX) -> _Pass:
     """Compute articulated inertias and bias wrenches from tip to base (Featherstone, table 7.1).
 
+    A bias wrench is the wrench that a body needs if its accelerations are zero. The bias force of a
+    rigid body is w x (w x m c). Its bias torque is w x I w.
     Featherstone uses spatial accelerations. This function uses the accelerations of the body
-    origins in I. By Galilean invariance, the equations then contain no linear velocity.
-    The bias force of a body is w x (w x m c). The bias torque is w x I w.
+    origins, relative to I. These accelerations do not change if a constant velocity is added to the
+    whole robot. Therefore the equations contain no linear velocity.
     """
     joints, n = mechanism.joints, len(mechanism.joints)
     transforms = [transform(joint, state.q[i]) for i, joint in enumerate(joints)]
@@ -186,8 +199,9 @@ def arm_on_moving_base(
 ) -> SX:
     """Return q'' (n) of the arm on a base with prescribed acceleration x_b'' (6), in I.
 
-    q'' follows from the lower rows of (1). `gravity` (3) is the uniform gravity field, in I. Its
-    effect on the arm is the effect of a base acceleration in the opposite direction.
+    q'' follows from the last n rows of (1), which are the rows of the joints. `gravity` (3) is the
+    acceleration of a uniform gravity field, in I. Gravity has the same effect on the arm as a base
+    acceleration in the opposite direction.
     """
     R_IB = rotation.matrix(state.orientation)
     done = _outside_in(mechanism, state, joint_torque)
@@ -201,12 +215,15 @@ def two_velocity_inverse_dynamics(
 ) -> tuple[SX, SX]:
     """Return the base part (6), in I, and the joint part (n) of H a_r + C v_r.
 
-    v_r (6 + n) is a reference generalised velocity, a_r (6 + n) a reference generalised
-    acceleration. C is evaluated at the ACTUAL velocity in `state`. C v_r is the sum over all bodies
-    of (m Jv^T dJv + Jw^T (I_c dJw + [w]x I_c Jw)) v_r, where w is the actual angular velocity of
+    v_r (6 + n) is `reference_velocity`, and a_r (6 + n) is `reference_acceleration`. Both are
+    generalised: the first six elements are those of the base, the others are those of the joints.
+    C is evaluated at the ACTUAL velocity in `state`. C v_r is the sum over all bodies of
+    (m Jv^T dJv + Jw^T (I_c dJw + [w]x I_c Jw)) v_r. Jv is the Jacobian of the body's centre of
+    mass, and Jw is the Jacobian of the body's angular velocity. dJv and dJw are their time
+    derivatives. I_c is the inertia about the centre of mass. w is the actual angular velocity of
     the body. With this C, H' - 2C is skew-symmetric. If v_r is the actual velocity, the result is
-    that of ordinary inverse dynamics. The recursion is of Newton-Euler type. It never computes the
-    matrices M and Gamma.
+    the same as in ordinary inverse dynamics. The recursion is of Newton-Euler type. Therefore it
+    does not need the matrices M and Gamma of task_space.py.
     """
     R_IB = rotation.matrix(state.orientation)
     actual = body_angular_velocities(mechanism, state)
@@ -220,8 +237,8 @@ def two_velocity_inverse_dynamics(
         R, r = transform(joint, state.q[i])
         transforms.append((R, r))
         w_parent, w = actual[i], actual[i + 1]
-        # dr/dt in I: the offset r rotates with the parent. A prismatic joint also changes r along
-        # the joint axis, which is the z axis of the child.
+        # `rate` is dr/dt in I. The offset r rotates with the parent. A prismatic joint also changes
+        # r along the joint axis, which is the z axis of the child.
         rate = cross(w_parent, r) + (R[:, 2] * state.qd[i] if joint.kind == "prismatic" else 0)
         a_r = R.T @ (a_r + cross(alpha_r, r) + cross(w_r, rate))
         w_r, alpha_r = R.T @ w_r, R.T @ alpha_r
@@ -242,11 +259,14 @@ def two_velocity_inverse_dynamics(
 
 
 def _two_velocity_wrench(body: RigidInertia, w: SX, w_r: SX, a_r: SX, alpha_r: SX) -> tuple[SX, SX]:
-    """Return the force, and the torque about the origin of the body.
+    """Return the force on a body, and the torque about the origin of the body.
 
-    The force is m a_c,r. The torque about the centre of mass c is I_c alpha_r + w x I_c w_r. a_r is
-    the acceleration of the origin. When the moments are shifted from c to the origin, I_c becomes
-    the inertia about the origin. The only additional term is -m c.c w x w_r.
+    `w` is the actual angular velocity. `w_r` and `alpha_r` are the reference values of the angular
+    velocity and of the angular acceleration. `a_r` is the reference acceleration of the origin.
+    The force is m a_c. a_c is the reference acceleration of the centre of mass c. The torque about
+    c is I_c alpha_r + w x I_c w_r. This function computes the torque about the origin instead. In
+    this torque, the inertia about the origin replaces I_c, c x m a_r is added, and the term
+    -m (c.c) w x w_r is added.
     """
     mass, mc, inertia = body
     force = mass * a_r + cross(alpha_r, mc) + cross(w_r, cross(w, mc))
@@ -259,8 +279,8 @@ def _two_velocity_wrench(body: RigidInertia, w: SX, w_r: SX, a_r: SX, alpha_r: S
 def inertia_and_coriolis(mechanism: Mechanism, state: State) -> tuple[SX, SX]:
     """Return H and C (6 + n, 6 + n) of (1).
 
-    The two-velocity recursion is linear in a_r and v_r. H is its Jacobian with respect to a_r, and
-    C is its Jacobian with respect to v_r.
+    The result of `two_velocity_inverse_dynamics` is linear in a_r and v_r. H is its Jacobian with
+    respect to a_r, and C is its Jacobian with respect to v_r.
     """
     n = 6 + len(mechanism.joints)
     v_r, a_r = SX.sym("v_r", n), SX.sym("a_r", n)

@@ -1,4 +1,7 @@
-"""Pose, velocity and Jacobians of the end-effector, (2), and dJ_m/dt along the actual motion."""
+"""Pose, velocity and Jacobians of the end-effector, (2) of the paper.
+
+The module also computes the time derivative of J_m along the actual motion.
+"""
 
 from __future__ import annotations
 
@@ -60,7 +63,10 @@ def base_jacobian(p_be: SX) -> SX:
 
 
 def base_jacobian_transposed_times(p_be: SX, wrench: SX) -> SX:
-    """Return J_b^T F (6). This is the wrench F at E, expressed about B's origin."""
+    """Return J_b^T F (6), the wrench at B's origin that is equivalent to the wrench F at E.
+
+    `p_be` (3) is the position of E relative to B's origin. `wrench` is F (6).
+    """
     return ca.vertcat(wrench[:3], wrench[3:] + cross(p_be, wrench[:3]))
 
 
@@ -69,9 +75,10 @@ def manipulator_jacobian_rate_times(
 ) -> SX:
     """Return dJ_m/dt y (6) for any y (n).
 
-    The derivative is taken in I, along the motion v, w, q'. `v` and `w` (3 each) are the velocities
-    of B. All vectors are in B's axes. The result is a derivative in I, expressed in B's axes.
-    Therefore no term for the rotation of B must be added.
+    J_m changes along the motion of the robot: `v` and `w` (3 each) are the linear and angular
+    velocity of B, and `qd` (n) is q'. The derivative is taken relative to I. Only its elements are
+    expressed in B's axes, like all vectors here. Therefore the caller rotates the result to I, and
+    adds no term for the rotation of B.
     """
     # Velocities of the joint frames, from base to tip.
     v_i, w_i, p_before = v, w, SX(3, 1)
@@ -85,7 +92,7 @@ def manipulator_jacobian_rate_times(
         velocities.append((v_i, w_i))
         p_before = p
     v_e = v_i + cross(w_i, at.p_e - p_before)
-    # Multiply the derivative of each Jacobian column by the element of y, and add the products.
+    # The result is the sum over all joints: the derivative of the joint's column times its y_j.
     linear, angular = SX(3, 1), SX(3, 1)
     for joint, z, p, (v_j, w_j), y_j in zip(
         mechanism.joints, at.z, at.p, velocities, ca.vertsplit(y), strict=True
@@ -102,7 +109,8 @@ def manipulator_jacobian_rate_times(
 def end_effector_orientation(mechanism: Mechanism, base_orientation: SX, q: SX) -> SX:
     """Return the quaternion (4) of E in I.
 
-    The quaternion is a product of joint quaternions. Therefore it is a smooth function of q.
+    It is computed as a product of quaternions, not from a rotation matrix. Therefore it is a smooth
+    function of q.
     """
     total = base_orientation
     for i, joint in enumerate(mechanism.joints):
@@ -126,7 +134,7 @@ def end_effector_pose(
 
 
 def end_effector_velocity(mechanism: Mechanism, state: State) -> SX:
-    """Return x_m' (6) of (2), in I, by recursion along the chain."""
+    """Return x_m' (6) of (2), in I. The velocities are computed from body to body."""
     R_IB = rotation.matrix(state.orientation)
     v, w = R_IB.T @ state.v, R_IB.T @ state.w
     chain = R_IB

@@ -1,4 +1,7 @@
-"""Robot model of the recursions: inertias and joint transforms. Inertias may be symbols."""
+"""Robot model for the other equations: inertias and joint transforms.
+
+The inertias of base and tool may be symbols.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +17,11 @@ SX = ca.SX
 
 
 class Mechanism(NamedTuple):
-    """Robot, inertia of the base in B, and inertia of each `bodies[i]` in joint frame i.
+    """Robot with its inertias.
 
-    The last body includes the tool.
+    `base` is the inertia of the base in the base frame B, with everything that is fixed to the
+    base. `bodies[i]` is the inertia of the body after joint i, in joint frame i. The last body
+    includes the tool.
     """
 
     robot: Robot
@@ -64,9 +69,9 @@ def mechanism(
 ) -> Mechanism:
     """Return the mechanism with these inertias of base and tool.
 
-    The inertias of all other bodies are the constants in `robot`. Masses are in kg. Inertias (6)
-    [kg m2] are about the centre of mass, in B for the base and in E for the tool.
-    `tool_centre_of_mass` (3) [m] is in E.
+    The inertias of all other bodies are the constants in `robot`. Masses are in kg. `base_inertia`
+    and `tool_inertia` are [xx, yy, zz, xy, xz, yz] in kg m2, about the centre of mass. The axes are
+    those of B for the base and those of E for the tool. `tool_centre_of_mass` (3) [m] is in E.
     """
     base = RigidInertia.of(base_mass, SX(3, 1), symmetric_matrix(base_inertia))
     tool = RigidInertia.of(tool_mass, tool_centre_of_mass, symmetric_matrix(tool_inertia))
@@ -90,9 +95,11 @@ def constant_mechanism(robot: Robot) -> Mechanism:
 
 
 def inertia_to_parent(inertia: ArticulatedInertia, joint: Joint, q: SX) -> ArticulatedInertia:
-    """Return the inertia about the parent's origin, in parent axes.
+    """Transform an inertia from the frame of the child to the frame of the parent.
 
-    The rotation about the joint axis is a separate step, because two steps need fewer operations.
+    The result is about the parent's origin, in the parent's axes. For a revolute joint, the
+    rotation about z by q and the constant rotation of the joint are two steps. Together they need
+    fewer operations than one general rotation.
     """
     if joint.kind == "revolute":
         inertia = inertia.rotated_about_z(ca.cos(q), ca.sin(q))
@@ -100,13 +107,19 @@ def inertia_to_parent(inertia: ArticulatedInertia, joint: Joint, q: SX) -> Artic
 
 
 def inertia_to_child(inertia: ArticulatedInertia, joint: Joint, q: SX) -> ArticulatedInertia:
-    """Return the inertia about the child's origin, in child axes. Inverts `inertia_to_parent`."""
+    """Transform an inertia from the frame of the parent to the frame of the child.
+
+    The function is the inverse of `inertia_to_parent`.
+    """
     inertia = inertia.shifted(-transform(joint, q)[1]).rotated(sparse(joint.rotation).T)
     return inertia.rotated_about_z(ca.cos(q), -ca.sin(q)) if joint.kind == "revolute" else inertia
 
 
 def transform(joint: Joint, q: SX) -> tuple[SX, SX]:
-    """Return the pose (R, r) of the joint frame at displacement q, in the parent body's frame."""
+    """Return the pose (R, r) of the joint frame in the frame of the parent body.
+
+    q is the displacement of the joint [rad] or [m].
+    """
     R, r = sparse(joint.rotation), sparse(joint.translation)
     if joint.kind == "prismatic":
         return R, r + R[:, 2] * q

@@ -1,4 +1,7 @@
-"""Seeded noise in equations: a linear congruential generator, bit-identical on every platform."""
+"""Noise as CasADi expressions, from a linear congruential generator with a seed.
+
+The numbers are bit-identical on every platform.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ def first_state(seed: SX) -> SX:
 
 
 def normal(state: SX, size: int) -> tuple[SX, SX]:
-    """Return the next generator state and `size` numbers of mean 0 and standard deviation 1.
+    """Return the next generator state, and `size` numbers with mean 0 and standard deviation 1.
 
     Each number is the scaled sum of four uniformly distributed numbers.
     """

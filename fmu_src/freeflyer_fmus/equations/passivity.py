@@ -1,15 +1,16 @@
 """Passivity observers and controllers, (18)-(26), per degree of freedom.
 
-The observed energy E of a port is the energy that the controller has ABSORBED through this port,
-plus E(0). The port is passive if E >= 0. The printed (20) and (23) add F v T, where F is the force
-on the robot. F v T is energy supplied to the robot. Therefore the sign of this term is reversed
-here.
+The observed energy E of a port is E(0) plus the energy that the controller has ABSORBED through
+this port. The port is passive if E >= 0. In the paper, (20) and (23) add F v T. F is the force on
+the robot, and v is the velocity of the port. Therefore F v T is energy that the controller supplies
+to the robot, not energy that it absorbs. This module subtracts F v T.
 
 A bookkeeping is a way to count energy. There are two bookkeepings:
-`as_printed`  The energy of the damper is beta(k-1) v(k-1)^2 T, which is known in advance at sample
-              k-1. F v T is computed from the values at sample k.
-`applied`     Only the work of the force applied since the last sample is counted. This force
-              includes the force of the damper. No energy is computed in advance.
+`as_printed`  As in the paper. The passivity controller is a damper with the coefficient beta. Its
+              energy is beta(k-1) v(k-1)^2 T. This value is known in advance, at sample k-1. F v T
+              is computed from the values at sample k.
+`applied`     The force that acted since the last sample includes the force of the damper. Only the
+              work of this force is counted. No energy is computed in advance.
 Both controllers must use the same bookkeeping.
 """
 
@@ -28,11 +29,12 @@ class Observer(IntEnum):
     F_m* and F_b* are the feed-forward wrenches. dx_m' is the velocity error of the end-effector.
     """
 
-    # The powers are F_m x_m' and F_B(k_b) x_b', as in the paper. F_B is held between the samples
-    # of the base controller.
+    # The powers are F_m x_m' and F_B(k_b) x_b', as in the paper. k_b counts the samples of the base
+    # controller. F_B is held between these samples.
     paper = 1
     # The powers are F_m x_m' and F_B(k_m) x_b'.
-    # F_B(k_m) = F'_b(k_b) - J_b(k_m)^T F'_m(k_m) is the applied wrench.
+    # F_B(k_m) = F'_b(k_b) - J_b(k_m)^T F'_m(k_m) is the wrench that acts at port B. k_m counts the
+    # samples of the manipulator controller.
     port = 2
     # The powers are (F_m - F_m*) dx_m' and (F_B - F_b*) x_b'. The work of the feed-forward is not
     # counted. The damper acts on dx_m'.
@@ -55,7 +57,7 @@ def choose(selector: SX, options: dict[IntEnum, SX]) -> SX:
 def observed_as_printed(E: SX, F: SX, v: SX, beta_before: SX, v_before: SX, T: SX) -> SX:
     """Return E(k) = E(k-1) - F(k) v(k) T + beta(k-1) v(k-1)^2 T.
 
-    These are (20) and (23) with corrected sign.
+    This is (20) for one port and (23) for the other port, with the corrected sign of F v T.
     """
     return E - F * v * T + beta_before * v_before**2 * T
 
@@ -63,18 +65,20 @@ def observed_as_printed(E: SX, F: SX, v: SX, beta_before: SX, v_before: SX, T: S
 def observed_as_applied(E: SX, F_acted: SX, v_before: SX, v: SX, T: SX) -> SX:
     """Return E(k) = E(k-1) - F(k-1) (x(k) - x(k-1)) (Stramigioli et al., T-RO 2005).
 
-    The equation is exact for a held force. A held force is constant between two samples. The
-    displacement is integrated from the measured velocities by the trapezoidal rule. This rule is
-    valid for translation and for rotation.
+    `F_acted` is F(k-1), the force that acted since the last sample. The equation is exact if this
+    force was held, that is, constant between the two samples. The displacement x(k) - x(k-1) is
+    computed from the two measured velocities by the trapezoidal rule. This rule is valid for
+    translation and for rotation.
     """
     return E - F_acted * (0.5 * T) * (v_before + v)
 
 
 def damper(E: SX, v: SX, T: SX, floor: SX) -> SX:
-    """Return beta of (24). The result is 0 if E >= 0.
+    """Return beta of (24), the coefficient of the damper. The result is 0 if E >= 0.
 
-    At the velocity v, beta dissipates the energy deficit -E in one period T. v^2 T is limited to at
-    least `floor`. Therefore beta stays finite near rest, and the deficit is dissipated later.
+    If E < 0, the energy deficit is -E. At the velocity v, the damper dissipates this deficit in one
+    period T. Near rest, v^2 T is almost zero, and `floor` is used instead of v^2 T. Therefore beta
+    stays finite, and the deficit is dissipated later, at a larger velocity.
     """
     return ca.if_else(E < 0, -E / ca.fmax(v**2 * T, floor), 0.0)
 
@@ -82,7 +86,8 @@ def damper(E: SX, v: SX, T: SX, floor: SX) -> SX:
 def bounded(beta: SX, fraction: SX, inertia: SX, damping: SX, T: SX) -> SX:
     """Return beta, limited to at most max(0, c M~ / T - K_D).
 
-    A sampled damper generates energy if its coefficient is above 2 M~ / T. The limited damper
-    dissipates only a part of the energy deficit. The rest of the deficit is dissipated later.
+    c is `fraction`, M~ is `inertia`, and K_D is `damping`, the damping of the control law. A
+    sampled damper generates energy if its coefficient is above 2 M~ / T. With the limit, the damper
+    may dissipate only a part of the energy deficit. The rest of the deficit is dissipated later.
     """
     return ca.fmin(beta, ca.fmax(0.0, fraction * inertia / T - damping))

@@ -1,6 +1,6 @@
 """Independent reference implementation of the dynamics with Pinocchio.
 
-The Pinocchio model is built from the same robot object, without a URDF file.
+The Pinocchio model is built from the same `Robot` object as the FMUs, without a URDF file.
 """
 
 from __future__ import annotations
@@ -58,7 +58,11 @@ def accelerations(
     wrench: Array,
     torque: Array,
 ) -> Array:
-    """Return x_b'' (6, in I) and q'' (n), by Pinocchio's articulated-body algorithm."""
+    """Return x_b'' (6, in I) and q'' (n), by Pinocchio's articulated-body algorithm.
+
+    `orientation` is the quaternion (4) of the base. `velocity` (6) and `wrench` (6) are those of
+    the base, in I. `torque` (n) is the torque of the joints.
+    """
     import pinocchio as pin
 
     R = pin.Quaternion(np.array(orientation)).matrix()
@@ -75,9 +79,11 @@ def accelerations(
 
 
 def disagreement(robot: Robot, states: int = 20, seed: int = 1) -> float:
-    """Return the largest relative difference of the forward dynamics over random states.
+    """Return the largest relative difference between the two forward dynamics.
 
-    This checks a user's robot before its FMUs are built.
+    The two results are those of `dynamics` and of Pinocchio. They are compared at `states` random
+    states. `seed` is the seed of the random numbers. The export of FMUs for a user's robot calls
+    this function before it writes the first file.
     """
     n = robot.joint_count
     names = {"orientation": 4, "velocity": 6, "q": n, "qd": n, "wrench": 6, "torque": n}

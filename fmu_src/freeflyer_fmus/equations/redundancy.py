@@ -1,17 +1,19 @@
-"""Redundant manipulators: an extension of the paper, in which the manipulator has six joints.
+"""Redundant manipulators, with more than six joints. They are an extension of the paper.
 
-The joint torques are the sum of J_m^T F_m and a null-space part. The null-space part does not
-accelerate the end-effector while the base is at rest. This split of the torques is dynamically
-consistent (Khatib, IEEE J. Robotics and Automation 3(1), 1987). Dietrich, Ott and Albu-Schaeffer
-compare this split with other splits (Int. J. Robotics Research 34(11), 2015). The split uses the
-inertia matrix H_q of the manipulator:
+The manipulator of the paper has six joints. The joint torques tau of a redundant manipulator are
+the sum of J_m^T F_m and a null-space part P tau_0. The null-space part does not accelerate the
+end-effector while the base is at rest. A split of the torques with this property is called
+dynamically consistent (Khatib, IEEE J. Robotics and Automation 3(1), 1987). Dietrich, Ott and
+Albu-Schaeffer compare this split with other splits (Int. J. Robotics Research 34(11), 2015). The
+split uses the inertia matrix H_q of the manipulator:
 
     J# = H_q^-1 J_m^T L,  L = (J_m H_q^-1 J_m^T)^-1,  P = 1 - J_m^T J#^T,  tau = J_m^T F_m + P tau_0
 
-The reference velocity is q_r' = J# x_md'. Its null-space part P^T q_r' is zero. tau_0 contains the
-complete feed-forward torque f_q of the trajectory. With this q_r' and this tau_0, V of (10) remains
-the energy of the error system. V decreases by (15) and by the power of the null-space damper.
-docs/redundant_arms.md gives the derivation.
+The reference velocity of the joints is q_r' = J# x_md'. Its null-space part P^T q_r' is zero. tau_0
+is the torque before the projection P. It contains the complete feed-forward torque f_q of the
+trajectory. With this q_r' and this tau_0, V of (10) is still the energy of the error system. The
+rate of V is (15) minus the power that the null-space damper dissipates. docs/redundant_arms.md
+gives the derivation.
 """
 
 from __future__ import annotations
@@ -29,7 +31,7 @@ SX = ca.SX
 
 
 class ConsistentInverse(NamedTuple):
-    """J_m (6, n), H_q (n, n), L (6, 6) and J# (n, 6), in B's axes."""
+    """J_m (6, n), H_q (n, n), L (6, 6) and J# (n, 6), for task vectors in B's axes."""
 
     Jm: SX
     H: SX
@@ -67,10 +69,11 @@ def consistent_inverse(mechanism: Mechanism, q: SX) -> ConsistentInverse:
 def reference_acceleration(
     mechanism: Mechanism, state: State, at: ConsistentInverse, u: SX, du: SX
 ) -> SX:
-    """Return d/dt (J# u) (n).
+    """Return q_r'' (n), the time derivative of q_r' = J# u.
 
-    u (6) is in B's axes. du (6) is the derivative of u in B's axes. The task part of the result
-    follows from J_m q_r'' = du - dJ_m q_r'. The null-space part of the result is
+    u (6) is x_md' in B's axes. du (6) is the time derivative of the elements of u. dJ_m and dH_q
+    are the time derivatives of J_m and H_q. The result is the sum of two parts. The task part
+    J# (du - dJ_m q_r') is a solution of J_m q_r'' = du - dJ_m q_r'. The null-space part is
     P^T H_q^-1 (dJ_m^T L u - dH_q q_r').
     """
     q, qd, qd_r = state.q, state.qd, at.inverse @ u

@@ -1,4 +1,4 @@
-"""Unit quaternions [x, y, z, w], the paper's orientation error, rotations about a fixed axis."""
+"""Unit quaternions [x, y, z, w], and the orientation error of the paper."""
 
 from __future__ import annotations
 
@@ -35,17 +35,18 @@ def matrix(a: SX) -> SX:
 
 
 def derivative(a: SX, w: SX) -> SX:
-    """Return da/dt for the angular velocity w (3) in I. This derivative keeps the norm of a."""
+    """Return da/dt for the angular velocity w (3) in I. The norm of a stays constant."""
     return 0.5 * product(ca.vertcat(w, 0), a)
 
 
 def error(actual: SX, desired: SX) -> SX:
     """Return the orientation error 2 eps (3), expressed in I.
 
-    eps is the vector part of actual * desired^-1, with the sign of the shorter rotation. 2 eps is
-    the orientation part of Delta x in (7) and (8). For isotropic K, the product of K and 2 eps is
-    the gradient of 2 K eps^T eps. 2 eps differs from the rotation vector only by terms of third
-    order in the angle.
+    eps is the vector part of the error quaternion actual * desired^-1. Both signs of a quaternion
+    are the same orientation. The sign with a scalar part >= 0 is used, so that the angle is at most
+    180 degrees. 2 eps is the orientation part of Delta x in (7) and (8). For a stiffness k that is
+    equal about all axes, the torque -2 k eps has a potential energy. 2 eps differs from the
+    rotation vector only by terms of third order in the angle.
     """
     e = normalised(product(actual, conjugate(desired)))
     return 2.0 * ca.if_else(e[3] < 0, -1.0, 1.0) * e[:3]
@@ -53,11 +54,11 @@ def error(actual: SX, desired: SX) -> SX:
 
 def about(vector: SX) -> SX:
     """Return the quaternion of a rotation vector (3) [rad]. The vector may be zero."""
-    # The addend 1e-300 does not change the result. With the addend, the derivative of the square
-    # root is finite at zero.
+    # The derivative of a square root is infinite at zero. The addend 1e-300 keeps it finite, and
+    # does not change the result.
     half = 0.5 * ca.sqrt(ca.dot(vector, vector) + 1e-300)
-    # Compute sin(h)/h. Below 1e-4 rad, the series is exact to the last bit. The series also avoids
-    # a division by zero.
+    # `ratio` is sin(h) / h, where h is half of the angle. For h < 1e-4, the first two terms of the
+    # power series are exact to the last bit, and they need no division by h.
     small = half < 1e-4
     safe = ca.if_else(small, 1.0, half)
     ratio = ca.if_else(small, 1.0 - half * half / 6.0, ca.sin(safe) / safe)

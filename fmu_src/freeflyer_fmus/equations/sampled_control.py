@@ -1,12 +1,13 @@
 """Matched discretisation of a spring and damper whose wrench is held for a whole sampling period.
 
-The held wrench F is the mean of the continuous law over the period T. F accelerates a mass M, which
-has the displacement x and the velocity v at the start of the period. The mean of the velocities at
-the start and at the end of the period is exactly v_mean = v + T/(2 M) F. The mean displacement is
-x_mean = x + T/2 v_mean. The equation F = -K x_mean - D v_mean is solved in
-closed form below. The work of F over the period has exactly two parts. One part is the work of a
-spring with the potential 1/2 x^T K x. The other part is the energy T v_mean^T D v_mean that a
-damper dissipates. Therefore sampling does not generate energy, for any K, D and T.
+The continuous law is F = -K x - D v, with the stiffness K and the damping D. The held wrench F is
+the mean of this law over the period T. F accelerates a mass M, which has the displacement x and the
+velocity v at the start of the period. The mean of the velocities at the start and at the end of the
+period is exactly v_mean = v + T/(2 M) F. The mean of the displacements at the start and at the end
+is x_mean = x + T/2 v_mean. `mean_wrench` solves the equation F = -K x_mean - D v_mean in closed
+form. The work of F over the period has exactly two parts. One part is the work of a
+spring with the potential 1/2 x^T K x. The other part is the work -T v_mean^T D v_mean of a damper,
+which only dissipates energy. Therefore sampling does not generate energy, for any K, D and T.
 
 The law is not in the paper. docs/matched_gains.md derives the law and states its limits.
 """
@@ -25,8 +26,8 @@ SX = ca.SX
 class Discretisation(IntEnum):
     """How a continuous control law is sampled.
 
-    `emulated`: the law is evaluated at the sample, (16), (17). `matched`: the held wrench is the
-    mean of the law over the period.
+    `emulated`: the held wrench is the value of the law at the sample, as in (16) and (17).
+    `matched`: the held wrench is the mean of the law over the period.
     """
 
     emulated = 1
@@ -38,8 +39,9 @@ def mean_wrench(
 ) -> SX:
     """Return the held wrench -K dx_mean - D dx'_mean (6).
 
-    `spring` is -K dx at the sample. The inertia M, the stiffness K and the damping D are (6, 6) and
-    symmetric. The means are the solution of
+    dx is the pose error. `spring` is -K dx at the sample, and `velocity_error` is dx' at the
+    sample. The inertia M, the stiffness K and the damping D are (6, 6) and symmetric. `period` is
+    T. The means are the solution of
     (M + T/2 D + T^2/4 K) dx'_mean = M dx' - T/2 K dx and dx_mean = dx + T/2 dx'_mean.
     As T -> 0 the result tends to the continuous law.
     """
@@ -50,9 +52,10 @@ def mean_wrench(
 
 
 def sampled_damping(inertia: SX, stiffness: SX, damping: SX, period: SX) -> SX:
-    """Return the damping -dF/dx' (6) of the held wrench F, per axis.
+    """Return the damping -dF/dx' (6) of each axis.
 
-    The arguments are diagonals (6 each). The damping is below 2 M / T for any K and D.
+    F is the held wrench of `mean_wrench`. The inertia M, the stiffness K and the damping D are
+    given as diagonals (6 each). The result is below 2 M / T for any K and D.
     """
     half = 0.5 * period
     return (damping + half * stiffness) * inertia / (inertia + half * damping + half**2 * stiffness)

@@ -1,8 +1,8 @@
 """Rigid and articulated inertias, and their transforms between the frames of child and parent.
 
 Spatial vectors are pairs of 3-vectors (linear, angular). A transform is a pair (R, r). R maps child
-coordinates to parent coordinates. r is the origin of the child in the parent frame. The algorithms
-are from Featherstone, Rigid Body Dynamics Algorithms, 2008.
+coordinates to parent coordinates. r is the position of the child's origin in the parent frame. The
+algorithms are from Featherstone, Rigid Body Dynamics Algorithms, 2008.
 """
 
 from __future__ import annotations
@@ -27,12 +27,18 @@ def cross(a: SX, b: SX) -> SX:
 
 
 def sparse(values: Any) -> SX:
-    """Return a constant matrix in sparse form. No code is generated for products with its zeros."""
+    """Return a constant matrix in sparse form.
+
+    No code is generated for products with the zeros of this matrix.
+    """
     return SX(ca.sparsify(ca.DM(values)))
 
 
 def symmetric(upper: SX) -> SX:
-    """Return the symmetric matrix with this upper triangle. Mirrored entries are one expression."""
+    """Return the symmetric matrix with this upper triangle.
+
+    The lower triangle has the same expressions. Therefore they are computed only once.
+    """
     return ca.triu2symm(ca.triu(upper))
 
 
@@ -64,7 +70,7 @@ class RigidInertia(NamedTuple):
     def seen_from(self, rotation: SX, translation: SX) -> RigidInertia:
         """Return the inertia in a new frame.
 
-        The old frame has the pose (rotation, translation) in the new frame.
+        `rotation` and `translation` are the pose of the old frame in the new frame.
         """
         moment = rotation @ self.first_moment
         cross_term = (
@@ -98,7 +104,11 @@ class RigidInertia(NamedTuple):
 
 
 class ArticulatedInertia(NamedTuple):
-    """Symmetric 6x6 inertia in blocks: force = M a + H alpha, torque = H^T a + I alpha."""
+    """Symmetric inertia (6, 6) as the blocks M, H and I.
+
+    a is a linear acceleration, alpha an angular acceleration. The force is M a + H alpha, and the
+    torque is H^T a + I alpha.
+    """
 
     M: SX
     H: SX
@@ -133,8 +143,8 @@ class ArticulatedInertia(NamedTuple):
 def _rotated_about_z(A: SX, c: SX, s: SX) -> SX:
     """Return R A R^T (3, 3) for a rotation R about z with cosine c and sine s.
 
-    The rotation does not change the trace and the antisymmetric part of the xy block. Therefore
-    this function needs less than half of the products of a general rotation.
+    The rotation does not change the trace and the antisymmetric part of the xy block of A.
+    Therefore this function needs less than half of the products that a general rotation needs.
     """
     u = s * (A[0, 0] - A[1, 1]) + c * (A[0, 1] + A[1, 0])
     column = ca.vertcat(c * A[0, 2] - s * A[1, 2], s * A[0, 2] + c * A[1, 2])
@@ -144,7 +154,11 @@ def _rotated_about_z(A: SX, c: SX, s: SX) -> SX:
 
 
 def wrench_to_parent(R: SX, r: SX, force: SX, torque: SX) -> tuple[SX, SX]:
-    """Transform a wrench about the child's origin to the parent's origin and axes."""
+    """Transform a wrench from the child frame to the parent frame.
+
+    (R, r) is the pose of the child frame in the parent frame. The torque of the argument is about
+    the child's origin. The torque of the result is about the parent's origin.
+    """
     rotated = R @ force
     return rotated, R @ torque + cross(r, rotated)
 

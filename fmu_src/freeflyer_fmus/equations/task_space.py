@@ -1,6 +1,7 @@
-"""Task coordinates (3)-(6): the dynamics in [x_b'; x_m'] instead of [x_b'; q'].
+"""Dynamics in the task velocities [x_b'; x_m'] instead of [x_b'; q'], (3)-(6) of the paper.
 
-Tests and analysis use M and Gamma. The controllers never form them (see tracking_control.py).
+Tests and analysis use M and Gamma of (6). The controllers do not need these matrices (see
+tracking_control.py).
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ def jacobians(mechanism: Mechanism, state: State) -> tuple[SX, SX]:
 
 
 def task_jacobian(Jb: SX, Jm: SX) -> SX:
-    """Return J~ (12, 12) of (4)."""
+    """Return J~ (12, 12) of (4), for a manipulator with six joints."""
     return ca.blockcat([[SX.eye(6), SX(6, Jm.size2())], [Jb, Jm]])
 
 

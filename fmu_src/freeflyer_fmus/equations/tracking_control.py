@@ -30,7 +30,8 @@ SX = ca.SX
 class NullSpace(NamedTuple):
     """Null space of a redundant manipulator.
 
-    `at` contains J#. `torque` is the feed-forward torque in the null space, P f_q (n).
+    `at` contains J#. `torque` is the part P f_q (n) of the feed-forward torque f_q. This part acts
+    in the null space. redundancy.py defines J#, P and f_q.
     """
 
     at: ConsistentInverse
@@ -40,8 +41,9 @@ class NullSpace(NamedTuple):
 class FeedForward(NamedTuple):
     """Feed-forward wrenches F_m* = M_m x_md'' + Gamma_m x_md', F_b* = M_bm x_md'' + Gamma_bm x_md'.
 
-    Both wrenches are (6), in I. The intermediate results are q_r' (n), p_be (3) in I, and a lower
-    bound of the smallest singular value of J_m. `null_space` is None for six joints.
+    Both wrenches are (6), in I. The other members are intermediate results: `qd_r` is q_r' (n),
+    `p_be` (3) is the position of E relative to B's origin, in I, and `sigma_min` is a lower bound
+    of the smallest singular value of J_m. `null_space` is None for six joints.
     """
 
     F_m: SX
@@ -55,9 +57,9 @@ class FeedForward(NamedTuple):
 def left_inverse(J: SX) -> SX:
     """Return (J^T J)^-1 J^T (J^-1 for a square J) by modified Gram-Schmidt.
 
-    The algorithm is numerically stable up to the singularity threshold. A small addend in the norm
-    (1e-30) keeps the result finite at an exact singularity. Therefore the FMU can report the
-    smallest singular value at a singularity.
+    The algorithm is numerically stable as long as the FMU does not report a singularity. At an
+    exact singularity, the norm of a column is zero. Therefore the norm is kept at 1e-30 or more.
+    The result stays finite, and the FMU can report the smallest singular value.
     """
     n = J.size2()
     Q, R = SX(J), SX.zeros(n, n)
@@ -78,9 +80,10 @@ def left_inverse(J: SX) -> SX:
 def smallest_singular_value(inverse_of_J: SX) -> SX:
     """Return (sum sigma_i^-8)^(-1/8), a lower bound of sigma_min(J).
 
-    The argument is the inverse or the left inverse of J. The bound is tight near a singularity,
-    where one singular value is much smaller than the others. If the others are three times larger,
-    the bound is 0.01 % too low. For six singular values, the bound is never more than 20 % too low.
+    The argument is the inverse or the left inverse of J. sigma_i are the singular values of J. The
+    bound is accurate near a singularity, where one singular value is much smaller than the others.
+    If the others are three times larger, the bound is 0.01 % too low. For six singular values, the
+    bound is never more than 20 % too low.
     """
     inverse_square = inverse_of_J @ inverse_of_J.T
     fourth = inverse_square @ inverse_square
@@ -92,11 +95,13 @@ def feed_forward(
 ) -> FeedForward:
     """Compute the feed-forward of (7) and (8). The base reference is at rest.
 
-    The reference velocity of the joints is q_r' = J_m^-1 x_md'. Its derivative is
-    q_r'' = J_m^-1 (x_md'' - dJ_m q_r'). The feed-forward in generalised coordinates is
-    f = H q_r'' + C q_r'. C is evaluated at the ACTUAL velocity. J~^-T of (5) transforms f into
-    F_m* = J_m^-T f_q and F_b* = f_b - J_b^T F_m*. With more than six joints, q_r' = J# x_md'
-    (equations/redundancy.py).
+    x_md' is `desired_velocity` (6), and x_md'' is `desired_acceleration` (6), both in I. The
+    reference velocity of the joints is q_r' = J_m^-1 x_md'. Its derivative is
+    q_r'' = J_m^-1 (x_md'' - dJ_m q_r'), where dJ_m is the time derivative of J_m. The feed-forward
+    in generalised coordinates is f = H q_r'' + C q_r'. C is evaluated at the ACTUAL velocity. f
+    consists of a base part f_b (6) and a joint part f_q (n). J~^-T of (5) transforms f into
+    F_m* = J_m^-T f_q and F_b* = f_b - J_b^T F_m*. With more than six joints, J# replaces J_m^-1 in
+    q_r' and F_m*, and q_r'' is computed in redundancy.py.
     """
     R_IB = rotation.matrix(state.orientation)
     R = ca.diagcat(R_IB, R_IB)
@@ -132,9 +137,10 @@ def feed_forward(
 
 
 def pose_error(position: SX, orientation: SX, desired_position: SX, desired_orientation: SX) -> SX:
-    """Return Delta x (6) in I: position error [m] and 2 eps of the error quaternion.
+    """Return Delta x (6) in I: the position error [m], and the orientation error 2 eps.
 
-    2 eps differs from the rotation vector [rad] only by terms of third order in the angle.
+    eps is the vector part of the error quaternion. 2 eps differs from the rotation vector [rad]
+    only by terms of third order in the angle.
     """
     return ca.vertcat(position - desired_position, rotation.error(orientation, desired_orientation))
 
@@ -145,13 +151,13 @@ def spring_damper(stiffness: SX, damping: SX, pose_error: SX, velocity_error: SX
 
 
 def spring_energy(stiffness: SX, pose_error: SX) -> SX:
-    """Return the energy of the spring in `spring_damper`, which is the spring energy in V of (10).
+    """Return the potential energy of the spring in `spring_damper`. It is a part of V of (10).
 
-    The energy is exact for isotropic rotational stiffness. The translational part is
+    The energy is exact if the rotational stiffness is isotropic. The translational part is
     1/2 Delta x^T K Delta x, as in (10). The rotational part differs from (10), because (10) is
-    valid for small angles only. The rotational part of Delta x is 2 eps. The torque -2 k eps has
-    the potential 4 k (1 - eta) = Delta x^T K Delta x / (1 + eta). eta is the scalar part of the
-    error quaternion.
+    valid for small angles only. The rotational part of Delta x is 2 eps. For a rotational stiffness
+    k, the torque -2 k eps has the potential 4 k (1 - eta) = Delta x^T K Delta x / (1 + eta). eta is
+    the scalar part of the error quaternion.
     """
     translation, rotational = pose_error[:3], pose_error[3:]
     eta = ca.sqrt(ca.fmax(1.0 - 0.25 * ca.dot(rotational, rotational), 0.0))
@@ -173,9 +179,10 @@ def null_space_torque(
 ) -> SX:
     """Return P (f_q - D P^T q' - K (q - q_0)) (n) for diagonal gains D and K.
 
-    f_q is the torque of the trajectory. D is a damper. K is a spring towards `posture` (q_0). The
-    damper only dissipates energy. The projected spring has no potential. Therefore V may increase
-    if K is not zero.
+    f_q is the feed-forward torque of the trajectory. D is `damping`, the gain of a damper. K is
+    `stiffness`, the gain of a spring that pulls the joints to q_0 (`posture`). P projects the
+    torques into the null space. The damper only dissipates energy. The spring has no potential
+    energy after the projection. Therefore V of (10) can increase if K is not zero.
     """
     slow = damping * null_space.at.velocity_in_null_space(state.qd)
     return null_space.torque - null_space.at.torque_in_null_space(

@@ -1,7 +1,8 @@
 """Reference motions of the end-effector: a ramped sine (Fig. 2) and a straight line.
 
-The sine moves the end-effector along and about fixed axes of I. The paper does not give the
-amplitudes and the frequency. They are parameters, and their defaults are assumptions.
+The sine moves the end-effector along a fixed axis of I, and rotates it about a fixed axis of I. The
+paper does not give the amplitudes and the frequency. They are parameters, and their defaults are
+assumptions.
 """
 
 from __future__ import annotations
@@ -50,9 +51,10 @@ def ramped_sine(
 ) -> Motion:
     """Return the motion x_md = x_0 + translation g, R_md = Exp(rotation_vector g) R_0.
 
-    The factor g is ramp(t / ramp_time) sin(2 pi f t). `translation` (3) [m] and `rotation_vector`
-    (3) [rad] are in I. The rotation axis is fixed. Therefore the angular velocity is exactly
-    rotation_vector g'.
+    The factor g is ramp(t / ramp_time) sin(2 pi f t). f is `frequency` [Hz]. x_0 and R_0 are the
+    start pose, given by `position` and `orientation`. `translation` (3) [m] and `rotation_vector`
+    (3) [rad] are the amplitudes, in I. The rotation axis is fixed. Therefore the angular velocity
+    is exactly rotation_vector g'.
     """
     r, rd, rdd = quintic_ramp(t, ramp_time)
     omega = 2.0 * ca.pi * frequency
@@ -71,8 +73,8 @@ def ramped_sine(
 def straight_line(t: SX, position: SX, orientation: SX, displacement: SX, duration: SX) -> Motion:
     """Return the motion x_md = x_0 + displacement ramp(t / duration). The orientation is constant.
 
-    The motion starts and ends at rest. The paper gives the line and the duration in Sec. VI. The
-    quintic profile along the line is an assumption.
+    x_0 is `position`. The motion starts and ends at rest. The paper gives the line and the duration
+    in Sec. VI. The profile ramp(t / duration) along the line is an assumption (`quintic_ramp`).
     """
     s, sd, sdd = quintic_ramp(t, duration)
     still = SX(3, 1)

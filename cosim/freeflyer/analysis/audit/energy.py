@@ -1,9 +1,10 @@
-"""Energy of sampled and held wrenches, and of the continuous spring-damper that they replace.
+"""Energy of a sampled and held control law, and of the continuous spring-damper that it replaces.
 
-A held wrench is constant between two samples of its controller. All functions are pure. Arrays
-have one row for each instant (n), or one row for each interval between instants (n - 1).
-6-vectors are [linear; angular] in the inertial frame I. Quaternions are [x, y, z, w]. All values
-are in SI units. The numbers in parentheses are equations of the paper.
+A held wrench is constant between two samples of its controller. An instant is the time of one row
+of the record. Arrays have one row for each instant (n), or one row for each interval between two
+instants (n - 1). 6-vectors are [linear; angular] in the inertial frame I. Quaternions are
+[x, y, z, w]. All values are in SI units. Single numbers in parentheses, for example (7), are
+equations of the paper.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ from freeflyer.fmi.component import Array
 def at_base(wrench: Array, lever: Array) -> Array:
     """Return J_b^T F (n, 6), the wrench at B that is equivalent to an end-effector wrench (n, 6).
 
-    The result is [f; p x f + torque], from (2). `lever` (n, 3) is p = p_e - p_b.
+    The result is [f; p x f + torque], from (2). f is the force of the wrench. `lever` (n, 3) is p,
+    the position of the end-effector minus the position of the base.
     """
     return np.hstack([wrench[:, :3], np.cross(lever, wrench[:, :3]) + wrench[:, 3:]])
 
@@ -27,18 +29,21 @@ def pose_error(
 ) -> Array:
     """Return Delta x (n, 6) of (7) and (8), from positions (n, 3) and quaternions (n, 4).
 
-    The rotational part is twice the vector part of the error quaternion with eta >= 0.
+    The rotational part is twice the vector part of the error quaternion. The sign of the quaternion
+    is chosen so that its scalar part eta is >= 0.
     """
     relative = Rotation.from_quat(orientation) * Rotation.from_quat(desired_orientation).inv()
     return np.hstack([position - desired_position, 2.0 * relative.as_quat(canonical=True)[:, :3]])
 
 
 def displacement(time: Array, position: Array, orientation: Array, velocity: Array) -> Array:
-    """Return the integral of x' (n - 1, 6) over each interval, from poses and twists (n, 6).
+    """Return the integral (n - 1, 6) of the velocity x' over each interval.
 
-    The integral of the angular velocity has no closed form. It is computed from two terms of a
-    Magnus series. The first term is the rotation vector of R(k+1) R(k)^T. With the second term the
-    error is of fifth order in the interval (Iserles et al., Acta Numerica 2000).
+    The arguments have one row for each instant. `velocity` (n, 6) is x'. The linear part of the
+    result is the difference of the positions. The integral of the angular velocity cannot be
+    computed exactly from the orientations. It is computed with two terms of a Magnus series. The
+    first term is the rotation vector of R(k+1) R(k)^T. With the second term, the error is of fifth
+    order in the interval (Iserles et al., Acta Numerica 2000).
     """
     T = np.diff(time)[:, None]
     rotation_vector = (
@@ -50,29 +55,31 @@ def displacement(time: Array, position: Array, orientation: Array, velocity: Arr
 
 
 def displacement_of_twist(time: Array, velocity: Array) -> Array:
-    """Return the integral of x' (n - 1, 6) by the trapezoidal rule.
+    """Return the integral (n - 1, 6) of the velocity x' over each interval.
 
-    This function is for measured motion. Differences of noisy poses would be less accurate. The
-    passivity observers use the same rule.
+    It is computed by the trapezoidal rule. This function is for measured motion. Measured poses
+    contain noise, and their differences would be less accurate. The passivity observers use the
+    same rule.
     """
     return 0.5 * np.diff(time)[:, None] * (velocity[:-1] + velocity[1:])
 
 
 def held(values: Array, share: float) -> Array:
-    """Return the mean (n - 1, m) over each interval of a sampled and held signal (n, m).
+    """Return the mean of a sampled and held signal (n, m) over each interval.
 
-    `share` is the hold time divided by the interval. With share = 1 the mean is the value at the
-    start of the interval. With share < 1 the samples inside the interval are assumed to lie on a
-    line. The mean is then (1 + share)/2 F(k) + (1 - share)/2 F(k+1).
+    The result is (n - 1, m). `share` is the time for which one sample is held, divided by the
+    interval. If it is 1, the mean is the value at the start of the interval. If it is less than 1,
+    the interval contains samples that are not in the record. They are assumed to lie on a line
+    between the two rows. The mean is then (1 + share)/2 F(k) + (1 - share)/2 F(k+1).
     """
     return 0.5 * (1.0 + share) * values[:-1] + 0.5 * (1.0 - share) * values[1:]
 
 
 def last_samples(time: Array, values: Array, period: int) -> Array:
-    """Return for each row the values (n, m) at the latest sampling instant of a controller.
+    """Return for each row the values (n, m) that a controller has sampled last.
 
-    The controller samples every `period` [ns], starting at t = 0. If the sampling instant lies
-    between two rows, the values are interpolated linearly.
+    The controller samples every `period` [ns], starting at t = 0. The last sample is at or before
+    the time of the row. If it is between two rows, its values are interpolated linearly.
     """
     instants = np.rint(time * 1e9).astype(np.int64)
     sampled = (instants - instants % period) * 1e-9
@@ -88,20 +95,22 @@ def summed(intervals: Array) -> Array:
 
 
 def work(force: Array, moved: Array) -> Array:
-    """Return the work W(k) (n, m) for each degree of freedom.
+    """Return the work W(k) (n, m) for each row k and each degree of freedom.
 
-    W(k) is the sum of F (x(j+1) - x(j)) over the intervals before row k. The sum is exact for a
-    held force (Stramigioli et al., T-RO 2005).
+    `force` (n - 1, m) is the force F in each interval, and `moved` (n - 1, m) is the displacement
+    x(j+1) - x(j) in interval j. W(k) is the sum of F (x(j+1) - x(j)) over the intervals before row
+    k. The sum is exact if the force is constant in each interval (Stramigioli et al., T-RO 2005).
     """
     return summed(force * moved)
 
 
 def spring_energy(stiffness: Array, error: Array) -> Array:
-    """Return U (n, 6), the potential energy of the spring -K_P Delta x.
+    """Return U (n, 6), the potential energy of the spring -K_P Delta x for each degree of freedom.
 
-    The rotational stiffness is assumed to be isotropic. A translation has the energy 1/2 k dx^2.
-    A rotation has Delta x = 2 eps and the torque -2 k eps. The potential energy of this torque is
-    4 k (1 - eta) = k |2 eps|^2 / (1 + eta). [eps; eta] is the error quaternion.
+    `error` (n, 6) is Delta x. Each translation has the energy 1/2 k dx^2. [eps; eta] is the error
+    quaternion. The rotational part of Delta x is 2 eps, and its torque is -2 k eps. The rotational
+    stiffness k is assumed to be isotropic. Then the potential energy of this torque is
+    4 k (1 - eta) = k |2 eps|^2 / (1 + eta).
     """
     two_eps = error[:, 3:]
     eta = np.sqrt(np.maximum(1.0 - 0.25 * np.sum(two_eps**2, axis=1, keepdims=True), 0.0))
@@ -111,7 +120,7 @@ def spring_energy(stiffness: Array, error: Array) -> Array:
 
 
 def dissipation(time: Array, damping: Array, velocity: Array) -> Array:
-    """Return the dissipated energy D(k) (n, m), the integral of K_D v^2.
+    """Return the dissipated energy D(k) (n, m), the integral of K_D v^2 up to row k.
 
     The velocity v is assumed to be linear between two rows.
     """
@@ -122,8 +131,9 @@ def dissipation(time: Array, damping: Array, velocity: Array) -> Array:
 def virtual_energy(worked: Array, stored: Array, dissipated: Array) -> Array:
     """Return V = W + U - U(0) + D (n, m), the energy that a held spring-damper generates.
 
-    `worked` is W, the work of the held spring-damper. On the same motion, a continuous
-    spring-damper does the work -(U - U(0)) - D. V is W minus this work. A held spring on one axis
-    generates K/2 (x(k+1) - x(k))^2 in each hold interval.
+    `worked` is W, the work of the held spring-damper. `stored` is U, and `dissipated` is D. On the
+    same motion, a continuous spring-damper would do the work -(U - U(0)) - D. V is W minus this
+    work. For example, a held spring on one axis generates K/2 (x(k+1) - x(k))^2 between two
+    samples.
     """
     return np.asarray(worked + stored - stored[0] + dissipated)

@@ -11,8 +11,8 @@ from freeflyer.analysis.audit.ledger import Audit
 from freeflyer.analysis.figure_style import STYLE
 from freeflyer.fmi.component import Array
 
-# The colours are from Okabe and Ito. Each colour has its own line style. Therefore the lines also
-# differ in a grey print.
+# The colours are from the palette of Okabe and Ito. Each colour has its own line style. Therefore
+# the lines also differ in a print without colours.
 B = {"color": "#D55E00", "ls": "-"}
 M = {"color": "#0072B2", "ls": "--"}
 KINETIC = {"color": "black", "ls": ":", "lw": 1.6}
@@ -22,7 +22,7 @@ TAKEN = {"color": "black", "ls": (0, (5, 1))}
 DAMPED = {"color": "0.55", "ls": "-", "lw": 0.8}
 TRUE = {"color": "0.35", "ls": ":", "lw": 1.8}
 DECADES = 4
-"""Number of decades that a symmetric logarithmic axis shows for each sign."""
+"""Number of decades that a symmetric logarithmic axis shows on each side of zero."""
 
 
 def draw(audit: Audit) -> Any:
@@ -126,8 +126,9 @@ def _observed(axes: Any, audit: Audit) -> None:
 def _scale(axes: Any, unit: str, *lines: Array) -> None:
     """Label the y axis. Make it symmetric logarithmic if a line would otherwise look flat.
 
-    The maximum in the first half of the run is used, too. Therefore a small signal at the start
-    stays visible.
+    A line would look flat if its maximum is much smaller than the maximum of all lines. The largest
+    value of the first half of the run is also compared. Therefore signals that are small at the
+    start and large at the end stay visible at the start.
     """
     axes.set_ylabel(unit)
     sizes = [float(np.abs(line).max()) for line in lines]

@@ -1,13 +1,15 @@
 """Energy audit of a recorded run: energy sources and sinks at the ports B and M.
 
 Port B is at the base, port M at the end-effector. A held law is a control law whose output is
-constant between two samples. The audit contains the power and the work at both ports and the
-kinetic energy of the robot. It also contains three other energies: the energy that the held laws
-generate, the energy that the passivity controllers remove, and the energy that the observers
-computed. docs/energy_audit.md has all equations. The work at each port is
+constant between two samples. The true wrench is the wrench that acts on the robot at a port. The
+audit contains the power and the work at both ports and the kinetic energy of the robot. It also
+contains three other energies: the energy that the held laws generate, the energy that the passivity
+controllers remove, and the energy that the passivity observers computed. docs/energy_audit.md has
+all equations. The work at each port is
     work = feed_forward + reference + stale + virtual - stored - dissipated - taken.
-The change of the robot's kinetic energy is
+The class `Port` explains these terms. The change of the robot's kinetic energy is
     kinetic = work at B + work at M + others + residual.
+The class `Balance` explains these terms.
 """
 
 from __future__ import annotations
@@ -26,23 +28,32 @@ from freeflyer.fmi.component import Array
 class Port:
     """Energies [J] of one port since the first row. The shape is (n) unless stated otherwise.
 
-    Positive energy flows into the robot. For `stored`, `dissipated` and `taken`, positive energy
-    flows out of the robot.
+    The law is the control law of this port. Positive energy flows into the robot. For `stored`,
+    `dissipated` and `taken`, positive energy flows out of the robot.
     """
 
     power: Array
     """Power [W] of the true wrench."""
     work: Array
     feed_forward: Array
-    """Work of the sampled and held feed-forward F*."""
+    """Work of the sampled and held feed-forward F* of the law."""
     reference: Array
-    """Work of the law on the desired motion. The desired motion moves one end of the spring."""
+    """Work of the held law on the desired motion.
+
+    The spring of the law acts between the robot and the desired pose. The desired motion moves one
+    end of this spring. With the tracking observer, the work of the passivity controller on the
+    desired motion is included.
+    """
     stale: Array
-    """Multi-rate energy: work of the true wrench at B minus work of the held wrench at B."""
+    """Multi-rate energy: work of the true wrench at B minus work of the held wrench at B.
+
+    The held wrench is the wrench that the base controller assumes. It is zero at port M.
+    """
     virtual: Array
     """Virtual energy: the energy that sampling the law generates.
 
-    It is the work of the held law minus the work of a continuous spring-damper on the same motion.
+    It is the work of the held law minus the work of a continuous spring-damper. Both works are for
+    the same motion.
     """
     stored: Array
     """Change of the spring's potential energy."""
@@ -53,27 +64,32 @@ class Port:
     observed: Array
     """Energy (n, 6) that the passivity observer computed, including E(0)."""
     absorbed: Array
-    """E(0) minus the true work (n, 6). An ideal observer of this port computes this energy."""
+    """E(0) minus the true work (n, 6). An ideal observer of this port would compute this energy."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Balance:
-    """Energy balance of the robot: energies [J] since the first row (n)."""
+    """Energy balance of the robot: energies [J] since the first row (n).
+
+    `kinetic` is the change of the kinetic energy. `base_wrench` and `joint_torque` are the work of
+    the base wrench F_b and of the joint torques tau that the robot received.
+    """
 
     kinetic: Array
     base_wrench: Array
     joint_torque: Array
     others: Array
-    """Work of wrenches and torques that other components add to the outputs of the controllers.
+    """Work of wrenches and torques that do not come from the controllers.
 
-    An example is a disturbance that a user adds.
+    They come from components between the controllers and the robot. An example is a disturbance
+    that a user adds.
     """
     residual_of_held: Array
     """`kinetic` minus the work of the held commands F_b and tau."""
     residual_of_ports: Array
     """`kinetic` minus the work of the wrenches F_B and F_m at the ports, minus `others`."""
     moved: float
-    """Sum of |work| of F_b and tau over all intervals. The residuals are compared with this sum."""
+    """Sum of |work| of F_b and tau over all intervals [J]. It is the scale for the residuals."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +100,10 @@ class Audit:
     base: Port
     manipulator: Port
     tracking_power: Array
-    """Power of the tracking error (F'_m - F_m*) (x_m' - x_md') [W] (n)."""
+    """Power of the tracking error [W] (n): (F'_m - F_m*) (x_m' - x_md').
+
+    F'_m is the wrench at port M, and F_m* is its feed-forward.
+    """
     balance: Balance | None
     notes: tuple[str, ...]
     """Limitations of this audit."""
@@ -96,8 +115,8 @@ class Audit:
 
 def audit(loop: RecordedLoop) -> Audit:
     """Compute the energy audit of a recorded loop."""
-    # Compute the hold times as fractions of a row interval, and the displacements of the true and
-    # the desired motion.
+    # Compute two things for each controller or motion. A share is the time for which a sample is
+    # held, as a fraction of the row interval. `moved` is the displacement in each interval.
     time, law_m, law_b = loop.time, loop.manipulator_law, loop.base_law
     share_m, share_b = (_share(loop, law.period) for law in (law_m, law_b))
     moved_b, moved_m = (_moved(loop, motion) for motion in (loop.base, loop.end_effector))
@@ -106,8 +125,9 @@ def audit(loop: RecordedLoop) -> Audit:
     )
     at_rest = np.zeros_like(moved_d)
 
-    # Between the samples of the base controller, the true wrench at B is F'_b(k_b) - J_b(k)^T
-    # F'_m(k). The base controller assumes that the wrench at B is F'_B(k_b).
+    # The true wrench at B is F'_b(k_b) - J_b(k)^T F'_m(k). k_b is the last sample of the base
+    # controller, and k is the present row. Until its next sample, the base controller assumes that
+    # the wrench at B is F'_B(k_b).
     from_end_effector = energy.at_base(
         loop.end_effector_wrench, loop.end_effector.position - loop.base.position
     )
@@ -115,11 +135,11 @@ def audit(loop: RecordedLoop) -> Audit:
     acting = energy.held(loop.base_wrench, share_b) - energy.held(from_end_effector, share_m)
     stale = acting - energy.held(loop.port_wrench, share_b)
 
-    # With the tracking observer, the damper of the passivity controller acts on the motion of the
-    # tracking error. With the other observers, the damper acts on the motion of the port.
+    # With the tracking observer, the damper of the manipulator's passivity controller acts on the
+    # velocity error. With the other observers, it acts on the velocity of the port.
     tracking = loop.observer == "tracking"
-    # Port M comes first, because the tracking power below needs the feed-forward F* of port M. The
-    # reference of the base is at rest.
+    # Only the feed-forward F* of port M is needed below, for the tracking power. The reference of
+    # the base is at rest.
     port_m, F_m_star = _port(
         loop,
         law_m,
@@ -164,7 +184,10 @@ def audit(loop: RecordedLoop) -> Audit:
 
 
 def _share(loop: RecordedLoop, period: int) -> float:
-    """Return the fraction of a row interval for which a sample is held. It is at most 1."""
+    """Return the fraction of a row interval for which a sample is held. It is at most 1.
+
+    `period` [ns] is the sampling period.
+    """
     return min(1.0, period / loop.interval)
 
 
@@ -196,8 +219,11 @@ def _port(
 ) -> tuple[Port, Array]:
     """Return the energies of one port, and the feed-forward F* (n, 6) of the port's law.
 
-    `stale` (n - 1, 6) is a wrench that acts in addition to the wrench of the law. `damped_motion`
-    (n - 1, 6) is the displacement on which the damper of the passivity controller acts.
+    `share` is the result of `_share` for this law. `wrench` (n, 6) is the commanded wrench at the
+    port, and `passivity_wrench` (n, 6) is the part of it that comes from the passivity controller.
+    `stale` (n - 1, 6) is a wrench that acts in addition to the commanded wrench. The displacements
+    are (n - 1, 6): `moved` is that of the port, `moved_desired` is that of the desired motion, and
+    `damped_motion` is the one on which the damper of the passivity controller acts.
     """
 
     def errors(motion: Motion) -> tuple[Array, Array]:
@@ -206,9 +232,10 @@ def _port(
         )
         return pose, motion.velocity - desired.velocity
 
-    # Split the law into the sampled spring-damper -K_P Delta x - K_D Delta x' and the remaining
-    # feed-forward F*. The gains of a law with discrete gains are not recorded. Therefore such a law
-    # counts as a spring-damper without feed-forward.
+    # Split the law into the sampled spring-damper -K_P Delta x - K_D Delta x' and the feed-forward
+    # F*, which is the rest. Some controllers compute discrete gains from K_P and K_D (not
+    # `is_plain`). These gains are not recorded, and the law cannot be split. Therefore the whole
+    # law counts as a spring-damper without feed-forward.
     sampled_pose, sampled_velocity = (
         energy.last_samples(loop.time, values, law.period) for values in errors(law.measured)
     )
@@ -262,8 +289,8 @@ def _balance(loop: RecordedLoop, port_b: Port, port_m: Port, moved_b: Array) -> 
         energy.work(force, moved).sum(axis=1)
         for force, moved in ((by_base, moved_b), (by_joints, moved_q))
     )
-    # The plant can receive other values than the outputs of the controllers. Compute the work of
-    # this difference.
+    # A component between controller and plant can change the values that the plant receives.
+    # Compute the work of this change.
     other_wrench = by_base - held(loop.base_wrench, loop.base_law.period)
     other_torque = by_joints - held(loop.joint_torque, loop.manipulator_law.period)
     others = energy.work(other_wrench, moved_b).sum(axis=1) + energy.work(

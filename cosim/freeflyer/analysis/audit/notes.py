@@ -1,4 +1,4 @@
-"""Notes on the limitations of an energy audit, derived from its record."""
+"""Notes on the limitations of an energy audit. They depend on the record that is audited."""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Find the signals of the control loop in a record, from the connections in its provenance."""
+"""Find the signals of the control loop in a record.
+
+A record contains its provenance. The provenance contains the connections, parameters and steps of
+the system that was run. The signals are found by these connections.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +28,10 @@ MANIPULATOR = (
     "base_observed_energy",
 )
 BASE = ("base_wrench", "port_wrench", "passivity_wrench")
-"""Outputs that identify the two controllers. The names of the two components do not matter."""
+"""Outputs that identify the base controller. `MANIPULATOR` identifies the manipulator controller.
+
+The names of the two components do not matter.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,11 +66,11 @@ class Law:
 
 @dataclass(frozen=True, kw_only=True)
 class Plant:
-    """Actual inputs and response of the robot in the simulation.
+    """Inputs that the simulated robot received, and its response.
 
-    The inputs are `base_wrench` (n, 6) [N, N m] and `joint_torque` (n, joints) [N m]. Each input
-    has its sample period [ns]. The response is `joint_position` (n, joints) [rad] and
-    `kinetic_energy` (n,) [J].
+    The inputs are `base_wrench` (n, 6) [N, N m] and `joint_torque` (n, joints) [N m]. The period of
+    an input is the step [ns] of the component that is connected to it. The response is
+    `joint_position` (n, joints) [rad] and `kinetic_energy` (n,) [J].
     """
 
     base_wrench: Array
@@ -76,11 +83,14 @@ class Plant:
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedLoop:
-    """Signals of the control loop, in the rows of a record that contain only finite values.
+    """Signals of the control loop, for the first rows of a record.
 
-    `time` is (n,) [s]. fmu_src/NOTATION.md defines the wrenches. `desired` is the desired motion of
-    the end-effector. `setpoint` is the desired motion of the base. At the facility there is no
-    `plant`. Then `base` and `end_effector` are the measured motions.
+    The rows end before the first row with a value that is not finite, or with a quaternion whose
+    norm is almost zero. `rows_left_out` is the number of rows after this end. `time` is (n,) [s].
+    fmu_src/NOTATION.md defines the wrenches. `base` and `end_effector` are the actual motions,
+    `desired` is the desired motion of the end-effector, and `setpoint` is the desired motion of the
+    base. A record of the facility has no simulated robot. Then `plant` is None, and `base` and
+    `end_effector` are the measured motions.
     """
 
     provenance: Provenance
@@ -143,8 +153,8 @@ class _Finder:
         self.rows = record.rows
 
     def loop(self) -> RecordedLoop:
-        # Both controllers must be found first, because all other signals are found through their
-        # connections.
+        # Both controllers must be found first. All other signals are outputs of these controllers,
+        # or are found by connections.
         manipulator, base = (
             self.component_with(MANIPULATOR, "manipulator's"),
             self.component_with(BASE, "base's"),
@@ -222,7 +232,8 @@ class _Finder:
             )
         ]
 
-        # All signals have been read here. Therefore the error lists all missing data.
+        # Only now have all signals been read. Therefore the message of the error lists all missing
+        # data.
         self.check_complete()
         loop = RecordedLoop(
             provenance=self.provenance,
@@ -269,9 +280,9 @@ class _Finder:
         return found[0]
 
     def plant_component(self) -> str | None:
-        """Return the name of the simulated robot, or None.
+        """Return the name of the component that simulates the robot, or None.
 
-        Its inputs are base_wrench and joint_torque. One of its outputs is kinetic_energy.
+        This component has the inputs base_wrench and joint_torque, and the output kinetic_energy.
         """
         for name in self.provenance.steps:
             driven = all(
@@ -283,7 +294,10 @@ class _Finder:
         return None
 
     def source(self, component: str, entry: str) -> str:
-        """Return the output that is connected to an input."""
+        """Return the output that is connected to the input `entry` of a component.
+
+        If the input has no connection, it is added to `missing`, and the result is "".
+        """
         target = f"{component}.{entry}"
         if target not in self.provenance.sources:
             self.missing.append(f"source of {target}")
@@ -294,10 +308,10 @@ class _Finder:
         return self.provenance.steps.get(component_of(signal), 1)
 
     def signal(self, name: str, size: int | None = None) -> Array:
-        """Return a signal (rows, size). If `size` is None, any number of columns is accepted.
+        """Return all rows of a signal (rows, size). If `size` is None, any size is accepted.
 
-        A missing signal is added to `missing`. The used rows end before the first row in which the
-        signal is not finite.
+        If the signal is missing, it is added to `missing`, and the result is zero. The loop will
+        use only the rows before the first row in which the signal is not finite.
         """
         if name not in self.record:
             if name:
@@ -310,7 +324,7 @@ class _Finder:
         return values
 
     def end_before(self, invalid: NDArray[np.bool_]) -> None:
-        """End the used rows before the first invalid row."""
+        """Use only the rows before the first row that is `invalid`."""
         self.rows = min(self.rows, int(np.argmax(invalid)) if invalid.any() else self.record.rows)
 
     def motion(self, position: str, orientation: str, velocity: str) -> Motion:
@@ -355,7 +369,10 @@ class _Finder:
 
 
 def _first_rows(part: Any, rows: int) -> Any:
-    """Return a copy of a dataclass, with the arrays of signals shortened to the first rows."""
+    """Return a copy of a dataclass in which each signal has only the first `rows` rows.
+
+    Gains and initial energies are not signals. They stay unchanged.
+    """
     cut = {}
     for name, value in vars(part).items():
         if isinstance(value, Motion | Plant | Law):

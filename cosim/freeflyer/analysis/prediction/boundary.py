@@ -1,7 +1,8 @@
 """Predict the largest stable base period of a scenario from its linearised loop at the set point.
 
-T_m is the step of the fast controllers. The base period T_b is the step of the scanned controller.
-The scanned controller is usually the base controller.
+The prediction varies the period of one controller, the scanned controller. This is usually the base
+controller. Its period is called the base period T_b. All other controllers are called the fast
+controllers. They have the step T_m.
 """
 
 from __future__ import annotations
@@ -24,7 +25,10 @@ from freeflyer.foundation.errors import ScenarioError
 from freeflyer.scenario.scenario import Scenario
 
 LONGEST = 0.5
-"""Default of the longest period [s]. The scan always includes the period of the scenario."""
+"""Default of the longest scanned period [s].
+
+If the period of the scenario is longer, it is the default.
+"""
 MOST_PERIODS = 100_000
 BATCH = 50
 """Number of periods whose eigenvalues are computed in one call."""
@@ -34,15 +38,18 @@ BATCH = 50
 class Prediction:
     """Result of a scan over the base period. Times are in s.
 
-    `periods` are the scanned periods. `radius` is the spectral radius of the map over one base
-    period, for each scanned period. Neutral directions are left out. `neutral` is their number. A
-    neutral direction has no restoring force: the plant can rest at any position.
+    `scenario` and `component` are the names of the scenario and of the scanned controller. `tick_s`
+    is T_m. `period_s` is the period of the scenario. `periods` are the scanned periods. For each
+    scanned period, `radius` is the spectral radius of the map over one period, without the neutral
+    directions. `neutral` is the number of neutral directions. In a neutral direction, no force
+    returns the plant to the set point: it can rest at any position.
     `largest_stable_s`: all periods up to this period are stable. It is 0 if T_m is unstable. It is
-    the longest scanned period if all periods are stable. `stable_s` has the first and the last
+    the longest scanned period if all periods are stable. `stable_s` contains the first and the last
     period of each stable interval.
-    `boundary` is the mode that becomes unstable above `largest_stable_s`. `limit` is the cause of
-    this instability. `boundary` and `limit` are None if all periods are stable. `own` is the least
-    stable mode at the period of the scenario.
+    `boundary` is the least stable mode at the first unstable period. `limit` is the cause of this
+    instability. `boundary` and `limit` are None if all periods are stable. `own` is the least
+    stable mode at the period of the scenario. `coordinates` describe the loop at the first unstable
+    period or, if all periods are stable, at the period of the scenario.
     """
 
     scenario: str
@@ -113,8 +120,8 @@ def predict(
     """Scan the period of `component` (default: the slowest controller) up to `longest` [s].
 
     The step of the scan is T_m. If `beyond` is false, the scan stops soon after the first unstable
-    period. Then the scan misses stable periods above the unstable period. Sweeps use this option.
-    The passivity controllers are off. The start of the scenario must be a set point.
+    period. It then does not find stable intervals above this period. Sweeps use this option. The
+    passivity controllers are off. The start of the scenario must be a set point (`set_point`).
     Raises CosimError.
     """
     with at_set_point(scenario, component) as here:
@@ -123,7 +130,8 @@ def predict(
 
 def scan(here: SetPoint, longest: float | None, *, beyond: bool = True) -> Prediction:
     """Scan the period of the loop at a set point. `predict` explains the arguments."""
-    # Compute the spectral radius for each period, in batches of periods.
+    # Compute the spectral radius for each period. Each call of `multipliers` handles one batch of
+    # periods.
     roles = here.model.roles
     own, count = roles.period // roles.tick, _count(longest, roles.tick, roles.period)
     maps, found = lifting.lifted_maps(here.loop(n) for n in range(1, count + 1)), list[float]()

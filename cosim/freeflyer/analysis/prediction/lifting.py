@@ -1,9 +1,11 @@
 """Compute the map of the linearised loop over one base period n T_m (lifting).
 
-A law is a linearised controller. The fast laws are sampled every T_m, the slow laws every n T_m.
-The state of the loop at an instant is [x; signals; signals before the instant; pending outputs].
-The actions of the master at an instant are linear assignments to rows of this state. A row is
-removed if no later action reads this row.
+A law is a linearised controller. The fast laws are sampled every T_m, the slow laws every n T_m. An
+instant is a point in time at which laws are sampled. The state of the loop at an instant is
+[x; signals; signals before the instant; pending outputs]. x is the state of the plant. A signal is
+an element of an output of the plant or of a law. In parallel exchange, an output of a law is
+pending until the next sample of the law. The actions of the master at an instant are linear
+assignments to elements of this state. An element is removed if no later action reads it.
 """
 
 from __future__ import annotations
@@ -24,8 +26,9 @@ Indices = NDArray[np.intp]
 class Inputs:
     """Sources of the inputs of a component.
 
-    `sources` are indices of the loop's signals. `delayed` is true for an input that reads the value
-    which its source had before the instant.
+    Both arrays have one element for each element of the inputs. `sources` contains the index of the
+    signal that is connected to it. `delayed` is true if the input receives the value that this
+    signal had before the instant.
     """
 
     sources: Indices
@@ -37,8 +40,8 @@ class Plant:
     """Linear plant x' = A x + B u, y = C x around an operating point.
 
     x has rotation vectors instead of quaternions. Therefore the elements of x are independent. The
-    outputs y are the first signals of the loop. `step` and `step_input` are the exact maps of x and
-    u to x after T_m, if u is constant.
+    outputs y are the first signals of the loop. If u is constant for T_m, the state after T_m is
+    exactly `step` @ x + `step_input` @ u.
     """
 
     A: Array
@@ -52,7 +55,7 @@ class Plant:
 def plant(A: Array, B: Array, C: Array, inputs: Inputs, tick: float) -> Plant:
     """Return the plant with `step` and `step_input` for the time `tick` [s].
 
-    They are computed with the matrix exponential.
+    `step` and `step_input` are computed with the matrix exponential.
     """
     n, m = B.shape
     both = expm(np.block([[A, B], [np.zeros((m, n + m))]]) * tick)
@@ -63,7 +66,8 @@ def plant(A: Array, B: Array, C: Array, inputs: Inputs, tick: float) -> Plant:
 class Law:
     """Controller without memory, linearised at an operating point: outputs = gain @ inputs.
 
-    The outputs of the controller are the signals `first` to `last` - 1 of the loop.
+    The outputs of the controller are the signals `first` to `last` - 1 of the loop. `slow` is true
+    if the controller is sampled every n T_m, and false if it is sampled every T_m.
     """
 
     name: str
@@ -78,7 +82,8 @@ class Law:
 class Loop:
     """Linearised loop. `laws` are in order of execution. `width` is the number of signals.
 
-    `tick` is T_m [s]. If `parallel` is true, outputs are forwarded at the end of a step.
+    `tick` is T_m [s]. If `parallel` is true (parallel exchange), the outputs of a law reach other
+    components only at the next sample of this law.
     """
 
     plant: Plant
@@ -91,7 +96,8 @@ class Loop:
 class Instants:
     """Map of the loop's state over one instant and the following step T_m of the plant.
 
-    The elements of the state are the rows of a matrix.
+    The map is applied to all columns of a matrix. Each column is a state of the loop, and each row
+    is one element of the state.
     """
 
     def __init__(self, loop: Loop) -> None:
@@ -109,9 +115,10 @@ class Instants:
         return np.asarray(rows[places])
 
     def apply(self, rows: Array, *, slow: bool) -> None:
-        """Advance `rows` (size, any number of columns) by one instant and T_m, in place.
+        """Apply the actions of one instant and the step T_m to the matrix `rows`, in place.
 
-        If `slow` is true, the slow laws are also sampled.
+        `rows` is (size, any number of columns). The fast laws are sampled. If `slow` is true, the
+        slow laws are sampled, too.
         """
         loop, plant, now, w = self.loop, self.loop.plant, self._now, self.loop.width
         if self._delays:
@@ -145,11 +152,11 @@ class Instants:
         return self.after(np.eye(self.size), slow=slow)
 
     def feedback(self) -> Array:
-        """Return the static gain from the plant's states to the plant's inputs through all laws.
+        """Return the gain from the plant's states to the plant's inputs through all laws.
 
-        Its shape is (plant inputs, plant states). In parallel exchange, an output needs several
-        instants to reach the plant. Therefore several instants are computed with a constant state
-        of the plant.
+        Its shape is (plant inputs, plant states). The gain is for a constant state of the plant. In
+        parallel exchange, an output can need several instants to reach the plant. Therefore several
+        instants are computed, and the state of the plant is kept constant.
         """
         rows = np.eye(self.size)[:, self._x]
         for _ in range(len(self.loop.laws) + 1 if self.loop.parallel else 1):
@@ -160,9 +167,10 @@ class Instants:
 
 
 def relevant(loop: Loop) -> Indices:
-    """Return the indices of the elements of the loop's state that can affect the plant's states.
+    """Return the indices of the relevant elements of the loop's state.
 
-    The first indices are the plant's states. The result does not depend on the gains of slow laws.
+    An element is relevant if it can affect the plant's states. The plant's states come first. The
+    result does not depend on the gains of slow laws.
     """
     # All gains of slow laws are set to 1 here, because a gain can be zero by chance.
     laws = tuple(
@@ -187,8 +195,8 @@ def _ancestors(states: int, *maps: Array) -> Indices:
 def reduced(loop: Loop, kept: Indices) -> tuple[Array, Array]:
     """Return two maps of the elements `kept` over T_m.
 
-    The first map is for an instant at which only fast laws are sampled. The second map is for an
-    instant at which all laws are sampled.
+    `kept` are indices of the loop's state. The first map is for an instant at which only fast laws
+    are sampled. The second map is for an instant at which all laws are sampled.
     """
     instants = Instants(loop)
     columns = np.eye(instants.size)[:, kept]
@@ -202,7 +210,10 @@ def lifted(loop: Loop, n: int) -> Array:
 
 
 def _without_irrelevant(period_map: Array, states: int) -> Array:
-    """Remove the elements of the state that do not affect the plant in a later period."""
+    """Remove the elements of the state that do not affect the plant in a later period.
+
+    The first `states` elements are the plant's states.
+    """
     kept = _ancestors(states, period_map)
     return period_map[np.ix_(kept, kept)]
 
@@ -210,8 +221,9 @@ def _without_irrelevant(period_map: Array, states: int) -> Array:
 def lifted_maps(loops: Iterable[Loop]) -> Iterator[Array]:
     """Yield the map over n T_m for the n-th loop, n = 1, 2, ....
 
-    The laws of a loop may depend on n. As long as the fast laws stay bitwise equal, the power of
-    the fast map is updated by one multiplication.
+    The laws of a loop may depend on n. The map over n T_m contains the power n - 1 of the map in
+    which only fast laws are sampled. As long as the fast laws of two successive loops are bitwise
+    equal, this power is updated by one multiplication.
     """
     before: Loop | None = None
     for n, loop in enumerate(loops, start=1):

@@ -1,8 +1,8 @@
 """Linearise the loop of a scenario around an operating point, with directional derivatives of FMUs.
 
-The passivity controllers are disabled, because they are nonlinear. A passivity controller has no
-effect if the loop is already passive. The signal roles of the scenario name two things: the
-quaternions, and the switches of the passivity controllers.
+The passivity controllers are disabled, because they are nonlinear. As long as the loop is passive,
+they have no effect anyway. The signal roles of the scenario name two things: the variables that are
+quaternions, and the parameters that switch the passivity controllers on and off.
 
 The prediction varies the period of one controller. This controller is called the scanned
 controller. All other controllers have the step T_m (`Roles.tick`).
@@ -35,13 +35,17 @@ from freeflyer.scenario.signal_roles import SignalRoles
 from freeflyer.scenario.steps import communication_steps
 
 Point = Mapping[str, Array]
-"""An operating point: the values of all outputs at one instant. The keys are COMPONENT.VARIABLE."""
+"""An operating point: the values of signals at one point in time. The keys are COMPONENT.VARIABLE.
+
+`LoopModel.recorded` lists the signals.
+"""
 
 
 class LoopModel:
     """The loop of a loaded scenario. `opened` creates this object.
 
-    `plant_at` linearises the plant. `loop` linearises the whole loop.
+    `plant_at` linearises the plant. `loop` linearises the controllers, and combines them with the
+    linearised plant.
     """
 
     def __init__(
@@ -104,7 +108,8 @@ class LoopModel:
     def started(self, stop: int, record_every: int) -> Master:
         """Return an initialised master. The scanned controller has the step T_m, like all others.
 
-        The tracking errors are smallest with this step. `stop` and `record_every` are in ns. Raises
+        With this step, the motion is closest to the desired motion. `stop` is the end of the run,
+        and `record_every` is the time between two rows of the record. Both are in ns. Raises
         CosimError.
         """
         tick, steps = self.roles.tick, dict(self.system.steps)
@@ -118,7 +123,10 @@ class LoopModel:
         return master
 
     def recorded(self) -> list[str]:
-        """Return the names of the signals of an operating point."""
+        """Return the names of the signals of an operating point.
+
+        They are the plant's states, and all outputs that are connected to an input.
+        """
         states = [f"{self.roles.plant}.{name}" for name in self.fmus[self.roles.plant].states]
         return list(
             dict.fromkeys(
@@ -161,11 +169,11 @@ class LoopModel:
         return tangent.chart(states, values, self.quaternions)
 
     def outputs_of_plant(self, names: Sequence[str], point: Point) -> Array:
-        """Return the derivative of outputs with respect to the states, in the tangent chart.
+        """Return the derivative of the outputs `names` with respect to the plant's states.
 
         The derivative is taken at the point of the last call of `plant_at`. Pass the same `point`
-        here: it is used only for the charts. Quaternions among the outputs are also replaced by
-        rotation vectors.
+        here: it is used only for the charts. All quaternions are replaced by rotation vectors, in
+        the states and in the outputs.
         """
         fmu = self.fmus[self.roles.plant]
         into, _ = self.chart(point)
@@ -180,7 +188,7 @@ class LoopModel:
         return value
 
     def states_of_plant(self, names: Sequence[str], point: Point) -> Indices:
-        """Return the indices that the states `names` have in the coordinates of the chart."""
+        """Return the indices of the states `names` in the coordinates of the chart (`chart`)."""
         states, places, first = self.fmus[self.roles.plant].states, {}, 0
         for state in states:
             size = point[f"{self.roles.plant}.{state}"].size
@@ -190,10 +198,10 @@ class LoopModel:
         return np.array([place for name in names for place in places[name]])
 
     def inputs_of_plant(self, names: Sequence[str]) -> Indices:
-        """Return the indices of the elements of the inputs `names`.
+        """Return the indices of the plant's inputs `names` in the columns of B of the plant.
 
-        Only the inputs of the plant that are connected to signals of the loop are counted. Raises
-        ScenarioError if one of the `names` is not such an input.
+        B has a column for each element of the inputs that are connected to signals of the loop.
+        Raises ScenarioError if one of the `names` is not such an input.
         """
         places, first = {}, 0
         for name in self.driven(self.roles.plant):
@@ -210,7 +218,8 @@ class LoopModel:
     def loop(self, plant: Plant, point: Point, period: int) -> Loop:
         """Return the loop linearised at a point.
 
-        `period` is the period of the scanned controller [ns].
+        `plant` is the result of `plant_at` for this point. `period` is the period of the scanned
+        controller [ns].
         """
         values, laws = self.values(period), []
         for name in self.roles.laws:
@@ -233,14 +242,16 @@ class LoopModel:
     def connections_of(self, name: str) -> list[Connection]:
         """Return the connections from signals of the loop to inputs of the component.
 
-        Connections from references are left out, because the references do not depend on the loop.
+        Connections from other components, for example from a trajectory generator, are left out.
+        Their values do not depend on the loop.
         """
         return [c for c in self.system.wiring.inputs_of(name) if c.source in self.signals]
 
     def driven(self, name: str) -> list[str]:
         """Return the inputs of a component that are connected to signals of the loop.
 
-        The columns of the matrices of this component have the same order.
+        The derivatives of this component with respect to its inputs have their columns in the same
+        order.
         """
         return [split(connection.target)[1] for connection in self.connections_of(name)]
 
@@ -261,7 +272,10 @@ class LoopModel:
     # Checks
 
     def _linked_parameters(self) -> list[tuple[str, str]]:
-        """Return (component, parameter) for all parameters that depend on the scanned period."""
+        """Return (component, parameter) for all parameters that depend on the scanned period.
+
+        They are found by a comparison of the parameter values for two periods.
+        """
         roles, found = self.roles, []
         one, other = (_resolved(self.scenario, self.fmus, roles, k * roles.tick) for k in (1, 2))
         for name, values in one.items():

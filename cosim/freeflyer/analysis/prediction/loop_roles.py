@@ -1,7 +1,7 @@
 """Roles of the components in the loop of a scenario: plant, controllers, scanned controller.
 
 The plant has continuous states. The controllers sample the outputs of the plant. The prediction
-scans the period of one controller.
+varies the period of one controller. This controller is called the scanned controller.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from freeflyer.scenario.signal_roles import SINGLE, SignalRoles
 class Roles:
     """Roles of the components. `laws` are the controllers in execution order.
 
-    `scanned` is the slow controller. `parameter` is the name of the parameter for its period.
-    `period` is the value [ns] of this parameter in the scenario. `tick` is T_m [ns], the step of
-    all other controllers.
+    `scanned` is the scanned controller. `parameter` is the name of its parameter for the period.
+    `period` [ns] is its period in the scenario. `tick` is T_m [ns], the step of all other
+    controllers. They are called the fast controllers.
     """
 
     plant: str
@@ -42,8 +42,9 @@ def roles_of(
 ) -> Roles:
     """Return the roles of the components.
 
-    `scanned` is the name of the scanned controller (default: the slowest controller). Raises
-    ScenarioError if the loop does not meet the conditions of the prediction.
+    `fmus` are the components of the loop. `scanned` is the name of the scanned controller (default:
+    the slowest controller whose period is a parameter). Raises ScenarioError if the loop does not
+    meet the conditions of the prediction. The comments below give these conditions.
     """
     # All continuous states must belong to one component, the plant.
     plants = [name for name, fmu in fmus.items() if fmu.states]
@@ -115,8 +116,9 @@ def check_signals(
 ) -> None:
     """Check the signals that a scenario declares in `[roles]`.
 
-    Raises ScenarioError if a signal does not exist or does not have the size of its role, if it is
-    not a variable of the plant, or if one variable has two roles.
+    Raises ScenarioError in these cases: a signal does not exist, its size does not fit the role, it
+    is not a variable of the plant, or it has two roles. The switches of the passivity controllers
+    may belong to any component.
     """
     used: dict[str, str] = {}
     for role, signals in roles.declared.items():
@@ -132,7 +134,7 @@ def check_signals(
             if signal in used:
                 raise ScenarioError(f"{signal} has two roles: {used[signal]} and {role}")
             used[signal] = role
-    # A role that is not declared has the variable of its own name.
+    # If a role is not declared, the variable with the name of the role has this role.
     for role in SINGLE:
         other = used.get(f"{plant}.{role}", role)
         if role not in roles.declared and other != role:

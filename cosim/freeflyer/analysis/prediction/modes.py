@@ -1,4 +1,8 @@
-"""Modes of the loop over one base period: frequency, growth rate, and cause of an instability."""
+"""Modes of the loop over one base period T_b: frequency, growth rate, and cause of an instability.
+
+T_b is the period of the controller whose period the prediction varies. This is usually the base
+controller.
+"""
 
 from __future__ import annotations
 
@@ -13,25 +17,26 @@ from freeflyer.analysis.prediction.task_coordinates import DEGREES, TaskCoordina
 from freeflyer.fmi.component import Array
 
 MOSTLY = 0.9
-"""A mode belongs to one body if this body has at least this share of the energy."""
+"""A mode is called a mode of one body if this body has at least this share of the mode's energy."""
 REPORTED_SHARE = 0.05
-"""A degree of freedom is listed if it has at least this share of the energy."""
+"""A description lists the degrees of freedom that have at least this share of the mode's energy."""
 AT_LIMIT = 0.9
 """An axis is the cause of the instability if one of its two ratios is at least this value.
 
-`held_axis` defines the ratios. They are computed at the stability boundary. A single axis has the
-limit 1. The coupling of several axes changes this limit by a few percent in both directions.
+`held_axis` defines the two ratios. They are computed at the stability boundary. For a single axis,
+the limit of both ratios is 1. The coupling of several axes increases or decreases this limit by a
+few percent.
 """
 REAL = 1e-6
-"""Angle [rad] below which a multiplier counts as real."""
+"""A multiplier counts as real if its angle to the real axis is below this value [rad]."""
 
 
 Kind = Literal["sampled spring", "sampled damper", "hand", "coupling"]
 """Cause that limits T_b.
 
-"sampled spring" and "sampled damper" are the conditions of `held_axis` in an axis of the base.
-"hand" is the loop of the end-effector; prediction.json uses this name. "coupling" is the coupling
-of base and end-effector.
+With "sampled spring" and "sampled damper", an axis of the base does not meet this condition of
+`held_axis`. With "hand", the cause is in the loop of the end-effector. prediction.json uses this
+name. With "coupling", the cause is the coupling of base and end-effector.
 """
 
 
@@ -39,8 +44,8 @@ of base and end-effector.
 class Mode:
     """One eigenvalue (multiplier) of the map over one base period.
 
-    `period` is the base period [s]. `shares` (12) are the shares of the degrees of freedom in the
-    energy of the eigenvector. Their sum is 1.
+    `period` is the base period [s]. `shares` (12) contains, for each degree of freedom, its share
+    of the energy of the eigenvector. The sum of the shares is 1.
     """
 
     period: float
@@ -105,12 +110,12 @@ class Mode:
 
 @dataclass(frozen=True, kw_only=True)
 class Limit:
-    """Cause that limits T_b. `axis` is the axis of the base with the largest share in the mode.
+    """Cause that limits T_b. `axis` is the axis of the base with the largest share of the energy.
 
-    `spring` (6) is the ratio K_P T_b / 2 K_D of each axis of the base. `damper` (6) is the ratio
-    K_D T_b / 2 M~ of each axis. The ratios are computed at the stability boundary. A single axis is
-    stable if both ratios are below 1. In parallel exchange (`late`), the ratios are
-    3 K_P T_b / 2 K_D and K_D T_b / M~.
+    `spring` (6) is the ratio K_P T_b / (2 K_D) of each axis of the base. `damper` (6) is the ratio
+    K_D T_b / (2 M~) of each axis. M~ is the inertia of the base in this axis. The ratios are
+    computed at the stability boundary. A single axis is stable if both ratios are below 1. `late`
+    is true in parallel exchange. The ratios are then 3 K_P T_b / (2 K_D) and K_D T_b / M~.
     """
 
     kind: Kind
@@ -141,10 +146,10 @@ class Limit:
 def modes(
     period_map: Array, period: float, coordinates: TaskCoordinates, states: int
 ) -> list[Mode]:
-    """Return all modes of a map over one base period [s]. The least stable mode comes first.
+    """Return all modes of a map over one base period. The least stable mode comes first.
 
-    A pair of complex multipliers is one mode. The first `states` elements of the map are the
-    plant's states.
+    `period` is the base period [s]. A pair of complex multipliers is one mode. The first `states`
+    elements of the vectors of the map are the plant's states. `coordinates` gives their energy.
     """
     values, vectors = np.linalg.eig(period_map)
     found = []

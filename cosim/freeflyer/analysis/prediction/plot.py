@@ -1,4 +1,7 @@
-"""Figure of a prediction: growth rate over the base period, with the stability boundaries."""
+"""Figure of a prediction: the growth rate as a function of the base period T_b.
+
+The figure also shows the stable intervals and the largest stable period.
+"""
 
 from __future__ import annotations
 
@@ -25,13 +28,14 @@ def write(prediction: Prediction, along: AlongTrajectory | None, path: Path) -> 
 
 
 def scan(prediction: Prediction, along: AlongTrajectory | None) -> Any:
-    """Draw the growth rate ln(radius) / T_b over T_b.
+    """Draw the growth rate ln(radius) / T_b as a function of T_b.
 
-    Stable periods have a negative growth rate. They are shaded.
+    `radius` is the spectral radius of the map over one base period. Stable periods have a negative
+    growth rate. They are shaded. `along` is the result along the trajectory, if it was computed.
     """
     with plt.rc_context(STYLE):
-        # Draw the growth rates of the scan. The shading of a stable interval extends by half a step
-        # to both sides.
+        # Draw the growth rates of the scan. Extend the shading of each stable interval by half a
+        # scan step on both sides.
         figure, axes = plt.subplots(figsize=(7.0, 2.8))
         rate = np.log(np.maximum(prediction.radius, 1e-12)) / prediction.periods
         axes.plot(prediction.periods, rate, label="at the set point", color=LINES[0]["color"])

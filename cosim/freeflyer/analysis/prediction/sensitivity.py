@@ -1,4 +1,4 @@
-"""Exact partial derivatives of an FMU, from FMI directional derivatives in co-simulation."""
+"""Exact partial derivatives of a co-simulation FMU, from its directional derivatives."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ from freeflyer.foundation.errors import ComponentError
 def _provides_derivatives(path: Path) -> bool:
     """Return whether the FMU provides directional derivatives.
 
-    The attribute is read here, because FMPy reads only the spelling of FMI 2.0.
+    The name of the attribute is different in FMI 2.0 and FMI 3.0. FMPy reads only the name of FMI
+    2.0. Therefore this function reads the attribute from the model description.
     """
     with zipfile.ZipFile(path) as archive:
         interface = ElementTree.fromstring(archive.read("modelDescription.xml")).find(
@@ -34,8 +35,8 @@ def _provides_derivatives(path: Path) -> bool:
 class DifferentiableFmu(FmuComponent):
     """FMU that gives directional derivatives at its present states and inputs.
 
-    In FMI 2.0 and 3.0, ModelStructure of a co-simulation FMU can list the derivatives of its
-    continuous states.
+    The element ModelStructure of a co-simulation FMU can list the derivatives of its continuous
+    states, in FMI 2.0 and 3.0. This class finds the continuous states in this list.
     """
 
     def __init__(self, name: str, path: Path) -> None:
@@ -65,10 +66,12 @@ class DifferentiableFmu(FmuComponent):
     def bind_derivative(
         self, unknowns: Sequence[str], knowns: Sequence[str]
     ) -> Callable[[], Array]:
-        """Return a function that computes the Jacobian (unknown elements, known elements).
+        """Return a function that computes the derivatives of `unknowns` with respect to `knowns`.
 
         An unknown is an output, a state, or a state derivative `der(STATE)`. A known is an input or
-        a state. The returned function raises ComponentError if the FMU returns an error.
+        a state. The function returns a Jacobian with one row for each element of the unknowns, and
+        one column for each element of the knowns. It raises ComponentError if the FMU returns an
+        error.
         """
         # The buffers of all calls are allocated once, because the function is called often.
         results, rows = self._references(unknowns)
@@ -95,7 +98,7 @@ class DifferentiableFmu(FmuComponent):
                     calls.append(
                         (instance, results, len(results), given, 1, seed, size, found, rows)
                     )
-        # `buffer` is a view of the C array `found`. It stays valid between the calls.
+        # `buffer` is a view of the C array `found`. Each call writes its result to this array.
         call = (
             slave.fmi2GetDirectionalDerivative
             if self.version == 2
@@ -129,9 +132,9 @@ class DifferentiableFmu(FmuComponent):
             raise ComponentError(f"component {self.name}: {self._reason(error)}") from error
 
     def enter_initialization(self, start: float, values: Mapping[str, Array]) -> None:
-        """Enter initialization mode. An FMU that was started before is reset first.
+        """Enter initialization mode. If the FMU was started before, it is reset first.
 
-        Other components cannot be started a second time.
+        This class needs the reset for `restart`. The class FmuComponent itself has no reset.
         """
         if self._started:
             try:

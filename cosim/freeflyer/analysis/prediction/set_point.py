@@ -1,6 +1,8 @@
 """Set point: the start of a scenario as the operating point of the linearised loop.
 
-The start must be an equilibrium. The controllers must have no memory. Both conditions are checked.
+The start must be an equilibrium. The controllers must have no memory: their outputs must depend
+only on their inputs at the same sample. This module checks both conditions. T_m is the step of the
+fast controllers (`loop_roles`).
 """
 
 from __future__ import annotations
@@ -22,16 +24,18 @@ from freeflyer.foundation.signal_name import split
 from freeflyer.scenario.scenario import Scenario
 
 REST = 1e-6
-"""The plant is at rest if no state changes faster than this rate [SI]."""
+"""The plant is at rest if no state changes faster than this rate [SI unit of the state per s]."""
 MEMORY = 1e-9
-"""Largest ratio of two output errors of a controller without memory.
+"""Limit for the output error of a controller one sample after a disturbance of its inputs.
 
-The first error is measured one sample after a disturbance, the second error during the disturbance.
+The error is divided by the output error during the disturbance. A controller with a larger ratio
+has memory.
 """
 NEUTRAL = 1e-12
-"""Limit for singular values of (map - identity matrix).
+"""Limit for singular values of P - 1. P is the map over one period, 1 is the identity matrix.
 
-A direction with a smaller singular value is neutral. A neutral direction has no restoring force.
+A direction with a smaller singular value is neutral. In a neutral direction, no force returns the
+plant to the set point.
 """
 
 
@@ -54,9 +58,10 @@ class SetPoint:
         return task_coordinates(self.model, self.loop(n), self.point)
 
     def radius(self, multipliers: NDArray[np.complex128]) -> float:
-        """Return the largest absolute value of the multipliers.
+        """Return the largest absolute value of the multipliers, without the neutral directions.
 
-        The multipliers 1 of the neutral directions are left out.
+        Each neutral direction has a multiplier 1. As many multipliers as there are neutral
+        directions are left out: those that are closest to 1.
         """
         order = np.argsort(np.abs(multipliers - 1.0))
         return float(np.abs(multipliers[order[self.neutral :]]).max())
@@ -83,7 +88,10 @@ class SetPoint:
 
 @contextmanager
 def at_set_point(scenario: Scenario, component: str | None = None) -> Iterator[SetPoint]:
-    """Open the loop with `linearisation.opened`, and yield its set point. Raises CosimError."""
+    """Open the loop with `linearisation.opened`, and yield its set point. Raises CosimError.
+
+    `component` is the name of the scanned controller (default: the slowest controller).
+    """
     with linearisation.opened(scenario, component) as model:
         yield SetPoint(model)
 

@@ -24,9 +24,9 @@ def from_rotation(quaternion: Array) -> Array:
 
 
 def to_rotation(quaternion: Array) -> Array:
-    """Return dd/dq (3, 4), the inverse map.
+    """Return dd/dq (3, 4), the inverse of the map dq/dd.
 
-    A change of the quaternion's length has no effect on the result.
+    The map ignores the part of a change dq that only changes the length of the quaternion.
     """
     return 4.0 * from_rotation(quaternion).T
 
@@ -36,8 +36,9 @@ def chart(
 ) -> tuple[Array, Array]:
     """Return the map (m, n) from chart coordinates to changes of the variables, and its inverse.
 
-    The variables (m) are concatenated. The coordinates (n) have a rotation vector in place of each
-    quaternion. Therefore the coordinates are independent.
+    `names` and `values` are the variables. Their elements are concatenated, m in total.
+    `quaternions` contains the names of those variables that are quaternions. The coordinates (n)
+    have a rotation vector in place of each quaternion. Therefore the coordinates are independent.
     """
     rotational = [name in quaternions for name in names]
     out = [

@@ -2,7 +2,8 @@
 
 x_b contains the position of the base frame B and the small rotation of the base. x_m contains the
 position and the small rotation of the end-effector. x_b and x_m are expressed in the inertial frame
-I. The wrenches at the ports are [F_B; F_m]. Their power is [F_B; F_m]^T [x_b'; x_m'].
+I. The ports are the base and the end-effector. F_B is the wrench at the base, and F_m is the wrench
+at the end-effector. Their power is [F_B; F_m]^T [x_b'; x_m'].
 """
 
 from __future__ import annotations
@@ -19,7 +20,10 @@ from freeflyer.foundation.errors import ScenarioError
 POSE = ("base_position", "base_orientation", "end_effector_position", "end_effector_orientation")
 VELOCITY = ("base_velocity", "end_effector_velocity")
 WRENCHES = {"base_velocity": "base_wrench", "joint_velocity": "joint_torque"}
-"""Role of each velocity that is a state of the plant, and role of the input that drives it."""
+"""Roles of the velocities that are states of the plant, each with the role of its input.
+
+The input is the wrench or torque that drives this velocity.
+"""
 DEGREES = tuple(
     f"{body} {motion} {axis}"
     for body in ("base", "end-effector")
@@ -33,12 +37,13 @@ DEGREES = tuple(
 class TaskCoordinates:
     """Matrices and diagonals that describe the linearised loop in task coordinates.
 
-    `pose` and `velocity` (12, n) map the plant's states to the coordinates and to the rates of the
-    coordinates. The other members are the diagonals (12) of three matrices. `inertia` is M~ [kg, kg
-    m2] at each port, if no wrench acts at the other port. `stiffness` [N/m, N m/rad] and `damping`
-    [N s/m, N m s/rad] describe the sampled control laws. In a redundant manipulator, motions in the
-    null space use the same joints as the end-effector. Therefore the stiffness and the damping of
-    the end-effector are estimates.
+    `pose` (12, n) maps the plant's states (n) to the coordinates. `velocity` (12, n) maps the
+    plant's states to the rates of the coordinates. The other members are the diagonals (12) of
+    three matrices. `inertia` is the inertia M~ [kg, kg m2] at each port, if no wrench acts at the
+    other port. `stiffness` [N/m, N m/rad] and `damping` [N s/m, N m s/rad] describe the sampled
+    control laws. The joints of a redundant manipulator can also move without a motion of the
+    end-effector (null space). Therefore the states are not determined by the coordinates, and the
+    stiffness and the damping of the end-effector are estimates.
     """
 
     pose: Array
@@ -48,11 +53,12 @@ class TaskCoordinates:
     damping: Array
 
     def energy(self, x: Array) -> Array:
-        """Return the energy 1/2 M~ |x'|^2 + 1/2 K_P |x|^2 [J] of each coordinate.
+        """Return the energy [J] of each coordinate: 1/2 M~ |x'|^2 + 1/2 K_P |x|^2.
 
-        The argument contains states (n) or (n, k), which may be complex. The result is (12) or
-        (12, k). The energy makes metres, radians and velocities comparable. No term is negative,
-        because the coupling terms of M are omitted.
+        In this formula, x is one coordinate. The argument `x` contains states of the plant, (n) or
+        (n, k). They may be complex. The result is (12) or (12, k). Energies are used because
+        metres, radians and velocities cannot be compared directly. No energy is negative, because
+        the coupling between coordinates is omitted.
         """
         kinetic = self.inertia * np.abs(self.velocity @ x).T ** 2
         return np.asarray(
@@ -92,15 +98,16 @@ def task_coordinates(model: LoopModel, loop: Loop, point: Point) -> TaskCoordina
     inertia = np.concatenate(
         [np.diag(np.linalg.inv(inverse[part, part])) for part in (slice(0, 6), slice(6, 12))]
     )
-    # F = -K_P x - K_D x' is the wrench at the ports. It causes the same acceleration x'' as the
-    # forces of the laws. In a redundant manipulator, the remaining forces act in the null space.
+    # Describe the laws by a wrench F = -K_P x - K_D x' at the ports. F causes the same acceleration
+    # x'' as the wrenches and torques of the laws. In a redundant manipulator, a part of the torques
+    # acts only in the null space. F does not contain this part.
     F = (
         np.linalg.solve(inverse, acceleration)
         @ Instants(loop).feedback()[inputs]
         @ np.linalg.pinv(np.vstack([pose, velocity]))
     )
     stiffness, damping = -np.diag(F[:, :12]), -np.diag(F[:, 12:])
-    # For the base, use its own law without the compensation of the end-effector wrench.
+    # For the base, use only the law of the base controller (`_own_law`).
     own = _own_law(loop, inputs[:6])
     stiffness[:6] = -np.diag(own @ np.linalg.pinv(pose[:6]))
     damping[:6] = -np.diag(own[:, model.states_of_plant([variables["base_velocity"]], point)])
@@ -112,9 +119,10 @@ def task_coordinates(model: LoopModel, loop: Loop, point: Point) -> TaskCoordina
 def _own_law(loop: Loop, inputs: Indices) -> Array:
     """Return the gain (6, n) from the plant's states to the base wrench.
 
-    The gain contains only the feedback of values that the base controller measures itself. The
-    compensation J_b^T F_m of the end-effector wrench is omitted, because it is not a spring of the
-    base.
+    `inputs` are the indices of the base wrench in the plant's inputs. The gain contains only the
+    feedback of those inputs of the base controller that are outputs of the plant. The base
+    controller also receives the end-effector wrench F_m, and adds the compensation J_b^T F_m. This
+    compensation is omitted, because it is not a spring or a damper of the base.
     """
     sources = loop.plant.inputs.sources[inputs]
     law = next(

@@ -1,15 +1,16 @@
 """Stability along a trajectory: growth rate of small perturbations.
 
-The loop is linearised at many instants of the motion. A tangent map is the map of a small
-perturbation over one base period T_b. The frozen loop at an instant is the loop with the constant
-coefficients of this instant.
+The loop is linearised at many points in time, the linearisation points. T_m is the step of the fast
+controllers, and T_b is the base period, the period of the scanned controller (`loop_roles`). A
+tangent map is the linear map of a small perturbation over one base period. The frozen loop at a
+linearisation point is the loop whose coefficients stay constant at their values at this point.
 The eigenvalues of the frozen loops do not determine the stability of a time-varying loop. The
 time-varying loop can be unstable although all these eigenvalues are inside the unit circle. It can
-be stable although some of them are outside the unit circle.
+also be stable although some of these eigenvalues are outside the unit circle.
 The Floquet multipliers determine the stability. They are the eigenvalues of the product of the
-tangent maps along the motion. The product is taken over the second half of the run. This half is
-treated as one period of a periodic motion. It should contain a whole number of periods of the
-motion, with an error of at most one T_b.
+tangent maps along the motion. The product is taken over the second half of the run, as if the
+motion in this half were repeated periodically. Therefore the length of this half should be a
+multiple of the period of the motion, with an error of at most one T_b.
 """
 
 from __future__ import annotations
@@ -31,10 +32,13 @@ from freeflyer.foundation.clock import nanoseconds, seconds
 from freeflyer.foundation.errors import ScenarioError
 
 CELL = 0.05
-"""Interval [s] between two linearisations. The loop is assumed constant around a linearisation."""
+"""Interval [s] between two linearisation points. It is called a cell.
+
+The coefficients of the loop are assumed to be constant for half a cell before and after a point.
+"""
 
 LEAST_PERIODS = 8
-"""Minimum number of base periods in a run. A slope is fitted to the second half of the periods."""
+"""Minimum number of base periods in a run. Growth rates are computed from the second half."""
 
 Progress = Callable[[float], None]
 """Function that is called with the completed fraction of the work."""
@@ -42,13 +46,15 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True, kw_only=True)
 class AlongTrajectory:
-    """Result of the analysis along a trajectory, from `from_s` to `to_s`.
+    """Result of the analysis along a trajectory. Times are in s.
 
-    `growth_rate` [1/s] is the growth rate at the period of the scenario. `largest_stable_s` is
-    found by bisection. The bisection assumes that there is only one stability boundary.
-    `largest_stable_s` is 0 if T_m is unstable. `frozen_growth_rate` [1/s] is the largest growth
-    rate of the frozen loop. It occurs at `frozen_at_s`. `frozen_unstable` is the fraction of the
-    time in which the frozen loop is unstable.
+    `period_s` is the base period of the scenario. `growth_rate` [1/s] is the growth rate with this
+    period, between the times `from_s` and `to_s`. `largest_stable_s` is the largest stable base
+    period. It is found by bisection. The bisection assumes that there is only one stability
+    boundary. `largest_stable_s` is 0 if no stable period is found. `frozen_growth_rate` [1/s] is
+    the largest growth rate of the frozen loops. It occurs at the time `frozen_at_s`.
+    `frozen_unstable` is the fraction of the linearisation points at which the frozen loop is
+    unstable.
     """
 
     period_s: float
@@ -78,7 +84,7 @@ class Trajectory:
     """Linearisations of the plant along a run in which all controllers have the step T_m."""
 
     def __init__(self, model: LoopModel, coordinates: TaskCoordinates, cell: float = CELL) -> None:
-        """Run the scenario, and linearise the plant every `cell` [s].
+        """Run the scenario, and linearise the plant every `cell` [s]. `coordinates` give energies.
 
         Raises ScenarioError if the run stops early.
         """
@@ -114,9 +120,11 @@ class Trajectory:
     def growth_rate(self, n: int, loops: Sequence[Loop] | None = None) -> float:
         """Return the growth rate [1/s] with a base period of n T_m.
 
-        The growth rate is ln(spectral radius) / time. The spectral radius and the time belong to
-        the product of the maps over the second half. This method separates modes whose growth rates
-        differ by less than 1 / time. A fit of the size of a perturbation does not separate them.
+        P is the product of the tangent maps over the second half of the run. The growth rate is
+        ln(spectral radius of P) / (length of the second half). `loops` are the results of
+        `self.loops(n)`, if the caller has them. The growth rates of two modes can differ by less
+        than 1 / length. The eigenvalues of P separate such modes. A fit to the size of a
+        perturbation, as in `growth_of`, does not separate them.
         """
         loops = loops or self.loops(n)
         periods, kept = self.ticks // n, _relevant(loops)
@@ -126,7 +134,7 @@ class Trajectory:
             self.plants[0].A.shape[0],
             (self._cell(first * n), self._cell(periods * n - 1)),
         )
-        # Return to the tangent chart of the first instant.
+        # Transform the result back to the tangent chart of the first linearisation point.
         vectors[:states] = self._charts[ends[0]][1] @ self._charts[ends[1]][0] @ vectors[:states]
         radius = float(np.abs(np.linalg.eigvals(vectors)).max())
         return (math.log(radius) + scale) / ((periods - first) * n * seconds(self.model.roles.tick))
@@ -134,9 +142,9 @@ class Trajectory:
     def growth_of(self, starts: Array, n: int) -> float:
         """Return the growth rate [1/s] that a simulation shows after perturbations of the start.
 
-        The growth rate is the slope of ln sqrt(total energy) over the second half of the run.
-        `starts` (states, any number) are the perturbations in chart coordinates. The base period is
-        n T_m.
+        The growth rate is the slope of ln sqrt(E) over the second half of the run. E is the energy
+        of all perturbations together. Each column of `starts` is one perturbation of the plant's
+        states, in chart coordinates. The base period is n T_m.
         """
         loops = self.loops(n)
         states, kept = self.plants[0].A.shape[0], _relevant(loops)
@@ -157,10 +165,11 @@ class Trajectory:
     def _product(
         self, n: int, loops: Sequence[Loop], kept: lifting.Indices, vectors: Array, first: int
     ) -> Iterator[tuple[Array, float]]:
-        """Propagate the vectors (kept, any number) from base period `first` to the end of the run.
+        """Propagate the columns of `vectors` from base period `first` to the end of the run.
 
-        After each period, the vectors are scaled. Yields the scaled vectors and ln of the total
-        scale.
+        `kept` are the indices of the elements of the loop's state that the rows stand for. After
+        each period, the vectors are divided by their largest element. Yields the scaled vectors,
+        and ln of the product of all divisors.
         """
         maps = [lifting.reduced(loop, kept) for loop in loops]
         states, place, scale = self.plants[0].A.shape[0], self._cell(first * n), 0.0
@@ -179,7 +188,11 @@ class Trajectory:
         return np.asarray(self._coordinates.energy(vectors).sum(axis=0))
 
     def frozen_growth_rates(self, n: int, loops: Sequence[Loop] | None = None) -> Array:
-        """Return ln(spectral radius) / T_b [1/s] of the loop frozen at each linearisation point."""
+        """Return ln(spectral radius) / T_b [1/s] of the frozen loop at each linearisation point.
+
+        The base period T_b is n T_m. `loops` are the results of `self.loops(n)`, if the caller has
+        them.
+        """
         loops = loops or self.loops(n)
         kept = _relevant(loops)
         maps = [
@@ -192,8 +205,8 @@ class Trajectory:
     def largest_stable(self, first: int, longest: int, progress: Progress | None = None) -> int:
         """Return the largest stable n up to `longest`, by bisection from the guess `first`.
 
-        The result is 0 if no period is stable. The resolution of the result is the larger of 1 %
-        and one T_m.
+        The base period is n T_m. The result is 0 if no stable period is found. The error of the
+        result is at most 1 % or one T_m, whichever is larger.
         """
         below, above, n = 0, longest + 1, min(max(first, 1), longest)
         step, count = max(n // 10, 1), 0
@@ -210,9 +223,10 @@ class Trajectory:
 
 
 def _relevant(loops: Sequence[Loop]) -> lifting.Indices:
-    """Return the elements that are relevant in at least one of the loops.
+    """Return the indices of the elements that are relevant in at least one of the loops.
 
-    A single loop is not sufficient, because one of its gains can be 0 by chance.
+    `lifting.relevant` defines the relevant elements. A single loop is not sufficient, because one
+    of its gains can be 0 by chance.
     """
     first = loops[0]
     laws = [
