@@ -24,9 +24,9 @@ from freeflyer_adapters.base.certificates import AUTHORITY, Identity, general_na
 
 AUTHORITY_DAYS = 3650
 HOSTS = ("localhost", "127.0.0.1", "::1")
-"""Hosts that every certificate for listening names, for connections within the same machine."""
+"""Default hosts of a certificate for listening. They permit connections within the machine."""
 EARLIER = timedelta(minutes=5)
-"""The validity of a certificate starts this time before the certificate is made.
+"""A certificate is valid from 5 minutes before the time at which it is made.
 
 The reason is that the clock of another machine may be late.
 """

@@ -57,7 +57,7 @@ def state_of(statusword: int) -> DriveState | None:
 
 
 def statusword_of(state: DriveState, *, limit_active: bool = False) -> int:
-    """Return the statusword of a drive in the mode CST if the supply voltage is on."""
+    """Return the statusword of a drive in the mode CST with the supply voltage on."""
     bits = STATUSWORD[state][1] | VOLTAGE_ENABLED | REMOTE
     bits |= LIMIT_ACTIVE if limit_active else 0
     return bits | (FOLLOWS_COMMAND if state is S.operation_enabled else 0)
@@ -118,7 +118,8 @@ TRANSITIONS: Mapping[tuple[DriveState, Command], tuple[int, DriveState]] = {
 """State and command -> number of the transition in the standard, and next state.
 
 The table contains only the transitions that a command causes. The drive itself causes transitions 0
-and 1 at power on, 12 at the end of a quick stop, 13 at a fault, and 14 after the fault reaction.
+and 1 at power on, 13 at a fault, and 14 after the fault reaction. Transition 12 has two causes: the
+command `disable_voltage`, which is in the table, and the end of a quick stop.
 Transition 15 is the fault reset (see `following`). Transition 16 enables the drive again after a
 quick stop. Transition 16 is optional and is not used here."""
 

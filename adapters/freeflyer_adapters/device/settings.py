@@ -27,7 +27,8 @@ class Setting:
     - "refuses": the activation is rejected.
     - Empty text: the setting is not a limit.
 
-    `per_joint`: whether each joint has one value. `whole`: whether only whole numbers are allowed.
+    `per_joint`: whether the setting has a separate value for each joint. `whole`: whether only
+    whole numbers are allowed.
     """
 
     name: str

@@ -54,9 +54,9 @@ def check(limit: Limit, components: Mapping[str, Component]) -> None:
 class Watch:
     """The check of one limit. `signal` is a view of the signal's present value.
 
-    Call the object at each instant at which the limit may be exceeded. Call the object also at the
-    first instant after that at which the limit is not exceeded. This call resets the count of
-    instants for `lasting`. At all other instants, the call can be omitted.
+    Call the object at each instant at which the limit may be exceeded. When the limit is
+    no longer exceeded, call the object once more. This call resets the count of instants for
+    `lasting`. At all other instants, the call can be omitted.
     """
 
     def __init__(self, limit: Limit, signal: Array, tick: int) -> None:

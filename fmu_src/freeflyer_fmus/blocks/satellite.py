@@ -1,7 +1,7 @@
-"""Simulated satellite: base motion by (1), for measured joint positions, velocities and torques.
+"""Simulated satellite: motion of the base for the measured motion and torques of the joints.
 
-The facility's base robot follows the motion of this satellite. Its pose and velocity are the set
-point of the base robot.
+The motion follows from equation (1) of the paper. The facility's base robot follows this motion. The
+pose and the velocity of the satellite are the set point of the base robot.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ def satellite(robot: Robot) -> Block:
     # fmt: on
     state = State(R, v[:3], v[3:], q, qd)
     # The measured torque includes the gravity torque. Gravity does not act on the satellite.
-    # Therefore the modelled gravity torque is subtracted. The ratio of the modelled to the true
-    # gravity torque is a parameter.
+    # Therefore the modelled gravity torque is subtracted. The parameter `knowledge` is the
+    # ratio of the modelled gravity torque to the true one.
     torque = measured - knowledge * gravity_model(mechanism, R_robot, q, gravity)
     acceleration, _ = dynamics.forward_dynamics(mechanism, state, F_b, torque)
     block.initial("base_orientation", rotation.normalised(R))
