@@ -161,8 +161,9 @@ def general_name(host: str) -> x509.GeneralName:
 def is_issued(chain: Sequence[x509.Certificate], authorities: Sequence[x509.Certificate]) -> bool:
     """Return True if the first certificate of `chain` can be traced back to one of `authorities`.
 
-    Either one of `authorities` signed the first certificate itself. Or each certificate of `chain`
-    signed the certificate before it, up to a certificate that one of `authorities` signed.
+    Either one of `authorities` signed the first certificate itself. Or the second certificate of
+    `chain` signed the first one, the third signed the second one, and so on, and one of
+    `authorities` signed the last certificate of this sequence.
     """
     for i, certificate in enumerate(chain):
         if any(_signed(certificate, authority) for authority in authorities):

@@ -104,7 +104,7 @@ def _dialogue() -> Iterator[str]:
         "2. The controller answers every state frame with one `ArmCommand` within the cycle. `AnsweredCycle` of this command repeats the cycle "
         "number. The arm applies the torque in its next cycle, for one cycle.",
         "3. `EchoedCycle` of the next state frame reports the answer that the arm has used. The controller counts late and missing answers. "
-        "The arm counts them, too (`CommandAge`).",
+        "The arm reports the number of cycles since its last command (`CommandAge`).",
         f"4. Every activation has a new random session number in the signal `Controller`. A command with `Mode` {int(Mode.reset)} claims this number. "
         "If the arm has no session and the number is not used up (see 7), the arm echoes the number from its next state frame on. "
         "If the arm is in the state *safe_stop* or *fault* and its brakes are engaged, the claim also changes the arm to the state *inactive*. "
@@ -119,8 +119,8 @@ def _dialogue() -> Iterator[str]:
         "In this case, its cycle numbers must not continue from the old cycle numbers.",
         "8. The controller itself has a second interlock: the controller needs a permit to send any mode except "
         f"{int(Mode.idle)} and {int(Mode.brake)}. The permit is lost permanently in three cases: at the first reason to stop; after a suspension of the loop that is "
-        "longer than the watchdog time of the arm (`watchdog_cycles`); and at the first state frame with a state other than *active*. "
-        "The torques of the graded stop are sent only if the arm has echoed one of the controller's own answers. This echo must be younger than the "
+        "longer than the watchdog time of the arm (`watchdog_cycles`); and when the arm has reported the state *active* and then reports another state. "
+        "The graded stop is an exception: it ramps the torque down before the brakes engage. Its torques are sent only if the arm has echoed one of the controller's own answers. This echo must be younger than the "
         "watchdog time.",
     )
 
@@ -149,8 +149,8 @@ def _second_sender() -> Iterator[str]:
     yield (
         f"Only one node may send frames with a given identifier (ISO 11898-1). The controller checks {LISTEN} state frames before it sends anything, and all "
         "state frames in the loop. Two arms send two interleaved streams of frames, with correct checksums and different counters. "
-        "Before activation, more than three frames in two cycles are two arms, too. Two arms are rejected before activation. In a running loop, they are a reason to stop. Repeated, late and reordered frames, a frozen counter and a counter that jumps count as "
-        "faults of one sender. If three command frames of another sender arrive within 20 cycles, there is a second controller."
+        "Before activation, more than three state frames in two cycles also show that there are two arms. Two arms are rejected before activation. In a running loop, they are a reason to stop. The following count as faults of one sender: repeated, late and reordered frames, a frozen "
+        "counter, and a jump of the counter. If three command frames of another sender arrive within 20 cycles, there is a second controller."
         "\n\nThe following cases are not detected: two arms with the same content and "
         "the same counter; a second sender at a sixteenth of the rate or less; more than two senders; frames without E2E protection and "
         "without a cycle number. `tests/links/test_second_sender.py` measures the detection time. The median is 15 frames of each sender. Without loss of "

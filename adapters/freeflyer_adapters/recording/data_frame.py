@@ -59,7 +59,11 @@ def read_recording(path: str | Path) -> pandas.DataFrame:
 
 
 def _take(path: Path, found: Found, metadata: dict[str, dict[str, str]]) -> None:
-    """Add the messages and metadata of a file. Stop if its metadata names another run."""
+    """Add the messages and metadata of a file.
+
+    Stop reading the file if its metadata belongs to another run than the metadata of the files before
+    it.
+    """
     with path.open("rb") as file:
         for record in DamagedMcap(file).records():
             if isinstance(record, WholeMessage):

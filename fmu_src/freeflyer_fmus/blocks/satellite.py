@@ -1,7 +1,7 @@
 """Simulated satellite: motion of the base for the measured motion and torques of the joints.
 
-The motion follows from equation (1) of the paper. The facility's base robot follows this motion. The
-pose and the velocity of the satellite are the set point of the base robot.
+The motion follows from equation (1) of the paper. The facility's base robot follows this motion.
+The pose and the velocity of the satellite are the set point of the base robot.
 """
 
 from __future__ import annotations

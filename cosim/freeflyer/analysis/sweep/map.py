@@ -131,7 +131,9 @@ def edges(values: Array) -> Array:
         borders = np.exp(edges_between(np.log(values)))
     else:
         borders = edges_between(values)
-        borders = np.maximum(borders, 0.0) if values[0] > 0.0 else borders  # no negative period
+        borders = (
+            np.maximum(borders, 0.0) if values[0] > 0.0 else borders
+        )  # a period is not negative
     # The logarithm has a rounding error. If two neighbouring values are almost equal, this error
     # can be larger than their distance. Then the edge would not lie between the values.
     borders[1:-1] = np.clip(borders[1:-1], values[:-1], values[1:])
