@@ -202,8 +202,8 @@ def _checked(
     for entry in entries:
         place = _place(entry)
         # Some file systems ignore case or normalize Unicode. Such a file system would store two
-        # entries in one file if their names differ only in case or in Unicode normalization. `alike`
-        # is equal for such names.
+        # entries in one file if their names differ only in case or in Unicode normalization. For
+        # such names, `alike` is equal.
         alike = tuple(unicodedata.normalize("NFC", part).casefold() for part in place)
         if alike in spelled:
             raise ArchiveError(

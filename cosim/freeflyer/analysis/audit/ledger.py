@@ -47,8 +47,8 @@ class Port:
     stale: Array
     """Multi-rate energy: work of the true wrench at B minus work of the held wrench at B.
 
-    The held wrench is the wrench that the base controller assumes. The multi-rate energy of port M is
-    zero.
+    The held wrench is the wrench that the base controller assumes. The multi-rate energy of port M
+    is zero.
     """
     virtual: Array
     """Virtual energy: the energy that sampling the law generates.
@@ -116,8 +116,9 @@ class Audit:
 
 def audit(loop: RecordedLoop) -> Audit:
     """Compute the energy audit of a recorded loop."""
-    # Compute the share of each controller and the displacements of each motion. A share is the time for which a sample is
-    # held, as a fraction of the row interval. `moved` is the displacement in each interval.
+    # Compute the share of each controller and the displacements of each motion. A share is the time
+    # for which a sample is held, as a fraction of the row interval. `moved` is the displacement in
+    # each interval.
     time, law_m, law_b = loop.time, loop.manipulator_law, loop.base_law
     share_m, share_b = (_share(loop, law.period) for law in (law_m, law_b))
     moved_b, moved_m = (_moved(loop, motion) for motion in (loop.base, loop.end_effector))
