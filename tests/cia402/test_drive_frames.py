@@ -54,7 +54,7 @@ def test_the_shipped_eds_has_every_object_and_the_device_type() -> None:
     dictionary = canopen.import_od(str(objects.SHIPPED_EDS), 1)
     for entry in objects.ENTRIES:
         assert dictionary.get_variable(entry.index, entry.sub) is not None, entry
-    assert dictionary[0x1000].default == objects.SERVO_DRIVE
+    assert dictionary[0x1000].default == 0x0002_0192  # a servo drive of the device profile 402
     assert dictionary[0x6502].default & objects.SUPPORTS_TORQUE
 
 

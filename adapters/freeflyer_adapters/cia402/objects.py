@@ -21,8 +21,6 @@ SHIPPED_EDS = Path(__file__).with_name("drive.eds")
 CYCLIC_SYNCHRONOUS_TORQUE = 10
 SUPPORTS_TORQUE = 1 << 9
 """Bit of mode 10 in the object 6502h (supported drive modes)."""
-SERVO_DRIVE = 0x0002_0192
-"""Value of 1000h: additional information "servo drive", device profile 402."""
 RAMP_AND_DISABLE = 2
 """Value of 605Ah and 605Eh: slow down on the quick stop ramp, then disable power."""
 

@@ -13,7 +13,7 @@ from typing import Any
 import can
 import numpy as np
 
-from freeflyer.fmi.component import Array, Port
+from freeflyer.fmi.component import Array
 from freeflyer_adapters.arm import options as arm_options
 from freeflyer_adapters.arm.frames import LIMIT_ROLES, ArmFrames, Mode
 from freeflyer_adapters.can.link import Receiver, Sender, open_bus
@@ -23,7 +23,7 @@ from freeflyer_adapters.facility.arm_logic import MOST_USED, ArmLogic, Command
 from freeflyer_adapters.facility.can_faults import FAULT_KINDS, CanTamper, FaultyBus
 from freeflyer_adapters.facility.link_faults import LinkFaults
 from freeflyer_adapters.facility.settings import FacilitySettings
-from freeflyer_adapters.facility.virtual_device import VirtualDevice
+from freeflyer_adapters.facility.virtual_device import VirtualDevice, arm_ports
 from freeflyer_adapters.foundation import environment
 from freeflyer_adapters.foundation.histogram import Histogram
 
@@ -57,22 +57,7 @@ class VirtualArm(VirtualDevice[ArmLogic]):
                 f"and less than half of this number is expected"
             )
         # Ports that are connected to the model.
-        self.commands = (
-            Port(
-                name="joint_torque_command",
-                size=n,
-                causality="output",
-                units=("N.m",) * n,
-                sampled=True,
-            ),
-            Port(
-                name="brake", size=1, causality="output", units=("1",), sampled=True, start=(1.0,)
-            ),
-        )
-        units = {"joint_position": "rad", "joint_velocity": "rad/s", "joint_torque": "N.m"}
-        self.measurements = tuple(
-            Port(name=s, size=n, causality="input", units=(units[s],) * n) for s in SENSED
-        )
+        self.commands, self.measurements = arm_ports(n)
         self.round_trip = Histogram()
         """Time from the sending of a state frame to the arrival of the command that answers it."""
         self._before: dict[str, float] = {}

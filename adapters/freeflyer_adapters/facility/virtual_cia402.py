@@ -17,7 +17,7 @@ import canopen
 import numpy as np
 from canopen.sdo.exceptions import SdoAbortedError, SdoError
 
-from freeflyer.fmi.component import Array, Port
+from freeflyer.fmi.component import Array
 from freeflyer_adapters.can.link import open_bus
 from freeflyer_adapters.cia402 import objects, process_data
 from freeflyer_adapters.cia402.network import PolledNetwork
@@ -30,7 +30,7 @@ from freeflyer_adapters.facility.can_faults import OF_DRIVES, FaultyBus, Untouch
 from freeflyer_adapters.facility.drive_logic import DriveGroup, DriveLogic
 from freeflyer_adapters.facility.link_faults import LinkFaults
 from freeflyer_adapters.facility.settings import FacilitySettings
-from freeflyer_adapters.facility.virtual_device import VirtualDevice
+from freeflyer_adapters.facility.virtual_device import VirtualDevice, arm_ports
 from freeflyer_adapters.foundation import environment
 from freeflyer_adapters.foundation.histogram import Histogram
 
@@ -238,22 +238,7 @@ class VirtualCia402(VirtualDevice[DriveGroup]):
         n = o.joints
         self.scaling = Scaling(o.motors)
         # Ports that are connected to the model.
-        self.commands = (
-            Port(
-                name="joint_torque_command",
-                size=n,
-                causality="output",
-                units=("N.m",) * n,
-                sampled=True,
-            ),
-            Port(
-                name="brake", size=1, causality="output", units=("1",), sampled=True, start=(1.0,)
-            ),
-        )
-        units = {"joint_position": "rad", "joint_velocity": "rad/s", "joint_torque": "N.m"}
-        self.measurements = tuple(
-            Port(name=s, size=n, causality="input", units=(u,) * n) for s, u in units.items()
-        )
+        self.commands, self.measurements = arm_ports(n)
         self.syncs = 0
         self.answers = Histogram()
         """Time from the kernel's time stamp of a SYNC to the sending of the last TPDO."""

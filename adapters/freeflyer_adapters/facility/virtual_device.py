@@ -26,6 +26,24 @@ class Logic(Protocol):
     def session_is_over(self) -> bool: ...
 
 
+def arm_ports(joints: int) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+    """Return the ports that connect a virtual arm to its model: commands, then measurements."""
+    brake = Port(name="brake", size=1, causality="output", units=("1",), sampled=True, start=(1.0,))
+    torque = Port(
+        name="joint_torque_command",
+        size=joints,
+        causality="output",
+        units=("N.m",) * joints,
+        sampled=True,
+    )
+    units = {"joint_position": "rad", "joint_velocity": "rad/s", "joint_torque": "N.m"}
+    measurements = (
+        Port(name=name, size=joints, causality="input", units=(unit,) * joints)
+        for name, unit in units.items()
+    )
+    return (torque, brake), tuple(measurements)
+
+
 class LinkEnd(Protocol):
     silent: bool
     """Whether the device neither sends nor receives."""

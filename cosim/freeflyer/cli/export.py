@@ -7,7 +7,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from freeflyer.cli.run import SCENARIO_HELP
+from freeflyer.cli.run import SCENARIO_HELP, add_overrides
 from freeflyer.foundation.errors import DONE, ScenarioError
 from freeflyer.scenario import assemble, scenario
 from freeflyer.ssp import write as ssp_write
@@ -16,13 +16,7 @@ from freeflyer.ssp import write as ssp_write
 class ExportCommand:
     def configure(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("scenario", metavar="SCENARIO", help=SCENARIO_HELP)
-        parser.add_argument(
-            "--set",
-            action="append",
-            default=[],
-            metavar="COMPONENT.PARAMETER=VALUE",
-            dest="overrides",
-        )
+        add_overrides(parser)
         parser.add_argument(
             "--fmi", type=int, choices=(2, 3), help="2: SSP 1.0 (default); 3: SSP 2.0"
         )

@@ -14,7 +14,7 @@ from freeflyer.analysis.prediction.boundary import LONGEST, Prediction, scan
 from freeflyer.analysis.prediction.modes import Mode
 from freeflyer.analysis.prediction.set_point import SetPoint, at_set_point
 from freeflyer.analysis.prediction.trajectory import AlongTrajectory, along_trajectory, check_length
-from freeflyer.cli.run import SCENARIO_HELP
+from freeflyer.cli.run import SCENARIO_HELP, add_overrides
 from freeflyer.foundation.errors import DONE
 from freeflyer.foundation.interrupts import interrupts
 from freeflyer.foundation.output_file import check_writable, folder, write_text
@@ -24,13 +24,7 @@ from freeflyer.scenario import scenario
 class PredictCommand:
     def configure(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("scenario", metavar="SCENARIO", help=SCENARIO_HELP)
-        parser.add_argument(
-            "--set",
-            action="append",
-            default=[],
-            metavar="COMPONENT.PARAMETER=VALUE",
-            dest="overrides",
-        )
+        add_overrides(parser)
         parser.add_argument(
             "--longest",
             type=float,

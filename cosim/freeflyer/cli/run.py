@@ -47,6 +47,23 @@ def opened(name: str, overrides: Sequence[str], step: float | None) -> Iterator[
         yield ssp_read.read(Path(name), Path(directory), step=step, overrides=overrides)
 
 
+def add_overrides(parser: argparse.ArgumentParser, text: str | None = None) -> None:
+    """Add the option `--set`. `text` is the help text."""
+    form = "COMPONENT.PARAMETER=VALUE"
+    parser.add_argument(
+        "--set", action="append", default=[], metavar=form, dest="overrides", help=text
+    )
+
+
+def add_fmi(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--fmi",
+        type=int,
+        choices=(2, 3),
+        help="FMI version of the shipped FMUs (default: the version in the scenario, otherwise 2)",
+    )
+
+
 class RunCommand:
     def configure(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
@@ -58,19 +75,8 @@ class RunCommand:
             metavar="SECONDS",
             help="communication step of the components that have no step in the .ssp file",
         )
-        parser.add_argument(
-            "--set",
-            action="append",
-            default=[],
-            metavar="COMPONENT.PARAMETER=VALUE",
-            dest="overrides",
-        )
-        parser.add_argument(
-            "--fmi",
-            type=int,
-            choices=(2, 3),
-            help="FMI version of the shipped FMUs (default: the version in the scenario, otherwise 2)",
-        )
+        add_overrides(parser)
+        add_fmi(parser)
         parser.add_argument(
             "--master",
             choices=get_args(experiment.Engine),

@@ -12,6 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from freeflyer.analysis.sweep import file as sweep_file
+from freeflyer.cli.run import add_fmi, add_overrides
 from freeflyer.foundation.errors import DONE, STOPPED, ScenarioError, report_error
 from freeflyer.foundation.output_file import folder
 
@@ -28,20 +29,8 @@ class SweepCommand:
         parser.add_argument(
             "sweep", metavar="SWEEP", help=f"{', '.join(sweep_file.shipped())}, or a .toml file"
         )
-        parser.add_argument(
-            "--set",
-            action="append",
-            default=[],
-            metavar="COMPONENT.PARAMETER=VALUE",
-            dest="overrides",
-            help="change a value in all runs",
-        )
-        parser.add_argument(
-            "--fmi",
-            type=int,
-            choices=(2, 3),
-            help="FMI version of the shipped FMUs (default: the version in the scenario, otherwise 2)",
-        )
+        add_overrides(parser, "change a value in all runs")
+        add_fmi(parser)
         parser.add_argument(
             "--scheduler",
             metavar="ADDRESS",
