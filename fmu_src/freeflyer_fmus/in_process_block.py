@@ -219,7 +219,9 @@ class InProcessBlock:
         x = self._vectors["state"]
         if not x.size or size <= 0.0:
             return
-        count = int(np.ceil(size / self.block.default_step - 1e-9))
+        name = self.block.step_parameter
+        longest = float(self.value(name)[0]) if name else self.block.default_step
+        count = int(np.ceil(size / longest - 1e-9))
         h = size / count
         before = x.copy()
         for i in range(count):

@@ -44,10 +44,12 @@ def merged(base: Raw, change: Raw) -> Raw:
             }
             result[key] = merged(kept, value)
             continue
-        # A table { value = ..., unit = ... } is the value of a parameter. It replaces the old
-        # value. Other tables are merged.
+        # A table { value = ..., unit = ... } or { first = ... } is the value of a parameter. It
+        # replaces the old value. Other tables are merged.
         both_tables = (
-            isinstance(value, dict) and isinstance(result.get(key), dict) and "value" not in value
+            isinstance(value, dict)
+            and isinstance(result.get(key), dict)
+            and not {"value", "first"} & value.keys()
         )
         result[key] = merged(result[key], value) if both_tables else value
     return result

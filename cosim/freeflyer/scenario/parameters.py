@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -130,6 +132,10 @@ def _value(
 
 def _numbers(value: Any, port: Port, subject: str) -> Array:
     scale = np.ones(port.size)
+    if isinstance(value, dict) and port.choices:
+        value = _combined(value, port, subject)
+    if isinstance(value, dict) and value.keys() == {"first"}:
+        return _first(value["first"], port, subject)
     if isinstance(value, dict):
         unknown = [key for key in value if key not in ("value", "unit")]
         if unknown or "value" not in value or "unit" not in value:
@@ -157,6 +163,36 @@ def _numbers(value: Any, port: Port, subject: str) -> Array:
         raise ScenarioError(f"{subject} is {value!r}; {_expected(port)}")
     scales = scale if numbers.size == scale.size else np.full(numbers.size, scale[0])
     return np.array([converted(number, by) for number, by in zip(numbers, scales, strict=True)])
+
+
+def _combined(value: dict[str, Any], port: Port, subject: str) -> str:
+    """Return the name of the enumeration value that a table of its parts describes.
+
+    The table { manipulator = "applied", base = "as_printed" } describes the value
+    "manipulator_applied_base_as_printed". If both parts were "applied", it describes "applied".
+    """
+    names = {str(name) for name in value.values()}
+    for order in itertools.permutations(value) if 2 <= len(value) <= 3 else ():
+        pattern = "_".join(rf"{re.escape(key)}_\w+" for key in order)
+        if not any(re.fullmatch(pattern, choice) for choice in port.choices):
+            continue
+        name = names.pop() if len(names) == 1 else "_".join(f"{k}_{value[k]}" for k in order)
+        if name in port.choices:
+            return name
+        break
+    raise ScenarioError(f"{subject} is {value!r}; {_expected(port)}")
+
+
+def _first(value: Any, port: Port, subject: str) -> Array:
+    """Return the start values of the port, with the first elements replaced by `value`."""
+    if not isinstance(value, list) or not 1 <= len(value) <= port.size or port.start is None:
+        count = len(value) if isinstance(value, list) else 0
+        raise ScenarioError(
+            f"{subject} has {count} values in 'first'; at most {port.size} are expected, and at least one"
+        )
+    start = np.array(port.start, dtype=float)
+    start[: len(value)] = _numbers(value, port, subject)
+    return start
 
 
 def _factor(unit: object, target: str | None, subject: str) -> float:

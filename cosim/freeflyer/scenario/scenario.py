@@ -3,8 +3,13 @@
 A scenario may extend another scenario. The key `extends` contains the path or the name of the other
 scenario. Tables and connections are merged. Any other value replaces the inherited value.
 The value of a parameter has one of these forms:
-number, list, Boolean, name of an enumeration value, `{ value = ..., unit = "deg" }`, or
-"=COMPONENT.PARAMETER". The last form is a reference to another parameter.
+- a number, a list, a Boolean, or the name of an enumeration value
+- `{ value = ..., unit = "deg" }`
+- `{ first = [...] }`: the first elements; the other elements keep their start values
+- `{ KEY = NAME, ... }`: the enumeration value whose name is KEY_NAME of all pairs, or NAME if all
+  names are equal
+- `{ csv = "FILE" }`: see `csv_parameters`
+- "=COMPONENT.PARAMETER": a reference to another parameter
 An error message contains the file, the key, the value and the expected value.
 """
 
@@ -28,6 +33,7 @@ from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer.foundation.units import converted, factor
 from freeflyer.master.divergence import Limit
 from freeflyer.master.graph import Connection, Exchange
+from freeflyer.scenario import csv_parameters
 from freeflyer.scenario.inheritance import Raw, merged
 from freeflyer.scenario.overrides import override
 from freeflyer.scenario.signal_roles import ROLES, SEVERAL, SignalRoles
@@ -137,6 +143,7 @@ def tables(
     raw = _read(path, ())
     for text in overrides:
         override(raw, text)
+    _expand(raw, Path())
     return raw, path
 
 
@@ -185,6 +192,7 @@ def _read(path: Path, seen: tuple[Path, ...]) -> Raw:
         raise ScenarioError(f"scenario {path} cannot be read: {error.strerror}") from error
     except ValueError as error:
         raise ScenarioError(f"scenario {path} is not valid TOML: {error}") from error
+    _expand(raw, path.parent)
     parent = raw.pop("extends", None)
     if parent is None:
         return raw
@@ -193,6 +201,17 @@ def _read(path: Path, seen: tuple[Path, ...]) -> Raw:
             f"scenario {path}: 'extends' must be the name of a scenario, got {parent!r}"
         )
     return merged(_read(find(parent, path.parent), (*seen, path)), raw)
+
+
+def _expand(raw: Raw, folder: Path) -> None:
+    """Replace each `{ csv = "FILE" }` among the parameters of the components in the tables `raw`.
+
+    A relative FILE is relative to `folder`. Raises ScenarioError.
+    """
+    components = raw.get("components")
+    for name, table in components.items() if isinstance(components, dict) else ():
+        if isinstance(table, dict) and isinstance(table.get("parameters"), dict):
+            table["parameters"] = csv_parameters.expanded(table["parameters"], folder, f"{name}.")
 
 
 class _Reader:

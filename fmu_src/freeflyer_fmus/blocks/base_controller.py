@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from freeflyer_fmus.blocks.block import WRENCH, Block
-from freeflyer_fmus.blocks.gains import BASE, DAMPING, MANIPULATOR, gains
+from freeflyer_fmus.blocks.gains import BASE, DAMPING, MANIPULATOR, gains, mean_weight
 from freeflyer_fmus.blocks.robot_parameters import (
     IDENTITY,
     SINGULARITY_THRESHOLD,
@@ -56,6 +56,7 @@ def base_controller(robot: Robot) -> Block:
     least_sigma = block.parameter(
         "singularity_threshold", SINGULARITY_THRESHOLD, "1", "Smallest allowed singular value of J_m", tunable=True, minimum=0.0
     )
+    theta = mean_weight(block)
     p_bd = block.parameter("position_setpoint", np.zeros(3), "m", "x_bd: base position to hold, in I", tunable=True)
     R_bd = block.parameter(
         "orientation_setpoint", IDENTITY, "1", "Base orientation to hold, quaternion x, y, z, w", tunable=True
@@ -82,7 +83,7 @@ def base_controller(robot: Robot) -> Block:
     star = feed_forward(mechanism, state, v_d, a_d)
     v_b = ca.vertcat(state.v, state.w)
     dx_b = pose_error(p_b, state.orientation, p_bd, R_bd)
-    held_law = mean_wrench(M, ca.diag(K_P), ca.diag(K_D), T_b, -K_P * dx_b, v_b)
+    held_law = mean_wrench(M, ca.diag(K_P), ca.diag(K_D), T_b, -K_P * dx_b, v_b, theta)
     F_b = star.F_b + ca.if_else(is_matched, held_law, spring_damper(K_P, K_D, dx_b, v_b))
     # Last term of (17), J_b^T F'_m. The matched law uses the wrench of the end-effector's spring
     # and damper, averaged over T_b.
@@ -96,8 +97,8 @@ def base_controller(robot: Robot) -> Block:
     # large. With bookkeeping `applied`, beta has an upper bound for this reason. With bookkeeping
     # `as_printed`, the observer counts the energy of the damper with the unbounded beta_b.
     # Therefore this controller must apply the unbounded beta_b.
-    is_bounded = ca.logic_and(bookkeeping == int(Bookkeeping.applied), share > 0)
-    own_damping = ca.if_else(is_matched, sampled_damping(ca.diag(M), K_P, K_D, T_b), K_D)
+    is_bounded = ca.logic_and(passivity.is_applied(bookkeeping, "base"), share > 0)
+    own_damping = ca.if_else(is_matched, sampled_damping(ca.diag(M), K_P, K_D, T_b, theta), K_D)
     beta = ca.if_else(
         is_bounded, passivity.bounded(beta_b, share, ca.diag(M), own_damping, T_b), beta_b
     )

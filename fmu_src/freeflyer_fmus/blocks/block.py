@@ -105,6 +105,7 @@ class Block:
         self._outputs: dict[str, SX] = {}
         self._kinds: set[str] = set()
         self.period: str | None = None
+        self.step_parameter: str | None = None
         self.default_step = 1e-3
 
     # Declarations
@@ -217,6 +218,11 @@ class Block:
         self.period = name
         self.default_step = start
         return self.parameter(name, start, "s", description, above=0.0)
+
+    def integrated_every(self, name: str, start: float, description: str) -> SX:
+        """Let the fixed parameter `name` set the integration step [s] of a continuous block."""
+        self.step_parameter = name
+        return self.parameter(name, start, "s", description, minimum=1e-6)
 
     def terminal(self, name: str, *variables: str, **members: str) -> None:
         """Declare a terminal: a group of inputs and outputs that are connected together.

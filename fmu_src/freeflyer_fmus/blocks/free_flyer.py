@@ -25,6 +25,7 @@ def free_flyer(robot: Robot) -> Block:
     )
     # fmt: off
     mechanism = mass_parameters(block, robot)
+    block.integrated_every("integration_step", 1e-3, "Longest step of the Runge-Kutta integration (order 4) inside a communication step")
     # Inputs.
     base_wrench = block.input("base_wrench", np.zeros(6), WRENCH, "F_b: force on the base and torque about B, in I")
     torque = block.input("joint_torque", np.zeros(n), joint_units(robot, "N.m", "N"), "tau: joint torques (forces for prismatic joints)")

@@ -51,6 +51,16 @@ def gains(block: Block, default: tuple[list[float], list[float]], prefix: str = 
     )
 
 
+def mean_weight(block: Block) -> SX:
+    """Declare theta of the matched law (`sampled_control.mean_wrench`)."""
+    # fmt: off
+    description = "theta of the matched law: 0.5 is the mean over the period; up to 1 adds numerical damping"
+    theta = block.parameter("theta", 0.5, "1", description, tunable=True, minimum=0.5)
+    # fmt: on
+    block.require(-theta, -1.0, "minus the parameter theta", "choose theta from 0.5 to 1")
+    return theta
+
+
 def null_space_damping(block: Block, robot: Robot) -> SX:
     """Declare the null-space damping (n) of a redundant manipulator.
 

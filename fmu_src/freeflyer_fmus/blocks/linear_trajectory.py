@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from freeflyer_fmus.blocks.block import ACCELERATION, TWIST, Block
+from freeflyer_fmus.blocks.block import Block
+from freeflyer_fmus.blocks.reference_trajectory import reference_outputs
 from freeflyer_fmus.blocks.robot_parameters import IDENTITY, joint_units, require_quaternions
-from freeflyer_fmus.blocks.terminals import REFERENCE
 from freeflyer_fmus.equations.kinematics import end_effector_pose
 from freeflyer_fmus.equations.mechanism import constant_mechanism
 from freeflyer_fmus.equations.trajectory import straight_line
@@ -30,16 +30,5 @@ def linear_trajectory(robot: Robot) -> Block:
     # fmt: on
     p_0, R_0 = end_effector_pose(constant_mechanism(robot), p_b, R_b, q)
     motion = straight_line(block.time, p_0, R_0, displacement, duration)
-    block.output("position", motion.position, "m", "x_md: desired position of E in I")
-    block.output(
-        "orientation",
-        motion.orientation,
-        "1",
-        "Desired orientation of E in I, quaternion x, y, z, w",
-    )
-    block.output("velocity", motion.velocity, TWIST, "x_md': desired velocity of E, in I")
-    block.output(
-        "acceleration", motion.acceleration, ACCELERATION, "x_md'': desired acceleration of E, in I"
-    )
-    block.terminal("reference", *REFERENCE)
+    reference_outputs(block, motion)
     return block

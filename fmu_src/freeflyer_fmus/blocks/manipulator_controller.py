@@ -14,6 +14,7 @@ from freeflyer_fmus.blocks.gains import (
     DAMPING,
     MANIPULATOR,
     gains,
+    mean_weight,
     null_space_damping,
     null_space_spring,
 )
@@ -75,6 +76,7 @@ def manipulator_controller(robot: Robot) -> Block:
     least_sigma = block.parameter(
         "singularity_threshold", SINGULARITY_THRESHOLD, "1", "Smallest allowed singular value of J_m", tunable=True, minimum=0.0
     )
+    theta = mean_weight(block)
     null_damping = null_space_damping(block, robot)
     null_stiffness, null_posture = null_space_spring(block, robot)
     limits = joint_limits(block, robot)
@@ -125,7 +127,7 @@ def manipulator_controller(robot: Robot) -> Block:
     M_e = articulated_end_effector_inertia(mechanism, state)
     dx_m = pose_error(p_e, R_e, p_d, R_d)
     is_matched = discretisation == int(Discretisation.matched)
-    held_law = mean_wrench(M_e, ca.diag(K_P), ca.diag(K_D), T_m, -K_P * dx_m, v_m - v_d)
+    held_law = mean_wrench(M_e, ca.diag(K_P), ca.diag(K_D), T_m, -K_P * dx_m, v_m - v_d, theta)
     F_m = star.F_m + ca.if_else(is_matched, held_law, spring_damper(K_P, K_D, dx_m, v_m - v_d))
 
     # Port M: `u_m` is the velocity that the observer uses. `excluded_m` is the part of F_m that the
@@ -134,20 +136,16 @@ def manipulator_controller(robot: Robot) -> Block:
     u_m = v_m - ca.if_else(tracking, v_d, 0)
     excluded_m = ca.if_else(tracking, star.F_m, 0)
     # Eq. (20) with corrected sign, with the selected bookkeeping.
-    E_m = passivity.choose(
-        bookkeeping,
-        {
-            Bookkeeping.as_printed: passivity.observed_as_printed(
-                E_m, F_m - excluded_m, u_m, beta_m_1, u_m_1, T_m
-            ),
-            Bookkeeping.applied: passivity.observed_as_applied(E_m, S_m_1, u_m_1, u_m, T_m),
-        },
+    applied_m = passivity.is_applied(bookkeeping, "manipulator")
+    E_m = ca.if_else(
+        applied_m,
+        passivity.observed_as_applied(E_m, S_m_1, u_m_1, u_m, T_m),
+        passivity.observed_as_printed(E_m, F_m - excluded_m, u_m, beta_m_1, u_m_1, T_m),
     )
-    applied = bookkeeping == int(Bookkeeping.applied)
-    own_damping = ca.if_else(is_matched, sampled_damping(ca.diag(M_e), K_P, K_D, T_m), K_D)
+    own_damping = ca.if_else(is_matched, sampled_damping(ca.diag(M_e), K_P, K_D, T_m, theta), K_D)
     beta_m = passivity.damper(E_m, u_m, T_m, floor)
     beta_m = ca.if_else(
-        ca.logic_and(applied, share > 0),
+        ca.logic_and(applied_m, share > 0),
         passivity.bounded(beta_m, share, ca.diag(M_e), own_damping, T_m),
         beta_m,
     )
@@ -166,18 +164,17 @@ def manipulator_controller(robot: Robot) -> Block:
     )
     held = begun * ca.if_else(observer == int(Observer.paper), F_B_held, F_b_applied)
     # Eq. (23) with corrected sign.
-    E_b = passivity.choose(
-        bookkeeping,
-        {
-            Bookkeeping.as_printed: passivity.observed_as_printed(
-                E_b, held - begun * F_pcb_held + share_b, v_b, beta_b_1, u_b_1, T_m
-            ),
-            Bookkeeping.applied: passivity.observed_as_applied(E_b, held + S_b_1, u_b_1, v_b, T_m),
-        },
+    applied_b = passivity.is_applied(bookkeeping, "base")
+    E_b = ca.if_else(
+        applied_b,
+        passivity.observed_as_applied(E_b, held + S_b_1, u_b_1, v_b, T_m),
+        passivity.observed_as_printed(
+            E_b, held - begun * F_pcb_held + share_b, v_b, beta_b_1, u_b_1, T_m
+        ),
     )
     # Eq. (24). The paper prints T_m. The bookkeeping `applied` uses T_b, because the force of the
     # damper is constant for T_b. During this time, the damper dissipates the missing energy.
-    beta_b = passivity.damper(E_b, v_b, ca.if_else(applied, T_b, T_m), floor)
+    beta_b = passivity.damper(E_b, v_b, ca.if_else(applied_b, T_b, T_m), floor)
     beta_b = ca.if_else(base_on, beta_b, 0)
 
     # New states and outputs.

@@ -15,6 +15,7 @@ from freeflyer_fmus.blocks.linear_trajectory import linear_trajectory
 from freeflyer_fmus.blocks.manipulator_controller import manipulator_controller
 from freeflyer_fmus.blocks.reference_trajectory import reference_trajectory
 from freeflyer_fmus.blocks.satellite import satellite
+from freeflyer_fmus.blocks.waypoint_trajectory import waypoint_trajectory
 from freeflyer_fmus.robot.robot import Robot
 
 BLOCKS: dict[str, Callable[[Robot], Block]] = {
@@ -26,6 +27,7 @@ BLOCKS: dict[str, Callable[[Robot], Block]] = {
         base_controller,
         continuous_loop,
         linear_trajectory,
+        waypoint_trajectory,
         hand_kinematics,
         satellite,
         arm_drive,

@@ -53,7 +53,8 @@ typedef struct {
     const double *start;
     const double *nominal; /* nominal values of the states */
     int period;            /* index of the sampling period, or -1 for a continuous block */
-    double step;           /* integration step of a continuous block [s] */
+    double step;           /* integration step of a continuous block [s] ... */
+    int step_parameter;    /* ... or index of the parameter that sets it; otherwise -1 */
     Equations *initial;    /* r0: states after initialisation */
     Equations *check;      /* r0: margins of the requirements on parameters */
     Equations *update;     /* sampled: r0 new states, r1 outputs, r2 margins */

@@ -54,12 +54,13 @@ static Status step_continuous(Instance *c, double time, double size)
     Memory *m = c->memory;
     int n = block.states.count;
     double *x = at(c, block.states), *saved = c->saved;
-    double steps = ceil(size / block.step - 1e-9), end = time + size;
+    double longest = block.step_parameter >= 0 ? m->value[block.step_parameter] : block.step;
+    double steps = ceil(size / longest - 1e-9), end = time + size;
     if (steps > LARGEST_COUNT) {
         message_begin(&c->message, "a communication step of ");
         message_add_number(&c->message, size);
         message_add(&c->message, " s would be more than 1e7 integration steps of ");
-        message_add_number(&c->message, block.step);
+        message_add_number(&c->message, longest);
         message_add(&c->message, " s; choose a shorter step");
         return instance_report(c, ERROR, MISUSE);
     }

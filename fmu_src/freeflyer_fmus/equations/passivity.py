@@ -11,12 +11,13 @@ A bookkeeping is a way to count energy. There are two bookkeepings:
               is computed from the values at sample k.
 `applied`     The force that acted since the last sample includes the force of the damper. Only the
               work of this force is counted. No energy is computed in advance.
-Both controllers must use the same bookkeeping.
+Both controllers must use the same bookkeeping. Port M and port B can have different ones.
 """
 
 from __future__ import annotations
 
 from enum import IntEnum
+from typing import Literal
 
 import casadi as ca
 
@@ -42,8 +43,18 @@ class Observer(IntEnum):
 
 
 class Bookkeeping(IntEnum):
+    """Bookkeeping of both ports, or of port M (manipulator) and port B (base)."""
+
     as_printed = 1
     applied = 2
+    manipulator_applied_base_as_printed = 3
+    manipulator_as_printed_base_applied = 4
+
+
+def is_applied(bookkeeping: SX, port: Literal["manipulator", "base"]) -> SX:
+    """Return whether `bookkeeping`, the number of a `Bookkeeping`, is `applied` at this port."""
+    (mixed,) = (option for option in Bookkeeping if f"{port}_applied" in option.name)
+    return ca.logic_or(bookkeeping == int(Bookkeeping.applied), bookkeeping == int(mixed))
 
 
 def choose(selector: SX, options: dict[IntEnum, SX]) -> SX:

@@ -35,27 +35,37 @@ class Discretisation(IntEnum):
 
 
 def mean_wrench(
-    inertia: SX, stiffness: SX, damping: SX, period: SX, spring: SX, velocity_error: SX
+    inertia: SX,
+    stiffness: SX,
+    damping: SX,
+    period: SX,
+    spring: SX,
+    velocity_error: SX,
+    theta: SX | float = 0.5,
 ) -> SX:
     """Return the held wrench -K dx_mean - D dx'_mean (6).
 
     dx is the pose error. `spring` is -K dx at the sample, and `velocity_error` is dx' at the
     sample. The inertia M, the stiffness K and the damping D are (6, 6) and symmetric. `period` is
     T. The means are the solution of
-    (M + T/2 D + T^2/4 K) dx'_mean = M dx' - T/2 K dx and dx_mean = dx + T/2 dx'_mean.
+    (M + T' D + T'^2 K) dx'_mean = M dx' - T' K dx and dx_mean = dx + T' dx'_mean with T' = theta T.
+    theta = 1/2 gives the mean over the period. A larger theta gives a value from later in the
+    period: it dissipates energy, also where the premises of the mean law do not hold.
     As T -> 0 the result tends to the continuous law.
     """
-    half = 0.5 * period
+    half = theta * period
     implicit = inertia + half * damping + half**2 * stiffness
     mean_velocity = solve_positive_definite(implicit, inertia @ velocity_error + half * spring)
     return spring - (half * stiffness + damping) @ mean_velocity
 
 
-def sampled_damping(inertia: SX, stiffness: SX, damping: SX, period: SX) -> SX:
-    """Return the damping -dF/dx' (6) of each axis.
+def sampled_damping(
+    inertia: SX, stiffness: SX, damping: SX, period: SX, theta: SX | float = 0.5
+) -> SX:
+    """Return the damping -dF/dx' (6) of each axis, for the held wrench F of `mean_wrench`.
 
-    F is the held wrench of `mean_wrench`. The inertia M, the stiffness K and the damping D are
-    given as diagonals (6 each). The result is below 2 M / T for any K and D.
+    The inertia M, the stiffness K and the damping D are given as diagonals (6 each). The result is
+    below M / (theta T), for any K and D.
     """
-    half = 0.5 * period
+    half = theta * period
     return (damping + half * stiffness) * inertia / (inertia + half * damping + half**2 * stiffness)

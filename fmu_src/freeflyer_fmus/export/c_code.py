@@ -204,6 +204,7 @@ def print_block(block: Block, token: str) -> str:
     ]
     # The table `block`. Its fields are declared in block.h.
     period = plan.reference[block.period] if block.period else -1
+    step_parameter = plan.reference[block.step_parameter] if block.step_parameter else -1
     ranges = "\n".join(
         f"    .{name} = {{{first}, {count}}}," for name, (first, count) in plan.ranges.items()
     )
@@ -226,6 +227,7 @@ def print_block(block: Block, token: str) -> str:
     .start = start,
     .period = {period},
     .step = {number(block.default_step)},
+    .step_parameter = {step_parameter},
     .linked = {block.linked},
     .nominal = nominal,
 {pointers}
