@@ -1,6 +1,6 @@
 """canopen as independent reference implementation, in real time and with threads.
 
-Its CiA 402 master controls the virtual drive, and the host configures its local node.
+The CiA 402 master of canopen controls the virtual drive. The host configures a local canopen node.
 """
 
 from __future__ import annotations
@@ -230,6 +230,6 @@ def test_the_host_rejects_a_local_node_that_stays_in_another_mode(
     drive, _ = remote
     with pytest.raises(
         DeviceError,
-        match=r"stays in mode 0 \(6061h\); mode 10, cyclic synchronous torque, was written",
+        match=r"stays in mode 0 \(6061h\); mode 10 \(cyclic synchronous torque\) is expected",
     ):
         drive.set_up(0.004)

@@ -92,8 +92,8 @@ def test_no_torque_overflows_its_16_bits(wanted: np.ndarray) -> None:
 
 
 def test_the_load_of_six_drives_is_the_sum_of_the_bits() -> None:
-    # Longest frames with 11-bit identifiers: 47 + 8 n bits, and one stuff bit per four of the first
-    # 34 + 8 n bits after the first. 0 bytes: 55 bits; 1: 65; 4: 95; 8: 135.
+    # Longest frames with 11-bit identifiers and n data bytes: 47 + 8 n bits, and
+    # floor((34 + 8 n - 1) / 4) stuff bits. n = 0: 55 bits; 1: 65; 4: 95; 8: 135.
     cyclic = 55 + 6 * (95 + 135 + 95) + 2 * 135
     assert load.load(6, 4e-3, 1e6, 0.1, measured_velocity=True) == pytest.approx(
         cyclic / 4000 + 7 * 65 / 100_000

@@ -200,7 +200,7 @@ def test_further_pdos_in_the_eds_of_a_drive_are_disabled(
         refused(bench, sentence, bench.prepared)
 
 
-def test_a_torque_acts_from_the_next_sync_on(
+def test_a_torque_takes_effect_at_the_next_sync(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     with pair(monkeypatch) as bench:
@@ -247,10 +247,10 @@ def test_without_tpdo2_the_speed_is_estimated_from_positions(
 @pytest.mark.parametrize(
     ("drives", "host", "sentence"),
     [
-        ({"rated_torque": [0.5, 0.25]}, {}, "drive of joint 2 (node 7): its rated torque (6076h) is 0.25 N m, but the scenario has 0.2 N m"),
-        ({"gear_ratio": 50}, {}, "drive of joint 1 (node 3): its gear ratio (6091h:01) is 50, but the scenario has 100"),
-        ({"encoder_resolution": 8192}, {}, "its encoder resolution (608Fh:01) is 8192 increments, but the scenario has 4096 increments"),
-        ({}, {"joint_effort_limit": (200.0, 40.0)}, "its max torque (6072h) is 150 N m at the joint, but the scenario's joint_effort_limit is 200 N m"),
+        ({"rated_torque": [0.5, 0.25]}, {}, "drive of joint 2 (node 7): the rated torque (6076h) is 0.25 N m, but the scenario has 0.2 N m"),
+        ({"gear_ratio": 50}, {}, "drive of joint 1 (node 3): the gear ratio (6091h:01) is 50, but the scenario has 100"),
+        ({"encoder_resolution": 8192}, {}, "the encoder resolution (608Fh:01) is 8192 increments, but the scenario has 4096 increments"),
+        ({}, {"joint_effort_limit": (200.0, 40.0)}, "the max torque (6072h) is 150 N m at the joint, but the scenario's joint_effort_limit is 200 N m"),
         ({"node_ids": [3, 8]}, {}, "drive of joint 2 (node 7) does not return device type (1000h): no answer within 0.3 s; is the drive"),
     ],
     ids=["rated torque", "gear", "encoder", "max torque", "missing"],
@@ -271,7 +271,7 @@ def test_a_different_drive_is_rejected_with_both_numbers(
             "is of device profile 401 (1000h is 0x00030191); a drive of profile 402 is expected",
         ),
         (objects.SUPPORTED_MODES, 0x1FF, "has no cyclic synchronous torque mode"),
-        (objects.GEAR_SHAFT_TURNS, 0, "its driving shaft revolutions (6091h:02) is 0"),
+        (objects.GEAR_SHAFT_TURNS, 0, "the driving shaft revolutions (6091h:02) is 0"),
     ],
 )
 def test_a_device_without_the_profile_is_rejected(
@@ -437,7 +437,7 @@ def test_a_fault_is_reset_by_an_edge_even_if_the_bit_was_set_before(
 ) -> None:
     with pair(monkeypatch) as bench:
         bench.joints.virtual.fail(1)
-        bench.logics[0].apply_controlword(0x80)  # resets it
+        bench.logics[0].apply_controlword(0x80)  # reset the fault
         bench.joints.virtual.fail(1)
         bench.activated()
         assert bench.logics[0].state is STATES.operation_enabled
@@ -567,7 +567,7 @@ def test_a_second_controller_is_rejected_while_the_first_sends_sync_or_has_enabl
         bench.host.deactivate()
         for _ in range(3):
             bench.joints.tick()
-        assert not bench.joints.virtual.logic.braked  # the drives of the first controller run on
+        assert not bench.joints.virtual.logic.braked  # the drives of the first controller continue
 
 
 def test_a_sync_of_another_controller_stops_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -636,7 +636,7 @@ def test_a_delayed_loop_stops_and_never_enables_a_drive_again(
         bench.activated()
         bench.cycles(20, 8.0, -4.0)
         time.sleep(0.12)
-        for _ in range(700):  # the drives' watchdogs act
+        for _ in range(700):  # the drives' watchdogs expire
             bench.joints.tick()
         assert {drive.state for drive in bench.logics} == {STATES.fault}
         start = len(bench.host_end.sent)
@@ -711,7 +711,7 @@ def test_the_device_can_be_activated_again_after_a_stop(monkeypatch: pytest.Monk
         bench.host.on_error("tried")
         assert bench.host.state.now is LifeCycle.safe_stop
         bench.joints.tick()
-        # The host has commanded this with a SYNC; no watchdog has acted.
+        # The host has commanded this state and sent SYNC; no watchdog has expired.
         assert {drive.state for drive in bench.logics} == {STATES.switch_on_disabled}
         bench.host.deactivate()
         for _ in range(300):

@@ -1,4 +1,4 @@
-"""Effect of T_m = 4 ms, and of a target delay of one SYNC, on the experiment; without a clock."""
+"""Effects of a control period of 4 ms and of a target delay of one SYNC; without a clock."""
 
 from __future__ import annotations
 

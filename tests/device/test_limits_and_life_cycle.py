@@ -148,7 +148,7 @@ def test_a_base_that_does_not_follow_stops() -> None:
     far = np.array([0.06, 0.0, 0.0])
     assert (
         base().measured(far, IDENTITY, (np.zeros(3), IDENTITY))
-        == "the base is 0.06 m from its set point, its limit is 0.01 m"
+        == "the base is 0.06 m from its set point, the limit is 0.01 m"
     )
     assert base().measured(far, IDENTITY, (far, IDENTITY)) is None
     assert base().measured(far * np.nan, IDENTITY, (far, IDENTITY)) is not None

@@ -42,7 +42,8 @@ def test_a_check_reports_why_a_device_could_not_be_activated(
     both = capsys.readouterr()
     # The check takes 0.1 s, in which the base moves by less than a thousandth of its limits.
     assert re.search(
-        r"0\.0600 m and 0\.00\d deg apart, 0\.005 m and 0\.573 deg are allowed", both.err
+        r"the distance is 0\.0600 m and 0\.00\d deg, at most 0\.005 m and 0\.573 deg are allowed",
+        both.err,
     ), both.err
     assert "Traceback" not in both.err
 

@@ -169,7 +169,7 @@ def test_an_invalid_scenario_is_rejected(
         ({"left_out": "Q3"}, "lacks the signal 'Q3' of signals.joint_position"),
         ({"state_size": 50}, "has 50 bytes, which is not a CAN FD frame size"),
         ({"state_size": 24}, "cannot be used"),
-        ({"activation": "explicit"}, "so that the arm cannot refuse a late activation itself"),
+        ({"activation": "explicit"}, "so the arm itself cannot reject a late activation"),
         (
             {"torque_scale": 0.001},
             r"signal C1 holds -32.768 to 32.767 N.m, but the robot needs -176 to 176 N.m",
@@ -219,27 +219,27 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Rig, Proce
         [
             (
                 "manipulator_controller.joint_effort_limit=[176, 176, 100, 100, 38, 40]",
-                r"its joint effort limit of joint 6 is 38 N.m, but the scenario's robot has 40 N.m",
+                r"the joint effort limit of joint 6 is 38 N.m, but the scenario's robot has 40 N.m",
             ),
             (
                 "devices.arm_drive.parameters.joint_velocity_limit=3.0",
-                r"its joint velocity limit of joint 1 is 1.92 rad/s, but the scenario's robot has 3 rad/s",
+                r"the joint velocity limit of joint 1 is 1.92 rad/s, but the scenario's robot has 3 rad/s",
             ),
             (
                 "manipulator_controller.joint_upper_limit=2.5",
-                r"its joint upper limit of joint 1 is 2.967 rad, but the scenario's robot has 2.5 rad",
+                r"the joint upper limit of joint 1 is 2.967 rad, but the scenario's robot has 2.5 rad",
             ),
             (
                 "satellite.base_position=[0.0, 0.0, 0.0]",
-                r"is at \[0.0400, 0.0000, 0.0800\] m.*starts at \[0.0000, 0.0000, 0.0000\] m.*: 0.089\d m",
+                r"is at \[0.0400, 0.0000, 0.0800\] m.*starts at \[0.0000, 0.0000, 0.0000\] m.*: the distance is 0.089\d m",
             ),
             (
                 "satellite.base_orientation=[0.0, 0.0, 0.0, 1.0]",
-                r"is at .*roll (10.00|9.99)\d, .*starts at .*roll 0.000, .*1?\d.\d+ deg apart",
+                r"is at .*roll (10.00|9.99)\d, .*starts at .*roll 0.000, the distance is .* 1?\d.\d+ deg,",
             ),
             (
                 "reference_trajectory.start_joint_position=[0.1, -0.5, 1.4, 0.9, 0.0, 0.0]",
-                r"joint \d is at -?[0-9.]+ rad, the scenario starts at -?[0-9.]+ rad, and 0.02 rad",
+                r"joint \d is at -?[0-9.]+ rad, the scenario starts at -?[0-9.]+ rad, and the largest allowed distance is 0.02 rad",
             ),
             (
                 "devices.base_robot.parameters.start_orientation=[0.0, 0.0, 0.0, 0.0]",

@@ -157,7 +157,9 @@ def test_a_valid_certificate_without_the_right_to_command_is_reported(
     refused: Refused, bench: tuple[Rig, Process]
 ) -> None:
     found = refused('devices.base_robot.controller="observer"')
-    assert "base_robot does not let certificate 'observer' command, only controller" in found
+    assert (
+        "base_robot accepts no commands from certificate 'observer', only from controller" in found
+    )
 
 
 def test_a_facility_without_a_valid_certificate_does_not_start(
@@ -183,7 +185,7 @@ def test_an_unencrypted_link_causes_a_warning(tmp_path: Path) -> None:
             "facility", path, "--set", 'devices.base_robot.connect=["tcp/192.0.2.10:7447"]'
         )
         process.wait_for(
-            "WARNING: tcp/192.0.2.10:7447 is not encrypted, so any peer that reaches it can command the robot"
+            "WARNING: tcp/192.0.2.10:7447 is not encrypted, so any peer that reaches this endpoint can command the robot"
         )
         process.send(signal.SIGINT)
         process.finish()

@@ -145,7 +145,7 @@ def test_an_observer_receives_measurements_and_its_set_points_are_dropped(
     assert arrives(host, robot.link)
     robot.link.reset_source()
     assert not arrives(observer, robot.link, 0.5)
-    # Zenoh drops them before the checks of this project.
+    # Zenoh drops the set points before the checks of this project.
     assert robot.link.counts.other_sources == robot.link.counts.malformed == 0
     assert arrives(host, robot.link), "the link was open all the time"
 
@@ -168,7 +168,7 @@ def test_without_access_control_the_same_observer_can_command_announce_and_delet
     assert token
 
 
-def test_a_valid_certificate_that_is_not_a_commanders_only_permits_reading(
+def test_a_valid_certificate_without_the_right_to_command_permits_only_reading(
     lab: Lab, stack: ExitStack
 ) -> None:
     options = lab.options(lab.good, free_port())
@@ -185,7 +185,7 @@ def test_a_second_commander_in_the_options_can_command(lab: Lab, stack: ExitStac
 
 
 def test_an_observer_cannot_forge_tokens(lab: Lab, stack: ExitStack) -> None:
-    """No controller receives its forged tokens. It may read the tokens of the robot."""
+    """No controller receives the forged tokens. The observer may read the tokens of the robot."""
     options = lab.options(lab.good, free_port())
     robot, host = Robot(stack, options), controller(stack, options)
     observer = unchecked_peer(stack, lab, options, "observer").session
@@ -376,7 +376,7 @@ def test_a_controller_of_another_authority_is_rejected_with_the_reason(
 def test_a_certificate_signed_by_an_observer_is_rejected_by_the_base(
     lab: Lab, stack: ExitStack, tmp_path: Path
 ) -> None:
-    """Its chain leads to the authority, but through a certificate without the right to sign."""
+    """The chain leads to the authority, but through a certificate without the right to sign."""
     key = load_pem_private_key((lab.good / "observer.key").read_bytes(), None)
     assert isinstance(key, EllipticCurvePrivateKey)
     observer = CertificateAuthority(

@@ -74,7 +74,7 @@ def test_a_number_is_claimed_until_the_arm_echoes_it_and_is_inactive(state: Life
 
 
 def test_a_claim_without_an_echo_is_tried_with_another_number() -> None:
-    """The arm may have expired the first number."""
+    """The first number may have expired in the arm."""
     made = session()
     made.claim()
     made.report(LifeCycle.inactive, 0, START)
@@ -170,7 +170,7 @@ def test_an_arm_that_stops_while_it_is_activated_ends_the_activation(state: Life
 def test_a_stop_that_comes_after_the_claim_ends_the_activation_and_is_not_reset(
     state: LifeCycle,
 ) -> None:
-    """The claim resets an earlier stop only."""
+    """The claim only resets a stop that came before the claim."""
     made = activating()
     made.report(state, made.number, START)
     assert made.permit.lost == f"arm went to {state.name} before it was activated"
@@ -245,7 +245,7 @@ def test_the_last_check_before_transmission_detects_a_delay_of_the_loop() -> Non
 # Age of a report
 
 
-def test_the_age_of_a_report_is_that_of_the_answer_that_it_echoes() -> None:
+def test_a_report_is_as_old_as_the_answer_that_it_echoes() -> None:
     made = commanding()
     made.wrote(40, START)
     made.permit.lose("a limit was met")
@@ -264,7 +264,7 @@ def test_a_report_that_echoes_no_answer_of_this_session_counts_as_old() -> None:
     assert made.answer(START) is Mode.idle
 
 
-def test_send_times_of_the_last_answers_are_stored_and_older_ones_are_dropped() -> None:
+def test_only_the_send_times_of_the_last_answers_are_stored() -> None:
     made = commanding()
     for k in range(REMEMBERED + 1):
         made.wrote(k, START)
@@ -336,7 +336,7 @@ def test_an_arm_without_state_is_active_while_it_echoes_answers_of_this_session(
     assert made.phase is Phase.commanding
     for k in range(1, 10):
         now = START + k * CYCLE
-        # The session detects the old echo with the state frame that contains it.
+        # The session detects an old echo only when it receives the state frame with this echo.
         assert made.answer(now) is (Mode.torque if (k - 1) * CYCLE <= WATCHDOG else Mode.idle)
         made.wrote(40 + k, now)
         made.report(None, made.number, now, 40)  # the arm keeps echoing the first answer

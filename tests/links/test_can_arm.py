@@ -43,7 +43,7 @@ class ScriptedArm:
         self.cycle, self.accepted, self.life = 100, 0, LifeCycle.inactive
         self.position = np.zeros(N)
         self.echoed = 0
-        """Echoed cycle of an implicit arm; the other arm echoes the previous cycle."""
+        """Echoed cycle of an implicit arm. An explicit arm echoes the previous cycle."""
         self.ignores_commands = self.ignores_activation = False
         self.received: list[dict[str, list[float]]] = []
         self._stop = threading.Event()
@@ -356,7 +356,7 @@ def test_an_arm_far_from_the_start_is_rejected_with_both_numbers(
     arm.configure()
     with pytest.raises(
         DeviceError,
-        match=r"joint 4 is at 0.3000 rad, the scenario starts at 0.0000 rad, and 0.02 rad",
+        match=r"joint 4 is at 0.3000 rad, the scenario starts at 0.0000 rad, and the largest allowed distance is 0.02 rad",
     ):
         arm.check_start()
 
@@ -403,7 +403,7 @@ def brought_to_rest(
 def test_an_arm_that_reports_no_state_is_ramped_down(
     link: tuple[CanArm, ScriptedArm],
 ) -> None:
-    """Without life cycle and brakes in its DBC, the arm counts as moving until the ramp ends."""
+    """If the DBC has no life cycle and no brakes, the arm counts as moving until the ramp ends."""
     _, there = link
     channel = link[0].options.channel
     there.implicit = True
@@ -435,7 +435,7 @@ def test_an_arm_that_reports_no_state_is_ramped_down(
 def test_an_arm_that_reports_no_state_is_activated_after_a_pause(
     link: tuple[CanArm, ScriptedArm],
 ) -> None:
-    """State frames from between `prepare` and `activate` are discarded unread."""
+    """State frames that arrive between `prepare` and `activate` are discarded unread."""
     _, there = link
     there.implicit = True
     arm = CanArm("arm", ArmOptions(channel=link[0].options.channel, implicit=True))
@@ -457,7 +457,9 @@ def test_an_arm_that_reports_no_state_is_activated_after_a_pause(
         arm.deactivate()
 
 
-def test_an_arm_is_at_rest_once_it_reports_that(active: tuple[CanArm, ScriptedArm]) -> None:
+def test_an_arm_is_at_rest_only_after_it_reports_its_brakes(
+    active: tuple[CanArm, ScriptedArm],
+) -> None:
     arm, there = active
     arm._last_torque = np.full(N, 0.5)
     arm.revoke("a test")
@@ -465,7 +467,7 @@ def test_an_arm_is_at_rest_once_it_reports_that(active: tuple[CanArm, ScriptedAr
     for k in range(400):
         there.send()
         arm.ramp_down(k * 1e-3)
-    assert not arm.at_rest  # the arm has not reported it
+    assert not arm.at_rest  # the arm has not reported engaged brakes
     there.life = LifeCycle.inactive
     there.send()
     assert arm.ramp_down(0.4)
@@ -540,7 +542,7 @@ def test_speeds_and_torques_may_be_narrower_than_the_arms_own_but_not_wider(
     if rejected:
         with pytest.raises(
             DeviceError,
-            match=r"its joint velocity limit of joint 1 is 1 rad/s, .* robot has 1\.1 rad/s",
+            match=r"the joint velocity limit of joint 1 is 1 rad/s, .* robot has 1\.1 rad/s",
         ):
             arm.configure()
     else:
@@ -587,7 +589,7 @@ def test_every_activation_has_a_new_session(link: tuple[CanArm, ScriptedArm]) ->
     arm.prepare()
     first = arm.session
     arm.activate(lambda: False)
-    with pytest.raises(RuntimeError, match="a permit is taken once"):
+    with pytest.raises(RuntimeError, match="this permit was taken or lost before"):
         arm.activate(lambda: False)
     there.accepted, there.life = 0, LifeCycle.inactive
     arm.prepare()
@@ -605,7 +607,7 @@ def test_an_arm_that_accepts_no_claim_is_rejected_with_the_echoed_number(
     arm.configure()
     with pytest.raises(
         DeviceError,
-        match=r"sends its state \(inactive\), but does not accept .* commands; the session number that it echoes is none",
+        match=r"sends its state \(inactive\), but does not accept .* commands; the echoed session number is none",
     ):
         arm.prepare()
 
@@ -677,7 +679,7 @@ class Foreign:
             self.sender.send({"controller": (4711.0,), "cycle": (float(cycle),)})
 
     def __enter__(self) -> Foreign:
-        for _ in range(128):  # move the counter far away from that of the other arm
+        for _ in range(128):  # make the counter differ much from the other arm's counter
             self.sender._protector.protect(bytearray(64))  # type: ignore[union-attr]
         self._thread.start()
         return self

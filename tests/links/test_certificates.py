@@ -225,7 +225,7 @@ def test_an_invalid_authority_signs_nothing(
     (folder / "ca.key").write_text("nonsense")
     refused(folder, "are not a PEM certificate and key")
     (folder / "ca.key").unlink()
-    refused(folder, "ca.key is missing, and nothing can be signed without it")
+    refused(folder, "ca.key is missing; the authority cannot sign without this file")
     (folder / "ca.pem").unlink()
     shutil.copy(lab.rogue / "ca.key", folder / "ca.key")
     refused(folder, "exists without its certificate and is not overwritten")
@@ -312,7 +312,7 @@ def with_text(name: str, text: str) -> Callable[[Path, Lab], None]:
             spoil_age,
             "base_robot.pem expired on .* UTC; `freeflyer certificates .* --renew base_robot` makes a new certificate",
         ),
-        (spoil_youth, "is not valid before .* UTC, and the clock of this machine is at"),
+        (spoil_youth, "is not valid before .* UTC, but the clock of this machine is at"),
         (spoil_use, r"is not for listening \(its extended key usage lacks serverAuth\)"),
         (
             spoil_host,
@@ -359,8 +359,8 @@ FAR = "tcp/192.0.2.10:7447"
 @pytest.mark.parametrize(
     ("table", "sentence"),
     [
-        ({"connect": [FAR]}, "leaves this machine without encryption, so any peer that reaches it could command the robot; make certificates with "
-         "`freeflyer certificates DIR`, set certificates = 'DIR' and write tls/192.0.2.10:7447 (or set insecure = true)"),
+        ({"connect": [FAR]}, "leaves this machine without encryption, so any peer that reaches this endpoint could command the robot; make certificates with "
+         "`freeflyer certificates DIR`, then set certificates = 'DIR' and write tls/192.0.2.10:7447 (or set insecure = true)"),
         ({"listen": ["tcp/192.0.2.1:0"]}, "leaves this machine without encryption"),
         ({"connect": ["tcp/lab.example:7447"]}, "leaves this machine without encryption"),
         ({"connect": ["udp/192.0.2.10:7447"]}, "leaves this machine without encryption"),
@@ -456,5 +456,5 @@ def test_notices_report_the_protection_and_warn_before_a_certificate_expires(
     assert everywhere[0] == "base_robot: tls/0.0.0.0:1 listens on every interface of this machine"
     far = printed('connect = ["tcp/192.0.2.10:1"]\ninsecure = true', as_robot=False)
     assert far == [
-        "base_robot: WARNING: tcp/192.0.2.10:1 is not encrypted, so any peer that reaches it can command the robot (insecure = true)"
+        "base_robot: WARNING: tcp/192.0.2.10:1 is not encrypted, so any peer that reaches this endpoint can command the robot (insecure = true)"
     ]

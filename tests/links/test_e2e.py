@@ -35,9 +35,7 @@ def crc_16_ccitt_false(data: bytes) -> int:
 
 
 @given(st.binary(min_size=3, max_size=64), st.integers(0, 255))
-def test_the_crc_is_that_of_the_rest_of_the_frame_and_the_data_id(
-    data: bytes, counter: int
-) -> None:
+def test_the_crc_covers_the_rest_of_the_frame_and_the_data_id(data: bytes, counter: int) -> None:
     frame = protected(data, counter)
     expected = crc_16_ccitt_false(bytes(frame[2:]) + DATA_ID.to_bytes(2, "little"))
     assert int.from_bytes(frame[:2], "little") == expected

@@ -1,4 +1,4 @@
-"""Frames of the arm: the shipped DBC, a user's DBC, and the errors in one."""
+"""Frames of the arm: the shipped DBC, a user's DBC, and errors in a user's DBC."""
 
 from __future__ import annotations
 
@@ -220,7 +220,7 @@ def test_a_dbc_that_cannot_reject_an_activation_needs_activation_implicit(
 ) -> None:
     mapping = mapped(tmp_path, name)
     frames = ArmFrames(mapping, 2)
-    sentence = rf'arm: DBC .* has no {name}, so that the arm cannot refuse .* write activation = "implicit"'
+    sentence = rf'arm: DBC .* has no {name}, so the arm itself cannot reject .* write activation = "implicit"'
     with pytest.raises(DeviceError, match=sentence):
         frames.check_activation("arm", implicit=False)
     with pytest.raises(DeviceError, match=sentence):
@@ -326,7 +326,7 @@ def test_command_and_state_frame_with_one_identifier_are_rejected(
         SIGNALS if messages == MESSAGES else {**SIGNALS, "joint_torque_command": ["T_A", "T_B"]}
     )
     with pytest.raises(
-        DeviceError, match=r"have one identifier, 0x20[01], which two nodes cannot send"
+        DeviceError, match=r"have the same identifier 0x20[01], but two nodes must not send one"
     ) as caught:
         ArmFrames(FrameMapping(dbc=own(tmp_path, text), messages=messages, signals=signals), 2)
     assert "\n" not in str(caught.value)

@@ -1,4 +1,4 @@
-"""Contract of a python-can bus, tested on the local interface and on python-can's virtual one."""
+"""Contract of a python-can bus, tested on the local and on python-can's virtual interface."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def test_every_peer_receives_all_frames_in_the_order_of_the_sender(opened: Opene
     assert all(bus.recv(1.0) is not None for bus in buses[:3])
 
 
-def test_filters_let_through_what_matches(opened: Opener) -> None:
+def test_filters_pass_only_matching_frames(opened: Opener) -> None:
     sender = opened()
     receiver = opened(can_filters=[{"can_id": 0x181, "can_mask": 0x7FF, "extended": False}])
     for identifier in (0x180, 0x181, 0x182):
@@ -159,7 +159,7 @@ def test_a_classic_node_neither_sends_nor_receives_fd_frames(local: Opener) -> N
         classic.send(FRAMES[4])
 
 
-def test_its_file_descriptor_stays_readable_while_frames_are_left(local: Opener) -> None:
+def test_the_file_descriptor_stays_readable_while_frames_are_pending(local: Opener) -> None:
     sender, receiver = local(), local()
     receiver.peers  # noqa: B018  accepts the connection
     for _ in range(3):
@@ -208,7 +208,7 @@ def test_a_killed_peer_is_removed_with_its_socket(local: Opener) -> None:
     assert len([path for path in folder.iterdir() if path.name != "lock"]) == 2
 
 
-def test_its_directory_is_private(local: Opener) -> None:
+def test_the_directory_of_a_channel_is_private(local: Opener) -> None:
     bus = local()
     folder = directory(bus.channel_info.split("'")[1])
     assert folder.stat().st_mode & 0o077 == 0
@@ -220,7 +220,7 @@ def test_an_invalid_channel_name_is_rejected(channel: str) -> None:
         can.Bus(interface="local", channel=channel)
 
 
-def test_it_is_found_by_python_can() -> None:
+def test_python_can_finds_the_local_interface() -> None:
     assert "local" in can.VALID_INTERFACES
 
 

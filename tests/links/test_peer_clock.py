@@ -106,7 +106,7 @@ def test_a_clock_step_does_not_hide_a_delay() -> None:
 
 @given(offsets, st.integers(1, 5))
 def test_the_delay_of_a_frozen_stamp_grows(offset: int, seconds: int) -> None:
-    """The publisher hangs, and its last stamp is sent repeatedly."""
+    """The publisher hangs and sends its last stamp repeatedly."""
     peer = Peer(offset)
     peer.run()
     stamp = peer.now + offset

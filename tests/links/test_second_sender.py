@@ -1,4 +1,4 @@
-"""Detection of two senders of one identifier; faults of the link of one sender are no detection."""
+"""Detection of two senders of one identifier. Faults of one link cause no detection."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def delivered(frames: list[Frame], places: list[int]) -> list[Frame]:
 
 
 def duplicated(frames: list[Frame], copied: list[int | None]) -> list[Frame]:
-    """Repeat frames a number of places later; `copied` is repeated cyclically, None: no copy."""
+    """Repeat frames a number of places later. `copied` is repeated cyclically; None: no copy."""
     copies = [(i, copied[i % len(copied)]) for i in range(len(frames))]
     order = [(i + 0.0, i) for i, _ in copies] + [
         (i + late + 0.5, i) for i, late in copies if late is not None
@@ -37,7 +37,7 @@ def duplicated(frames: list[Frame], copied: list[int | None]) -> list[Frame]:
 
 
 def alternating(first: list[Frame], second: list[Frame], bursts: list[int]) -> list[Frame]:
-    """Alternate bursts of both senders. A negative length: the second sender first."""
+    """Alternate bursts of both senders. At a negative length, the second sender sends first."""
     frames: list[Frame] = []
     at = turn = 0
     while at < len(first):
@@ -183,7 +183,7 @@ def test_duplicates_do_not_hide_two_senders(later: int) -> None:
 
 
 def test_earlier_losses_do_not_hide_a_second_sender() -> None:
-    """Old gaps in the first stream must not be filled by frames of the second sender."""
+    """Frames of the second sender must not fill old gaps in the first stream."""
     first = sent("a", 0, 2000)
     for offset in range(256):
         frames = first[:1000:4] + alternating(first[1000:], sent("b", 1000 + offset, 1000), [1])

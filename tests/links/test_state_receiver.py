@@ -260,7 +260,7 @@ def test_two_arms_are_a_problem_with_both_counters(here: Here) -> None:
 def test_two_arms_are_a_problem_by_the_rate_of_their_frames(
     here: Here, frames: int, is_problem: bool
 ) -> None:
-    """Their counters do not show two arms whose frames arrive in bursts of 20."""
+    """If the frames of two arms arrive in bursts of 20, their counters do not show two arms."""
     one, other = Node(), Node()
     for _ in range(20):
         here.wait(0.0, *(one.state() for _ in range(20)))

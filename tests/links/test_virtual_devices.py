@@ -116,7 +116,7 @@ def test_without_commands_the_arm_is_in_safe_stop_one_cycle_after_its_watchdog(
     start = arm.cycle
     while arm.life.now is LifeCycle.active:
         arm.begin([], STILL)
-    # Counted from the last answered state frame.
+    # The cycles are counted from the last answered state frame.
     assert arm.cycle - (start - 1) == watchdog + 1
     assert arm.lost == watchdog
 
@@ -312,7 +312,7 @@ def test_an_arm_with_a_session_rejects_another_claim() -> None:
 
 
 def test_an_arm_that_is_not_braked_yet_can_be_claimed_and_stays_in_safe_stop() -> None:
-    """Its ramp-down is completed."""
+    """The claim does not interrupt the ramp-down."""
     arm = released(active())
     assert not arm.braked
     while not arm.braked:
@@ -694,7 +694,10 @@ def proving() -> BaseLogic:
 def arrive(
     robot: BaseLogic, calls: int, every: int = 4, late: float = 0.0, stamps_per_call: float = 1e-3
 ) -> None:
-    """Send set points `every` n calls, with stamps that are `late` [s] and advance per call [s]."""
+    """Send a set point in every n-th call (n is `every`) until `calls` calls are over.
+
+    `late` [s]: delay of the set points. `stamps_per_call` [s]: advance of the stamps per call.
+    """
     start = robot._calls
     while robot._calls - start < calls:
         if (robot._calls - start) % every == 0:

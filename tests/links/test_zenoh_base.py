@@ -220,7 +220,7 @@ def test_a_base_that_does_not_follow_stops_the_loop(here: ZenohBase, there: Scri
     here._take()
     here._steps = here._ratio - 1
     with pytest.raises(
-        SafeStop, match=r"the base is 0\.02 m from its set point, its limit is 0\.01 m"
+        SafeStop, match=r"the base is 0\.02 m from its set point, the limit is 0\.01 m"
     ):
         here.read()
 
@@ -260,7 +260,11 @@ def test_invalid_samples_are_counted_and_have_no_effect(
             Attachment(sequence - 1, stamp, gid).pack(),
             f"sequence number {sequence - 1} after {sequence}",
         ),
-        (good, Attachment(sequence + 1, last.stamp, gid).pack(), "its stamp is 0 s later"),
+        (
+            good,
+            Attachment(sequence + 1, last.stamp, gid).pack(),
+            "the time stamp has advanced by 0 s",
+        ),
         (good, Attachment(sequence + 1, stamp, bytes(16)).pack(), "a sample from 00000000"),
         (None, later, "wrong checksum"),
     ):
@@ -418,7 +422,7 @@ def test_a_base_that_reports_another_publisher_is_rejected(
 def test_a_base_without_obedience_token_is_reported(here: ZenohBase, there: ScriptedBase) -> None:
     configured(here, there)
     assert len(here.cannot_refuse) == 1
-    assert "does not report from which publisher it accepts commands" in here.cannot_refuse[0]
+    assert "does not report the publisher from which it accepts commands" in here.cannot_refuse[0]
 
 
 # Suspensions and late samples
@@ -622,7 +626,7 @@ def test_a_sample_that_the_caller_rejects_is_counted_and_its_publisher_is_not_th
 def test_the_clock_of_a_rejected_publisher_does_not_affect_the_delay_of_another(
     there: ScriptedBase, receiving: OdometryLink, ahead: float
 ) -> None:
-    """The clocks of two publishers differ. The first one is rejected before the second sends."""
+    """Two publishers have different clocks. One is rejected before the other sends."""
     there.send_as(1, NOW + round(ahead * 1e9), gid=b"a" * 16)
     assert received(receiving, lambda _: False) is None
     time.sleep(0.6)

@@ -1,6 +1,6 @@
 """Search model of the virtual arm alone, with any frame from any sender in every cycle.
 
-It checks what the interface control document guarantees about an activation.
+The model checks the guarantees of the interface control document about an activation.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ class DeviceAlone:
         self.arm.fail("it fails")
 
     def renew(self) -> None:
-        """Start the next session of the facility, once that of the arm is over."""
+        """Start the next session of the facility after the session of the arm has ended."""
         if self.arm.session_is_over:
             self.arm = self.arm.again()
 
@@ -113,7 +113,7 @@ class DeviceAlone:
         last = (logic.cycle - logic._answered) % CYCLES
         cycle, answered = logic.cycle, logic._answered
         logic.begin(commands, STILL)
-        # What must never happen.
+        # Check for effects that must never occur.
         now, is_used = logic.life.now, logic._answered != answered
         if now is LifeCycle.active and before is not LifeCycle.active:
             self.bad = self._bad_activation(frame, before)

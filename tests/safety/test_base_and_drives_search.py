@@ -1,7 +1,7 @@
 """No power after a stop, for the base robot and CiA 402 drives: search of all states and guards.
 
-The assumptions, and what these devices cannot reject, are in the modules of the models
-(`NOT_GUARANTEED`) and in docs/safety.md.
+The modules of the models (`NOT_GUARANTEED`) and docs/safety.md list the assumptions, and what these
+devices cannot reject.
 """
 
 from __future__ import annotations

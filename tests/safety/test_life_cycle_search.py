@@ -1,7 +1,8 @@
 """No power after a stop: search of all states of loop, arm and link with the product's functions.
 
-There are two locks: the permit of the host and the session number of the arm. Each is searched
-alone, and both together. Every guard is necessary: without it, the search finds a path to power.
+There are two locks: the permit of the host and the session number of the arm. The searches cover
+each lock alone, and both locks together. Every guard is necessary: without this guard, the search
+finds a path to power.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ HOST_ALONE: dict[str, Any] = {"watchdog": 1, "silence": 4, "implicit": True, "an
 """An arm that cannot reject an activation, on a link that loses and repeats frames without delay.
 
 Such an arm must keep its session for longer than the loop runs without state frames. The defaults
-are 1 s and 20 ms; here they are 4 and 2 cycles."""
+are 1 s and 20 ms; this model uses 4 and 2 cycles."""
 WORLDS: dict[str, tuple[Callable[[], World], frozenset[str]]] = {
     "the arm's lock alone, any frames": (DeviceAlone, IGNORED),
     "both locks, any delay": (lambda: Whole(arm_faults=False), HOST_IGNORED),
@@ -36,7 +37,8 @@ WORLDS: dict[str, tuple[Callable[[], World], frozenset[str]]] = {
         lambda: Whole(**HOST_ALONE, ages=False, arm_faults=False),
         HOST_IGNORED,
     ),
-    # The loop cannot detect that such an arm has stopped without commands: no frame may be lost.
+    # The loop cannot detect that such an arm has stopped because no command arrived. Therefore no
+    # frame may be lost in this model.
     "the host's lock alone, neither life cycle nor echo": (
         lambda: Whole(
             **HOST_ALONE,

@@ -1,8 +1,9 @@
 """Search model of controllers, arm and link.
 
-It uses `ArmSession` and `Permit` of the host and `ArmLogic` of the arm. The link loses, repeats and
-delays frames. A move is one cycle of the arm; the loop calls the session in the order of `CanArm`.
-Times are in cycles. Counters are relative, and delays are distinguished only up to the next limit.
+The model uses `ArmSession` and `Permit` of the host and `ArmLogic` of the arm. The link loses,
+repeats and delays frames. A move is one cycle of the arm. The loop calls the session in the order
+of `CanArm`. Times are in cycles. Counters are relative, and delays are distinguished only up to the
+next limit.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from freeflyer_adapters.facility.arm_logic import Command
 
 NOW, CYCLE, MIDDLE = 20, 1_000_000, CYCLES // 2
 LOST, RAMP, QUEUE = 2, 1, 1
-"""Lost cycles that stop the loop, cycles of its ramp-down, frames in the buffer of a socket."""
+"""Number of lost cycles that stop the loop, cycles of the ramp-down, frames in a socket buffer."""
 HOST_IGNORED = IGNORED | {"_count", "_recent", "longest_row", "lost_reason", "_claims"}
 POWER = (Mode.reset, Mode.activate, Mode.torque)
 Frame = tuple[int, Mode, int]
@@ -34,7 +35,7 @@ Report = tuple[LifeCycle, int, int, int | None]
 
 @dataclass
 class Numbers:
-    """Source of session numbers that always returns the same one."""
+    """Source of session numbers that always returns the same number."""
 
     number: int
 
@@ -154,7 +155,10 @@ class Whole:
     elapsed: int = 0
     """Cycles since the last call of `normalise`."""
     off: int = 0
-    """Cycles until the end of a restart, which takes longer than the loop runs without frames."""
+    """Cycles until the end of a restart.
+
+    A restart takes longer than the loop runs without frames.
+    """
     sending: list[Frame] = field(default_factory=list)
     requested: set[int] = field(default_factory=set)
     """Runs that have started their activation."""

@@ -1,16 +1,16 @@
 """Search model of controllers, base robot and link.
 
-It uses `Permit` and `OdometryLink` of the host, and `VirtualBase` and `BaseLogic` of the base
-robot. A move is one call of the base robot, which is also one cycle of the host. The base robot's
-side is the product's code, from the received sample to the obedience token. The host makes the
-calls of `ZenohBase` in their order. It has no quality monitor and no limits: a reason to stop may
-occur at any time, and the guarantee does not depend on it.
+The model uses `Permit` and `OdometryLink` of the host, and `VirtualBase` and `BaseLogic` of the
+base robot. A move is one call of the base robot, which is also one cycle of the host. The base
+robot's side is the product's code, from the received sample to the obedience token. The host makes
+the calls of `ZenohBase` in their order. The host has no quality monitor and no limits. Instead, a
+reason to stop may occur at any time. The guarantee does not need the monitor or the limits.
 
 Assumptions:
 - A link keeps the order of the samples of one publisher (TCP).
 - The base robot reads the newest sample (RingChannel(1)).
 - An ordinary delay is shorter than the watchdog of the base robot.
-- Samples that were delayed for longer arrive together, unless the base robot is active. `playback`
+- If the base robot is not active, samples that were delayed for longer arrive together. `playback`
   drops this assumption: the link then delivers delayed samples at their original rate, or again.
 - A base robot that is switched off stays off for longer than its watchdog.
 """
@@ -275,7 +275,7 @@ class Proof:
     chains: set[tuple[int, int, int]] = field(default_factory=set)
     """Sequences of set points that arrive at the rate of their stamps.
 
-    Delay of the first one, time since the first one, time since the last one [calls]."""
+    Delay of the first set point, time since the first and time since the last set point [calls]."""
 
     def add(self, late: int, watchdog: int) -> None:
         self.chains |= {
@@ -587,7 +587,10 @@ class Whole:
             self.call(run=host.run)
 
     def restart(self) -> None:
-        """Switch the base robot off and on: it loses the expired publishers, and has a new one."""
+        """Switch the base robot off and on.
+
+        The base robot loses the expired publishers, and gets a new publisher.
+        """
         whom = self.base._link._reported
         if whom not in ("", NO_PUBLISHER):
             self.news.append((whom, False))
@@ -624,15 +627,15 @@ class Whole:
     ) -> None:
         """Execute one cycle of the hosts and one call of the base robot.
 
-        `run`: its samples arrive; `only_oldest`: only the oldest of them; `again`: run whose last
-        sample is repeated; `lost`: new samples are lost; `measured`, `reported`: whether the hosts
-        get the measurement and the obedience tokens.
+        `run`: run whose samples arrive; `only_oldest`: only its oldest sample arrives; `again`: run
+        whose last sample is repeated; `lost`: new samples are lost; `measured`, `reported`: whether
+        the hosts get the measurement and the obedience tokens.
         """
         # The hosts send.
         for host in self.hosts:
             if host.is_held_up:
                 # A process that is suspended after its check sends its set point later. Within
-                # twice the watchdog, the base robot cannot distinguish that from a delay.
+                # twice the watchdog, the base robot cannot distinguish this from a delay.
                 longest = self.watchdog * (1 if host.checked is None else 2)
                 if host.held_up > longest and host.stage != "preparing":
                     self._stopped(host.run)

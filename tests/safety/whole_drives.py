@@ -1,17 +1,18 @@
 """Search model of controllers, CiA 402 drives and bus.
 
-It uses `DriveSession` and `Permit` of the host, and one `DriveLogic` per drive. A move is one SYNC
-period. The host makes the calls of `Cia402Arm` in their order, and a node processes frames as
-`VirtualDrive`. Watchdogs have two periods at both ends, and three lost cycles stop the loop (the
-defaults are four and five).
+The model uses `DriveSession` and `Permit` of the host, and one `DriveLogic` per drive. A move is
+one SYNC period. The host makes the calls of `Cia402Arm` in their order. A node processes frames
+like `VirtualDrive`. The watchdogs of both ends expire after two periods, and three lost cycles stop
+the loop (the defaults are four and five).
 
 CiA 402 has no session number, and an RPDO has no time stamp: a drive in NMT state operational
 accepts every RPDO. The guarantee needs these assumptions:
-- Another run starts only where no SYNC is received (`Cia402Arm.configure`).
+- Another run starts only if no SYNC is received (`Cia402Arm.configure`).
 - A restart of a drive takes longer than the loop runs without its TPDOs.
 - The bus delays an RPDO by at most one SYNC. `any_delay` drops this assumption: an RPDO may be
   repeated at any time.
-- The process is not suspended between its decision and the RPDO. `stops_at_send` drops this.
+- The process is not suspended between its decision and the RPDO. `stops_at_send` drops this
+  assumption.
 """
 
 from __future__ import annotations
@@ -44,8 +45,8 @@ NOW, CYCLE, PERIOD = 20, 4_000_000, 0.004
 WATCHDOG, LOST, RAMP, BRAKE_TIMEOUT, OLDEST = 2, 3, 1, 2, 5
 """Times in periods.
 
-Watchdog of drives and permit, losses that stop the loop, ramp-down of the host, its longest wait
-for the brakes, largest distinguished age of an RPDO."""
+Watchdog of drives and permit, losses that stop the loop, ramp-down of the host, longest wait of the
+host for the brakes, largest distinguished age of an RPDO."""
 UPWARDS = {
     S.switch_on_disabled: (S.ready_to_switch_on,),
     S.ready_to_switch_on: (S.switched_on,),
@@ -106,7 +107,7 @@ class Node:
             self.pending = rpdo
 
     def nmt(self, *, operational: bool) -> None:
-        """Process an NMT command as `VirtualDrive.advance`."""
+        """Process an NMT command like `VirtualDrive.advance`."""
         self.is_operational = operational
         if operational == self.was_operational:
             return

@@ -165,8 +165,8 @@ class CanArm:
         """Wait for a description frame. Return the values of the frame: role -> values [SI].
 
         `receiver`: receiver of the description frames. An arm that another controller has activated
-        sends no description frames. Its state frames can show this reason. Therefore the state
-        frames are checked during the wait. Raises DeviceError if no description frame
+        sends no description frames, but its state frames can show the other controller. Therefore
+        the state frames are checked during the wait. Raises DeviceError if no description frame
         arrives, and in the cases of `_check_conflicts`.
         """
         end = self._deadline()
@@ -268,8 +268,8 @@ class CanArm:
                 if not has_received:
                     raise DeviceError(self._silence("state", self._states.receiver))
                 raise DeviceError(
-                    f"{self._where} sends its state ({self._state_text}), but does not accept this controller's commands; the session "
-                    f"number that it echoes is {session.echoed_number or 'none'}{self._states.errors}"
+                    f"{self._where} sends its state ({self._state_text}), but does not accept this controller's commands; the echoed "
+                    f"session number is {session.echoed_number or 'none'}{self._states.errors}"
                 )
 
     def activate(self, meanwhile: Callable[[], bool]) -> None:
@@ -320,14 +320,14 @@ class CanArm:
         left = self._arrived * 1e-9 + FRAME_TIMEOUT * self.cycle - self._environment.monotonic()
         before = self._cycle_number
         received = self._states.wait(max(left, 0.0))
-        # Check for a delay of the loop first, because a delay causes the errors checked below.
+        # Check for a delay of the loop first, because a delay causes the errors that follow.
         if sentence := permit.hold_up(self._environment.monotonic_ns()):
             raise SafeStop(self.name, f"{sentence}{self._states.flood}")
         # Count lost frames.
         if received:
-            # Each missing cycle number is a lost frame. Some of these frames were already counted
-            # at their deadlines (`_silent_cycles`). They are not counted again. If the arm itself
-            # has paused, no number is missing.
+            # Each missing cycle number is a lost frame. Do not count the frames again that were
+            # already counted at their deadlines (`_silent_cycles`). If the arm itself has paused,
+            # no number is missing.
             gap = (self._cycle_number - before) % self.frames.cycles
             missing = gap - 1 - self._silent_cycles
             reason = self.monitor.lose(max(missing, 0))

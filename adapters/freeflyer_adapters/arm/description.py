@@ -28,8 +28,9 @@ def compare(
     because different position limits indicate a different arm. The error message contains both
     values.
 
-    `where`: name of the arm in error messages. `frame`: the description frame. `described`: its
-    values in SI units, as role -> values. A role is the name of a quantity, see `frames.py`.
+    `where`: name of the arm in error messages. `frame`: the description frame. `described`: the
+    values of this frame in SI units, as role -> values. A role is the name of a quantity, see
+    `frames.py`.
     `expected`: settings of `freeflyer_adapters.device.settings.ARM`, one value per joint. `joints`:
     number of joints in the scenario.
     """
@@ -48,6 +49,6 @@ def compare(
             beyond = min(max(float(limit), f.least), f.most) - actual
             if (beyond if role in MAY_BE_NARROWER else abs(beyond)) > f.resolution:
                 raise DeviceError(
-                    f"{where}: its {role.replace('_', ' ')} of joint {j + 1} is {actual:g} {UNITS[role]}, but the scenario's robot has "
+                    f"{where}: the {role.replace('_', ' ')} of joint {j + 1} is {actual:g} {UNITS[role]}, but the scenario's robot has "
                     f"{float(limit):g} {UNITS[role]}; it is another arm, or one of the two values is wrong"
                 )

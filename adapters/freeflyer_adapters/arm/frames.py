@@ -159,8 +159,8 @@ class FrameMapping:
     def has_description(self) -> bool:
         """Whether the arm sends a description frame.
 
-        The arm sends it if `messages` contains it, or if all frames in the DBC, including the
-        description frame, have the shipped names.
+        This is the case if `messages` contains the frame, or if all frames in the DBC, including
+        the description frame, have the shipped names.
         """
         if "description" in self.messages or self.dbc == SHIPPED_DBC:
             return True
@@ -287,8 +287,8 @@ class ArmFrames:
             self.state.extended,
         ):
             raise DeviceError(
-                f"DBC {mapping.dbc}: {self.command.message.name} and {self.state.message.name} have one identifier, "
-                f"0x{self.state.identifier:X}, which two nodes cannot send; different identifiers are expected"
+                f"DBC {mapping.dbc}: {self.command.message.name} and {self.state.message.name} have the same identifier "
+                f"0x{self.state.identifier:X}, but two nodes must not send one identifier; different identifiers are expected"
             )
         self.description: Frame | None = None
         if mapping.has_description:
@@ -348,8 +348,8 @@ class ArmFrames:
         missing = [name for name in self.missing if name in NEEDED]
         if missing and not implicit:
             raise DeviceError(
-                f"{subject}: DBC {self.mapping.dbc} has no {', '.join(missing)}, so that the arm cannot refuse a late activation "
-                f'itself (interface control document, "What a DBC may lack"); map all signals that the arm has, or write '
+                f"{subject}: DBC {self.mapping.dbc} has no {', '.join(missing)}, so the arm itself cannot reject a late activation "
+                f'(interface control document, "What a DBC may lack"); map all signals that the arm has, or write '
                 f'activation = "implicit"'
             )
 

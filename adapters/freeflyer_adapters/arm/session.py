@@ -25,7 +25,7 @@ CLAIMS = 100
 """Number of claims without an echo after which the host uses a new session number.
 
 A session number expires when the arm leaves the state active. The arm neither accepts nor echoes an
-expired number. If the random number of this session is such a number, only a new number can help.
+expired number. If the random number of this session has expired, the host needs a new number.
 """
 REMEMBERED = 32
 """Number of command frames whose send times are stored.
@@ -77,8 +77,8 @@ class ArmSession:
     def is_claimed(self) -> bool:
         """Whether the arm has accepted this session and can be activated.
 
-        An arm that echoes session numbers must echo the number of this session. Unless `implicit`
-        is True, the arm must also be in the state inactive.
+        An arm that echoes session numbers must echo the number of this session. If `implicit` is
+        False, the arm must also be in the state inactive.
         """
         echoed = self.echoed_number == self.number or not self.echoes
         return echoed and (self.implicit or self.state is LifeCycle.inactive)
@@ -101,12 +101,12 @@ class ArmSession:
     def report(
         self, state: LifeCycle | None, number: int, at: int, echoed_cycle: int | None = None
     ) -> None:
-        """Process a state frame that was sent at `at` or later.
+        """Process a state frame.
 
         `state`: reported state, or None if the arm does not report its state. `number`: echoed
-        session number; 0: none. `echoed_cycle`: the arm reports the last command frame that it has
-        accepted. This command frame answered the state frame with the cycle number `echoed_cycle`.
-        None: the arm does not report this.
+        session number; 0: none. `at`: the state frame was not sent before this time.
+        `echoed_cycle`: cycle number that the last accepted command frame answered. None: the arm
+        does not report the last accepted command frame.
         """
         if echoed_cycle is not None:
             # The arm has sent this frame after it accepted the reported command. The frame may have
@@ -114,9 +114,9 @@ class ArmSession:
             # time of this frame.
             at = self._answered_at.get(echoed_cycle, 0)
         if state is None:
-            # This arm does not report its state. If it reports the last accepted command, it counts
-            # as active while this command is recent and was sent in this session. Otherwise it
-            # counts as active while its frames arrive.
+            # This arm does not report its state. If the arm reports the last accepted command, the
+            # arm counts as active while this command is recent and from this session. If the arm
+            # reports no command, the arm counts as active while its frames arrive.
             is_recent = at > 0 and self.permit.last_write - at <= self.permit.watchdog
             state = LifeCycle.active if is_recent or echoed_cycle is None else LifeCycle.inactive
         self.state, self.echoed_number = state, number

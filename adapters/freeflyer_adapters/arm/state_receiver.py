@@ -18,7 +18,7 @@ from freeflyer_adapters.can.link import Receiver, Sender, driver_message
 from freeflyer_adapters.foundation import environment
 
 MOST_FRAMES = 64
-"""Number of frames after which a wait ends if it has used a state frame or its time is over.
+"""Number of frames after which a wait ends if a state frame was used or the timeout is over.
 
 Later waits read the remaining frames.
 """
@@ -100,7 +100,7 @@ class StateFrames:
 
         `frames`: number of state frames that arrived in `cycles` cycles. One arm sends one frame in
         a cycle. If the frames of two arms arrive in long bursts, their counters do not show the
-        second arm. Then only the number of frames shows it.
+        second arm. Then only the number of frames shows the second arm.
         """
         if frames <= MOST_PER_CYCLE * cycles + BURST:
             return None
@@ -153,7 +153,7 @@ class StateFrames:
         )
 
     def wait(self, timeout: float) -> bool:
-        """Wait up to `timeout` [s] for a state frame. Also read the frames that are pending then.
+        """Wait up to `timeout` [s] for a state frame. Then read the pending frames.
 
         Return whether a state frame was used.
         """

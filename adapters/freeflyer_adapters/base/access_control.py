@@ -10,9 +10,9 @@ without a permission are denied.
 
 In the names of the rules below, "PEER may" is the ingress from PEER, and "PEER receives" is the
 egress to PEER. Two properties of Zenoh determine these rules. First, the reply to a liveliness
-query counts as a declaration of a token. So it needs the permission `liveliness_token`. Second, the
-wildcard ** does not include a part of a key that starts with @. So the key expression for the
-tokens of rmw_zenoh starts with @ros2_lv.
+query counts as a declaration of a token. So the reply needs the permission `liveliness_token`.
+Second, the wildcard ** does not match parts of a key that start with @. So the key expression for
+the tokens of rmw_zenoh starts with @ros2_lv.
 """
 
 from __future__ import annotations
@@ -40,7 +40,8 @@ class Protection:
     listens_for_others: bool
     """True for the base robot, because the other peers connect to it.
 
-    In this case, the certificate must be valid for listening and for the hosts of the listeners.
+    In this case, the certificate must be valid for listening, and for the hosts in the listening
+    endpoints.
     """
 
 

@@ -28,7 +28,7 @@ HOSTS = ("localhost", "127.0.0.1", "::1")
 EARLIER = timedelta(minutes=5)
 """A certificate is valid from 5 minutes before the time at which it is made.
 
-The reason is that the clock of another machine may be late.
+The clock of another machine may be behind by this time.
 """
 
 
@@ -70,7 +70,7 @@ class CertificateAuthority:
             key = load_pem_private_key(where.key.read_bytes(), password=None)
         except FileNotFoundError as error:
             raise CertificateError(
-                f"{error.filename} is missing, and nothing can be signed without it; this file is on the machine where the authority was made"
+                f"{error.filename} is missing; the authority cannot sign without this file. The file is on the machine where the authority was made"
             ) from error
         except OSError as error:
             raise CertificateError(
@@ -108,8 +108,8 @@ class CertificateAuthority:
         valid for listening, not only for connecting. `start`: start of the validity (default:
         `EARLIER` before now).
 
-        The certificate is valid for `days`, counted from `EARLIER` after `start`, but not longer
-        than the certificate of the authority.
+        The validity ends `days` days after `start` + `EARLIER`, or earlier, at the end of the
+        validity of the authority's certificate.
         """
         key = ec.generate_private_key(ec.SECP256R1())
         start = start or datetime.now(UTC) - EARLIER

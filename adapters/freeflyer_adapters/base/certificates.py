@@ -58,9 +58,9 @@ def check(
 ) -> x509.Certificate:
     """Check and return the certificate of `identity`.
 
-    The certificate must be valid for connecting, and must name all `hosts`. With `listens`, it must
-    also be valid for listening. `subject` is the name of the device, for messages. Raises
-    DeviceError if the certificate or the key cannot be used.
+    The certificate must be valid for connecting, and must name all `hosts`. If `listens` is True,
+    the certificate must also be valid for listening. `subject` is the name of the device, for
+    messages. Raises DeviceError if the certificate or the key cannot be used.
     """
     folder = identity.folder
     if not folder.is_dir():
@@ -161,9 +161,8 @@ def general_name(host: str) -> x509.GeneralName:
 def is_issued(chain: Sequence[x509.Certificate], authorities: Sequence[x509.Certificate]) -> bool:
     """Return True if the first certificate of `chain` can be traced back to one of `authorities`.
 
-    Either one of `authorities` signed the first certificate itself. Or the second certificate of
-    `chain` signed the first one, the third signed the second one, and so on, and one of
-    `authorities` signed the last certificate of this sequence.
+    The function follows `chain` to the first certificate that one of `authorities` has signed. Up
+    to this certificate, each certificate must be signed by the next certificate of `chain`.
     """
     for i, certificate in enumerate(chain):
         if any(_signed(certificate, authority) for authority in authorities):
@@ -267,5 +266,5 @@ def _check_dates(certificate: x509.Certificate, where: str, then: str) -> None:
         raise DeviceError(f"{where} expired on {end:%Y-%m-%d %H:%M} UTC; {then}")
     if now < start:
         raise DeviceError(
-            f"{where} is not valid before {start:%Y-%m-%d %H:%M} UTC, and the clock of this machine is at {now:%Y-%m-%d %H:%M} UTC"
+            f"{where} is not valid before {start:%Y-%m-%d %H:%M} UTC, but the clock of this machine is at {now:%Y-%m-%d %H:%M} UTC"
         )

@@ -55,6 +55,6 @@ def refusal(session: Any, options: LinkOptions, subject: str) -> str | None:
     if not allowed or options.controller in allowed:
         return None
     return (
-        f"{subject} does not let certificate {options.controller!r} command, only {', '.join(allowed)}: "
+        f"{subject} accepts no commands from certificate {options.controller!r}, only from {', '.join(allowed)}: "
         f"set `controller` to one of the accepted names, or add {options.controller!r} to the base robot's `commanders`"
     )

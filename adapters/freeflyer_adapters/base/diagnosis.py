@@ -11,7 +11,7 @@ from freeflyer_adapters.base.options import LinkOptions
 
 
 def why_silent(session: Any, options: LinkOptions) -> str:
-    """Check the endpoints to which the controller connects. Return ': REASON', to end a message.
+    """Check the endpoints to which the controller connects. Return ': REASON' for a message.
 
     If the check finds no problem, REASON is a question to the operator. The check takes at most a
     few seconds per endpoint.

@@ -235,7 +235,7 @@ class OdometryLink:
             if news is not None and news.kind == zenoh.SampleKind.PUT:
                 session = rmw_zenoh.session_of(str(news.key_expr))
                 if session != self._session_id and session not in self.known:
-                    return f"session {session} starts to publish topic {topic}, too"
+                    return f"session {session} also starts to publish topic {topic}"
         return None
 
     @property
@@ -324,8 +324,9 @@ class OdometryLink:
     def report_obeyed(self, active: bool) -> None:
         """Update the obedience token. Only the base robot's end of the link calls this method.
 
-        `active`: whether the base robot is in the state active. If it is, and if there is a source,
-        the token contains the GID of the source. Otherwise, the token contains NO_PUBLISHER.
+        `active`: whether the base robot is in the state active. If `active` is True and there is a
+        source, the token contains the GID of the source. Otherwise, the token contains
+        NO_PUBLISHER.
         """
         gid = self._source.hex() if active and self._source is not None else rmw_zenoh.NO_PUBLISHER
         if gid != self._reported:
@@ -372,9 +373,9 @@ class OdometryLink:
             attachment.sequence <= last.sequence or attachment.stamp == last.stamp
         ):
             self.counts.stale += 1
-            self.counts.last_fault = f"sequence number {attachment.sequence} after {last.sequence}; its stamp is {(attachment.stamp - last.stamp) * 1e-9:.6g} s later"
+            self.counts.last_fault = f"sequence number {attachment.sequence} after {last.sequence}; the time stamp has advanced by {(attachment.stamp - last.stamp) * 1e-9:.6g} s"
             return None
-        # The function `judge`, which the caller gives, checks the values.
+        # The caller's function `judge` checks the values.
         delay = self.clock.delay(attachment.stamp, arrived)
         received = Received(odometry, attachment, arrived, delay)
         judged = judge(received)

@@ -35,7 +35,7 @@ def _of_link(options: LinkOptions, as_robot: bool) -> Iterator[str]:
     endpoints = [*listening, *(Endpoint(text) for text in options.connect if not as_robot)]
     for endpoint in endpoints:
         if options.certificates is None and not endpoint.is_within_this_machine:
-            yield f"WARNING: {endpoint.text} is not encrypted, so any peer that reaches it can command the robot (insecure = true)"
+            yield f"WARNING: {endpoint.text} is not encrypted, so any peer that reaches this endpoint can command the robot (insecure = true)"
     for endpoint in listening:
         if endpoint.is_every_interface:
             yield f"{endpoint.text} listens on every interface of this machine"

@@ -29,7 +29,7 @@ class LinkOptions:
     used.
 
     `certificates` is a folder. If it is given, each end authenticates with its own files in this
-    folder. Without certificates, endpoints outside this machine are rejected, unless the scenario
+    folder. Without certificates, endpoints outside this machine are accepted only if the scenario
     sets `insecure`.
     """
 
@@ -83,7 +83,7 @@ def check(options: LinkOptions, subject: str) -> None:
         _check_endpoint(Endpoint(text), options, subject)
     if options.certificates is not None and options.insecure:
         raise DeviceError(
-            f"{subject}: insecure = true and certificates exclude each other; leave one of them out"
+            f"{subject}: insecure = true and certificates exclude each other; remove one of the two keys"
         )
     # Check the names of certificates.
     for key, names in (
@@ -98,7 +98,7 @@ def check(options: LinkOptions, subject: str) -> None:
                 )
     if not options.commanders:
         raise DeviceError(
-            f"{subject}: commanders is empty, so no controller could command; the name of a certificate is expected"
+            f"{subject}: commanders is empty, so no controller could command the robot; the name of a certificate is expected"
         )
     if options.robot in options.commanders:
         raise DeviceError(
@@ -138,7 +138,7 @@ def _check_endpoint(endpoint: Endpoint, options: LinkOptions, subject: str) -> N
     """
     where, how = (
         f"{subject}: endpoint {endpoint.text}",
-        "make certificates with `freeflyer certificates DIR`, set certificates = 'DIR'",
+        "make certificates with `freeflyer certificates DIR`, then set certificates = 'DIR'",
     )
     if not endpoint.is_complete:
         raise DeviceError(
@@ -160,7 +160,7 @@ def _check_endpoint(endpoint: Endpoint, options: LinkOptions, subject: str) -> N
         )
     if not (options.certificates or options.insecure or endpoint.is_within_this_machine):
         raise DeviceError(
-            f"{where} leaves this machine without encryption, so any peer that reaches it could command the robot; {how} "
+            f"{where} leaves this machine without encryption, so any peer that reaches this endpoint could command the robot; {how} "
             f"and write tls/{endpoint.address} (or set insecure = true)"
         )
 

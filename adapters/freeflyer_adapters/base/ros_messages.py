@@ -85,7 +85,7 @@ def read(data: bytes) -> Odometry:
     order = "<" if data[1] else ">"
     seconds, nanoseconds = _take(order + "iI", data, 4)
     if not 0 <= nanoseconds < 1_000_000_000:
-        raise MessageError(f"the stamp has {nanoseconds} ns")
+        raise MessageError(f"the time stamp has {nanoseconds} ns; 0 to 999999999 are expected")
     # Read two frame names. Each name is a length, followed by a zero-terminated string.
     place, names = 12, []
     for _ in range(2):

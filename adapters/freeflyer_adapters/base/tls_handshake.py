@@ -86,7 +86,7 @@ def problem(endpoint: Endpoint, identity: Identity | None, peer: str | None) -> 
 def uses_tls(endpoint: Endpoint) -> bool:
     """Return True if the server on the endpoint uses TLS.
 
-    This is the case if a handshake without certificates succeeds, or if it fails only because of a
+    The server uses TLS if a handshake without certificates succeeds, or fails only because of a
     certificate.
     """
     return (found := problem(endpoint, None, None)) is None or "certificate" in found

@@ -1,8 +1,8 @@
 """The base robot as a device with a Zenoh link.
 
 The device publishes set points, and reads the latest measured pose and twist. The loop reads the
-device once per communication step, because this is the rate of the arm. Set points are published
-once per `cycle`, a setting of the device. One cycle is a whole number of communication steps.
+device once per communication step, which is the cycle of the arm. Set points are published once per
+`cycle`, a setting of the device. One cycle is a whole number of communication steps.
 """
 
 from __future__ import annotations
@@ -154,9 +154,9 @@ class ZenohBase:
         self.state.to(LifeCycle.inactive)
 
     def _new_permit(self) -> Permit:
-        # A base robot does not report its life cycle state. So after a suspension of this process,
-        # it is not known whether the base robot has stopped. Therefore the permit then allows no
-        # set point, not even a repetition of the last set point.
+        # A base robot does not report its life cycle state. It may have stopped during a suspension
+        # of this process. Therefore the permit allows no set point after a suspension, not even a
+        # repetition of the last set point.
         return Permit(
             "the base robot",
             watchdog=round(float(self.values["watchdog"][0]) * 1e9),
@@ -194,9 +194,10 @@ class ZenohBase:
                 )
 
     def _refuse_another_controller(self) -> str | None:
-        """Return the GID of the publisher in command, or None if the base robot has no such report.
+        """Return the GID of the publisher in command, or NO_PUBLISHER.
 
-        Raises DeviceError if another publisher is in command.
+        Returns None if the base robot does not report the publisher in command. Raises DeviceError
+        if another publisher is in command.
         """
         assert self._link is not None
         obeyed = self._link.obeyed_publisher()
@@ -213,7 +214,7 @@ class ZenohBase:
         if self._reports_obedience:
             return []
         return [
-            "it does not report from which publisher it accepts commands, like any plain ROS 2 node; therefore the base robot itself must end the "
+            "it does not report the publisher from which it accepts commands (like a plain ROS 2 node); therefore the base robot itself must end the "
             "motion after a stop and reject late set points (interface control document)"
         ]
 
@@ -239,7 +240,7 @@ class ZenohBase:
         if not self._is_at_start and not v["approach"][0]:
             raise DeviceError(
                 f"{self.name} is at {_shown(v['base_position'], v['base_orientation'])}, but the scenario starts at "
-                f"{_shown(*self._start)}: {gap[0]:.4f} m and {np.degrees(gap[1]):.3f} deg apart, {v['start_tolerance'][0]:g} m and "
+                f"{_shown(*self._start)}: the distance is {gap[0]:.4f} m and {np.degrees(gap[1]):.3f} deg, at most {v['start_tolerance'][0]:g} m and "
                 f"{np.degrees(v['start_tolerance'][1]):.3g} deg are allowed; move the base robot to the start pose, or set its parameter approach = true"
             )
 
@@ -278,7 +279,7 @@ class ZenohBase:
         link.watch_obedience()
         if others := link.publishers(self.options.setpoint_topic):
             raise DeviceError(
-                f"{self.name}: session {others[0]} commands topic {self.options.setpoint_topic}, too; stop one of them"
+                f"{self.name}: session {others[0]} also commands topic {self.options.setpoint_topic}; stop one of the two controllers"
             )
         self.permit.take(self._environment.monotonic_ns())
         self._take_command(meanwhile)
@@ -315,7 +316,7 @@ class ZenohBase:
                 raise DeviceError(
                     commanders.refusal(self._session, self.options, self.name)
                     or f"{self.name} does not take set points of {self.options.setpoint_topic}, although these set points are equal to its measured pose: "
-                    f"it receives no set points, receives other messages, or rejects the set points"
+                    f"the base robot receives no set points, receives other messages, or rejects the set points"
                 )
             if meanwhile():
                 return
@@ -333,8 +334,8 @@ class ZenohBase:
         lost, or if the start pose is not reached.
         """
         v, cycle = self.values, float(self.values["cycle"][0])
-        # The path is a straight line, and one rotation about a fixed axis. The translation and the
-        # rotation have the same duration.
+        # The base moves along a straight line and rotates about a fixed axis. Both motions have the
+        # same duration.
         first = v["base_position"].copy()
         first_orientation = Rotation.from_quat(v["base_orientation"])
         rotation = Rotation.from_quat(start[1]) * first_orientation.inv()
@@ -346,8 +347,8 @@ class ZenohBase:
             cycle,
         )
         count = int(np.ceil(duration / cycle))
-        # The pacer skips missed deadlines. So after a suspension of this process, the approach does
-        # not become faster to make up for the lost time.
+        # The pacer skips missed deadlines. So the approach is not faster after a suspension of this
+        # process.
         pacer = Pacer(round(cycle * 1e9))
         settle = round(1.0 / cycle)
         for i in range(1, count + settle + 1):
@@ -433,8 +434,8 @@ class ZenohBase:
                 self.values["base_position"], self.values["base_orientation"], self._sent
             )
         if reason:
-            # If this process was suspended, the suspension has caused the other reasons. Then only
-            # the suspension is reported.
+            # If this process was suspended, report only the suspension, because the suspension has
+            # caused the other reasons.
             raise SafeStop(self.name, permit.hold_up(self._environment.monotonic_ns()) or reason)
 
     def write(self) -> None:

@@ -22,10 +22,10 @@ from freeflyer_adapters.foundation import environment
 FILTERING = ("local", "socketcan")
 """Interfaces to which `open_bus` gives a filter.
 
-These interfaces remove unwanted frames before python-can's `recv` sees them. For the other
-interfaces, `recv` itself removes unwanted frames. After it has removed a frame, `recv` with timeout
-0 returns None, even if further frames are waiting. Therefore the other interfaces get no filter.
-`Receiver.take` compares the identifiers for every interface.
+These interfaces themselves remove unwanted frames. For the other interfaces, python-can's `recv`
+removes unwanted frames. If `recv` with timeout 0 removes a frame, it returns None, even if further
+frames are waiting. Therefore the other interfaces get no filter. `Receiver.take` compares the
+identifiers for every interface.
 """
 RECENT = 32
 """Number of sent frames that `Sender.recent` stores."""
@@ -76,7 +76,7 @@ def driver_message(error: Exception) -> str:
 
 
 def flush(bus: can.BusABC | None) -> None:
-    """Discard queued transmissions, if the interface supports it."""
+    """Discard the frames that wait for transmission, if the interface has this function."""
     if bus is not None:
         with suppress(NotImplementedError, can.CanError):
             bus.flush_tx_buffer()
@@ -106,8 +106,8 @@ class Sender:
         self.recent: deque[bytearray] = deque(maxlen=RECENT)
         """The last sent frames.
 
-        Some interfaces return the frames that they have sent. Such a frame is recognised because it
-        is in this list.
+        Some interfaces return the frames that they have sent. The host finds such frames by this
+        list.
         """
 
     def send(

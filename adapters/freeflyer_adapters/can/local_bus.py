@@ -47,11 +47,12 @@ IGNORED = ("bitrate", "data_bitrate", "timing", "state", "single_handle", "ignor
 MOST_UNWANTED, MOST_PEERS = 64, 16
 """Limits that bound the duration of a receive call.
 
-MOST_UNWANTED: if the timeout of the call is over and the filters have removed at least this number
-of frames, the call fails. MOST_PEERS: largest number of new peers that are accepted at once.
+MOST_UNWANTED: number of frames. At the end of its timeout, the call fails if the filters have
+removed this number of frames or more. MOST_PEERS: largest number of new peers that are accepted at
+once.
 """
 SLICE = 2e-4
-"""Sleep [s] each time after the filters have removed MOST_UNWANTED frames."""
+"""Duration of a sleep [s], after every MOST_UNWANTED frames that the filters have removed."""
 SO_TIMESTAMPNS = 35
 TIMESPEC = struct.Struct("=qq")
 
@@ -90,8 +91,8 @@ class LocalBus(BusABC):
         """Join a channel. `fd`: whether to enable CAN FD.
 
         A node without CAN FD neither sends nor receives CAN FD frames. The other arguments have the
-        same meaning as for other interfaces of python-can.
-        Raises CanInitializationError for an unknown setting, or if the channel cannot be opened.
+        same meaning as for other interfaces of python-can. Raises CanInitializationError for an
+        unknown setting, or if the channel cannot be opened.
         """
         # Check the settings and the system.
         unknown = sorted(set(kwargs) - set(IGNORED))

@@ -20,15 +20,15 @@ mixture of frames (see REACH) gives only one piece of evidence."""
 ALONE, OLD = 16, 32
 """Numbers of frames after which the evidence is discarded.
 
-ALONE: number of consecutive frames of one stream after which the other stream counts as ended. OLD:
-number of frames without new evidence after which the earlier evidence is too old."""
+ALONE: if this number of consecutive frames belongs to one stream, the other stream counts as ended.
+OLD: if this number of frames gives no new evidence, the earlier evidence is too old."""
 REMEMBERED = 64
 """Number of recent frames whose content is kept for each stream."""
 LISTEN = 160
 """Number of frames to receive before the first transmission.
 
-Two senders are detected within this number of frames, even if they send in bursts of up to seven
-frames."""
+Within this number of frames, two senders are detected, even if the senders send bursts of up to
+seven frames."""
 
 Content = bytes | bytearray
 
@@ -88,14 +88,14 @@ class SecondSender:
 
     - One sender repeats a counter with different content in every eighth frame or more often.
     - Only about every 128th frame of one sender is received.
-    - Restarts or long losses occur within 32 frames of each other, each with reordered frames. This
-      case gives a false detection once in thousands of trials.
+    - Restarts or long losses occur within 32 frames of each other, and frames are reordered at each
+      of them. This case gives a false detection once in thousands of trials.
     """
 
     def __init__(self, counters: int = 256) -> None:
         if counters < 32 or counters & (counters - 1):
             raise ValueError(
-                f"the number of counter values must be a power of two and at least 32, not {counters}"
+                f"the number of counter values is {counters}; a power of two of at least 32 is expected"
             )
         self._mask = counters - 1
         self._remembered = min(REMEMBERED, counters // 2)

@@ -79,8 +79,8 @@ def field_of(message: Any, name: str, unit: str | None, path: Path) -> Field:
     scale, offset = float(signal.scale), float(signal.offset)
     if not (scale and math.isfinite(scale) and math.isfinite(offset)):
         raise DeviceError(
-            f"DBC {path}: signal {name} of {message.name} has the factor {scale:g} and the offset {offset:g}; finite numbers, and a factor "
-            f"other than zero, are expected"
+            f"DBC {path}: signal {name} of {message.name} has the factor {scale:g} and the offset {offset:g}; finite numbers are expected, "
+            f"and the factor must not be zero"
         )
     conversion = _conversion(signal, unit, path)
     if signal.start < 0:
@@ -91,7 +91,7 @@ def field_of(message: Any, name: str, unit: str | None, path: Path) -> Field:
     bits = int(signal.length)
     if bits > MOST_BITS:
         raise DeviceError(
-            f"DBC {path}: signal {name} of {message.name} has {bits} bits; at most {MOST_BITS}, the precision of a double, are expected"
+            f"DBC {path}: signal {name} of {message.name} has {bits} bits; at most {MOST_BITS} bits (precision of a double) are expected"
         )
     raw = (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if signal.is_signed else (0, (1 << bits) - 1)
     least, most = sorted(conversion * (scale * number + offset) for number in raw)

@@ -47,7 +47,7 @@ from freeflyer_adapters.foundation.histogram import Histogram
 from freeflyer_adapters.foundation.pacing import Pacer
 
 ANSWER_SHARE = 0.6
-"""Share of the cycle in which the TPDOs must arrive.
+"""Part of the cycle in which the TPDOs must arrive.
 
 The rest of the cycle is for the controllers and for sending the targets.
 """
@@ -228,7 +228,7 @@ class Cia402Arm:
                 return
             if self._environment.monotonic() > end:
                 raise DeviceError(
-                    f"{silent[0].where} does not answer SYNC with its TPDOs; are its PDOs mapped, and is it operational?"
+                    f"{silent[0].where} does not answer SYNC with its TPDOs; are the PDOs mapped, and is the drive operational?"
                 )
 
     def stay(self) -> None:
@@ -275,9 +275,9 @@ class Cia402Arm:
         """
         self._last_torque = np.zeros(self.options.joints)
         self.scaling.reset()
-        # The first heartbeat of the host starts the heartbeat monitors of the drives. From then on,
-        # the host must send heartbeats without an interruption. It sends them in its cycles, and
-        # the cycles are not interrupted from now on. Therefore the next cycle sends a heartbeat.
+        # The first heartbeat of the host starts the heartbeat monitors of the drives. After this
+        # heartbeat, no heartbeat may be missing. From now on, the cycles of the host are not
+        # interrupted. Therefore the next cycle sends a heartbeat.
         self._is_host, self._cycles = True, 0
         for drive in self.drives:
             drive.emergency = 0
@@ -331,7 +331,7 @@ class Cia402Arm:
     # In every cycle
 
     def read(self) -> None:
-        # Check for a delay of the loop first, because a delay causes the errors checked below.
+        # Check for a delay of the loop first, because a delay causes the errors that follow.
         self._stop_if_held_up()
         self._exchange(ANSWER_SHARE * self.cycle)
         self._stop_if_held_up()

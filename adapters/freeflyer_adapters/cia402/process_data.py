@@ -21,7 +21,7 @@ heartbeat is HEARTBEAT plus the node number of the sender.
 ON_SYNC = 1
 """Transmission type: at every SYNC.
 
-When a drive has received a target, the drive applies the target at the next SYNC.
+A drive applies a received target at the next SYNC.
 """
 
 

@@ -89,8 +89,7 @@ class RemoteDrive:
     def identify(self) -> None:
         """Check by SDO that the device is a drive with torque mode, and that it is not enabled.
 
-        Raises DeviceError if the device is another device, or if the drive is enabled. The message
-        contains the value that was read.
+        Raises DeviceError if a check fails. The message contains the value that was read.
         """
         device_type = self.read(objects.DEVICE_TYPE)
         if device_type & 0xFFFF != 402:
@@ -182,7 +181,7 @@ class RemoteDrive:
         most = self.read(objects.MAX_TORQUE) * m.torque_step
         if most < effort * (1.0 - 1e-3):
             raise DeviceError(
-                f"{self.where}: its max torque ({objects.MAX_TORQUE}) is {most:.4g} N m at the joint, but the scenario's joint_effort_limit is "
+                f"{self.where}: the max torque ({objects.MAX_TORQUE}) is {most:.4g} N m at the joint, but the scenario's joint_effort_limit is "
                 f"{effort:.4g} N m: raise the max torque or lower joint_effort_limit"
             )
 
@@ -192,7 +191,7 @@ class RemoteDrive:
         """Raise DeviceError if a value of the drive differs from the scenario."""
         if not abs(actual - expected) <= tolerance:
             raise DeviceError(
-                f"{self.where}: its {what} ({entry}) is {actual:.9g} {unit}".rstrip()
+                f"{self.where}: the {what} ({entry}) is {actual:.9g} {unit}".rstrip()
                 + f", but the scenario has {expected:.9g} {unit}".rstrip()
                 + "; it is another drive, or one of the two values is wrong"
             )
@@ -200,7 +199,9 @@ class RemoteDrive:
     def _ratio(self, above: Entry, below: Entry) -> float:
         divisor = self.read(below)
         if divisor == 0:
-            raise DeviceError(f"{self.where}: its {below.name.lower()} ({below}) is 0")
+            raise DeviceError(
+                f"{self.where}: the {below.name.lower()} ({below}) is 0; a number greater than zero is expected"
+            )
         return self.read(above) / divisor
 
     def set_up(self, cycle: float) -> None:
@@ -213,7 +214,7 @@ class RemoteDrive:
         mode = self.read(objects.MODE_DISPLAY)
         if mode != objects.CYCLIC_SYNCHRONOUS_TORQUE:
             raise DeviceError(
-                f"{self.where} stays in mode {mode} ({objects.MODE_DISPLAY}); mode 10, cyclic synchronous torque, was written"
+                f"{self.where} stays in mode {mode} ({objects.MODE_DISPLAY}); mode 10 (cyclic synchronous torque) is expected"
             )
         self.write(objects.QUICK_STOP, objects.RAMP_AND_DISABLE)
         value, index = _period(cycle)
@@ -236,7 +237,7 @@ class RemoteDrive:
     def _disable_other_pdos(self) -> None:
         """Disable all PDOs of the drive that the host does not use.
 
-        The reason is that the computed bus load does not include these PDOs.
+        The computed bus load does not include these PDOs.
         """
         for maps, used in (
             (self.node.rpdo, {TARGET.number}),
@@ -278,7 +279,7 @@ class RemoteDrive:
         except KeyError as error:
             if not used:
                 return
-            raise DeviceError(f"{self.where}: its EDS has no {pdo.name}") from error
+            raise DeviceError(f"{self.where}: the EDS of the drive has no {pdo.name}") from error
         except SdoError as error:
             raise DeviceError(self._sdo_message("does not accept", what, error)) from error
         finally:

@@ -6,10 +6,10 @@ The loop calls the methods of a device in this order:
 2. `read` and `write` in every cycle.
 3. `revoke`, `ramp_down` and `deactivate`.
 
-The loop may call `on_error` at any time. This changes an active device to the state safe_stop. With
-the option `--check`, the run ends after `check_start`. Until the end of `check_start`, the host
-sends no message that changes the state of the device. The host and the device both follow
-`TRANSITIONS`.
+The loop may call `on_error` at any time. `on_error` changes an active device to the state
+safe_stop. With the option `--check`, the run ends after `check_start`. Until the end of
+`check_start`, the host sends no message that changes the state of the device. The host and the
+device both follow `TRANSITIONS`.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ SIMULATED = "simulated"
 
 
 class DeviceError(CosimError):
-    """Error of a device that cannot be configured or activated. The device has not moved."""
+    """A device cannot be configured or activated."""
 
 
 class SafeStop(StepFailed):
@@ -110,7 +110,7 @@ class Device(Protocol):
     def may_have_power(self) -> bool:
         """True after a message that may have given power to the device.
 
-        This is also True if the activation failed after this message.
+        The value stays True if the activation fails after this message.
         """
 
     @property

@@ -1,8 +1,8 @@
-"""Limits of the commands to a device, and of its measurements.
+"""Limits of the commands and of the measurements of a device.
 
-This module reads no clock and sends nothing. A clamping limit reduces a command to the allowed
-range, and counts how often this happens. For a stopping limit, the methods return the reason to
-stop. The reason contains the value and the unit.
+This module reads no clock and sends nothing. There are two kinds of limits. A clamping limit
+reduces a command to the allowed range, and counts the reduced commands. If a stopping limit is
+exceeded, a method returns the reason to stop, with the value and the unit.
 """
 
 from __future__ import annotations
@@ -84,8 +84,8 @@ class ArmLimits:
             return None
         j = int(np.argmax(gap))
         return (
-            f"joint {j + 1} is at {position[j]:.4f} rad, the scenario starts at {start[j]:.4f} rad, and {tolerance:g} rad "
-            f"is the largest allowed distance: move the arm to the start position"
+            f"joint {j + 1} is at {position[j]:.4f} rad, the scenario starts at {start[j]:.4f} rad, and the largest allowed "
+            f"distance is {tolerance:g} rad: move the arm to the start position"
         )
 
     def report(self) -> dict[str, float]:
@@ -155,7 +155,7 @@ class BaseLimits:
             distance(position, orientation, *setpoint), self.following, ("m", "rad"), strict=True
         ):
             if size > limit:
-                return f"the base is {size:.4g} {unit} from its set point, its limit is {limit:.4g} {unit}"
+                return f"the base is {size:.4g} {unit} from its set point, the limit is {limit:.4g} {unit}"
         return None
 
 

@@ -18,9 +18,8 @@ class Permit:
 
     Times are [ns] of the monotonic clock. `subject`: name of the device in messages. `watchdog`
     [ns]: longest time for which the device continues without a command. After a longer delay of the
-    loop, the device counts as stopped.
-    `reports_state`: whether the device reports its life cycle state. If the device reports no
-    state, every measurement counts as a report of the state active.
+    loop, the device counts as stopped. `reports_state`: whether the device reports its life cycle
+    state. If the device reports no state, every measurement counts as a report of the state active.
     """
 
     def __init__(self, subject: str, *, watchdog: int, reports_state: bool = True) -> None:
@@ -47,7 +46,9 @@ class Permit:
     def take(self, now: int) -> None:
         """Take the permit for an activation. Raises RuntimeError if it was taken or lost before."""
         if self._is_taken or self.lost is not None:
-            raise RuntimeError(f"{self.subject}: a permit is taken once")
+            raise RuntimeError(
+                f"{self.subject}: this permit was taken or lost before; a new activation needs a new permit"
+            )
         self._is_taken, self._wrote = True, now
         self._was_active, self._active_at = False, None
 
@@ -57,10 +58,10 @@ class Permit:
             self.lost = reason
 
     def report(self, active: bool, at: int) -> None:
-        """Process a state report that the device sent at `at` or later [ns].
+        """Process a state report of the device.
 
-        `active`: whether the reported state is active. Reports before the permit is taken are
-        ignored.
+        `active`: whether the reported state is active. `at` [ns]: the report was not sent before
+        this time. Reports that arrive before `take` are ignored.
         """
         if not self._is_taken:
             return
@@ -96,7 +97,7 @@ class Permit:
         return self._hold_up
 
     def wrote(self, now: int) -> None:
-        """Record that the loop sent a frame. A delay before this frame is still detected."""
+        """Record that the loop sent a frame. Detect a delay of the loop before this frame."""
         if self._wrote is not None:
             if now - self._wrote > self.watchdog:
                 self.allows(now)
@@ -106,9 +107,9 @@ class Permit:
         """Return whether the torques of a graded stop may be sent.
 
         The last report of the state active must not be older than the watchdog time. Without such a
-        report, the device may have stopped, and a torque could activate the device again. After a
-        delay of the loop, a device that reports no state may also have stopped. Then the result is
-        False.
+        report, the device may have stopped, and a torque could activate the device again. If the
+        device reports no state, the result is also False after a delay of the loop. The device may
+        have stopped during this delay.
         """
         if self.hold_up(now) and not self.reports_state:
             return False

@@ -1,6 +1,6 @@
 """Graded stop of one torque-controlled arm: damped ramp-down of the torque, then the brakes.
 
-The host uses this module. The watchdogs of the virtual arms use it, too.
+The host and the watchdogs of the virtual arms use this module.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ class Setting:
     above: float | None = 0.0
     """Exclusive lower bound; None: no bound."""
     least: float | None = None
-    """Inclusive lower bound. If it is not None, it replaces `above`."""
+    """Inclusive lower bound, or None. If this bound is given, `above` is ignored."""
     whole: bool = False
     most: float = 1e6
     """Inclusive upper bound of the absolute value."""

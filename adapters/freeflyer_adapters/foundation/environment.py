@@ -1,8 +1,8 @@
 """The environment of devices: clocks, CAN buses and Zenoh sessions.
 
 An object that needs the environment calls `present()` in its constructor and keeps the result. A
-run in virtual time uses another environment (`freeflyer_adapters.facility.virtual_time`). So the
-loop, the facility and the links between them run in virtual time without a change of their code.
+run in virtual time uses another environment (`freeflyer_adapters.facility.virtual_time`). The loop,
+the facility and the links between them have the same code in both environments.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def present() -> Environment:
 
 @contextmanager
 def within(other: Environment) -> Iterator[None]:
-    """Make `other` the present environment. It is used by all objects constructed in the block."""
+    """Make `other` the environment of all objects that are constructed in the block."""
     token = _present.set(other)
     try:
         yield

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 BINS = 100_000
 """Number of bins. Each bin is 1 us wide. The last bin also counts all longer durations.
 
-`Histogram.longest` is the exact longest duration, also if it is longer than the range of the bins.
+`Histogram.longest` is the exact longest duration, even if it exceeds the range of the bins.
 """
 
 

@@ -1,7 +1,7 @@
 """Rotations and pose distances without SciPy, for use in every cycle.
 
-These functions take a tenth of the time that SciPy's rotations take. The tests compare the results
-with the results of SciPy.
+These functions are ten times as fast as the rotations of SciPy. The tests compare the results of
+both.
 """
 
 from __future__ import annotations
