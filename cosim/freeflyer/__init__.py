@@ -1,7 +1,7 @@
 """Multi-rate co-simulation of a free-flying space robot: scenarios, master, records, analysis.
 
-Public names are those of `__all__`, declared in __init__.pyi and loaded when first used. Every
-module is private and may move.
+__init__.pyi declares the public names. A name is imported when it is used for the first time. All
+modules are private and may be moved.
 """
 
 import lazy_loader

@@ -193,7 +193,7 @@ def test_an_invalid_scenario_file_is_rejected(
         ),
         (
             "[[limits]]\nsignal='free_flyer.base_velocity'\nmaximum=1.0\nelements=[7,9]\n",
-            "elements 7 to 9 are watched, but it has 6",
+            "elements 7 to 9 are watched, but the signal has 6",
         ),
         (
             "[[limits]]\nsignal='free_flyer.base_velocity'\nmaximum=1.0\nminimum=0.0\n",

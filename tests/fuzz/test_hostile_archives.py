@@ -268,7 +268,7 @@ def test_xml_with_a_document_type_is_rejected_before_parsing(
         tmp_path,
         temporary,
         path,
-        "its modelDescription.xml is refused: it declares a document type",
+        "its modelDescription.xml declares a document type",
     )
 
 

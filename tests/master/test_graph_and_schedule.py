@@ -257,7 +257,7 @@ def test_a_minimum_is_also_a_limit() -> None:
 
 
 def test_a_limit_on_missing_elements_is_rejected() -> None:
-    with pytest.raises(GraphError, match="elements 1 to 2 are watched, but it has 1"):
+    with pytest.raises(GraphError, match="elements 1 to 2 are watched, but the signal has 1"):
         ready(
             {"plant": Plant("plant")},
             [],

@@ -180,8 +180,8 @@ def _observation(audit: Audit, port: Port) -> dict[str, Any]:
 def table(audit: Audit) -> Table:
     """Return the table of the energy that flowed into the robot at each port.
 
-    In the column of a port, the sum of the entries is the work at this port. Below it are the
-    changes and residuals of the energy balance of the whole robot.
+    The first rows are the entries of each port. Their sum is the row "work at the port". The rows
+    below this row are the energy balance of the whole robot.
     """
     loop, balance = audit.loop, audit.balance
     shown = Table(

@@ -18,7 +18,10 @@ class ExportCommand:
         parser.add_argument("scenario", metavar="SCENARIO", help=SCENARIO_HELP)
         add_overrides(parser)
         parser.add_argument(
-            "--fmi", type=int, choices=(2, 3), help="2: SSP 1.0 (default); 3: SSP 2.0"
+            "--fmi",
+            type=int,
+            choices=(2, 3),
+            help="FMI version of the shipped FMUs: 2 for SSP 1.0, 3 for SSP 2.0 (default: the version in the scenario, otherwise 2)",
         )
         parser.add_argument("--out", type=Path, required=True, metavar="FILE.ssp")
 

@@ -31,7 +31,7 @@ this command is its line in `freeflyer --help`.
 COMMANDS: Mapping[str, tuple[str, str]] = {
     "audit": (
         "freeflyer.cli.audit:AuditCommand",
-        "energy audit of a recorded run: energy sources and sinks, observed and true energy",
+        "compute the energy audit of a recorded run: energy sources and sinks, observed and true energy",
     ),
     "certificates": (
         "freeflyer_adapters.cli.certificates:CertificatesCommand",
@@ -71,7 +71,7 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     ),
     "sweep": (
         "freeflyer.cli.sweep:SweepCommand",
-        "run one scenario many times on Dask, for a grid or random designs; write one table",
+        "run one scenario on Dask with many values of its parameters (a grid or random values); write one table",
     ),
 }
 """Commands of this distribution: name -> (class, line in `freeflyer --help`)."""
@@ -103,7 +103,7 @@ def main() -> int:
 
 def call(arguments: Sequence[str]) -> int:
     """Run one command line. Return the exit code: 0 (done), 2 (bad input), 3 (the run stopped)."""
-    # A path may contain invalid UTF-8. The printing of a message with this path must not fail.
+    # A path may contain invalid UTF-8. A message with this path must still be printed.
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")

@@ -275,14 +275,16 @@ def _check_xml(name: str, data: bytes) -> str:
         encoding = (given or encoding).lower()
 
     def doctype(*_: object) -> None:
-        raise ArchiveError(f"its {name} is refused: it declares a document type")
+        raise ArchiveError(
+            f"its {name} declares a document type; XML without a document type is expected"
+        )
 
     def start(*_: object) -> None:
         nonlocal elements, depth
         elements, depth = elements + 1, depth + 1
         if elements > MOST_ELEMENTS or depth > DEEPEST_ELEMENT:
             raise ArchiveError(
-                f"its {name} is refused: it has more than {MOST_ELEMENTS} elements, or more than {DEEPEST_ELEMENT} nested elements"
+                f"its {name} has more than {MOST_ELEMENTS} elements, or more than {DEEPEST_ELEMENT} nested elements"
             )
 
     def end(_: str) -> None:

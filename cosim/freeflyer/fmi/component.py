@@ -75,8 +75,8 @@ class Port:
 class Component(Protocol):
     """A component that the master steps.
 
-    `bind_inputs` returns an input writer, and `bind_outputs` returns an output reader. The master
-    calls the methods and these functions in this order:
+    `bind_inputs` returns a function, the input writer. `bind_outputs` returns a function, the
+    output reader. The master calls methods, writers and readers in this order:
 
     1. At the start: `enter_initialization`, input writers, `exit_initialization`, output readers.
     2. For every step: input writers, `step`, output readers.
@@ -93,7 +93,7 @@ class Component(Protocol):
     def enter_initialization(self, start: float, values: Mapping[str, Array]) -> None:
         """Set parameters and start values, for a run that begins at the time `start` [s].
 
-        `values` contains the values [SI] by the names of the variables.
+        `values` maps names of variables to values [SI].
 
         Raises ComponentError if a value is rejected.
         """
@@ -144,8 +144,8 @@ class PythonComponent:
     """Base class of components that are written in Python.
 
     A subclass declares ports and overrides `advance`. `values` contains each variable as an array,
-    by name. In `advance`, a subclass computes an output for the start of the step if its port has
-    `direct` inputs or is `sampled`. Controllers have such outputs. A subclass computes any other
+    by name. If the port of an output has `direct` inputs or is `sampled`, `advance` computes this
+    output for the start of the step. Controllers have such outputs. `advance` computes any other
     output for the end of the step. Plants have such outputs.
     """
 

@@ -46,7 +46,7 @@ CALLS = {
 }
 """For FMI versions 2 and 3: the FMI functions that write inputs, make a step and read outputs."""
 REQUIREMENT = "logRequirement"
-"""Log category that our FMUs use only if their equations left their range of validity.
+"""Log category. Our FMUs use it only if the equations have left their range of validity.
 
 See `StepFailed.left_validity`.
 """
@@ -55,8 +55,8 @@ See `StepFailed.left_validity`.
 # An FMI 2.0 log message is a format string with a variable number of arguments. FMPy contains a
 # C function, the logger proxy, that formats such messages and calls a logger with the result. The
 # proxy supports only one logger per process. This logger is `_route`. An FMU calls the logger with
-# its environment pointer. We use a number as this pointer: it identifies the component in
-# `_listeners`, and the message is stored in this component.
+# its environment pointer. We use a number as this pointer. The number is the key of the component
+# in `_listeners`. `_route` stores the message in this component.
 _listeners: dict[int, FmuComponent] = {}
 _numbers = itertools.count(1)
 
@@ -211,7 +211,7 @@ class FmuComponent:
 
     def _remove_python_modules(self) -> None:
         # The search through all modules takes 1 ms. Our own FMUs contain no Python modules.
-        # Therefore their search is omitted.
+        # Therefore the search is omitted for our own FMUs.
         if self.description.generationTool != OWN_TOOL:
             _remove_modules(self._directory)
 
@@ -235,8 +235,9 @@ class FmuComponent:
     def note(self, category: object, message: bytes | None) -> None:
         """Store a log message of the FMU with its log category.
 
-        Only the last messages are kept. They are discarded when a failure is reported with these
-        messages, when a step succeeds, or when a message arrives at a later instant.
+        Only the last messages are kept. All kept messages are discarded in three cases: they have
+        been used in the report of a failure, a step has succeeded, or a message has arrived at a
+        later instant.
         """
         if message:
             if self._moment() != self._noted_at:
@@ -297,7 +298,7 @@ class FmuComponent:
             self._slave.setInt32(references, [int(x) for x in numbers])
         else:
             raise ComponentError(
-                f"component {self.name}: variable {name} is of type {kind}, which cannot be set here"
+                f"component {self.name}: variable {name} is of type {kind}; a value can be set only for a variable of type Real, Float64, Integer, Int32, Int64, Boolean or Enumeration"
             )
 
     # Used by the C core through cosim/freeflyer/master/native.py

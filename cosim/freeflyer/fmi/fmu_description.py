@@ -87,15 +87,15 @@ def opened(path: Path) -> Iterator[Archive]:
                 raise ComponentError(f"{path} is not an FMU: it contains no {DESCRIPTION}")
             yield found
     except ArchiveError as error:
-        raise ComponentError(f"FMU {path} is refused: {error}") from error
+        raise ComponentError(f"FMU {path} is rejected: {error}") from error
 
 
 @_cached_per_file
 def describe_fmu(path: Path) -> ModelDescription:
     """Read the model description of an FMU. Raises ComponentError if the FMU is unusable.
 
-    Nothing in the FMU is executed. FMPy parses XML with lxml, and FMPy rejects neither entities nor
-    document types. Therefore FMPy receives only XML text that `Archive.xml` has checked.
+    Nothing in the FMU is executed. FMPy parses XML with lxml, and accepts entities and document
+    types. Therefore FMPy receives only XML text that `Archive.xml` has checked.
     """
     try:
         with opened(path) as found:
@@ -148,7 +148,9 @@ def annotated_units(path: Path) -> dict[str, tuple[str, ...]]:
 def terminals_of(path: Path) -> dict[str, dict[str, str]]:
     """Return the terminals of an FMU. A terminal is a named group of variables, its members.
 
-    For each name of a terminal, the result maps the names of its members to names of variables.
+    The keys of the result are the names of the terminals. Each value maps the names of the members
+    to names of variables.
+
     FMI 3.0 FMUs declare terminals in the file terminalsAndIcons.xml. Our FMI 2.0 FMUs declare
     terminals in an annotation of the model description.
     """

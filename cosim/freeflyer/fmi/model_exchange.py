@@ -43,7 +43,7 @@ class ModelExchangeComponent(FmuComponent):
         interface = self.description.modelExchange
         if interface is None:
             raise ComponentError(
-                f"FMU {self.path} of component {self.name} offers no model exchange"
+                f"FMU {self.path} of component {self.name} offers no model exchange; an FMU with model exchange is expected"
             )
         return interface
 

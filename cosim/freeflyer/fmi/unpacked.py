@@ -22,7 +22,7 @@ _of: dict[Path, Version] = {}
 _place: Path | None = None
 """Directory in which folders are kept for later instances of the same FMU file.
 
-If it is None, no folder is reused, and each folder is removed after use.
+If `_place` is None, no folder is reused, and each folder is removed after use.
 """
 
 
@@ -30,8 +30,8 @@ If it is None, no folder is reused, and each folder is removed after use.
 def kept_in(place: Path) -> Iterator[None]:
     """Keep the folders of our own FMUs in the directory `place`, so that they can be reused.
 
-    The caller removes `place` afterwards. Folders of other FMUs are not reused, because such an FMU
-    may store state in its folder, or in the memory of the library that is loaded from this folder.
+    The caller removes `place` afterwards. Folders of other FMUs are not reused. Such an FMU may
+    store state in its folder, or in the memory of the library that is loaded from this folder.
     """
     global _place
     before, _place = _place, place

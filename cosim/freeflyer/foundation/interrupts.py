@@ -31,12 +31,12 @@ def interrupts() -> Iterator[list[float]]:
     """Collect the signals in `ENDING`. The context returns a list of their arrival times [s].
 
     The master ends a run between two instants if this list is not empty. Nested contexts share one
-    list. The outer context may be opened before a run, and the run opens the inner context. If a
+    list. For example, a command opens the outer context, and its run opens the inner context. If a
     signal arrives before the run starts, the run ends at its first instant.
 
-    A second or later signal raises KeyboardInterrupt immediately if it arrives more than two
-    seconds after the first signal. In this case the run has not ended yet, probably because a
-    component does not respond.
+    A signal that arrives more than two seconds after the first signal raises KeyboardInterrupt
+    immediately. In this case the run has not ended yet, probably because a component does not
+    respond.
 
     In a thread other than the main thread, no signals are collected and the list stays empty.
     """

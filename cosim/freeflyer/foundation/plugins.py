@@ -13,7 +13,7 @@ from typing import Any
 from freeflyer.foundation.errors import CosimError
 
 RENAMED = {"cosim": "freeflyer", "fmu_src": "freeflyer_fmus", "adapters": "freeflyer_adapters"}
-"""For each import name of a package in version 0.1.0: the import name since version 0.2.0."""
+"""Import names of the packages: the name in version 0.1.0 -> the name since version 0.2.0."""
 
 
 @functools.cache
@@ -42,10 +42,10 @@ def load(point: EntryPoint) -> Any:
 
 
 def renamed(error: BaseException) -> str:
-    """Return the remedy if an import failed because it uses an import name of version 0.1.0.
+    """Return the remedy for an import that failed because it uses a name of version 0.1.0.
 
-    The remedy is a text that is appended to the error message. If `error` has another cause, the
-    text is empty.
+    The caller appends the remedy to the error message. If `error` has another cause, the remedy is
+    empty.
     """
     old = (error.name or "").partition(".")[0] if isinstance(error, ImportError) else ""
     return (

@@ -2,8 +2,9 @@
 
 TOML 1.0 permits a parser to limit the size of integers and the nesting depth. Python's parser
 `tomllib` sets no such limits: it accepts integers of much more than 64 bits, and nesting up to
-Python's recursion limit. In addition, its time for a dotted key (a.b.c) is quadratic in the number
-of parts of the key. Therefore this module limits the integers, the nesting and the dotted keys.
+Python's recursion limit. In addition, the time that `tomllib` needs for a dotted key (a.b.c) is
+quadratic in the number of parts of the key. Therefore this module limits the integers, the nesting
+and the dotted keys.
 """
 
 from __future__ import annotations

@@ -29,8 +29,8 @@ _SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹", "0123456789")
 
 @lru_cache(maxsize=1)
 def registry() -> Any:
-    # This import takes 0.5 s. It is here, and not at the top of the file, because many runs do not
-    # need pint: two units with the same spelling are compared without pint.
+    # This import takes 0.5 s. Many runs do not need pint, because two units with the same spelling
+    # are compared without pint. Therefore the import is not at the top of the file.
     import pint
 
     return pint.UnitRegistry()

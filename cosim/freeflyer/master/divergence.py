@@ -47,7 +47,7 @@ def check(limit: Limit, components: Mapping[str, Component]) -> None:
     if limit.elements and limit.elements[1] > found.size:
         first, last = limit.elements
         raise GraphError(
-            f"limit on {limit.signal}: elements {first} to {last} are watched, but it has {found.size}"
+            f"limit on {limit.signal}: elements {first} to {last} are watched, but the signal has {found.size} elements"
         )
 
 
@@ -79,8 +79,8 @@ class Watch:
         )
 
     def _above(self) -> str | None:
-        # The largest absolute element is never larger than the Euclidean norm. Therefore no further
-        # computation is needed if the norm is within the bound, whatever `euclidean` is. If an
+        # The largest absolute element is never larger than the Euclidean norm. Therefore, if the
+        # norm is within the bound, the limit is not exceeded, with or without `euclidean`. If an
         # element is NaN, both comparisons with `<=` are false, and the limit counts as exceeded.
         limit, view = self.limit, self.view
         if view @ view <= self._square:

@@ -7,7 +7,7 @@ same instant, or it is declared as sampled. A controller must be stepped before 
 its outputs at the same instant.
 
 A plant computes its outputs for the end of a step. Therefore the outputs of a plant at an instant
-are known from the step that ends at this instant. They impose no order.
+are known from the step that ends at this instant. These outputs impose no order.
 
 A delayed connection transfers the value that its source had before the instant. Therefore a delayed
 connection imposes no order.
@@ -32,8 +32,8 @@ Exchange = Literal["sequential", "parallel"]
 Sequential (Gauss-Seidel): a controller reads its inputs and computes its outputs at an instant.
 Other components use these outputs at the same instant.
 Parallel (Jacobi): at an instant, every component uses outputs of steps that ended at this instant
-or before. The output of a controller is available at the end of its step. Therefore it reaches the
-other components one controller step later than in sequential exchange.
+or before. The output of a controller is available at the end of its step. Therefore this output
+reaches the other components one controller step later than in sequential exchange.
 """
 
 
@@ -254,9 +254,9 @@ def _order(
 def _is_early(name: str, component: Component, used: set[str], samples: bool | None) -> bool:
     """Return whether a component is a controller: its outputs are values at the start of a step.
 
-    `samples` is the declaration for this component, or None. If it is None, the ports decide. Only
-    the outputs in `used` are considered: the outputs with a connection. If `used` is empty, as for
-    a monitor, all outputs are considered.
+    `samples` is the declaration for this component, or None. If `samples` is None, the ports
+    decide. `used` contains the outputs with a connection. Only these outputs are considered. If no
+    output has a connection, all outputs are considered.
 
     Raises GraphError if the ports decide and `used` contains outputs of both kinds: values at the
     start of a step, and values at the end of a step.

@@ -171,11 +171,11 @@ class Master:
         progress: Progress | None = None,
         hooks: Sequence[InstantHook] = (),
     ) -> Iterator[None]:
-        """Run, and yield after every instant, unless the run ends early at this instant.
+        """Run, and yield after every instant, except after an instant that ends the run early.
 
-        Pass the result of the method `outcome` as the argument `outcome`. It is complete when the
-        iterator ends. `interrupted` is the list of the context `interrupts`: the run ends at the
-        first instant at which this list is not empty.
+        Pass the result of the method `outcome` as the argument `outcome`. This object is complete
+        when the iterator ends. `interrupted` is the list of the context `interrupts`. The run ends
+        at the first instant at which this list is not empty.
         """
         schedule = self.schedule
         before, after = [hook.before for hook in hooks], [hook.after for hook in hooks]
@@ -217,8 +217,9 @@ class Master:
     def reject_failure_at_start(self, k: int, error: StepFailed) -> None:
         """Raise ComponentError if the failure `error` occurred at instant 0.
 
-        No result exists yet at this instant. If k is not 0, the method does nothing. It also does
-        nothing if the equations left their range of validity: such a run counts as diverged.
+        No result exists yet at this instant. If k is not 0, the method does nothing. If the
+        equations left their range of validity, the run counts as diverged, and the method does
+        nothing.
         """
         if k == 0 and not error.left_validity:
             raise ComponentError(f"component {error}") from error

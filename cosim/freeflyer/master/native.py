@@ -29,8 +29,8 @@ LIBRARY = DIRECTORY / "prebuilt" / "core.so"
 LONGEST = 2**53
 """Upper limit of the stop time [ns].
 
-The core divides a time [ns] by 1e9 to convert it to seconds. Below this limit, the double that it
-divides is exact. Therefore the result is the same as in Python.
+The core converts a time [ns] to a double, and divides this double by 1e9. Below this limit, the
+double is exact. Therefore the result in seconds is the same as in Python.
 """
 PAUSE = 0.05
 """Approximate wall-clock time [s] of one call of the core.
@@ -73,8 +73,8 @@ class Run:
     def __init__(self, master: Master) -> None:
         if master.schedule.stop >= LONGEST:
             raise ComponentError(
-                f"a run of {seconds(master.schedule.stop):g} s is too long for the native core, which counts up to "
-                f"{LONGEST / 1e9:.0f} s; use --master python"
+                f"a run of {seconds(master.schedule.stop):g} s is too long for the native core; less than "
+                f"{LONGEST / 1e9:.0f} s is expected; use --master python"
             )
         self.master = master
         self._ffi, self._library = _library()
@@ -149,8 +149,9 @@ class Run:
     def _step_failure(self) -> StepFailed:
         """Return the failure that stopped the core.
 
-        An exception that a component raised in a step is converted to StepFailed. Any other
-        exception except StepFailed is raised again, for example KeyboardInterrupt.
+        If the failure is a StepFailed, it is returned. Any other Exception that a component raised
+        in a step is converted to StepFailed. All other exceptions, for example KeyboardInterrupt,
+        are raised again.
         """
         core = self._core
         if self._failure is not None:

@@ -63,8 +63,8 @@ class Record:
         except MemoryError as error:
             size = rows * (width + 1) * 8 / 2**30
             raise CosimError(
-                f"the record of {rows} rows with {width} columns needs {size:.3g} GiB, more than is available; record less often "
-                f"([record] every_s) or stop earlier"
+                f"the record of {rows} rows with {width} columns needs {size:.3g} GiB, but less memory is available; increase "
+                f"[record] every_s or reduce stop_s"
             ) from error
         self.rows = 0
         self.provenance: Provenance | None = None

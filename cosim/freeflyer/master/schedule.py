@@ -62,8 +62,8 @@ def build(
         _multiple(step, tick, f"component {name}: its step", "the smallest step")
         if stop % step and not variable_step[name]:
             raise GraphError(
-                f"component {name} cannot shorten its last step, and its step of {shown(step)} does not divide the stop time "
-                f"{shown(stop)}; a stop time of {shown(stop - stop % step)} would fit"
+                f"component {name} cannot shorten its last step, and the stop time of {shown(stop)} is not a multiple of "
+                f"its step of {shown(step)}; a stop time of {shown(stop - stop % step)} would fit"
             )
     _multiple(stop, tick, "the stop time", "the smallest step")
     _multiple(record_every, tick, "the recording interval", "the smallest step")

@@ -171,7 +171,7 @@ class Slaves:
         return self.now[self.places[signal]]
 
     def signals(self, graph: Graph, recorded: Callable[[str], bool]) -> tuple[list[Signal], Places]:
-        """Return the signals of the record. Return also the index in `now` for each of its columns.
+        """Return the signals of the record, and for each column of the record its index in `now`.
 
         The record contains the outputs for which `recorded` returns True. The signals have the
         order of the components in the graph. The signals of one component have the order of its

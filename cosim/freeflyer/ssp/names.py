@@ -13,8 +13,8 @@ Our annotations contain the parts of a scenario for which SSP has no elements.
 STEP_ANNOTATION = "com.opensimulationplatform"
 """Value of the attribute `type` of the annotations that contain communication steps.
 
-SSP has no elements for communication steps. The master programs libcosim and ecos, which are not
-part of this project, read these annotations.
+SSP has no elements for communication steps. libcosim and ecos read these annotations. These two
+master programs are not part of this project.
 """
 FMU_TYPE = "application/x-fmu-sharedlibrary"
 SETTINGS = (

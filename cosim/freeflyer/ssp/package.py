@@ -77,9 +77,9 @@ class Package:
     def source(self, element: Element, subject: str) -> str:
         """Return the name of the archive entry to which the attribute `source` of `element` refers.
 
-        The source must be a relative path. It starts from the folder of the description file, and
-        must not leave the archive. Raises ScenarioError for any other source. `subject` is the
-        subject of the error message.
+        The source must be a relative path. The path starts from the folder of the description
+        file. The path must not leave the archive. Raises ScenarioError for any other source.
+        `subject` is the subject of the error message.
         """
         try:
             uri = urlsplit(element.get("source", ""))

@@ -45,8 +45,8 @@ Element = ElementTree.Element
 Node = tuple[tuple[str, ...], str]
 """A connector of a component or of a system.
 
-The first item is the path of this element: the names of the systems around it, and its own name.
-The second item is the name of the connector.
+The first item is the path of the component or system: the names of the systems around it, and its
+own name. The second item is the name of the connector.
 """
 
 
@@ -259,8 +259,9 @@ class _System:
             "output": False,
             "calculatedParameter": False,
         }.get(kind)
-        # If the connector is one of the containing system itself, the direction is reversed: inside
-        # a system, a connection transfers data from an input of this system to a component.
+        # If the connector belongs to the system that contains the connection, the direction is
+        # reversed. Inside a system, a connection transfers data from an input of this system to a
+        # component.
         return takes if takes is None or node[0] != where else not takes
 
     # Parameters
@@ -576,9 +577,10 @@ def shown(node: Node) -> str:
 
 
 def _plain(value: Any, unit: str | None) -> Any:
-    """Return a value without its unit if this unit is equal to `unit`, the unit in the FMU.
+    """Return a value without its unit, if the value needs no conversion to the unit of the FMU.
 
-    Otherwise, return the value unchanged.
+    `unit` is the unit of the FMU. If `unit` is None, no conversion is needed. If a conversion is
+    needed, return the value unchanged.
     """
     if isinstance(value, dict) and (
         unit is None or value["unit"] == unit or same(value["unit"], unit or DIMENSIONLESS)

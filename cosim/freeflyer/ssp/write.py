@@ -4,8 +4,9 @@ A system with FMUs of FMI 2.0 is exported as SSP 1.0. A system with FMUs of FMI 
 SSP 2.0. In SSP, a connector represents a variable of a component. Each element of an FMI 2.0 array
 has its own connector. An FMI 3.0 array has one connector with dimensions.
 
-SSP has no elements for communication steps. They are written to annotations that libcosim and ecos
-read. Our own annotations contain all other data for which SSP has no elements.
+SSP has no elements for communication steps. These steps are written to annotations. The master
+programs libcosim and ecos read these annotations. Our own annotations contain all other data for
+which SSP has no elements.
 """
 
 from __future__ import annotations
@@ -41,8 +42,8 @@ def write(scenario: Scenario, system: System, path: Path) -> None:
     """Write an SSP file, completely or not at all.
 
     `system` contains the assembled components of `scenario`. Equal systems result in identical
-    files. Raises ScenarioError or ComponentError if SSP cannot
-    represent the system. Raises OutputError if the file cannot be written.
+    files. Raises ScenarioError or ComponentError if SSP cannot represent the system. Raises
+    OutputError if the file cannot be written.
     """
     specs = {spec.name: spec for spec in scenario.components}
     components = _checked(specs, system)
@@ -97,9 +98,9 @@ def _sources(components: Mapping[str, FmuComponent]) -> dict[str, str]:
 def _changed(component: FmuComponent, values: Mapping[str, Array]) -> dict[str, Array]:
     """Return the values that differ from the FMU's start values.
 
-    Values that are equal to the start values are not written to the SSP file. This is important for
-    enumerations, because libcosim and ecos reject a file that contains an enumeration. Such a file
-    is written only if an enumeration does not have its start value.
+    Only these values are written to the SSP file. The reason is that libcosim and ecos reject a
+    file that contains an enumeration. Therefore an enumeration parameter that has its start value
+    is left out.
     """
     return {
         name: value

@@ -57,9 +57,9 @@ def displacement(time: Array, position: Array, orientation: Array, velocity: Arr
 def displacement_of_twist(time: Array, velocity: Array) -> Array:
     """Return the integral (n - 1, 6) of the velocity x' over each interval.
 
-    It is computed by the trapezoidal rule. This function is for measured motion. Measured poses
-    contain noise, and their differences would be less accurate. The passivity observers use the
-    same rule.
+    The integral is computed by the trapezoidal rule. This function is for measured motion. Measured
+    poses contain noise. Therefore their differences would be less accurate than this integral. The
+    passivity observers also use the trapezoidal rule.
     """
     return 0.5 * np.diff(time)[:, None] * (velocity[:-1] + velocity[1:])
 
@@ -68,9 +68,10 @@ def held(values: Array, share: float) -> Array:
     """Return the mean of a sampled and held signal (n, m) over each interval.
 
     The result is (n - 1, m). `share` is the time for which one sample is held, divided by the
-    interval. If it is 1, the mean is the value at the start of the interval. If it is less than 1,
-    the interval contains samples that are not in the record. They are assumed to lie on a line
-    between the two rows. The mean is then (1 + share)/2 F(k) + (1 - share)/2 F(k+1).
+    interval. If `share` is 1, the mean is the value at the start of the interval. If `share` is
+    less than 1, the interval contains samples that are not in the record. These samples are assumed
+    to lie on a line between the two rows. The mean is then
+    (1 + share)/2 F(k) + (1 - share)/2 F(k+1).
     """
     return 0.5 * (1.0 + share) * values[:-1] + 0.5 * (1.0 - share) * values[1:]
 
@@ -79,7 +80,7 @@ def last_samples(time: Array, values: Array, period: int) -> Array:
     """Return for each row the values (n, m) that a controller has sampled last.
 
     The controller samples every `period` [ns], starting at t = 0. The last sample is at or before
-    the time of the row. If it is between two rows, its values are interpolated linearly.
+    the time of the row. If this sample is between two rows, its values are interpolated linearly.
     """
     instants = np.rint(time * 1e9).astype(np.int64)
     sampled = (instants - instants % period) * 1e-9

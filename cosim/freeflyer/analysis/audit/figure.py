@@ -11,8 +11,8 @@ from freeflyer.analysis.audit.ledger import Audit
 from freeflyer.analysis.figure_style import STYLE
 from freeflyer.fmi.component import Array
 
-# The colours are from the palette of Okabe and Ito. Each colour has its own line style. Therefore
-# the lines also differ in a print without colours.
+# The colours are from the palette of Okabe and Ito. The lines of one panel also differ in style,
+# width or opacity. Therefore a reader can distinguish these lines in a print without colours.
 B = {"color": "#D55E00", "ls": "-"}
 M = {"color": "#0072B2", "ls": "--"}
 KINETIC = {"color": "black", "ls": ":", "lw": 1.6}
@@ -126,9 +126,9 @@ def _observed(axes: Any, audit: Audit) -> None:
 def _scale(axes: Any, unit: str, *lines: Array) -> None:
     """Label the y axis. Make it symmetric logarithmic if a line would otherwise look flat.
 
-    A line would look flat if its maximum is much smaller than the maximum of all lines. The largest
-    value of the first half of the run is also compared. Therefore signals that are small at the
-    start and large at the end stay visible at the start.
+    A line looks flat if its maximum is much smaller than the maximum of all lines. The maximum of
+    the first half of the run is also compared with the maximum of all lines. Therefore signals that
+    are small at the start and large at the end stay visible at the start.
     """
     axes.set_ylabel(unit)
     sizes = [float(np.abs(line).max()) for line in lines]

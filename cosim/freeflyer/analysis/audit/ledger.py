@@ -82,8 +82,8 @@ class Balance:
     others: Array
     """Work of wrenches and torques that do not come from the controllers.
 
-    They come from components between the controllers and the robot. An example is a disturbance
-    that a user adds.
+    These wrenches and torques come from components between the controllers and the robot. An
+    example is a disturbance that a user adds.
     """
     residual_of_held: Array
     """`kinetic` minus the work of the held commands F_b and tau."""
@@ -103,7 +103,8 @@ class Audit:
     tracking_power: Array
     """Power of the tracking error [W] (n): (F'_m - F_m*) (x_m' - x_md').
 
-    F'_m is the wrench at port M, and F_m* is its feed-forward.
+    F'_m is the wrench at port M, and F_m* is its feed-forward. x_m' is the velocity of the
+    end-effector, and x_md' is its desired velocity.
     """
     balance: Balance | None
     notes: tuple[str, ...]
@@ -224,8 +225,9 @@ def _port(
     `share` is the result of `_share` for this law. `wrench` (n, 6) is the commanded wrench at the
     port, and `passivity_wrench` (n, 6) is the part of it that comes from the passivity controller.
     `stale` (n - 1, 6) is a wrench that acts in addition to the commanded wrench. The displacements
-    are (n - 1, 6): `moved` is that of the port, `moved_desired` is that of the desired motion, and
-    `damped_motion` is the one on which the damper of the passivity controller acts.
+    are (n - 1, 6): `moved` is the displacement of the port, and `moved_desired` is the displacement
+    of the desired motion. The damper of the passivity controller acts on the displacement
+    `damped_motion`.
     """
 
     def errors(motion: Motion) -> tuple[Array, Array]:

@@ -16,9 +16,9 @@ def notes(loop: RecordedLoop) -> list[str]:
     # Limitations that come from the record.
     if loop.plant is None:
         found.append(
-            "No component has the output kinetic_energy and receives base_wrench and joint_torque. (At the facility, this is so because "
-            "the arm is driven in 1 g.) Therefore the audit has no energy balance. The work is computed from the commanded wrenches and "
-            "the measured motion."
+            "No component has the output kinetic_energy and receives base_wrench and joint_torque. (The facility has no such "
+            "component, because drives move the arm in 1 g.) Therefore the audit has no energy balance. The work is computed from the "
+            "commanded wrenches and the measured motion."
         )
     if any(law.period < step for law in laws.values()):
         finest = seconds(min(law.period for law in laws.values()))

@@ -1,8 +1,8 @@
 """Predict the largest stable base period of a scenario from its linearised loop at the set point.
 
-The prediction varies the period of one controller, the scanned controller. This is usually the base
-controller. Its period is called the base period T_b. All other controllers are called the fast
-controllers. They have the step T_m.
+The prediction varies the period of one controller. This controller is called the scanned
+controller, and its period is called the base period T_b. The scanned controller is usually the base
+controller. All other controllers are called the fast controllers. They have the step T_m.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from freeflyer.scenario.scenario import Scenario
 LONGEST = 0.5
 """Default of the longest scanned period [s].
 
-If the period of the scenario is longer, it is the default.
+If the period of the scenario is longer than LONGEST, the period of the scenario is the default.
 """
 MOST_PERIODS = 100_000
 BATCH = 50
@@ -120,8 +120,8 @@ def predict(
     """Scan the period of `component` (default: the slowest controller) up to `longest` [s].
 
     The step of the scan is T_m. If `beyond` is false, the scan stops soon after the first unstable
-    period. It then does not find stable intervals above this period. Sweeps use this option. The
-    passivity controllers are off. The start of the scenario must be a set point (`set_point`).
+    period. It then does not find stable intervals above this period. Sweeps pass `beyond=False`.
+    The passivity controllers are off. The start of the scenario must be a set point (`set_point`).
     Raises CosimError.
     """
     with at_set_point(scenario, component) as here:
@@ -175,7 +175,7 @@ def _count(longest: float | None, tick: int, period: int) -> int:
         )
     if longest > seconds(MOST_PERIODS * tick):
         raise ScenarioError(
-            f"--longest {longest:g}: this is more than {MOST_PERIODS} periods; at most {shown(MOST_PERIODS * tick)} is expected"
+            f"--longest {longest:g}: this is more than {MOST_PERIODS} steps of the fast controllers; at most {shown(MOST_PERIODS * tick)} is expected"
         )
     # Round down to a multiple of T_m. The tolerance 1e-6 allows for a rounding error of `longest`.
     return int(longest / seconds(tick) + 1e-6)

@@ -2,9 +2,9 @@
 
 The wrench is held: it is constant between two samples. A linear map gives the state (x, x') at the
 end of a period T from the state at its start. The trace of the map is 2 - K_P T^2 / 2m - K_D T / m.
-Its determinant is 1 - K_D T / m + K_P T^2 / 2m. The multipliers are the eigenvalues of the map. The
-axis is stable if all multipliers are inside the unit circle. Jury's criterion gives the following
-conditions:
+The determinant of the map is 1 - K_D T / m + K_P T^2 / 2m. The multipliers are the eigenvalues of
+the map. The axis is stable if all multipliers are inside the unit circle. Jury's criterion gives
+the following conditions:
     K_P > 0,
     K_P T / 2 < K_D  (condition of the sampled spring: the determinant is below 1),
     K_D T < 2 m      (condition of the sampled damper: no multiplier is below -1).

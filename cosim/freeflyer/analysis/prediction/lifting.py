@@ -26,9 +26,9 @@ Indices = NDArray[np.intp]
 class Inputs:
     """Sources of the inputs of a component.
 
-    Both arrays have one element for each element of the inputs. `sources` contains the index of the
-    signal that is connected to it. `delayed` is true if the input receives the value that this
-    signal had before the instant.
+    Both arrays have one element for each element of the inputs. `sources` contains the indices of
+    the signals that are connected to the inputs. An element of `delayed` is true if the input
+    receives the value that the signal had before the instant.
     """
 
     sources: Indices

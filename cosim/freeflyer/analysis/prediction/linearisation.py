@@ -125,7 +125,7 @@ class LoopModel:
     def recorded(self) -> list[str]:
         """Return the names of the signals of an operating point.
 
-        They are the plant's states, and all outputs that are connected to an input.
+        The signals are the plant's states, and all outputs that are connected to an input.
         """
         states = [f"{self.roles.plant}.{name}" for name in self.fmus[self.roles.plant].states]
         return list(
@@ -243,15 +243,15 @@ class LoopModel:
         """Return the connections from signals of the loop to inputs of the component.
 
         Connections from other components, for example from a trajectory generator, are left out.
-        Their values do not depend on the loop.
+        The values of these connections do not depend on the loop.
         """
         return [c for c in self.system.wiring.inputs_of(name) if c.source in self.signals]
 
     def driven(self, name: str) -> list[str]:
         """Return the inputs of a component that are connected to signals of the loop.
 
-        The derivatives of this component with respect to its inputs have their columns in the same
-        order.
+        The Jacobians of this component with respect to its inputs have their columns in the order
+        of this list.
         """
         return [split(connection.target)[1] for connection in self.connections_of(name)]
 
@@ -274,7 +274,7 @@ class LoopModel:
     def _linked_parameters(self) -> list[tuple[str, str]]:
         """Return (component, parameter) for all parameters that depend on the scanned period.
 
-        They are found by a comparison of the parameter values for two periods.
+        These parameters are found by a comparison of all parameter values for two periods.
         """
         roles, found = self.roles, []
         one, other = (_resolved(self.scenario, self.fmus, roles, k * roles.tick) for k in (1, 2))

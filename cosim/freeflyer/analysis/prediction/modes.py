@@ -1,7 +1,7 @@
 """Modes of the loop over one base period T_b: frequency, growth rate, and cause of an instability.
 
-T_b is the period of the controller whose period the prediction varies. This is usually the base
-controller.
+The prediction varies the period of one controller, usually the base controller. This period is
+called T_b.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ REAL = 1e-6
 Kind = Literal["sampled spring", "sampled damper", "hand", "coupling"]
 """Cause that limits T_b.
 
-With "sampled spring" and "sampled damper", an axis of the base does not meet this condition of
-`held_axis`. With "hand", the cause is in the loop of the end-effector. prediction.json uses this
-name. With "coupling", the cause is the coupling of base and end-effector.
+With "sampled spring" and "sampled damper", an axis of the base does not meet the condition with
+this name in `held_axis`. With "hand", the cause is in the loop of the end-effector. The name "hand"
+is a value in prediction.json. With "coupling", the cause is the coupling of base and end-effector.
 """
 
 

@@ -26,10 +26,10 @@ from freeflyer.scenario.scenario import Scenario
 REST = 1e-6
 """The plant is at rest if no state changes faster than this rate [SI unit of the state per s]."""
 MEMORY = 1e-9
-"""Limit for the output error of a controller one sample after a disturbance of its inputs.
+"""Limit for the ratio of two output errors of a controller.
 
-The error is divided by the output error during the disturbance. A controller with a larger ratio
-has memory.
+The first error is measured one sample after a disturbance of the inputs. It is divided by the
+second error, which is measured during the disturbance. A controller with a larger ratio has memory.
 """
 NEUTRAL = 1e-12
 """Limit for singular values of P - 1. P is the map over one period, 1 is the identity matrix.
@@ -60,8 +60,8 @@ class SetPoint:
     def radius(self, multipliers: NDArray[np.complex128]) -> float:
         """Return the largest absolute value of the multipliers, without the neutral directions.
 
-        Each neutral direction has a multiplier 1. As many multipliers as there are neutral
-        directions are left out: those that are closest to 1.
+        Each neutral direction has the multiplier 1. If there are N neutral directions, the N
+        multipliers that are closest to 1 are left out.
         """
         order = np.argsort(np.abs(multipliers - 1.0))
         return float(np.abs(multipliers[order[self.neutral :]]).max())

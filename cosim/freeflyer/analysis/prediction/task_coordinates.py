@@ -81,8 +81,8 @@ def task_coordinates(model: LoopModel, loop: Loop, point: Point) -> TaskCoordina
         variables[role] = model.scenario.roles.variable(role, name)
         if variables[role] not in fmu.ports:
             raise ScenarioError(
-                f"component {name} has no variable {variables[role]!r}; the prediction needs the variables of a free-flying robot: "
-                f'use the name of the variable in free_flyer, or declare it in [roles]: {role} = "{name}.VARIABLE"'
+                f"component {name} has no variable {variables[role]!r}; the prediction needs this variable of a free-flying robot; "
+                f'if the variable has another name, declare this name in [roles]: {role} = "{name}.VARIABLE"'
             )
     poses, velocities = ([variables[role] for role in roles] for roles in (POSE, VELOCITY))
     full = {**point, **{f"{name}.{v}": model.plant_value(v) for v in (*poses, *velocities)}}

@@ -97,8 +97,8 @@ class Trajectory:
             raise KeyboardInterrupt
         if outcome.cause:
             raise ScenarioError(
-                f"scenario {model.scenario.name}: even with all controllers at {seconds(tick):g} s the run stops at {outcome.simulated:g} s "
-                f"({outcome.cause}); therefore there is no trajectory for the prediction"
+                f"scenario {model.scenario.name}: the run stops at {outcome.simulated:g} s ({outcome.cause}), even if the step of all controllers "
+                f"is {seconds(tick):g} s; therefore there is no trajectory for the prediction"
             )
         record = outcome.record
         self.points: list[Point] = [
@@ -167,9 +167,9 @@ class Trajectory:
     ) -> Iterator[tuple[Array, float]]:
         """Propagate the columns of `vectors` from base period `first` to the end of the run.
 
-        `kept` are the indices of the elements of the loop's state that the rows stand for. After
-        each period, the vectors are divided by their largest element. Yields the scaled vectors,
-        and ln of the product of all divisors.
+        Each row of `vectors` is an element of the loop's state. `kept` contains the indices of
+        these elements. After each period, the vectors are divided by their largest element. Yields
+        the scaled vectors, and ln of the product of all divisors.
         """
         maps = [lifting.reduced(loop, kept) for loop in loops]
         states, place, scale = self.plants[0].A.shape[0], self._cell(first * n), 0.0

@@ -79,7 +79,7 @@ def predicted(
 
 
 def points(plan: Plan, figure: Map) -> int:
-    """Return the number of points that `predicted` computes. It calls `done` once per point."""
+    """Return the number of points for which `predicted` calls `done`."""
     return len(plan.sweep.cases) * len(plan.levels(figure.y))
 
 

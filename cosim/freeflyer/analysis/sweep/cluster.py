@@ -30,8 +30,8 @@ SAFE_PATH = "PYTHONSAFEPATH"
 Therefore child processes do not import modules from the working directory.
 """
 CONFIGURATION = {
-    # If the worker of a task dies, the task is repeated on another worker, at most twice. Then the
-    # task has failed.
+    # If the worker of a task dies, the task is repeated on another worker. The task is repeated at
+    # most twice. If the third worker also dies, the task has failed.
     "distributed.scheduler.allowed-failures": 2,
     # Do not queue tasks on a busy worker. If this worker died, the failure would also be counted
     # for the queued tasks.
@@ -123,8 +123,7 @@ def _blocked_sigint() -> Iterator[None]:
 def _remote(address: str) -> Iterator[Client]:
     try:
         client = _client_of(address)
-    # Possible causes are an unknown host name, a closed port, or a peer that is not a Dask
-    # scheduler.
+    # The cause can be an unknown host name, a closed port, or a peer that is not a Dask scheduler.
     except Exception as error:
         raise ScenarioError(
             f"the scheduler {address} does not answer within {ANSWER:g} s ({_one_line(error)}); start one with `dask scheduler`"

@@ -37,7 +37,7 @@ AXIS = (
     "relative",
     "also",
 )
-"""Keys of the table of an axis. All axes with an interval have the keys from `logarithmic` on."""
+"""Keys of the table of an axis. The last five keys are allowed for every axis with an interval."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -268,7 +268,7 @@ def _rest(value: Raw, where: str, values: Sequence[Any] = ()) -> dict[str, Any]:
         )
     if (unit is not None or relative) and not all(_is_number(item) for item in values):
         raise ScenarioError(
-            f"{where} is {list(values)!r}; an axis with a unit and a relative axis need numbers"
+            f"{where} is {list(values)!r}; numbers are expected, because the axis has a unit or is relative"
         )
     also = value.get("also", [])
     if not isinstance(also, list) or not all(isinstance(text, str) for text in also):

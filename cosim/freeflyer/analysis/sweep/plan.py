@@ -71,7 +71,7 @@ class Plan:
     the results of all cases for almost every design that it has started.
     The constructor loads the scenario of each case. In each case, it checks the first design, the
     last design and each value of each axis. If an axis is an interval, the constructor checks the
-    two ends of the interval. It raises CosimError.
+    two ends of the interval. Raises CosimError if a check fails.
     """
 
     def __init__(self, sweep: Sweep, fmi: int | None = None) -> None:
@@ -211,9 +211,9 @@ class Plan:
             pass
 
     def _tried(self) -> Iterator[tuple[Any, ...]]:
-        """Yield the first design and the last design. Then vary one axis of the first design.
+        """Yield the first design, the last design, and copies of the first design.
 
-        Each value of each axis is yielded once in this way.
+        In a copy, the value of one axis is replaced. There is one copy for each value of each axis.
         If an axis is an interval, only the two ends of the interval are used.
         """
         first, last = self.designs[0], self.designs[len(self.designs) - 1]

@@ -69,7 +69,7 @@ class _Work:
         self.suspects: deque[int] = deque()
         """Runs whose worker died.
 
-        Each of these runs is repeated alone. This finds the run that kills the workers.
+        Each of these runs is repeated alone, to find the run that kills the workers.
         """
         self.seconds: float | None = None
         """Smoothed duration of a run [s]. As long as it is None, a batch is a single run."""

@@ -1,8 +1,8 @@
 /* The structures and the main function of the C core, which executes a run.
 
-   A slave is a component that the master steps. The length of a slave's step is a multiple of the
-   tick. Instant k is the time k * tick, and steps start only at instants. The operations at an
-   instant have the same order as in `Master.run` in cosim/freeflyer/master/master.py.
+   A slave is a component that the master steps. The tick is the smallest step. Each step is a
+   multiple of the tick. Instant k is the time k * tick, and steps start only at instants. The
+   operations at an instant have the order of `Master.run` in cosim/freeflyer/master/master.py.
 
    cosim/freeflyer/master/native.py parses this header and fills the structures. The C code
    allocates no memory. */
