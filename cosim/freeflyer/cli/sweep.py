@@ -151,6 +151,9 @@ def report(plan: Plan, results: Results, console: Console) -> None:
             results.directory / "stability_map",
         )
         written += ["stability_map.png", "stability_map.pdf"]
+    if plan.evaluation is not None:
+        axes = [str(axis.target) for axis in plan.axes]
+        console.print(plan.evaluation.report(table.to_pylist(), axes, results.directory))
     console.print(f"Results in {results.directory}: {', '.join(written)}", soft_wrap=True)
 
 

@@ -7,8 +7,6 @@ register folders with FMUs as entry points of the group freeflyer.fmus.
 from __future__ import annotations
 
 import fnmatch
-import importlib
-import importlib.util
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -17,6 +15,7 @@ from typing import Any
 
 from freeflyer.fmi.component import Component
 from freeflyer.fmi.fmu import FmuComponent
+from freeflyer.foundation import user_object
 from freeflyer.foundation.errors import ComponentError, CosimError, ScenarioError
 from freeflyer.foundation.plugins import load, plugins, renamed
 from freeflyer.foundation.signal_name import split
@@ -93,16 +92,11 @@ def python_component(name: str, options: Mapping[str, Any], directory: Path) -> 
             f"component {name}: object = 'FILE.py:CALLABLE' or 'MODULE:CALLABLE' is expected"
         )
     try:
-        if where.endswith(".py"):
-            path = directory / where
-            spec = importlib.util.spec_from_file_location(path.stem, path)
-            if spec is None or spec.loader is None or not path.is_file():
-                raise ComponentError(f"component {name}: {path} does not exist")
-            module = importlib.util.module_from_spec(spec)
-            spec.loader.exec_module(module)
-        else:
-            module = importlib.import_module(where)
-        made: Component = getattr(module, attribute)(name)
+        maker = user_object.load(f"{where}:{attribute}", directory)
+    except CosimError as error:
+        raise ComponentError(f"component {name}: {error}") from error
+    try:
+        made: Component = maker(name)
     except CosimError:
         raise
     except (Exception, SystemExit) as error:  # user code can raise anything

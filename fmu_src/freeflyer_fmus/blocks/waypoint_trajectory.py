@@ -45,7 +45,5 @@ def waypoint_trajectory(robot: Robot) -> Block:
         "the smallest squared norm of a waypoint's quaternion",
         "give each waypoint a quaternion x, y, z, w with the norm 1, or none at all",
     )
-    reference_outputs(
-        block, moved(block, waypoints.motion(block.time, times, points, p_0, R_0))
-    )
+    reference_outputs(block, moved(block, waypoints.motion(block.time, times, points, p_0, R_0)))
     return block

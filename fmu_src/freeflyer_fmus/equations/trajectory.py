@@ -102,9 +102,7 @@ def along(
     omega = 2.0 * ca.pi * frequency
     s, c = ca.sin(omega * t), ca.cos(omega * t)
     r, rd, rdd = ramp
-    sine = Scalar(
-        r * s, rd * s + r * omega * c, rdd * s + 2.0 * rd * omega * c - r * omega**2 * s
-    )
+    sine = Scalar(r * s, rd * s + r * omega * c, rdd * s + 2.0 * rd * omega * c - r * omega**2 * s)
     versine = ramp * Scalar(1.0 - c, omega * s, omega**2 * c)
     none = Scalar(SX(0), SX(0), SX(0))
     periodic = ca.logic_or(shape == int(Shape.sine), shape == int(Shape.circle))
@@ -114,7 +112,9 @@ def along(
     first, second = ca.vertcat(translation, rotation_vector), ca.vertcat(second_translation, still)
     return Motion(
         position + translation * g.value + second_translation * h.value,
-        rotation.product(rotation.about(rotation_vector * g.value), rotation.normalised(orientation)),
+        rotation.product(
+            rotation.about(rotation_vector * g.value), rotation.normalised(orientation)
+        ),
         first * g.first + second * h.first,
         first * g.second + second * h.second,
     )

@@ -1,4 +1,4 @@
-"""Designs of experiments: grids, Latin hypercubes and random samples of parameters.
+"""Designs of experiments: grids, Latin hypercubes, random samples, and one change at a time.
 
 An axis varies one target of `--set`, or some elements of a vector parameter. A design has one value
 of each axis.
@@ -142,7 +142,7 @@ class Axis:
 
     `unit` is the unit of the values. If `relative` is true, the values are factors: the value in
     the scenario is multiplied by them. `also` are further targets that get the same value or
-    factor.
+    factor. `not_in` are cases that the axis does not change.
     """
 
     target: Target
@@ -150,6 +150,7 @@ class Axis:
     unit: str | None = None
     relative: bool = False
     also: tuple[Target, ...] = ()
+    not_in: tuple[str, ...] = ()
 
     @property
     def targets(self) -> tuple[Target, ...]:
@@ -181,6 +182,42 @@ class Sample:
             tuple(axis.source.at(float(share)) for axis, share in zip(self.axes, row, strict=True))
             for row in shares
         ]
+
+
+UNCHANGED = None
+"""Value of an axis in a design that keeps the value of the scenario."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class OneAtATime:
+    """Designs that change one axis. The first design changes no axis. All axes have levels."""
+
+    axes: tuple[Axis, ...]
+    sample: None = None
+
+    @property
+    def grid(self) -> tuple[Axis, ...]:
+        return self.axes
+
+    @cached_property
+    def levels(self) -> list[tuple[Any, ...]]:
+        """Values of each axis."""
+        return [axis.source.values for axis in self.axes if isinstance(axis.source, Levels)]
+
+    @cached_property
+    def _changes(self) -> list[tuple[int, Any]]:
+        return [(place, value) for place, values in enumerate(self.levels) for value in values]
+
+    def __len__(self) -> int:
+        return 1 + len(self._changes)
+
+    def __getitem__(self, number: int) -> tuple[Any, ...]:
+        """Return the values of all axes in design `number` >= 0. Raises IndexError."""
+        point: list[Any] = [UNCHANGED] * len(self.axes)
+        if number > 0:
+            place, value = self._changes[number - 1]
+            point[place] = value
+        return tuple(point)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,7 +14,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
 
-from freeflyer.analysis.sweep.designs import Axis, Designs, Interval, Levels, Method, Sample, Target
+from freeflyer.analysis.sweep.designs import (
+    Axis,
+    Designs,
+    Interval,
+    Levels,
+    Method,
+    OneAtATime,
+    Sample,
+    Target,
+)
 from freeflyer.foundation import toml_file
 from freeflyer.foundation.errors import ScenarioError
 from freeflyer.foundation.suggestions import did_you_mean
@@ -36,6 +45,7 @@ AXIS = (
     "unit",
     "relative",
     "also",
+    "not_in",
 )
 """Keys of the table of an axis. The last five keys are allowed for every axis with an interval."""
 
@@ -67,8 +77,10 @@ class Sweep:
     scenario: str
     settings: tuple[str, ...]
     cases: Mapping[str, Mapping[str, Any]]
-    designs: Designs
+    designs: Designs | OneAtATime
     map: Map | None
+    evaluation: str | None
+    """FILE.py:OBJECT or MODULE:OBJECT, see `evaluation.Evaluation`."""
 
 
 def shipped() -> list[str]:
@@ -110,7 +122,8 @@ def _find(name: str) -> Path:
 
 
 def _sweep(raw: Raw, path: Path, settings: Sequence[str]) -> Sweep:
-    _known(raw, ("title", "scenario", "set", "cases", "grid", "sample", "map"), "the sweep")
+    known = ("title", "scenario", "set", "cases", "grid", "sample", "vary", "map", "evaluation")
+    _known(raw, known, "the sweep")
     if not isinstance(raw.get("scenario"), str):
         raise ScenarioError(
             f"scenario is {raw.get('scenario')!r}; a shipped scenario or a .toml file beside the sweep is expected"
@@ -122,20 +135,43 @@ def _sweep(raw: Raw, path: Path, settings: Sequence[str]) -> Sweep:
     title = raw.get("title", path.stem)
     if not isinstance(title, str):
         raise ScenarioError(f"title is {title!r}; a text is expected")
-    grid = tuple(
-        _grid_axis(target, value) for target, value in _targets(_table(raw, "grid"), "[grid]")
+    grid, varied_alone = (
+        tuple(
+            _grid_axis(target, value, f"[{key}]")
+            for target, value in _targets(_table(raw, key), f"[{key}]")
+        )
+        for key in ("grid", "vary")
     )
-    designs = Designs(grid=grid, sample=_sample(_table(raw, "sample")) if "sample" in raw else None)
+    if varied_alone and (grid or "sample" in raw or "map" in raw):
+        raise ScenarioError(
+            "[vary] changes one parameter at a time; remove [vary], or remove [grid], [sample] and [map]"
+        )
+    designs = (
+        OneAtATime(axes=varied_alone)
+        if varied_alone
+        else Designs(grid=grid, sample=_sample(_table(raw, "sample")) if "sample" in raw else None)
+    )
     if not designs.axes:
         raise ScenarioError(
-            "the sweep varies no parameter; a [grid] or a [sample] with parameters is expected"
+            "the sweep varies no parameter; a [grid], a [sample] or a [vary] with parameters is expected"
+        )
+    evaluation = raw.get("evaluation")
+    if evaluation is not None and not (isinstance(evaluation, str) and ":" in evaluation):
+        raise ScenarioError(
+            f"evaluation is {evaluation!r}; 'FILE.py:OBJECT' or 'MODULE:OBJECT' is expected"
         )
     # A parameter may be set in only one place: an axis, a case, or `--set`.
     cases = {name: _case(name, table) for name, table in _table(raw, "cases").items()} or {
         ONE_CASE: {}
     }
+    for axis in designs.axes:
+        for name in axis.not_in:
+            if name not in cases:
+                raise ScenarioError(
+                    f"{axis.target}: not_in has {name!r}, which is not a case{did_you_mean(name, cases)}"
+                )
     varied = [target for axis in designs.axes for target in axis.targets]
-    _reject_duplicates(varied, cases)
+    _reject_duplicates(designs.axes, cases)
     for text in settings:
         if any(
             target.name == text.partition("=")[0].strip() and target.elements is None
@@ -153,6 +189,9 @@ def _sweep(raw: Raw, path: Path, settings: Sequence[str]) -> Sweep:
         cases=cases,
         designs=designs,
         map=_map(_table(raw, "map"), grid) if "map" in raw else None,
+        evaluation=evaluation
+        if evaluation is None or not evaluation.rpartition(":")[0].endswith(".py")
+        else str((path.parent / evaluation).absolute()),
     )
 
 
@@ -170,8 +209,8 @@ def _case(name: str, table: object) -> Mapping[str, Any]:
     return {target.name: _value(value) for target, value in found.items()}
 
 
-def _grid_axis(target: Target, value: Any) -> Axis:
-    where = f"[grid] {target}"
+def _grid_axis(target: Target, value: Any, table: str) -> Axis:
+    where = f"{table} {target}"
     if not isinstance(value, dict) or "values" in value:
         return _levels(target, value, where)
     _known(value, ("first", "last", "count", *AXIS[6:]), where)
@@ -219,7 +258,7 @@ def _sampled_axis(target: Target, value: Any) -> Axis:
 
 def _levels(target: Target, value: Any, where: str) -> Axis:
     table = value if isinstance(value, dict) else {"values": value}
-    _known(table, ("values", "unit", "relative", "also"), where)
+    _known(table, ("values", "unit", "relative", "also", "not_in"), where)
     values = table["values"]
     if not isinstance(values, list) or not values:
         raise ScenarioError(
@@ -275,7 +314,15 @@ def _rest(value: Raw, where: str, values: Sequence[Any] = ()) -> dict[str, Any]:
         raise ScenarioError(
             f"{where}: also is {also!r}; a list of 'COMPONENT.PARAMETER' is expected"
         )
-    return {"unit": unit, "relative": relative, "also": tuple(Target.parse(text) for text in also)}
+    not_in = value.get("not_in", [])
+    if not isinstance(not_in, list) or not all(isinstance(text, str) for text in not_in):
+        raise ScenarioError(f"{where}: not_in is {not_in!r}; a list of names of cases is expected")
+    return {
+        "unit": unit,
+        "relative": relative,
+        "also": tuple(Target.parse(text) for text in also),
+        "not_in": tuple(not_in),
+    }
 
 
 def _map(raw: Raw, grid: Sequence[Axis]) -> Map:
@@ -298,13 +345,14 @@ def _map(raw: Raw, grid: Sequence[Axis]) -> Map:
     return Map(x=raw["x"], y=raw["y"], predict=_switch(raw, "predict", "[map]"))
 
 
-def _reject_duplicates(targets: Sequence[Target], cases: Mapping[str, Mapping[str, Any]]) -> None:
-    for place, target in enumerate(targets):
-        for other in targets[:place]:
+def _reject_duplicates(axes: Sequence[Axis], cases: Mapping[str, Mapping[str, Any]]) -> None:
+    pairs = [(axis, target) for axis in axes for target in axis.targets]
+    for place, (axis, target) in enumerate(pairs):
+        for _, other in pairs[:place]:
             if target.overlaps(other):
                 raise ScenarioError(f"{target} is varied twice, also as {other}")
         for name, case in cases.items():
-            if target.name in case:
+            if target.name in case and name not in axis.not_in:
                 raise ScenarioError(
                     f"[cases.{name}] sets {target.name}, but the axis {target} varies this parameter"
                 )

@@ -8,11 +8,12 @@ import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
-from freeflyer.analysis.sweep import stability
-from freeflyer.analysis.sweep.designs import Axis, Levels, Target
+from freeflyer.analysis.sweep import evaluation, stability
+from freeflyer.analysis.sweep.designs import UNCHANGED, Axis, Levels, Target
 from freeflyer.analysis.sweep.file import ONE_CASE, Sweep
 from freeflyer.fmi.component import Array, Port
 from freeflyer.foundation.errors import CosimError, ScenarioError
@@ -39,8 +40,9 @@ class Setup:
     path: Path
     cases: Mapping[str, Mapping[str, Any]]
     fmi: int | None
+    evaluation: str | None
     files: Mapping[str, str]
-    """SHA-256 of the files of each component."""
+    """SHA-256 of the files of each component, and of the evaluation."""
 
     def scenario(self, case: str, assignments: Assignments = ()) -> Scenario:
         """Return the scenario of one run. Raises ScenarioError.
@@ -77,12 +79,20 @@ class Plan:
     def __init__(self, sweep: Sweep, fmi: int | None = None) -> None:
         self.sweep, self.designs, self.axes = sweep, sweep.designs, sweep.designs.axes
         tables, path = scenario.tables(sweep.scenario, sweep.settings, sweep.path.parent)
-        setup = Setup(tables=tables, path=path, cases=sweep.cases, fmi=fmi, files={})
+        setup = Setup(
+            tables=tables,
+            path=path,
+            cases=sweep.cases,
+            fmi=fmi,
+            evaluation=sweep.evaluation,
+            files={},
+        )
         first = next(iter(sweep.cases))
         with self._naming(first):
+            self.evaluation = evaluation.load(sweep.evaluation) if sweep.evaluation else None
             plain = setup.scenario(first)
             with assemble.loaded(plain, fmi) as system:
-                self.setup = replace(setup, files=files(plain, system))
+                self.setup = replace(setup, files=files(plain, system, sweep.evaluation))
         self._own: dict[tuple[str, Target], tuple[Array, Port]] = {}
         self.units: dict[str, str] = {}
         for case in sweep.cases:
@@ -111,12 +121,14 @@ class Plan:
             values.update(repr(self.designs[number]).encode())
         content = {
             "scenario": self.setup.tables,
+            **({"evaluation": self.sweep.evaluation} if self.sweep.evaluation else {}),
             "cases": self.sweep.cases,
             "axes": {
                 str(axis.target): {
                     "unit": axis.unit,
                     "relative": axis.relative,
                     "also": [str(target) for target in axis.also],
+                    **({"not_in": list(axis.not_in)} if axis.not_in else {}),
                     "in_grid": axis in self.designs.grid,
                 }
                 for axis in self.axes
@@ -155,6 +167,7 @@ class Plan:
             (axis, target, value)
             for axis, value in zip(self.axes, values, strict=True)
             for target in axis.targets
+            if value is not UNCHANGED and case not in axis.not_in
         ]
         for axis, target, value in pairs:
             if (case, target) not in self._own:
@@ -167,7 +180,7 @@ class Plan:
             first, last = target.elements or (1, own.size)
             place = slice(first - 1, last)
             if axis.relative:
-                vector[place] = own[place] * value
+                vector[place] = [product(number, value) for number in own[place]]
             elif axis.unit is None:
                 vector[place] = value
             else:
@@ -193,7 +206,7 @@ class Plan:
         plain = self.setup.scenario(case)
         with assemble.loaded(plain, self.setup.fmi) as system:
             for axis in self.axes:
-                for target in axis.targets:
+                for target in axis.targets if case not in axis.not_in else ():
                     self._look_up(case, axis, target, plain, system)
             for values in self._tried():
                 changed = self.setup.scenario(case, self.assignments(case, values))
@@ -278,6 +291,14 @@ class Plan:
         self._own[case, target] = (own.copy(), port)
 
 
+def product(number: float, by: float) -> float:
+    """Return the product of two decimal numbers: 0.3 x 1.5 is 0.45, and not the float below it.
+
+    A period must be a whole number of nanoseconds.
+    """
+    return float(Decimal(repr(float(number))) * Decimal(repr(float(by))))
+
+
 def _ports(system: System, component: str) -> Mapping[str, Port]:
     return system.components[component].ports if component in system.components else {}
 
@@ -294,12 +315,15 @@ def _first_user(plain: Scenario, system: System, parameter: str) -> str:
     return "robot"
 
 
-def files(plain: Scenario, system: System) -> dict[str, str]:
-    """Return the SHA-256 of the files of each component.
+def files(plain: Scenario, system: System, evaluated_by: str | None) -> dict[str, str]:
+    """Return the SHA-256 of the files of each component, and of the evaluation `evaluated_by`.
 
-    The files are the FMU of the component and the existing files among its options.
+    The files of a component are its FMU and the existing files among its options.
     """
     found = {}
+    own = evaluation.source(evaluated_by)
+    if own is not None:
+        found["(evaluation)"] = hashlib.sha256(own.read_bytes()).hexdigest()
     for spec in plain.components:
         digest = hashlib.sha256()
         named = [

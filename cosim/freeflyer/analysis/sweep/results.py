@@ -20,7 +20,7 @@ import pyarrow.compute as compute
 import pyarrow.parquet as parquet
 
 from freeflyer.analysis.sweep import stability
-from freeflyer.analysis.sweep.designs import Levels
+from freeflyer.analysis.sweep.designs import UNCHANGED, Levels
 from freeflyer.analysis.sweep.plan import Plan
 from freeflyer.analysis.sweep.task import Row
 from freeflyer.foundation.errors import ScenarioError
@@ -81,7 +81,8 @@ class Results:
         swept = {}
         for axis, value in zip(self.plan.axes, values, strict=True):
             column = str(axis.target)
-            swept[column] = shown(value) if self.schema.field(column).type == pa.string() else value
+            as_text = self.schema.field(column).type == pa.string() and value is not UNCHANGED
+            swept[column] = shown(value) if as_text else value
         return {"design": design, "case": case, **swept, **row}
 
     def _parts(self) -> list[Path]:
@@ -156,6 +157,8 @@ def schema(plan: Plan) -> pa.Schema:
             for which in ("max", stability.LAST, stability.EARLIER)
         ]
     fields += [(f"{name}_observed_energy_min_j", pa.float64(), "J") for name in plan.energies]
+    if plan.evaluation is not None:
+        fields += [(name, pa.float64(), unit) for name, unit in plan.evaluation.columns.items()]
     fields += [(name, pa.float64(), "s") for name in ("wall_s", "run_s")]
     units = {name: unit for name, _, unit in fields}
     return pa.schema(

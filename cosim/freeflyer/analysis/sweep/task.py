@@ -16,7 +16,7 @@ from typing import Any
 
 from distributed import get_worker
 
-from freeflyer.analysis.sweep import stability
+from freeflyer.analysis.sweep import evaluation, stability
 from freeflyer.analysis.sweep.plan import Run, Setup, files
 from freeflyer.fmi import unpacked
 from freeflyer.foundation.errors import CosimError, ScenarioError
@@ -54,8 +54,13 @@ def row(setup: Setup, run: Run) -> Row:
     start = time.perf_counter()
     try:
         # Record only the signals that the results need.
-        scenario = replace(setup.scenario(run.case, run.assignments), record_signals=())
-        found = measured(experiment.run(scenario, fmi=setup.fmi))
+        by = evaluation.load(setup.evaluation) if setup.evaluation else None
+        scenario = replace(
+            setup.scenario(run.case, run.assignments),
+            record_signals=tuple(by.signals) if by else (),
+        )
+        result = experiment.run(scenario, fmi=setup.fmi)
+        found = {**measured(result), **(by.measure(result) if by else {})}
     # The cause can be a rejected value, a lack of memory, or any exception of a third-party
     # component.
     except Exception as error:
@@ -119,7 +124,7 @@ def _check_worker(setup: Setup, version: str) -> None:
         return
     plain = setup.scenario(next(iter(setup.cases)))
     with assemble.loaded(plain, setup.fmi) as system:
-        found = files(plain, system)
+        found = files(plain, system, setup.evaluation)
     other = [name for name, digest in setup.files.items() if found.get(name) != digest]
     if other:
         raise WorkerRefused(

@@ -1,0 +1,59 @@
+"""Further results of a sweep, computed by an object of the user."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Protocol, cast
+
+from rich.console import RenderableType
+
+from freeflyer.foundation import user_object
+from freeflyer.foundation.errors import CosimError
+from freeflyer.scenario.experiment import Result
+
+
+class Evaluation(Protocol):
+    """The object that the key `evaluation` of a sweep file names.
+
+    `signals` are patterns of recorded signals, as in `[record]` of a scenario. `columns` maps the
+    name of each further column of the results to its unit. All values are numbers.
+    """
+
+    signals: Sequence[str]
+    columns: Mapping[str, str]
+
+    def measure(self, result: Result) -> Mapping[str, float]:
+        """Return the values of all columns for one run. It is called on a worker."""
+        ...
+
+    def report(
+        self, rows: Sequence[Mapping[str, Any]], axes: Sequence[str], folder: Path
+    ) -> RenderableType:
+        """Return what the command prints at the end. Files may be written into `folder`.
+
+        `rows` are the rows of results.parquet. `axes` are the names of the columns of the axes.
+        """
+        ...
+
+
+def load(text: str) -> Evaluation:
+    """Return the evaluation. `text` is FILE.py:OBJECT, with an absolute path, or MODULE:OBJECT.
+
+    Raises CosimError.
+    """
+    found = user_object.load(text, Path())
+    missing = [
+        name for name in ("signals", "columns", "measure", "report") if not hasattr(found, name)
+    ]
+    if missing:
+        raise CosimError(
+            f"evaluation {text} has no {missing[0]!r}; signals, columns, measure and report are expected"
+        )
+    return cast(Evaluation, found)
+
+
+def source(text: str | None) -> Path | None:
+    """Return the file of an evaluation, or None if it is in a module."""
+    path = Path((text or "").rpartition(":")[0])
+    return path if path.suffix == ".py" else None

@@ -1,0 +1,37 @@
+"""Load a Python object that a user names in a file: FILE.py:OBJECT or MODULE:OBJECT."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+from pathlib import Path
+from typing import Any
+
+from freeflyer.foundation.errors import CosimError
+from freeflyer.foundation.plugins import renamed
+
+
+def load(text: str, folder: Path) -> Any:
+    """Return the object. A relative path FILE.py is relative to `folder`.
+
+    Raises CosimError if the file or the object does not exist, or if its module raises any
+    exception.
+    """
+    where, _, attribute = text.rpartition(":")
+    try:
+        if where.endswith(".py"):
+            path = folder / where
+            spec = importlib.util.spec_from_file_location(path.stem, path)
+            if spec is None or spec.loader is None or not path.is_file():
+                raise CosimError(f"{path} does not exist")
+            module = importlib.util.module_from_spec(spec)
+            spec.loader.exec_module(module)
+        else:
+            module = importlib.import_module(where)
+        return getattr(module, attribute)
+    except CosimError:
+        raise
+    except (Exception, SystemExit) as error:  # user code can raise anything
+        raise CosimError(
+            f"{text} cannot be used: {type(error).__name__}: {error}{renamed(error)}"
+        ) from error
