@@ -28,7 +28,7 @@ def ur5() -> Robot:
 
 
 def gantry() -> Robot:
-    """Return a robot with the geometry that the others lack.
+    """Return a robot with geometry that the other robots do not have.
 
     It has prismatic and revolute joints on skew axes, a base whose centre of mass is not at its
     origin, a side branch, and a locked joint.

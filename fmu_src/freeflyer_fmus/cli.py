@@ -53,7 +53,7 @@ class FmusCommand:
         parser.add_argument(
             "--tool-link",
             metavar="L",
-            help="link with mass and inertia that become FMU parameters (default: none)",
+            help="link whose mass and inertia become FMU parameters (default: none)",
         )
         parser.add_argument(
             "--lock",

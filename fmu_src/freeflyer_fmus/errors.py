@@ -1,10 +1,10 @@
-"""Errors in making FMUs from a URDF and blocks. Every message is one sentence for the user."""
+"""Exceptions of this package. Every message is one sentence for the user."""
 
 from __future__ import annotations
 
 
 class FmuSourceError(Exception):
-    """Base of this package's errors."""
+    """Base class of this package's exceptions."""
 
 
 class RobotError(FmuSourceError):

@@ -42,8 +42,8 @@ class BlockPort:
     """Variable of a block, with the interface that the master expects.
 
     `direct` contains the inputs that affect this output at the same instant. `sampled` is True for
-    an output of a sampled block. `prompt` is True if the step that starts at an instant computes
-    the output at this instant.
+    an output of a sampled block. `prompt` is True if a step computes the output for the start of
+    the step, and not for its end.
     """
 
     name: str
@@ -127,7 +127,7 @@ class InProcessBlock:
         return self.block.terminals
 
     def value(self, name: str) -> Array:
-        """Return the values of a variable as a view (size): it always shows the present values."""
+        """Return a view (size) of a variable. The view always contains the present values."""
         variable = self.block.variables[name]
         first = self.block.offset(name)
         return self._vectors[variable.causality][first : first + variable.size]
@@ -135,8 +135,8 @@ class InProcessBlock:
     def set(self, name: str, value: object) -> None:
         """Set the value of a variable.
 
-        After initialisation, set only inputs and tunable parameters (this is not checked). Raises
-        InProcessError if a value is not finite.
+        After initialisation, set only inputs and tunable parameters; the method does not check this
+        rule. Raises InProcessError if a value is not finite.
         """
         numbers = np.asarray(value, dtype=float)
         if not np.isfinite(numbers).all():
@@ -162,8 +162,7 @@ class InProcessBlock:
     def step(self, time: float, size: float) -> None:
         """Advance from `time` by `size` [s].
 
-        Raises InProcessError if a requirement is violated, or if a sample is between the start and
-        the end of the step.
+        Raises InProcessError if a requirement is violated, or if the step skips a sample.
         """
         self._time = time
         if self.block.period is not None:
@@ -195,7 +194,7 @@ class InProcessBlock:
 
         return read
 
-    # Stepping, as in c/step.c
+    # Stepping: the algorithm of c/step.c
 
     def _sample(self, time: float, size: float) -> None:
         period = float(self.value(str(self.block.period))[0])
@@ -318,6 +317,6 @@ def in_process_component(name: str, options: Mapping[str, Any], directory: Path)
         return InProcessBlock(load_block(directory / block)(load_robot_file(robot)), name)
     if block not in BLOCKS:
         raise BlockError(
-            f"component {name}: there is no block {block!r}; known are {', '.join(BLOCKS)}"
+            f"component {name}: there is no block {block!r}; the shipped blocks are {', '.join(BLOCKS)}"
         )
     return InProcessBlock(BLOCKS[block](load_robot_file(robot)), name)

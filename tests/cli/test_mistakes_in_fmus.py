@@ -91,7 +91,10 @@ def test_an_invalid_urdf_is_rejected(
             (*GANTRY, "--lock", "turn_4=0"),
             "needs at least six free joints so that the end-effector can move in all directions, got 5",
         ),
-        ((*GANTRY, "--posture", "1", "2"), "posture has 2 values; one for each of the free joints"),
+        (
+            (*GANTRY, "--posture", "1", "2"),
+            "posture has 2 values; 6 values are expected, one for each free joint",
+        ),
         (
             (
                 *GANTRY,
@@ -103,7 +106,7 @@ def test_an_invalid_urdf_is_rejected(
                 "turn_3=0",
                 "turn_4=0",
             ),
-            "outside its limits [-0.5, 0.5]",
+            "outside the joint's limits [-0.5, 0.5]",
         ),
         ((*GANTRY, "--posture", "slide_x=0"), "posture lacks the joints slide_y"),
         (
@@ -172,7 +175,7 @@ def test_an_invalid_robot_file_or_a_missing_urdf_is_rejected(
     shutil.copy(SHIPPED_ROBOTS / "lwr4_free_flyer.urdf", tmp_path)
     robot.write_text('urdf = "lwr4_free_flyer.urdf"\nposture = [0, 0.1, -1.6, 0, -1.4, 0]\n')
     assert (
-        "posture has 6 values; one for each of the free joints joint_a1, joint_a2, joint_e1"
+        "posture has 6 values; 7 values are expected, one for each free joint: joint_a1, joint_a2, joint_e1"
         in run_command(capsys, "fmus", "--robot", str(robot))[1]
     )
 

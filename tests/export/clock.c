@@ -1,5 +1,5 @@
 /* Ten million steps of 1 ms with FMI 2.0. `clock TOKEN SUMMED REFERENCE` prints the FMU's time and
-   one value. SUMMED 1: the importer adds up the step sizes, so that its time drifts. */
+   one value. If SUMMED is 1, the importer adds up the step sizes. Then the importer's time drifts. */
 #include <stdio.h>
 #include <stdlib.h>
 

@@ -1,9 +1,9 @@
-/* Steps an FMU's library, loaded at run time, through FMI 2.0; prints the values as bits.
+/* Loads an FMU's library at run time, steps the FMU through FMI 2.0, and prints values as bits.
 
    drive LIBRARY TOKEN < VECTOR. The vector has fields separated by white space: the numbers of
    steps, of inputs and of values to read; the step size; the value references of both; the inputs
-   of every step. Doubles are 16 hexadecimal digits, so that no C library's number format
-   matters. */
+   of every step. Doubles are 16 hexadecimal digits, because C libraries format numbers
+   differently. */
 #ifdef _WIN32
 #include <windows.h>
 #else
@@ -31,7 +31,7 @@ static void *library;
 static void open_library(const char *path) { library = dlopen(path, RTLD_NOW); }
 #endif
 
-/* ISO C does not convert object pointers to function pointers: the bytes are copied. */
+/* ISO C does not convert object pointers to function pointers. Therefore copy the bytes. */
 static void find(const char *name, void *function, size_t size)
 {
 #ifdef _WIN32

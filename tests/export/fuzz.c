@@ -4,15 +4,17 @@
    fuzz TOKEN SAMPLED FIRST COUNT: sequences of calls with the seeds FIRST, FIRST + 1, ... Every
    failure, including a sanitizer's finding, is printed with the seed and all calls of its sequence;
    `fuzz TOKEN SAMPLED SEED 1` reproduces it.
-   Properties of every call:
-   - in a state that does not permit it: Error, and a message with its name and the state (or with
-     the unsupported feature);
-   - permitted, with good arguments, on an instance with plausible values: OK;
-   - with bad arguments: Error or Discard, and a message with that status, which names the variable
-     if a value is invalid;
-   - not OK, or only reading: the saved state and all readable values are unchanged;
-   - any result: no other instance changes, and the state saved afterwards can be deserialized;
-   - afterwards, a good step from good inputs succeeds. */
+   Every call has these properties:
+   - If the state does not permit the call: Error, and a message with the name of the call and the
+     state, or with the unsupported feature.
+   - If the state permits the call, the arguments are good and the instance has plausible values:
+     OK.
+   - If an argument is bad: Error or Discard, and a message with this status. If a value is invalid,
+     the message names the variable.
+   - If the result is not OK, or if the call only reads: the saved state and all readable values are
+     unchanged.
+   - After any result: no other instance has changed, and the saved state can be deserialized.
+   - After any result: a good step from good inputs succeeds. */
 #include <math.h>
 #include <signal.h>
 #include <stdarg.h>
@@ -38,7 +40,7 @@
 typedef struct {
     const char *name;
     int (*run)(Slot *);
-    const char *cs, *me; /* permitting states in co-simulation and model exchange */
+    const char *cs, *me; /* states that permit the call, in co-simulation and model exchange */
     State next;          /* after OK; 0: unchanged, or set by the call */
 } Call;
 
@@ -223,7 +225,7 @@ static void perform(Slot *s, const Call *call)
     memset(&expected, 0, sizeof expected);
     memset(&logged, 0, sizeof logged);
     expected.after = s->m;
-    /* The call, in one of 100 cases without an instance. */
+    /* Make the call. In one of 100 cases, the instance is NULL. */
     void *c = s->c;
     s->c = none ? NULL : c;
     int status = call->run(s);
@@ -240,7 +242,8 @@ static void perform(Slot *s, const Call *call)
                                                                          : s->m.state;
     }
     s->m.failed |= status == 3;
-    /* States after the call: only this instance may have changed, and only by a successful call. */
+    /* Compare the states after the call. Only a successful call may change this instance. No call
+       may change another instance. */
     after = realloc(after, memory_size);
     for (int i = 0; i < slot_count && !inner; i++) {
         snapshot(&slots[i], after);
@@ -381,7 +384,7 @@ static const char *usual(const Slot *s)
     }
 }
 
-/* With good inputs, a step or derivative succeeds, whatever was rejected before. */
+/* With good inputs, a step or derivative succeeds, also after any rejected call. */
 static void recover(Slot *s)
 {
     if (s->m.wild || !is_in(s->m.state, "s"))

@@ -62,7 +62,7 @@ static int values(Slot *s, Transfer *transfer, int kind, int set)
     double v[1200];
     size_t n = 0;
     int wrong = 0;
-    /* References and values; invalid ones from time to time. */
+    /* Choose references and values. Some of them are invalid. */
     for (unsigned i = 0; i < nr; i++) {
         r[i] = reference(s, kind, set ? open_to_set : NULL);
         wrong |= elements(s, r[i]) == 0 || block.value[r[i]].kind != kind;
@@ -105,7 +105,7 @@ static int values(Slot *s, Transfer *transfer, int kind, int set)
     if (is_in(s->m.state, "u"))
         deviates("any intermediate variable");
     expected.after.written |= set;
-    /* The call, with arrays of exactly the passed sizes so that a sanitizer finds overruns. */
+    /* Make the call. The arrays have exactly the passed sizes. Then a sanitizer finds overruns. */
     unsigned *exact = malloc(nr * sizeof *exact);
     double *given = malloc((passed > n ? passed : n) * sizeof *given);
     memcpy(exact, r, nr * sizeof *exact);
@@ -145,7 +145,7 @@ VALUES(fmi3SetInt64, ENUMERATION, 1)
 VALUES(fmi3GetBoolean, BOOLEAN, 0)
 VALUES(fmi3SetBoolean, BOOLEAN, 1)
 
-/* Unsupported variables: an Error that names the feature, unless there are none of them. */
+/* Returns a number n of unsupported variables. If n > 0, an Error that names them is expected. */
 static size_t lacking(void)
 {
     size_t n = below(3);
@@ -239,7 +239,7 @@ static int run_logging(Slot *s)
     return status;
 }
 
-/* Sets the start time: by a separate call in FMI 2.0, on entry of initialization mode in 3.0. */
+/* Sets the start time: with a separate call in FMI 2.0, with EnterInitializationMode in 3.0. */
 static int run_start(Slot *s)
 {
     static const double good[] = {0, 5, -3, 0.125, 1000}, far[] = {1.9e9, -1.9e9, 1e7},

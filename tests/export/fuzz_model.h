@@ -16,7 +16,7 @@ static const struct {
 
 /* Known deviations of this FMU from the standards (FMI 2.0.5, 3.0.2). A `call` with a * is a
    prefix. A row without states is about arguments or about the definition of a state. Each row must
-   occur in some sequence; otherwise it is no longer a deviation. */
+   occur in some sequence. Remove a row that does not occur. */
 static struct {
     const char *call;
     const char *cs, *me; /* states, in co-simulation and in model exchange */

@@ -27,7 +27,7 @@ class Instance:
         self.sizes: dict[str, int] = {}
         for variable in self.description.modelVariables:
             name = variable.name
-            if "[" in name:  # x[1] and, of FMI 2.0's derivatives, der(x[1])
+            if "[" in name:  # x[1], or der(x[1]) for a derivative in FMI 2.0
                 name = name.partition("[")[0] + (")" if name.startswith("der(") else "")
             self.references.setdefault(name, []).append(variable.valueReference)
             self.sizes[name] = self.sizes.get(name, 0) + int(

@@ -59,7 +59,7 @@ def driven(instance: Instance, robot: Robot, random: np.random.Generator) -> Cal
 def test_a_state_saved_at_any_instant_resumes_bit_for_bit(
     fmus: Path, robot: Robot, version: int, name: str
 ) -> None:
-    """In the same instance, and from its bytes in another one."""
+    """The state is restored in the same instance, and from its bytes in another instance."""
     random = np.random.default_rng(version)
     one = Instance(path_of(fmus, version, name)).initialise()
     instant = int(random.integers(1, 40))
@@ -169,7 +169,7 @@ def test_passivity_control_and_observer_can_change_during_a_run(fmus: Path, vers
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_variable_communication_steps_change_nothing_but_rounding(fmus: Path, version: int) -> None:
+def test_variable_communication_steps_change_only_rounding_errors(fmus: Path, version: int) -> None:
     random = np.random.default_rng(4)
     cuts = np.sort(np.concatenate([[0.0, 0.5], np.round(random.uniform(0.0, 0.5, 60), 3)]))
     results = []
@@ -256,7 +256,7 @@ def test_an_importer_may_end_a_communication_step_early(fmus: Path, allowed: boo
 
 @pytest.mark.parametrize("version", VERSIONS)
 def test_an_importers_solver_reproduces_the_co_simulation_result(fmus: Path, version: int) -> None:
-    """DOP853 with variable step on FMI derivatives; the Jacobian agrees with differences."""
+    """DOP853 integrates the FMI derivatives. The Jacobian agrees with finite differences."""
     path = path_of(fmus, version, "free_flyer")
     torque, velocity = [0.3, -0.2, 0.25, 0.1, 0.05, -0.1], [0.2, -0.3, 0.1, 0.2, -0.1, 0.3]
     model, slave = Instance(path, model_exchange=True), Instance(path)
@@ -292,7 +292,7 @@ def test_an_importers_solver_reproduces_the_co_simulation_result(fmus: Path, ver
     }
     expected = [declared[name] for name in states for _ in range(model.sizes[name])]
     assert nominals.tolist() == expected
-    # One second by the importer's solver and by communication steps.
+    # Simulate one second with the importer's solver, and with communication steps.
     solver = DOP853(rates, 0.0, x0, 1.0, rtol=1e-11, atol=1e-12 * nominals)
     while solver.status == "running":
         solver.step()
@@ -326,12 +326,12 @@ def pointer(array: Array) -> object:
 def test_an_invalid_input_leaves_the_instance_unchanged(
     fmus: Path, version: int, name: str, value: float, capfd: object
 ) -> None:
-    """It is rejected when set, or by the step, whose result would not be finite."""
+    """The set call or the step rejects the input if the result would not be finite."""
     instance = Instance(path_of(fmus, version, name)).initialise()
     instance.step(0.0, MS)
     for wrong in instance.inputs:
         good = {name: instance.get(name) for name in instance.inputs}
-        # In this order: outputs are computed when they are read.
+        # Read the outputs before saving, because reading computes the outputs.
         outputs, saved = instance.all_outputs(), instance.save()
         numbers = good[wrong].copy()
         numbers[-1] = value
@@ -400,8 +400,8 @@ def test_a_hundred_instances_on_eight_threads_agree_and_release_their_memory(
         return results[0]
 
     assert once() == once()
-    # FMPy leaks 4 kB per instance; 4000 repetitions distinguish that from a leaked FMU instance (9
-    # kB).
+    # FMPy leaks 4 kB per instance. An FMU instance has 9 kB. After 4000 repetitions, a leak of FMU
+    # instances differs clearly from FMPy's leak.
     slave = FMU3Slave(
         guid=description.guid,
         unzipDirectory=folder,

@@ -109,7 +109,7 @@ def test_a_controller_computes_the_same_at_any_step_that_divides_its_period(
 
 @pytest.mark.parametrize("version", VERSIONS)
 @pytest.mark.parametrize("step", [0.4, 0.2])
-def test_a_step_over_a_sample_is_an_error_that_names_both(
+def test_a_step_over_a_sample_is_rejected_with_step_and_period(
     fmus: Path, version: str, step: float
 ) -> None:
     controller = FmuComponent("base_controller", fmus / version / "base_controller.fmu")
@@ -274,7 +274,7 @@ def test_enumerations_and_booleans_are_read_back_as_set(fmus: Path) -> None:
     slave.freeInstance()
 
 
-def test_no_symbol_but_fmi_functions_is_exported(fmus: Path, tmp_path: Path) -> None:
+def test_only_fmi_functions_are_exported(fmus: Path, tmp_path: Path) -> None:
     with zipfile.ZipFile(fmus / "fmi2" / "free_flyer.fmu") as archive:
         library = next(name for name in archive.namelist() if name.startswith("binaries/"))
         archive.extract(library, tmp_path)

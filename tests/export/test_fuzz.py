@@ -30,8 +30,8 @@ STRICT = [
     "-fsanitize=address,undefined",
     "-fno-sanitize-recover=all",
 ]
-# test_runtime_c.py compiles the equations with all checks. Here they have no optimisation and only
-# checks of array accesses: seconds per block instead of about a minute in total.
+# Here the equations are compiled without optimisation and only with checks of array accesses. This
+# takes seconds per block. test_runtime_c.py compiles the equations with all checks.
 STRAIGHT = [
     "-std=c99",
     "-g0",
@@ -120,7 +120,7 @@ def test_random_call_sequences_satisfy_the_standards(
 
 @pytest.mark.slow
 def test_every_listed_deviation_from_the_standards_occurs(met: dict[str, int]) -> None:
-    """A deviation in fuzz.c that never occurs must be removed from its list."""
+    """If a deviation never occurs, remove it from the list in fuzz_model.h."""
     if not met:
         pytest.skip("runs after all blocks")
     assert [deviation for deviation, times in met.items() if times == 0] == []

@@ -90,7 +90,7 @@ Built = Callable[..., Path]
 
 @pytest.fixture(scope="module")
 def built(robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> Built:
-    """Directory of a block's FMUs for the host and other platforms, with sources, built once."""
+    """Build a block's FMUs once, for the host and other platforms, with sources."""
 
     @cache
     def directory(name: str, *platforms: Platform) -> Path:
@@ -111,7 +111,7 @@ def library(built: Path, name: str, target: Platform, directory: Path) -> Path:
 
 @dataclass(frozen=True)
 class Machine:
-    """Execution of a platform's programs on this machine. `drive` is drive.c, compiled for it."""
+    """Run a platform's programs on this machine. `drive` is drive.c, compiled for the platform."""
 
     target: Platform
     directory: Path
@@ -119,7 +119,8 @@ class Machine:
     environment: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        # With the library's flags, the compiler builds its part of the C library once, not twice.
+        # The flags are those of the FMU libraries. Therefore the compiler builds its part of the C
+        # library only once.
         flags = [*FLAGS, "-fPIC", "-Wl,-s", "-isystem", str(fmi_headers())]
         system = ["-ldl"] if "linux" in self.target.target else []
         run(
@@ -206,8 +207,8 @@ def aarch64_linux(tmp_path_factory: pytest.TempPathFactory) -> Machine:
 def x86_64_windows(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Machine]:
     """Needs the Debian packages wine and wine64.
 
-    A full Wine prefix takes seconds and 700 MB, and a console program does not need it. With
-    WINEBOOTSTRAPMODE, Wine assumes that the prefix is being set up and uses its installed
+    A full Wine prefix takes seconds and 700 MB. A console program does not need a full prefix. With
+    WINEBOOTSTRAPMODE, Wine assumes that the prefix is being set up and uses Wine's installed
     libraries. The "disable" time stamp prevents a setup.
     """
     program = shutil.which("wine64") or shutil.which("wine")
@@ -281,7 +282,7 @@ def test_fmus_with_binaries_and_sources_are_valid(built: Built, version: int, na
 def test_the_sources_compile_without_warnings(
     built: Built, tmp_path: Path, program: str, version: int
 ) -> None:
-    """They are C99 and use only mathematics and memory functions of the C library."""
+    """The sources are C99 and use only mathematics and memory functions of the C library."""
     if shutil.which(program) is None:
         pytest.skip(f"no {program} on this machine (CI has it)")
     flags = [
@@ -303,7 +304,7 @@ def test_the_sources_compile_without_warnings(
             ]
             assert sources == [f"sources/{name}.c"]
             (tmp_path / f"{name}.c").write_bytes(archive.read(sources[0]))
-        headers = tmp_path / "headers"  # only those of the standard
+        headers = tmp_path / "headers"  # only the standard's headers
         headers.mkdir(exist_ok=True)
         for header in fmi_headers().glob(f"fmi{version}*.h"):
             shutil.copy(header, headers)
@@ -322,7 +323,8 @@ def test_the_sources_compile_without_warnings(
             ],
             program,
         )
-    # Two FMUs can be linked into one program. (FMPy's FMI 2.0 header supports no prefix.)
+    # Two FMUs can be linked into one program. FMPy's FMI 2.0 header supports no prefix. Therefore
+    # the names fmi2... are equal in both FMUs.
     objects = [str(tmp_path / f"{name}.o") for name in SMALL]
     own = [set(re.findall(r" [A-TV-Z] (\w+)", symbols(path))) for path in objects]
     assert all(len(names) > 10 for names in own)
@@ -409,7 +411,10 @@ def test_an_importers_build_of_the_sources_computes_the_same_bits(
 
 @pytest.fixture(scope="module")
 def small(robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, int], bytes]:
-    """Bytes of a library by platform and build; they contain the names of imported libraries."""
+    """Return the bytes of a library for a platform and build number.
+
+    The bytes contain the names of the imported libraries.
+    """
 
     @cache
     def needs(platform: str, which: int = 0) -> bytes:

@@ -121,7 +121,7 @@ def watch(_: Robot) -> Block:
 def test_ten_million_steps_end_at_the_exact_time(
     robot: Robot, tmp_path: Path, make: Callable[[Robot], Block], expected: float, summed: bool
 ) -> None:
-    """Also for an importer that adds up its step sizes, whose time is then off by 1.6e-6 s."""
+    """If the importer adds up its step sizes (`summed`), its time has an error of 1.6e-6 s."""
     block = make(robot)
     token = content_token(block)
     (tmp_path / "block.c").write_text(print_block(block, token))
@@ -140,7 +140,8 @@ def test_ten_million_steps_end_at_the_exact_time(
         float, subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
     )
     assert value == pytest.approx(expected, abs=1e-9)
-    # One rounding of start and size of the last step.
+    # The error is one rounding error of the last step's end. If `summed`, the error of the
+    # importer's time is added.
     assert abs(last - 1e4) < (2e-6 if summed else 2e-12)
 
 

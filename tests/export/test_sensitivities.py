@@ -27,7 +27,7 @@ def instance(fmus: Path, request: pytest.FixtureRequest) -> Iterator[Instance]:
 
 
 def disturb(instance: Instance, block: Block, random: np.random.Generator) -> dict[str, Array]:
-    """Set random inputs near their start values, so that no value is zero by coincidence."""
+    """Set all inputs to random values near their start values. No input stays zero."""
     values = {}
     for name in instance.inputs:
         start = block.start_of(name)
@@ -127,7 +127,8 @@ def test_in_initialization_mode_derivatives_by_parameters_and_start_values_are_e
         if not name.endswith(("inertia", "period", "seed", "velocity_floor"))
     ]
     instance.enter()
-    # The nearer joint limit changes in the middle of the range, where some joints start.
+    # Some joints start in the middle of their range. There, the distance to the nearer limit has no
+    # derivative. Therefore the joint positions are moved by 0.01.
     values = {
         name: block.start_of(name) + (0.01 if name == "joint_position" else 0.0) for name in knowns
     }
@@ -172,12 +173,12 @@ BRANCHES = {
     },
     "base_robot": {"base_acceleration"},
 }
-"""Outputs that depend on some inputs only if a damper, brake, quantiser step or delay is active."""
+"""Outputs with dependencies that exist only if a damper, brake, quantiser or delay is active."""
 
 
 @pytest.mark.parametrize("instance", EVERY, indirect=True)
 def test_declared_dependencies_are_correct(robot: Robot, instance: Instance) -> None:
-    """An unlisted dependency has no influence at any random point; a listed one has some."""
+    """Listed knowns have an influence at some random point. Other knowns have no influence."""
     block = BLOCKS[instance.description.modelName](robot)
     random = RANDOM(11)
     description = instance.description
@@ -197,7 +198,7 @@ def test_declared_dependencies_are_correct(robot: Robot, instance: Instance) -> 
         for name in ["time", *instance.inputs, *(v.name for v in states)]
         for r in instance.references[name]
     ]
-    # A start with motion along every axis.
+    # Start with motion along every axis.
     for variable in states:
         start = block.start_of(variable.name)
         instance.set(variable.name, start + 0.1 * random.uniform(0.2, 1.0, start.shape))
@@ -227,7 +228,8 @@ def test_declared_dependencies_are_correct(robot: Robot, instance: Instance) -> 
         if known not in listed[unknown]:
             assert size == 0.0, f"unlisted influence: {pair}"
         elif names[unknown] not in BRANCHES.get(block.name, ()):
-            # By symmetry, a single element may have no influence here, but its array has.
+            # By symmetry, a single element may have no influence. At least one listed element of
+            # the array has an influence.
             others = [k for k in instance.references[names[known]] if k in listed[unknown]]
             assert max(influence[unknown, k] for k in others) > 0.0, (
                 f"listed without influence: {pair}"

@@ -1,6 +1,6 @@
 /* core_alone TICKS: the native core with a ring of four trivial slaves, two of each FMI version. Each
-   has eight inputs and eight outputs. Checks the last values, then prints the time per slave step
-   [ns]: without recording, with every tenth instant recorded, and with every instant recorded. */
+   has eight inputs and eight outputs. Checks the last values. Then prints the time per slave step
+   [ns] for three cases: no recording, every tenth instant recorded, every instant recorded. */
 #define _POSIX_C_SOURCE 199309L
 #include <stdio.h>
 #include <stdlib.h>

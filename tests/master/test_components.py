@@ -106,7 +106,7 @@ def test_values_with_units_are_converted(tmp_path: Path) -> None:
 def test_a_controller_samples_the_plant_state_recorded_at_the_same_instant(
     reference: Record,
 ) -> None:
-    """F_b changes only at the base controller's samples, as recorded."""
+    """In the record, F_b changes only at the base controller's samples."""
     rows = np.isclose(np.round(reference.time / 0.3) * 0.3, reference.time, atol=1e-9)
     held = reference["base_controller.base_wrench"]
     changes = np.flatnonzero(np.abs(np.diff(held, axis=0)).max(axis=1) > 0.0) + 1

@@ -64,7 +64,7 @@ def assert_equal(one: Outcome, other: Outcome) -> None:
             ("manipulator_controller.singularity_threshold=0.1866",),
         ),  # stops by a failed step
         ("facility", ("stop_s=0.5",)),
-        ("continuous", ("stop_s=0.3",)),  # one component is no co-simulation FMU
+        ("continuous", ("stop_s=0.3",)),  # one component is not a co-simulation FMU
     ],
 )
 def test_both_masters_give_bit_identical_records(
@@ -87,7 +87,7 @@ def test_both_masters_agree_with_an_in_process_block_among_fmus(
 class Noisy(PythonComponent):
     """A component whose outputs depend on all earlier inputs and their times.
 
-    It counts its calls, and fails at call `fails_at`.
+    The component counts the calls of `advance` and fails at call number `fails_at`.
     """
 
     def __init__(self, name: str, size: int, sampled: bool, fails_at: int) -> None:
@@ -123,8 +123,9 @@ def systems(
 ]:
     """Draw a system of components.
 
-    Components are (size, sampled, fails at, step), connections (from, to, input, delayed). They are
-    followed by the stop time, the recording interval, the bound of the limits and their duration.
+    The tuple contains the components (size, sampled, fails at, step), the connections (from, to,
+    input, delayed), the stop time, the recording interval, and the bound and the duration of the
+    limits.
     """
     size = draw(st.integers(1, 3))
     count = draw(st.integers(1, 5))
@@ -137,7 +138,8 @@ def systems(
         for variable in "uv":
             source = draw(st.integers(-1, count - 1))
             if source >= 0:
-                # Connections against the order of the components are delayed: no algebraic loops.
+                # A connection from a component to itself or to an earlier one is delayed. Therefore
+                # there are no algebraic loops.
                 wires.append((source, target, variable, source >= target or draw(st.booleans())))
     return (
         components,

@@ -38,7 +38,7 @@ def test_keys_of_a_device_are_merged_unless_its_kind_changes(tmp_path: Path) -> 
     assert (arm.kind, dict(arm.options), dict(arm.parameters)) == ("simulated", {}, {})
 
 
-def test_the_default_step_of_a_device_is_that_of_its_component(tmp_path: Path) -> None:
+def test_the_default_step_of_a_device_is_the_step_of_its_component(tmp_path: Path) -> None:
     (arm,) = (
         s
         for s in loaded(tmp_path, '[devices.arm_drive]\nkind = "other"').devices

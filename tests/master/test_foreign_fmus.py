@@ -38,7 +38,7 @@ REFERENCE_FMUS = os.environ.get("FREEFLYER_REFERENCE_FMUS", "")
 
 
 def build(script: Path) -> None:
-    """Build an FMU in a separate process, like a user."""
+    """Build an FMU with PythonFMU's command in a separate process, as a user does."""
     tool = "pythonfmu3" if "pythonfmu3" in script.read_text() else "pythonfmu"
     subprocess.run(
         [sys.executable, "-m", tool, "build", "-f", script.name],
@@ -178,7 +178,7 @@ def small(
     start: str = "pass",
     step: str = "self.y = 2 * self.u; return True",
 ) -> Path:
-    """Write a scenario with one small FMU connected to the plant; the script is always slave.py."""
+    """Write a scenario with one small FMU that is connected to the plant, from slave.py."""
     folder.mkdir(exist_ok=True)
     (folder / "slave.py").write_text(template.format(name=name, start=start, step=step))
     build(folder / "slave.py")

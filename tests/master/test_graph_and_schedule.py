@@ -95,7 +95,7 @@ def test_a_slow_controller_samples_and_holds() -> None:
     assert outcome.steps == {"plant": 10, "gain": 4}
     x, y = outcome.record["plant.x"], outcome.record["gain.y"]
     assert np.array_equal(y, -x[[0, 0, 0, 3, 3, 3, 6, 6, 6, 9, 9]])
-    # The last step is shortened at the stop time.
+    # The last step is shortened and ends at the stop time.
     assert [round(size, 9) for _, size, _ in components["gain"].log] == [0.03, 0.03, 0.03, 0.01]
 
 
@@ -127,7 +127,7 @@ def test_a_delayed_connection_delivers_the_previous_value_and_breaks_a_loop() ->
         graph.build({"a": a, "b": b}, [forward, Connection(source="b.y", target="a.u")])
 
 
-def test_a_loop_through_a_state_is_no_algebraic_loop() -> None:
+def test_a_loop_through_a_state_is_not_an_algebraic_loop() -> None:
     components, connections = loop()
     built = graph.build(components, connections)
     assert built.first == ("gain",)
@@ -169,7 +169,7 @@ def test_equivalent_units_may_be_connected() -> None:
         factor("furlongs_", "m")
 
 
-def test_a_step_that_is_no_multiple_is_rejected_with_steps_that_would_fit() -> None:
+def test_a_step_that_is_not_a_multiple_is_rejected_with_steps_that_would_fit() -> None:
     with pytest.raises(
         GraphError,
         match=r"component b: its step of 0.0025 s is not a multiple of the smallest step, 0.001 s; 0.002 s or 0.003 s would fit",
@@ -195,7 +195,7 @@ def test_times_in_other_units_are_exact_nanoseconds(number: int, unit: tuple[str
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, 1e-10, 1 / 3, float("inf"), float("nan"), 1e300])
-def test_times_that_are_no_whole_nanoseconds_are_rejected(value: float) -> None:
+def test_times_that_are_not_whole_nanoseconds_are_rejected(value: float) -> None:
     with pytest.raises(ScenarioError, match="positive whole number of nanoseconds"):
         clock.nanoseconds(value, "x")
 
@@ -267,9 +267,9 @@ def test_a_limit_on_missing_elements_is_rejected() -> None:
         )
 
 
-def test_a_component_with_both_kinds_of_used_outputs_must_be_declared() -> None:
+def test_a_component_with_direct_and_other_connected_outputs_must_be_declared() -> None:
     class Both(Plant):
-        """x' = u with the acceleration as a second, direct output."""
+        """x' = u. The second output `a` is declared as directly dependent on u."""
 
         def __init__(self, name: str) -> None:
             PythonComponent.__init__(

@@ -1,4 +1,4 @@
-/* Evaluation of the block's functions when their results are needed, and checks of requirements. */
+/* Evaluates the block's functions when their results are needed. Checks the requirements. */
 #include "internal.h"
 
 #include <string.h>
@@ -118,8 +118,8 @@ Status instance_update_rates(Instance *c)
 
 void instance_changed(Instance *c)
 {
-    /* After initialisation, the outputs of a sampled block change only at a sample. A change of its
-       inputs does not make them invalid. */
+    /* After initialisation, the outputs of a sampled block change only at a sample. A change of the
+       inputs does not make the outputs invalid. */
     if (block.period < 0 || (c->memory->state & (INSTANTIATED | INITIALIZATION)))
         c->memory->outputs_valid = NONE;
     c->memory->rates_valid = 0;

@@ -12,7 +12,7 @@
 /* The numbers are the same in FMI 2.0 and FMI 3.0. */
 typedef enum { OK, WARNING, DISCARD, ERROR, FATAL } Status;
 
-/* Bit flags. A sum of flags is the set of states in which a function may be called. */
+/* Bit flags. A sum of flags is a set of states, for example those in which a call is allowed. */
 typedef enum {
     INSTANTIATED = 1,
     INITIALIZATION = 2,
@@ -72,8 +72,8 @@ void instance_free(Instance *);
 void instance_reset(Instance *);
 /* Sends the message to the log and returns `status`. */
 Status instance_report(Instance *, Status status, const char *category);
-/* Returns OK if the function may be called in the present state and all needed pointers are given.
-   The caller sets `given` to zero if a needed pointer is NULL. */
+/* Returns OK if the function may be called in the present state and `given` is nonzero. The caller
+   sets `given` to zero if a needed pointer is NULL. */
 Status instance_allow(Instance *, const char *function, int states, int given);
 /* Reports "this FMU has no ..." and returns ERROR. */
 Status instance_unsupported(Instance *, const char *what);
@@ -117,8 +117,8 @@ Status instance_get_nominals(Instance *, double *nominals, size_t n);
 Status instance_sensitivity(Instance *, References unknowns, References knowns, int whole,
                             int reverse, const double *seed, size_t seeds, double *result,
                             size_t results);
-/* Saved states. A saved state is a flat copy of `Memory`, and `*slot` points to it. `*slot` may be
-   NULL before instance_save and instance_deserialize; they then allocate a saved state. */
+/* Saved states. A saved state is a flat copy of `Memory`, and `*slot` points to it. If `*slot`
+   is NULL, instance_save and instance_deserialize allocate a saved state. */
 size_t instance_memory_size(void);
 size_t instance_serialized_size(void); /* includes a checksum */
 Status instance_save(Instance *, void **slot);

@@ -32,7 +32,7 @@ Status instance_restore(Instance *c, const void *saved)
     return OK;
 }
 
-/* Returns the FNV-1a hash. It detects accidental damage, but not intentional changes. */
+/* Returns the FNV-1a hash. This hash detects accidental damage, but not intentional changes. */
 static uint64_t checksum(const unsigned char *bytes, size_t size)
 {
     uint64_t sum = 14695981039346656037ULL;
@@ -70,7 +70,7 @@ static const char *fault(const Instance *c, const Memory *m)
     for (int i = 0; i < block.values + block.states.count; i++) {
         const Value *value = &block.value[i < block.values ? i : 0];
         /* Some outputs and derivatives may be marked as not valid, for example after a failed
-           evaluation. They are not used, so they need not be finite. */
+           evaluation. Such values are not used and need not be finite. */
         int stale = (inside((unsigned)i, block.outputs) &&
                      i >= block.outputs.first + computed_outputs(m)) ||
                     (inside((unsigned)i, block.derivatives) && !m->rates_valid);

@@ -6,7 +6,7 @@
 #include "integrate.h"
 
 /* Returns the time [ns] of the sample after m->next_sample: the start time plus a whole number of
-   periods. Because it is not computed by adding up periods, rounding errors do not accumulate. */
+   periods. The function does not add up periods. Therefore rounding errors do not accumulate. */
 static int64_t sample_after(const Memory *m, double period)
 {
     int64_t count = (int64_t)llround((double)(m->next_sample - m->start) * 1e-9 / period);
@@ -87,7 +87,7 @@ static Status step_continuous(Instance *c, double time, double size)
     Status status = instance_check_finite(
         c, block.states.first, n, x, " after this step; the step was rejected: check the inputs");
     /* Usually, outputs are computed when they are read. But the requirements are checked together
-       with the outputs. If there are requirements to check at every step, compute outputs now. */
+       with the outputs. If there are requirements, compute the outputs at every step. */
     if (status == OK && block.running_requirements > 0)
         status = instance_update_outputs(c, LINKED);
     if (status == OK)

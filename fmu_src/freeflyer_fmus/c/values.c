@@ -27,8 +27,8 @@ static inline int extent(unsigned reference, int whole)
     return whole ? block.value[reference].extent : 1;
 }
 
-/* Returns which outputs to compute for the list: ALL if it contains an output that is not a linked
-   output, and LINKED otherwise. */
+/* Returns which outputs to compute for the list: ALL if the list contains an output that is not a
+   linked output, and LINKED otherwise. */
 static int wanted_outputs(References list)
 {
     for (size_t i = 0; i < list.n; i++)

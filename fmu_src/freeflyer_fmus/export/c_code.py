@@ -79,7 +79,9 @@ def number(value: float) -> str:
     Raises BlockError if there is no such literal.
     """
     if value != value or value in (float("inf"), float("-inf")):
-        raise BlockError(f"the equations contain the constant {value}, which has no C99 literal")
+        raise BlockError(
+            f"the equations contain the constant {value}; a finite constant is expected"
+        )
     text = repr(float(value))
     return text if len(text) <= 6 else float(value).hex()
 
@@ -132,7 +134,7 @@ def print_function(
             held[outputs[0]] = variable
         else:
             raise BlockError(
-                f"{name}: the equations use CasADi operation {operation}, which has no C expression"
+                f"{name}: the equations use CasADi operation number {operation}, which code generation does not support; use another function"
             )
     # Write the signature. Cast unused arguments to void.
     used = "\n".join(lines)

@@ -88,7 +88,7 @@ def compile_library(block_c: Path, output: Path, target: Platform) -> None:
     sources = sorted(str(path) for path in SOURCES.glob("*.c"))
     command = compiler(target, "-shared", "-fPIC", *FLAGS)
     if target.suffix == ".dylib":
-        # A macOS library contains its own path. By default, it is the temporary build path.
+        # A macOS library contains its own path. By default, this path is the temporary build path.
         command.append(f"-Wl,-install_name,@rpath/{output.name}")
     command += [
         "-Wl,-s",

@@ -20,7 +20,7 @@ class Value:
     """Entry of the value vector: one element of a variable.
 
     `element` is the name of the element. `kind` is the kind of the variable: real, boolean or
-    enumeration. `access` is how the value can be set. `maximum` is the number of options of an
+    enumeration. `access` states when the value can be set. `maximum` is the number of options of an
     enumeration, and 0 for other kinds. At the first element of a variable, `extent` is the size of
     the variable. At all other elements, `extent` is 0.
     """
@@ -36,10 +36,10 @@ class Value:
 class Layout:
     """Layout of all values of a block.
 
-    `values` are in the order of their value references, and so are their `start` values. `nominal`
-    contains the nominal values of the states. `ranges` contains (first value reference, count) of
-    the parameters, inputs, states, outputs and derivatives. `reference` contains the value
-    reference of each variable's first element.
+    `values` and their `start` values are in the order of the value references. `nominal` contains
+    the nominal values of the states. `ranges` contains (first value reference, count) of the
+    parameters, inputs, states, outputs and derivatives. `reference` contains the value reference of
+    each variable's first element.
     """
 
     values: tuple[Value, ...]

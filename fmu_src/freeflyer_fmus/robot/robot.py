@@ -2,7 +2,8 @@
 
 The conventions are in NOTATION.md. The origin of the base frame B is the centre of mass of the base
 body. The axes of B are the axes of the base link. The z axis of every joint frame is the joint
-axis. Therefore all joints have the same motion subspace in the recursions of the dynamics.
+axis: a revolute joint rotates about z, and a prismatic joint moves along z. This convention
+simplifies the recursions of the dynamics.
 """
 
 from __future__ import annotations
@@ -163,12 +164,12 @@ class Robot:
             )
         if len(self.bodies) != len(self.joints):
             raise RobotError(
-                f"robot {self.name}: {len(self.joints)} joints but {len(self.bodies)} bodies"
+                f"robot {self.name}: {len(self.bodies)} bodies for {len(self.joints)} joints; one body per joint is expected"
             )
         if self.posture.shape != (len(self.joints),):
             raise RobotError(
-                f"robot {self.name}: posture has {self.posture.size} values; one for each of the free joints "
-                f"{', '.join(joint.name for joint in self.joints)} is expected"
+                f"robot {self.name}: posture has {self.posture.size} values; {len(self.joints)} values are expected, one for each free joint: "
+                f"{', '.join(joint.name for joint in self.joints)}"
             )
         # The last body is checked together with the tool. One of the two may have zero mass.
         last = len(self.joints) - 1
@@ -184,7 +185,7 @@ class Robot:
                 )
             if not joint.lower <= value <= joint.upper:
                 raise RobotError(
-                    f"robot {self.name}: posture of joint {joint.name} is {value:g}, outside its limits "
+                    f"robot {self.name}: posture of joint {joint.name} is {value:g}, outside the joint's limits "
                     f"[{joint.lower:g}, {joint.upper:g}]"
                 )
 

@@ -29,12 +29,12 @@ def shipped_robots() -> list[str]:
 def robot_path(text: str, directory: Path = Path()) -> Path:
     """Return the path of a robot file.
 
-    `text` is the name of a shipped robot, or a file relative to `directory`. Raises RobotError if
-    `text` is not a shipped robot and contains no "." (then it is not a file name).
+    `text` is the name of a shipped robot, or a file name with a suffix, relative to `directory`.
+    Raises RobotError if `text` is not a shipped robot and contains no ".".
     """
     if text not in shipped_robots() and "." not in text:
         raise RobotError(
-            f"robot {text!r} is neither a shipped robot nor a file{did_you_mean(text, shipped_robots())}"
+            f"robot {text!r} is neither a shipped robot nor a file name with a suffix{did_you_mean(text, shipped_robots())}"
         )
     return ROBOTS / f"{text}.toml" if text in shipped_robots() else directory / text
 
@@ -122,10 +122,10 @@ def _robot(
         if not joint.lower <= value <= joint.upper:
             limits = f"[{joint.lower:g}, {joint.upper:g}]"
             raise RobotError(
-                f"URDF {tree.path}: joint {name} is locked at {value:g}, outside its limits {limits}"
+                f"URDF {tree.path}: joint {name} is locked at {value:g}, outside the joint's limits {limits}"
             )
-    # The base body. The origin of B is its centre of mass. The axes of B are the axes of the base
-    # link.
+    # The base body. The origin of B is the centre of mass of this body. The axes of B are the axes
+    # of the base link.
     base_inertial = tree.links[base]
     if base_inertial is None:
         raise RobotError(
@@ -262,7 +262,7 @@ def _z_onto(axis: Array) -> Array:
 def _exact(rotation: Array) -> Array:
     """Round the entries that differ by less than 1e-15 from 0, 1 or -1.
 
-    Products with an exact zero are omitted from the generated code, so the code is shorter.
+    The generated code omits products with an exact zero. Therefore the code is shorter.
     """
     nearest = np.round(rotation)
     return constant(np.where(np.abs(rotation - nearest) < 1e-15, nearest, rotation) + 0.0, (3, 3))

@@ -180,7 +180,7 @@ class UrdfTree:
             )
         if element.find("mimic") is not None:
             raise RobotError(
-                f"URDF {self.path}: joint {name!r} mimics another joint, which is not supported"
+                f"URDF {self.path}: joint {name!r} has a <mimic> element; a joint without <mimic> is expected"
             )
         # Placement, axis and limits.
         parent, child = element.find("parent"), element.find("child")
