@@ -137,8 +137,8 @@ def test_an_invalid_setting_is_rejected(
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (("hil", "multirate_passive"), "nothing to put into the loop"),
-        (("facility", "multirate_passive"), "nothing for a virtual facility to simulate"),
+        (("hil", "multirate_passive"), "at least one device for the loop is expected"),
+        (("facility", "multirate_passive"), "a virtual facility needs at least one such device"),
         (
             ("facility", "facility", "--set", "facility.arm_watchdog_cycle=3"),
             "did you mean 'arm_watchdog_cycles'",

@@ -66,7 +66,7 @@ def test_suspended_controllers_never_enable_the_power_of_a_braked_arm_again(
                 assert activations(report, device) == 1, events(report, device)
             assert any(WATCHDOG in event for event in events(report, "arm_drive"))
             assert any(
-                "no set point for 0.02 s; it holds its place" in event
+                "no set point for 0.02 s; the robot holds its pose" in event
                 for event in events(report, "base_robot")
             )
             assert loop.text.count("Stop:") == 1

@@ -62,7 +62,7 @@ def test_the_experiment_runs_over_tls(tmp_path: Path, capsys: pytest.CaptureFixt
         assert "base_robot: TLS with certificate 'controller', valid until" in loop.text
         report = bench.facility_report(facility)
     assert bench.summary()["steps"]["arm_drive"] == 1000
-    assert "inactive -> active: set points came" in events(report, "base_robot")
+    assert "inactive -> active: set points arrived" in events(report, "base_robot")
 
 
 @pytest.fixture(scope="module")

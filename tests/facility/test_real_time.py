@@ -150,7 +150,7 @@ def test_the_arm_is_in_safe_stop_within_five_cycles_after_sigkill_of_the_control
         np.array(states[-1]["joint_position"]) - np.array(states[first]["joint_position"])
     ).max()
     assert moved < 0.05
-    facility.wait_for("it holds its place")
+    facility.wait_for("the robot holds its pose")
     report = bench.facility_report(facility)
     assert any("no set point" in event for event in events(report, "base_robot"))
     assert flight.stat().st_mtime - killed < WITHIN
@@ -170,8 +170,9 @@ def test_the_controller_stops_in_order_after_sigkill_of_the_facility(bench: Rig)
         r"the run stopped at [0-9.]+ s: arm_drive: .*(20 cycles in a row were lost|state frame is 0.0\d+ s old)",
         loop.text,
     )
-    assert "arm_drive had not confirmed to be at rest, and is left to its own watchdog" in " ".join(
-        loop.output
+    assert (
+        "arm_drive had not confirmed to be at rest; only the watchdog of the device can still stop it"
+        in " ".join(loop.output)
     )
     assert bench.summary()["failed"] is True
     assert bench.record().shape[0] >= 1
@@ -256,7 +257,7 @@ def test_a_second_controller_of_a_base_without_arm_is_rejected_with_both_publish
         first = bench.start(
             "hil", str(path), "--set", base, "--no-view", "--out", str(tmp_path / "first")
         )
-        facility.wait_for("set points came")
+        facility.wait_for("set points arrived")
         second = bench.start(
             "hil", str(path), "--set", base, "--no-view", "--out", str(tmp_path / "second")
         )
@@ -275,7 +276,7 @@ def test_a_second_controller_of_a_base_without_arm_is_rejected_with_both_publish
 def test_ctrl_c_during_the_approach_ends_the_run_before_the_arm_is_active(bench: Rig) -> None:
     facility = bench.facility(*PATIENT_FACILITY, "base_robot.true_position=[0.3, 0.0, 0.08]")
     loop = bench.hil(*PATIENT_LOOP, "devices.base_robot.parameters.approach=true")
-    facility.wait_for("set points came")
+    facility.wait_for("set points arrived")
     time.sleep(0.5)
     start = time.monotonic()
     loop.send(signal.SIGINT)

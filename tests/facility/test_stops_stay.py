@@ -115,7 +115,7 @@ def test_delayed_set_points_do_not_activate_a_stopped_base(
         loop = bench.start(
             "hil", str(path), "--set", far, *watchdog, "--no-view", "--out", str(tmp_path / "hil")
         )
-        facility.wait_for("inactive -> active: set points came")
+        facility.wait_for("inactive -> active: set points arrived")
         time.sleep(1.0)
         forwarder.held.set()
         facility.wait_for("active -> safe_stop: no set point for 0.1 s")

@@ -134,7 +134,7 @@ def test_a_second_base_robot_stops_the_running_loop_and_is_reported(tmp_path: Pa
             "--out",
             str(tmp_path / "hil"),
         )
-        facility.wait_for("set points came")
+        facility.wait_for("set points arrived")
         bench.wait_for_instants()
         # The second base robot publishes to the controller's own endpoint.
         options = LinkOptions(connect=(endpoint,))

@@ -132,7 +132,7 @@ def test_the_command_adds_to_an_authority_and_overwrites_nothing(
     )
     assert code == 2
     assert (
-        "controller.pem exists already and is not overwritten; --renew controller makes a new certificate in its place"
+        "controller.pem exists already and is not overwritten; use --renew controller to replace this certificate and its key"
         in error
     )
     assert not (directory / "new.pem").exists()
@@ -182,9 +182,9 @@ def test_renewing_keeps_hosts_and_uses_and_makes_a_new_key(
     ("arguments", "sentence"),
     [
         (["--name", "a/b"], "'a/b' is not a valid certificate name"),
-        (["--name", "ca"], "and not 'ca'"),
+        (["--name", "ca"], "the name 'ca' is reserved"),
         (["--name", ""], "'' is not a valid certificate name"),
-        (["--name", "x" * 65], "up to 64 letters"),
+        (["--name", "x" * 65], "1 to 64 letters"),
         (["--name", "a", "--observer", "a"], "'a' is named more than once"),
         (["--host", "a b"], "neither a host name nor an address"),
         (["--host", "300.1.1.1"], "neither a host name nor an address"),

@@ -183,7 +183,9 @@ def test_a_disk_that_fails_at_the_stop_is_reported_as_a_problem(
     assert printed == [SENTENCE]
     assert REASON in receiver.recv(SIZE).decode()
     (problem,) = notice.problems
-    assert problem.startswith(f"{tmp_path}/stop.json did not take the reason of the stop: ")
+    assert problem.startswith(
+        f"the reason of the stop could not be written to {tmp_path}/stop.json: "
+    )
 
 
 @pytest.mark.parametrize("orderly", [False, True])
@@ -251,7 +253,7 @@ def test_a_hung_system_log_does_not_block(tmp_path: Path, receiver: socket.socke
     assert printed == [SENTENCE]
     assert read(tmp_path)["reason"] == REASON
     assert notice.problems == [
-        f"the system log at '{tmp_path}/log' did not take the reason of the stop: Resource temporarily unavailable"
+        f"the reason of the stop could not be written to the system log at '{tmp_path}/log': Resource temporarily unavailable"
     ]
 
 
@@ -272,19 +274,19 @@ def test_a_stopped_daemon_is_reported_as_a_problem(
     [
         ("sysloog", "no log 'sysloog'; .* is expected; did you mean 'syslog'"),
         ("", "no log ''; 'syslog', 'syslog:PATH' or 'syslog:HOST:PORT' is expected$"),
-        ("syslog:", "not HOST:PORT"),
-        ("syslog:localhost", "not HOST:PORT"),
-        ("syslog:localhost:", "not HOST:PORT"),
-        ("syslog::514", "not HOST:PORT"),
+        ("syslog:", "nor HOST:PORT"),
+        ("syslog:localhost", "nor HOST:PORT"),
+        ("syslog:localhost:", "nor HOST:PORT"),
+        ("syslog::514", "nor HOST:PORT"),
         ("syslog:localhost:0", "port of 1 to 65535"),
         ("syslog:localhost:65536", "port of 1 to 65535"),
         ("syslog:localhost:" + "9" * 5000, "port of 1 to 65535"),
         ("syslog:localhost:³", "port of 1 to 65535"),
-        ("syslog:a..b:514", "no system log takes datagrams at 'a..b:514'"),
+        ("syslog:a..b:514", "no system log receives datagrams at 'a..b:514'"),
         ("syslog:" + "/long" * 50, "path too long"),
         (
             "syslog:/",
-            "no system log takes datagrams at '/': Connection refused; start a system log there, or give another",
+            "no system log receives datagrams at '/': Connection refused; start a system log there, or give another",
         ),
         ("syslog:/no\nsuch/log", "No such file"),
     ],
@@ -365,7 +367,7 @@ def test_a_pipe_without_a_reader_is_reported_as_a_problem(tmp_path: Path) -> Non
     process = child(tmp_path, text, stdout=writing)
     os.close(writing)
     error = process.communicate()[1].decode()
-    assert error == "standard output did not take the reason of the stop: 1\n"
+    assert error == "the reason of the stop could not be written to standard output: 1\n"
     assert read(tmp_path)["reason"] == REASON
 
 
@@ -387,7 +389,9 @@ def test_a_failed_terminal_is_reported_as_a_problem(
     notice.give(REASON, LEFT, orderly=False)
     notice.close()
     (problem,) = notice.problems
-    assert problem.startswith(f"standard output did not take the reason of the stop: {message}")
+    assert problem.startswith(
+        f"the reason of the stop could not be written to standard output: {message}"
+    )
     assert read(tmp_path)["reason"] == REASON
 
 

@@ -40,7 +40,7 @@ class CertificatesCommand:
             "directory",
             type=folder,
             metavar="DIR",
-            help="folder of the authority; if the folder has no authority, a new authority is made",
+            help="folder of the certificate authority; if the folder has none, a new authority is made",
         )
         # The peers that get a certificate.
         parser.add_argument(
@@ -130,7 +130,7 @@ def _check(
     for name in [*names, *renewed]:
         if not NAME.fullmatch(name) or name == AUTHORITY:
             raise CertificateError(
-                f"{name!r} is not a valid certificate name; up to 64 letters, digits, '_', '.' and '-' are expected, and not {AUTHORITY!r}"
+                f"{name!r} is not a valid certificate name; 1 to 64 letters, digits, '_', '.' and '-' are expected; the name {AUTHORITY!r} is reserved"
             )
     if twice := next((name for name in names if [*names, *renewed].count(name) > 1), None):
         raise CertificateError(
@@ -153,7 +153,7 @@ def _check(
         for path in (identity.certificate, identity.key):
             if path.exists():
                 raise CertificateError(
-                    f"{path} exists already and is not overwritten; --renew {name} makes a new certificate in its place"
+                    f"{path} exists already and is not overwritten; use --renew {name} to replace this certificate and its key"
                 )
     for name in renewed:
         if not Identity(directory, name).certificate.exists():
@@ -212,6 +212,6 @@ def _united(hosts: Sequence[str], more: Sequence[str]) -> list[str]:
 
 def _next_step(directory: Path) -> str:
     return (
-        f'Next: set certificates = "{directory}" and tls/ endpoints in [devices.base_robot] of your scenario. To every other machine, copy '
-        f"{AUTHORITY}.pem and the machine's own .pem and .key, over a channel that you trust. Never copy {AUTHORITY}.key (docs/security.md)"
+        f'Next: set certificates = "{directory}" and tls/ endpoints in [devices.base_robot] of your scenario. Copy {AUTHORITY}.pem to every other machine, '
+        f"and the .pem and .key of each name to the machine that uses this name. Use a channel that you trust. Never copy {AUTHORITY}.key (docs/security.md)"
     )

@@ -50,17 +50,17 @@ class HilCommand:
         how.add_argument(
             "--simulated",
             action="store_true",
-            help="simulate every device by its model in this process, at wall-clock rate",
+            help="replace every device by its model in this process, in real time",
         )
         how.add_argument(
             "--accelerated",
             action="store_true",
-            help="run a virtual facility with its links and faults in this process, in virtual time, as fast as possible",
+            help="run the virtual facility, its links and its faults in this process, in virtual time, as fast as possible",
         )
         parser.add_argument(
             "--check",
             action="store_true",
-            help="configure every device, show its measurements and whether it could be activated, and exit; nothing moves",
+            help="configure every device, show the measurements of each device and whether the device could be activated, and exit; nothing moves",
         )
         # The output during the run, and the files.
         parser.add_argument(
@@ -105,8 +105,7 @@ class HilCommand:
         def show(text: str) -> None:
             console.print(text, soft_wrap=True)
 
-        # An earlier process may have been killed before it completed its recording. Complete these
-        # recordings first.
+        # First complete the recordings of earlier runs that were killed.
         for sentence in rescue():
             show(sentence)
         recording = Recording(
@@ -226,8 +225,9 @@ def _check(chosen: Scenario, arguments: argparse.Namespace, console: Console) ->
 def _reason_kept(stop: StopNotice) -> Iterator[None]:
     """If a run ends with an exception, write the reason to stop.json and the system log.
 
-    This has an effect only if the reason was not written before, that is, if the run ends before
-    its devices are prepared. The reason is not printed here, because the command prints the error.
+    If the reason was already written, nothing is written here. The reason was not written before if
+    the run ends before its devices are prepared. The reason is not printed here, because the
+    command prints the error.
     """
     try:
         yield

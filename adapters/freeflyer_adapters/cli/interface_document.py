@@ -62,8 +62,8 @@ def _can() -> Iterator[str]:
     yield "\n## Arm: CAN FD\n"
     yield (
         "The nominal bit rate is 1 Mbit/s, and the data bit rate is 5 Mbit/s (bit-rate switching). Both rates are settings of the CAN interface "
-        "in python-can. AUTOSAR E2E profile 5 protects all frames. The E2E header is in the first three bytes of a frame. It contains a CRC-16 "
-        "of the data and the data ID, and then an 8-bit counter. A frame is rejected if its CRC is wrong, if its counter is repeated, or if its "
+        "in python-can. AUTOSAR E2E profile 5 protects all frames. The E2E header is in the first three bytes of a frame. The header contains a CRC-16, "
+        "and then an 8-bit counter. The CRC covers the data and the data ID. A frame is rejected if its CRC is wrong, if its counter is repeated, or if its "
         "counter is more than 50 ahead. All numbers are little-endian."
     )
     yield "\n| frame | identifier | bytes | cycle | data ID | from | longest time on the bus |\n|---|---|---|---|---|---|---|"
@@ -102,26 +102,26 @@ def _dialogue() -> Iterator[str]:
     yield from (
         "1. At the start of every cycle, the arm sends `ArmState` with a new cycle number. This frame is the clock of the loop.",
         "2. The controller answers every state frame with one `ArmCommand` within the cycle. `AnsweredCycle` of this command repeats the cycle "
-        "number. The arm applies the torque in its next cycle, for one cycle.",
-        "3. `EchoedCycle` of the next state frame reports the answer that the arm has used. The controller counts late and missing answers. "
-        "The arm reports the number of cycles since its last command (`CommandAge`).",
+        "number of the state frame. The arm applies the torque in its next cycle, for one cycle.",
+        "3. `EchoedCycle` of the next state frame reports which answer the arm has used. The controller counts late and missing answers. "
+        "`CommandAge` reports the number of cycles since the last command.",
         f"4. Every activation has a new random session number in the signal `Controller`. A command with `Mode` {int(Mode.reset)} claims this number. "
-        "If the arm has no session and the number is not used up (see 7), the arm echoes the number from its next state frame on. "
+        "If the arm has no session and the number is not used up (see 7), the arm repeats the number in its following state frames (echo). "
         "If the arm is in the state *safe_stop* or *fault* and its brakes are engaged, the claim also changes the arm to the state *inactive*. "
         "The arm ignores all other numbers until the present session has sent no frame for one second.",
         f"5. A command with `Mode` {int(Mode.activate)} activates an arm in the state *inactive* under two conditions. First, the command contains the echoed number. "
         "Second, the command answers a state frame that contains the echo and is younger than the watchdog time of the arm. "
-        "So an activation must always answer a recent frame of the arm, and an old command frame cannot activate the arm.",
+        "Therefore an old command frame cannot activate the arm.",
         f"6. `Mode` {int(Mode.torque)} commands the torques of an arm in the state *active*. In any other state, the arm ignores and counts such a command. "
         f"`Mode` {int(Mode.brake)} engages the brakes. `Mode` {int(Mode.idle)} keeps a session alive and causes no motion.",
         f"7. A session number is used up when the arm leaves the state *active* for any reason, or when a command with `Mode` {int(Mode.brake)} arrives. "
-        "After this, no frame of that session enables the power again. An arm may lose its list of used numbers when it is switched off and on. "
-        "In this case, its cycle numbers must not continue from the old cycle numbers.",
+        "After this, no frame of that session enables the power again. An arm may lose its list of used numbers when the arm is switched off and on. "
+        "In this case, the new cycle numbers of the arm must not continue from the old cycle numbers.",
         "8. The controller itself has a second interlock: the controller needs a permit to send any mode except "
-        f"{int(Mode.idle)} and {int(Mode.brake)}. The permit is lost permanently in three cases: at the first reason to stop; after a suspension of the loop that is "
-        "longer than the watchdog time of the arm (`watchdog_cycles`); and when the arm has reported the state *active* and then reports another state. "
-        "The graded stop is an exception: it ramps the torque down before the brakes engage. Its torques are sent only if the arm has echoed one of the controller's own answers. This echo must be younger than the "
-        "watchdog time.",
+        f"{int(Mode.idle)} and {int(Mode.brake)}. The permit is lost permanently at the first reason to stop. The permit is also lost after a suspension of the loop that is "
+        "longer than the watchdog time of the arm (`watchdog_cycles`). It is also lost when the arm has reported the state *active* and then reports another state. "
+        "The graded stop is an exception: without the permit, the controller ramps the torque down before the brakes engage. These torques are sent only if the arm has echoed one of the controller's own answers. "
+        "This echo must be younger than the watchdog time.",
     )
 
 
@@ -131,8 +131,8 @@ def _missing_roles() -> Iterator[str]:
         "A role is the meaning that a signal has for this project. A DBC of a user must have the four joint signals and `cycle`. "
         "If one of the other roles is missing, a guarantee is lost. The table shows the effect of each missing role. If a role marked *explicit* is missing, "
         'the arm itself cannot reject an activation. In this case the scenario must set `activation = "implicit"`, and a torque '
-        "frame activates the arm. `freeflyer hil` and `--check` then print what this arm cannot reject. Only the interlock of the controller is left. "
-        "This is safe under two conditions. First, the link does not delay frames. Second, after a loss of state frames, the loop stops before the arm "
+        "frame activates the arm. `freeflyer hil` and `freeflyer hil --check` then print which commands this arm cannot reject. Only the interlock of the controller (see 8) is left. "
+        "One interlock is safe under two conditions. First, the link does not delay frames. Second, after a loss of state frames, the loop stops before the arm "
         "ends the session with its controller (`lost_consecutive`, `state_age_limit`).\n"
     )
     yield "| missing role | needed for | effect of the missing role |\n|---|---|---|"
@@ -147,9 +147,9 @@ def _missing_roles() -> Iterator[str]:
 def _second_sender() -> Iterator[str]:
     yield "\n### One arm, one controller\n"
     yield (
-        f"Only one node may send frames with a given identifier (ISO 11898-1). The controller checks {LISTEN} state frames before it sends anything, and all "
-        "state frames in the loop. Two arms send two interleaved streams of frames, with correct checksums and different counters. "
-        "Before activation, more than three state frames in two cycles also show that there are two arms. Two arms are rejected before activation. In a running loop, they are a reason to stop. The following count as faults of one sender: repeated, late and reordered frames, a frozen "
+        f"Only one node may send frames with a given identifier (ISO 11898-1). The controller checks {LISTEN} state frames before it sends anything. In the loop, "
+        "the controller checks all state frames. Two arms send two interleaved streams of frames, with correct checksums and different counters. "
+        "Before activation, more than three state frames in two cycles also show that there are two arms. Two arms are rejected before activation. In a running loop, two arms are a reason to stop. The following count as faults of one sender: repeated, late and reordered frames, a frozen "
         "counter, and a jump of the counter. If three command frames of another sender arrive within 20 cycles, there is a second controller."
         "\n\nThe following cases are not detected: two arms with the same content and "
         "the same counter; a second sender at a sixteenth of the rate or less; more than two senders; frames without E2E protection and "
@@ -198,7 +198,7 @@ def _zenoh() -> Iterator[str]:
 def _zenoh_session(o: LinkOptions) -> Iterator[str]:
     yield (
         "\nOdometry has no field for a session, so the publisher identifies the session. For every activation, the controller declares a new publisher with "
-        "a new GID. At the stop, the controller undeclares this publisher. Odometry also does not report whether a set point is accepted. So a base robot may "
+        "a new GID. At the stop, the controller undeclares this publisher. Odometry also does not report whether the base robot accepts a set point. A base robot may "
         f"report this by a liveliness token of this project, `{rmw_zenoh.obedience_token(o.domain, o.setpoint_topic, 'GID')}`. `GID` is the GID "
         "(hexadecimal) of the publisher in command, that is, the publisher whose set points are accepted. If there is no such publisher, "
         f"`{rmw_zenoh.NO_PUBLISHER}` replaces the GID. If the base robot has this token, the link has three further properties:\n\n"
@@ -206,10 +206,10 @@ def _zenoh_session(o: LinkOptions) -> Iterator[str]:
         "- The controller activates the arm only after the base robot has accepted the set points of the controller.\n"
         "- The controller stops when the token is withdrawn.\n\n"
         "The virtual base robot has this token. It accepts a publisher after the set points of this publisher have arrived for 40 ms at the rate of their time stamps. "
-        "The reason is that delayed set points arrive in a burst. The virtual base robot rejects a publisher permanently in two cases: after the state *active* has ended, "
-        "or if the publisher has sent a set point while another publisher was in command. A set point is ignored if its delay is longer than the watchdog time. "
+        "Delayed set points arrive in a burst, so they do not pass this test. The virtual base robot rejects a publisher permanently in two cases. First, the publisher was in command, and the state *active* has ended. "
+        "Second, the publisher has sent a set point while another publisher was in command. A set point is ignored if its delay is longer than the watchdog time. "
         "The delay is computed from differences of time stamps.\n\n"
-        "With **a plain ROS 2 node**, only the interlock of the controller exists: after a stop or a suspension of the loop, nothing is published any more. "
+        "With **a plain ROS 2 node**, only the interlock of the controller exists: after a stop or a suspension of the loop, the controller publishes nothing more. "
         "The node itself must meet the following requirements:\n\n"
         "- The node holds its pose if no set point arrives within its watchdog time.\n"
         "- The node ignores set points if their time stamps do not advance at the rate of their arrival.\n"
@@ -217,8 +217,8 @@ def _zenoh_session(o: LinkOptions) -> Iterator[str]:
         "- The node does not resume motion when set points arrive again."
     )
     yield (
-        "\nTwo publishers of the measured topic are detected by their tokens, or by interleaved samples of two GIDs. Two publishers are rejected before activation. In a running "
-        "loop, they are a reason to stop. A new publisher of the set-point topic has the same effect. Peers that are connected only to the base robot do not receive the "
+        "\nThe controller detects two publishers of the measured topic by their tokens, or by interleaved samples of two GIDs. Two publishers are rejected before activation. In a running "
+        "loop, two publishers are a reason to stop. A new publisher of the set-point topic has the same effect. Peers that are connected only to the base robot do not receive the "
         "tokens of each other. In this case, the base robot ignores the second publisher, and the token of the base robot reports the first publisher."
     )
     yield (
@@ -267,9 +267,11 @@ def _life_cycle() -> Iterator[str]:
 def _settings() -> Iterator[str]:
     yield "\n## Settings and limits of the controllers' side\n"
     yield (
-        "These settings are in `[devices.NAME.parameters]` of a scenario. The effect *clips* limits a value, and is counted and reported. The effect *stops* ends the loop "
-        "with the graded stop. During lost cycles, the last measurement is held; for the arm, the last torque is held, too. In the graded stop, the torque is ramped down with "
-        "joint damping, and then the brakes engage. The effect *refuses* prevents the activation. `[[limits]]` of the scenario defines further limits for the base "
+        "These settings are in `[devices.NAME.parameters]` of a scenario. The column *effect* shows what happens if a limit is exceeded:\n\n"
+        "- *clips*: the command is limited to the permitted range. Limited commands are counted and reported.\n"
+        "- *stops*: the loop ends with the graded stop. The torque is ramped down with joint damping, and then the brakes engage.\n"
+        "- *refuses*: the device is not activated.\n\n"
+        "During lost cycles, the last measurement is held. For the arm, the last torque is also held. `[[limits]]` of the scenario defines further limits for the base "
         "wrench, and for the observed energies over a given time."
     )
     for title, rows in (
@@ -299,8 +301,8 @@ def _units(setting: Setting) -> str:
 def _facility() -> Iterator[str]:
     yield "\n## Settings of the virtual facility\n"
     yield (
-        "These settings are in `[facility]` of a scenario. The parameters of the models (friction, noise, delay, seeds) are parameters of the components `arm_drive` and "
-        "`base_robot` of the scenario. All these values are assumptions of this project, not values of a real facility.\n"
+        "These settings are in `[facility]` of a scenario. The scenario also has the parameters of the models (friction, noise, delay, seeds), as parameters of the components `arm_drive` and "
+        "`base_robot`. All these values are assumptions of this project, not values of a real facility.\n"
     )
     yield "| setting | default |\n|---|---|"
     names: Sequence[str] = [f.name for f in fields(FacilitySettings)]
@@ -321,7 +323,7 @@ def _faults() -> Iterator[str]:
         + ", ".join(DIRECTIONS)
         + "; default: both), `begin_s`, `duration_s`, and the keys of its kind. `begin_s` is measured from the first activation of the device in a session. "
         "Without `begin_s`, the fault is active from the start, also during the activation. "
-        "Times are whole cycles of the facility. The [fault matrix](fault_matrix.md) shows the reactions to faults.\n"
+        "All times are rounded to whole cycles of the facility. The [fault matrix](fault_matrix.md) shows the reactions to faults.\n"
     )
     yield "| kind | effect | keys | `can_arm` | `zenoh_base` | `cia402_arm` |\n|---|---|---|---|---|---|"
     supported_by = can_faults.FAULT_KINDS, zenoh_faults.FAULT_KINDS, can_faults.OF_DRIVES

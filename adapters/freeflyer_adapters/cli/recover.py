@@ -22,18 +22,23 @@ class RecoverCommand:
             help="FILE.mcap, FILE.blf, FILE.ring, or the directory of a run with these files",
         )
         parser.add_argument(
-            "--out", type=Path, metavar="FILE", help="default: FILE_recovered in the same directory"
+            "--out",
+            type=Path,
+            metavar="FILE",
+            help="new file (default: FILE_recovered in the same directory)",
         )
 
     def execute(self, arguments: argparse.Namespace, console: Console) -> int:
         path, out = arguments.path, arguments.out
         if "\0" in str(path) or "\0" in str(out or ""):
-            raise RecordError("a file name without zero bytes is expected")
+            raise RecordError(
+                "the file name contains a zero byte; a file name without zero bytes is expected"
+            )
         paths = [path]
         if path.is_dir():
             if out is not None:
                 raise RecordError(
-                    f"--out {out}: {path} is a directory, and its files are recovered in the same directory; do not give --out"
+                    f"--out {out}: {path} is a directory, and the recovered files are always written to this directory; omit --out"
                 )
             paths = list(unfinished(path))
             if not paths:

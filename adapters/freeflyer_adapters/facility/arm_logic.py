@@ -137,7 +137,7 @@ class ArmLogic:
         return self.was_active and self.controller == 0
 
     def begin(self, commands: Sequence[Command], velocity: Array) -> None:
-        """Start a new cycle. It updates `torque` and `braked`, which act until the next cycle.
+        """Start a new cycle. Update `torque` and `braked`. Both act until the next cycle.
 
         `commands`: commands received since the last state frame. `velocity` (n) [rad/s]: last
         measured joint velocities.
@@ -252,8 +252,8 @@ class ArmLogic:
         if self.life.now is not LifeCycle.active:
             self.ignored += 1
             return
-        # `older`: the command answers an older state frame than the last accepted command does. So
-        # the command was delayed or reordered.
+        # `older`: this command answers an older state frame than the last accepted command. So this
+        # command was delayed or reordered.
         older = (command.answered - self._answered) % self.cycles >= self.cycles // 2
         if (self.cycle - command.answered) % self.cycles < self.watchdog and not older:
             self.torque = command.torque

@@ -135,7 +135,7 @@ class BaseLogic:
         return True
 
     def refuse(self, publisher: bytes) -> None:
-        """Mark `publisher` as expired, because it sent set points in the session of another one."""
+        """Mark `publisher` as expired: it sent set points in the session of another publisher."""
         if publisher != self.publisher and publisher not in self.used:
             self.used.append(publisher)
 
@@ -153,14 +153,14 @@ class BaseLogic:
         if any(gap > most for gap, most in zip(far, self.jump, strict=True)):
             if not self.refused:
                 self._note(
-                    f"a first set point was rejected: it is {far[0]:.4f} m and {far[1]:.4f} rad away from the robot"
+                    f"the first set point was rejected: the distance to the pose of the robot is {far[0]:.4f} m and {far[1]:.4f} rad"
                 )
             return False
         if not self._comes_in_time(publisher, stamp):
             return None
         if self.life.now is LifeCycle.safe_stop:
-            self._to(LifeCycle.inactive, "a new publisher's set points came")
-        self._to(LifeCycle.active, "set points came")
+            self._to(LifeCycle.inactive, "set points of a new publisher arrived")
+        self._to(LifeCycle.active, "set points arrived")
         self.publisher, self.was_active = publisher, True
         return True
 
@@ -178,12 +178,12 @@ class BaseLogic:
         return passed >= self.proof
 
     def tick(self) -> None:
-        """Advance by one period. First pass the set points of this period to `take`."""
+        """Advance by one period. Before this call, pass the set points of this period to `take`."""
         self._calls += 1
         if self.life.now is LifeCycle.active and self._calls - self._accepted_at > self.watchdog:
             self._to(
                 LifeCycle.safe_stop,
-                f"no set point for {self.watchdog * self.period:g} s; it holds its place",
+                f"no set point for {self.watchdog * self.period:g} s; the robot holds its pose",
             )
             self.velocity = np.zeros(6)
 

@@ -28,8 +28,8 @@ class CanTamper:
     """Implementation of `Tamper` for command and state frames. Other frames are not changed."""
 
     def __init__(self, frames: ArmFrames, period: float) -> None:
-        # A frame object stores the values that were packed last. So the arm must not use the same
-        # object `frames`.
+        # A frame object stores the values that were packed last. So this class and the arm must not
+        # share the object `frames`.
         self._frames = {frame.identifier: frame for frame in (frames.command, frames.state)}
         self._cycles, self._period = frames.cycles, period
 

@@ -57,7 +57,7 @@ class DriveLogic:
         return self.state is not S.operation_enabled and self.state not in STOPPING
 
     def restart_host_watchdog(self) -> None:
-        """Restart the watchdog that monitors the host. Call this after each of its heartbeats."""
+        """Restart the watchdog that monitors the host, after each heartbeat of the host."""
         self._since_host = 0
 
     def disarm_host_watchdog(self) -> None:

@@ -98,8 +98,8 @@ class Facility:
     """A facility with open links.
 
     `fmi`, if given, overrides the FMI version of the models. `run` serves one session after another
-    until it is interrupted. Call `close` at the end. The constructor raises DeviceError if the
-    scenario, or its table [facility], is not valid for a facility.
+    until the user interrupts it. Call `close` at the end. The constructor raises DeviceError if the
+    scenario, or the table [facility] in it, is not valid for a facility.
     """
 
     def __init__(self, scenario: Scenario, fmi: int | None = None) -> None:
@@ -107,7 +107,7 @@ class Facility:
         played = [spec for spec in scenario.devices if spec.kind != SIMULATED]
         if not played:
             raise DeviceError(
-                f"scenario {scenario.name} has no [devices.NAME]: there is nothing for a virtual facility to simulate"
+                f"scenario {scenario.name} has no [devices.NAME] with a kind other than 'simulated'; a virtual facility needs at least one such device"
             )
         self.scenario, self.fmi = scenario, fmi
         self.settings = facility_settings.read(scenario.facility)

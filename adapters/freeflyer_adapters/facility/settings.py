@@ -41,7 +41,7 @@ class FacilitySettings:
     measure_every: int = 4
     """Arm cycles between two measurements of the base."""
     describe_every: int = 100
-    """Cycles between two description frames. In the state active, an arm sends none."""
+    """Cycles between two description frames. An arm in the state active sends none of them."""
     ramp_down_time_s: float = 0.25
     ramp_down_damping: float = 5.0
     """Damping of the joint speeds during the ramp-down [N m s/rad]."""

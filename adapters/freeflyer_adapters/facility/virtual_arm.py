@@ -116,7 +116,7 @@ class VirtualArm(VirtualDevice[ArmLogic]):
         values["brake"][0] = float(self.logic.braked)
 
     def power_off(self) -> None:
-        self.logic.fail("without power")
+        self.logic.fail("the arm has no power")
 
     def fail(self) -> None:
         self.logic.fail("a drive has failed")

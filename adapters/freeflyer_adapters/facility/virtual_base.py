@@ -125,7 +125,7 @@ class VirtualBase(VirtualDevice[BaseLogic]):
         self.logic.hold(*self._pose)
 
     def _take(self, received: Received) -> bool | None:
-        """Pass a usable set point to `BaseLogic.take` and return the result. Reject any other."""
+        """Pass a usable set point to `BaseLogic.take`, and return the result. Else return False."""
         odometry = received.odometry
         if not is_usable(odometry):
             return False

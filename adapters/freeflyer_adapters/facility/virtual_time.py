@@ -1,10 +1,14 @@
 """Virtual time for a facility and its host in one process. Runs are fast and reproducible.
 
-The host is the program that runs the control loop. Its code is the same as in real time. The CAN
-frames and Zenoh samples also contain the same bytes. There are three differences. Buses and Zenoh
-sessions are in memory. Computation takes no virtual time. The facility runs its next cycle only
-when the host waits. Therefore delays of the computer do not change when the host or the facility
-reacts to a fault. A test of 10,000 schedules of faults takes minutes.
+The host is the program that runs the control loop. The code of the host is the same as in real
+time. The CAN frames and Zenoh samples also contain the same bytes. There are three differences:
+
+- Buses and Zenoh sessions are in memory.
+- Computation takes no virtual time.
+- The facility runs its next cycle only when the host waits.
+
+Therefore a delay of the computer has no effect on the times of the reactions to a fault. A test of
+10,000 schedules of faults takes minutes.
 """
 
 from __future__ import annotations
@@ -22,7 +26,7 @@ from freeflyer_adapters.foundation.environment import Environment
 START = 1_000_000_000
 """First time of both clocks, the monotonic clock and the wall clock [ns].
 
-It is not zero, because zero may mean that a time is not set."""
+This time is not zero, because zero may mean that a time is not set."""
 
 
 class VirtualTime(Environment):
@@ -68,8 +72,8 @@ class VirtualTime(Environment):
             raise RuntimeError(
                 "the facility itself waits in virtual time; this wait would never end"
             )
-        # Advance by at least 1 ns. Otherwise a caller could loop without end: it waits for a
-        # remaining time that is rounded to zero, and the time does not advance.
+        # Advance by at least 1 ns. If a caller waits for a remaining time that is rounded to zero,
+        # the time would not advance otherwise, and the caller could wait again without end.
         end = self._now + max(1, round(duration * 1e9))
         while self._facility is not None and self._next <= end:
             self._now = self._next

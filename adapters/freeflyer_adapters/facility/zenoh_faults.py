@@ -53,8 +53,8 @@ class ZenohTamper:
                 attachment, sequence=memory.setdefault("sequence", attachment.sequence)
             )
         elif fault.kind == "stale_stamp":
-            # While this fault is active, all samples have the same stamp. It is 1 ns before the
-            # original stamp of the first of these samples.
+            # While this fault is active, all samples have the same stamp. This stamp is 1 ns before
+            # the original stamp of the first sample in this time.
             attachment = replace(attachment, stamp=memory.setdefault("stamp", attachment.stamp - 1))
         elif fault.kind == "clock_jump":
             attachment = replace(attachment, stamp=attachment.stamp + round(fault.jump_s * 1e9))
@@ -76,7 +76,7 @@ def _with_numbers(payload: bytes, value: float) -> bytes:
 
 
 class FaultyOdometryLink(OdometryLink):
-    """An `OdometryLink` with faults. They act between this object and its Zenoh session."""
+    """An `OdometryLink` with faults. The faults act between this object and its Zenoh session."""
 
     faults: LinkFaults[Sample]
     silent = False

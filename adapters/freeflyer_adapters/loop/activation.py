@@ -27,8 +27,8 @@ def clocks_first(devices: Sequence[Device]) -> list[Device]:
     """Return the devices in the order in which their commands are written.
 
     The clock of the loop is the device whose state frames start the instants of the loop. Only an
-    arm can be the clock. It is first, because it waits for its command. Without a clock, the order
-    is not changed.
+    arm can be the clock. The clock is first, because the arm waits for its command. Without a
+    clock, the order is not changed.
     """
     return sorted(devices, key=lambda device: not device.is_clock)
 

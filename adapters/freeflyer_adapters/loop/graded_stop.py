@@ -1,7 +1,7 @@
-"""The graded stop. It brings every device to rest, whatever the reason of the stop is.
+"""The graded stop: brings every device to rest. The sequence is the same for every reason.
 
-This module defines the sequence of the stop for all devices together. For one arm, the stop is the
-ramp-down of its torques, and then the brakes. This part is in
+This module defines the sequence of the stop for all devices together. The sequence for one arm is:
+ramp down the torques, then engage the brakes. This sequence is in
 `freeflyer_adapters.device.ramp_down` and in the method `ramp_down` of the device.
 """
 
@@ -65,15 +65,15 @@ def stop(devices: Sequence[Device], period: int, reason: str, *, orderly: bool) 
     if not active:
         return NOTHING_ACTIVE
     if unsure:
-        return f"after {took:.2f} s {', '.join(unsure)} had not confirmed to be at rest, and is left to its own watchdog"
+        return f"after {took:.2f} s {', '.join(unsure)} had not confirmed to be at rest; only the watchdog of the device can still stop it"
     return f"all devices were brought to rest in {took:.2f} s"
 
 
 def _ramped(device: Device, elapsed: float, broken: list[Device]) -> bool:
     """Execute one step of the ramp-down of a device. Return True if no further step is needed.
 
-    This is the case if the ramp-down has finished, or if the driver has failed. A device with a
-    failed driver is added to `broken`.
+    No further step is needed if the ramp-down has finished, or if the driver has failed. A device
+    with a failed driver is added to `broken`.
     """
     if device in broken:
         return True

@@ -4,10 +4,9 @@ The devices are configured when the scenario is assembled. All devices are activ
 stopped together. The stop is the same for every reason. First, the torques of the arm are ramped
 down with joint damping. Then the brakes engage.
 
-The loop runs in instants: the points in time at which it reads the devices, evaluates the
-controllers and writes the commands. The state frames of the arm are the clock of the loop: each
-state frame starts an instant. If no device is the clock, each instant starts at an absolute
-deadline.
+The loop runs in instants. At each instant, the loop reads the devices, evaluates the controllers
+and writes the commands. The state frames of the arm are the clock of the loop: each state frame
+starts an instant. If no device is the clock, each instant starts at an absolute deadline.
 """
 
 from __future__ import annotations
@@ -75,7 +74,7 @@ def with_devices(
 ) -> Scenario:
     """Replace components of the scenario by the devices with the same names.
 
-    A connection between two devices exists in hardware, unless its target is a simulated device. A
+    A connection between two devices exists in hardware if its target is not a simulated device. A
     connection that exists in hardware is removed from the scenario.
 
     `simulated`: instead of the devices, run the models of all devices in this process, in real
@@ -86,7 +85,7 @@ def with_devices(
     """
     if not scenario.devices:
         raise DeviceError(
-            f"scenario {scenario.name} has no [devices.NAME]: there is nothing to put into the loop"
+            f"scenario {scenario.name} has no [devices.NAME]; at least one device for the loop is expected"
         )
     if scenario.exchange != "sequential":
         raise DeviceError(
@@ -112,9 +111,9 @@ def with_devices(
     def adapted(connection: Connection) -> Connection | None:
         """Return the connection, or None if the connection exists in hardware.
 
-        A connection between two devices exists in hardware, unless its target is a simulated
-        device. A connection from a device to a simulated device becomes optional, because the
-        source may not measure this signal. All other connections are returned unchanged.
+        A connection between two devices exists in hardware if its target is not a simulated device.
+        A connection from a device to a simulated device becomes optional, because the source may
+        not measure this signal. All other connections are returned unchanged.
         """
         source, target = split(connection.source)[0], split(connection.target)[0]
         if source not in devices or target not in devices:
@@ -263,7 +262,7 @@ def _run(
         step = seconds(master.schedule.ratios[device.name] * period)
         if abs(step - device.step) > 1e-9:
             raise DeviceError(
-                f"device {device.name} works in steps of {device.step:g} s, but its step_s is {step:g} s"
+                f"device {device.name} works in steps of {device.step:g} s, but its step_s is {step:g} s; equal values are expected"
             )
     # The hook that writes the commands is called before the observation, because the observation
     # may take a long time.

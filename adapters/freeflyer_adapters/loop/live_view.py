@@ -116,8 +116,8 @@ class LiveReader:
     def read(self) -> Mapping[str, float]:
         """Return all values of the same `write`, by name.
 
-        Returns no values before the first `write`, or if each of 100 attempts meets a `write` in
-        progress.
+        Returns an empty mapping before the first `write`, and if a `write` was in progress at each
+        of 100 attempts.
         """
         for _ in range(100):
             (before,) = SEQUENCE.unpack_from(self._memory, self._first)
@@ -143,7 +143,7 @@ def picture(title: str, values: Mapping[str, float]) -> Table:
 
 
 def main(path: str) -> None:
-    """Show the view until the process of the loop ends, or until the loop ends this process."""
+    """Show the view until the process of the loop ends, or until this process gets SIGTERM."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the loop handles Ctrl-C
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     reader = LiveReader(Path(path))

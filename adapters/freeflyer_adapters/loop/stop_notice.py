@@ -35,7 +35,7 @@ LONGEST_MESSAGE = 2048
 PATIENCE = 1.0
 """Time to wait for a blocked terminal or pipe [s].
 
-If standard output is still blocked after this time, the other outputs are written first.
+If standard output is still blocked after this time, it is written after the other outputs.
 """
 
 
@@ -117,7 +117,7 @@ class StopNotice:
             "stopped_ns": stopped_ns,
             "after_s": after_s,
         }
-        # Standard output is written first, unless it would block.
+        # If standard output would block, it is written last. Otherwise it is written first.
         is_writable = quiet or _is_writable(sentence)
         if is_writable and not quiet:
             self._put("standard output", lambda: self._print(sentence))
@@ -145,7 +145,9 @@ class StopNotice:
             put()
         # If standard output is closed, the console behind `show` may raise SystemExit.
         except (Exception, SystemExit) as error:
-            self.problems.append(f"{place} did not take the reason of the stop: {_message(error)}")
+            self.problems.append(
+                f"the reason of the stop could not be written to {place}: {_message(error)}"
+            )
 
     def _print(self, sentence: str) -> None:
         self._show(sentence)
@@ -176,7 +178,7 @@ class _SystemLog:
             host and port.isascii() and port.isdecimal() and len(port) < 6 and 0 < int(port) < 65536
         ):
             raise DeviceError(
-                f"--log-to {log_to!r}: this is not a path, and not HOST:PORT with a port of 1 to 65535; {expected}"
+                f"--log-to {log_to!r}: this is neither a path nor HOST:PORT with a port of 1 to 65535; {expected}"
             )
         # Check the address: a Unix socket must exist, and a host name must resolve.
         family: int = socket.AF_UNIX
@@ -193,7 +195,7 @@ class _SystemLog:
             self._socket = socket.socket(family, socket.SOCK_DGRAM)
         except (OSError, ValueError) as error:  # ValueError: not a valid host name
             raise DeviceError(
-                f"--log-to {log_to!r}: no system log takes datagrams at {self.name!r}: {_message(error)}; start a system log there, or give "
+                f"--log-to {log_to!r}: no system log receives datagrams at {self.name!r}: {_message(error)}; start a system log there, or give "
                 "another 'syslog:PATH' or 'syslog:HOST:PORT'"
             ) from error
         self._socket.setblocking(False)

@@ -28,9 +28,9 @@ class WholeBlfWriter(can.BLFWriter):
     """A BLF writer that writes the open container and the file header with every `save`.
 
     A BLF file consists of containers, which contain the frames. The base class collects 128 KiB of
-    frames in the open container before it writes this container. It writes the header, which
-    contains the start time, only at the end. Without `save`, a killed recorder would lose the
-    frames of the last seconds. It would also lose the date of all frames.
+    frames in the open container before it writes this container. The base class writes the file
+    header, with the start time, only at the end. Without `save`, a killed recorder would lose the
+    frames of the last seconds, and the date of all frames.
     """
 
     def save(self) -> None:
@@ -76,7 +76,7 @@ class CanLog:
             raise
 
     def take(self) -> None:
-        """Write all received frames and flush the file. Flushed frames survive a killed process."""
+        """Write all received frames and flush the file. A killed process loses no flushed frame."""
         frames: list[can.Message] = []
         while len(frames) < MOST and (frame := self._received()) is not None:
             frames.append(frame)

@@ -41,7 +41,9 @@ from freeflyer_adapters.recording.wall_clock import WallClock
 COUNTERS_EVERY = 10
 """The counters are read once per this number of instants. States are read at every instant."""
 TIMEOUT = 30.0
-"""Longest wait for the start of the recorder, and for its end [s]. No device is active then."""
+"""Longest wait for the start and for the end of the recorder [s].
+
+No device is active during these waits."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -205,8 +207,8 @@ class RecordingClient:
                 self._states[i] = device.state.now
             self._ring.write(k, self._line)
         self._ring.set_reason(reason)
-        # The recorder reports each step of the wall clock with its time. If the recorder reports no
-        # step, the sum of all steps is reported instead.
+        # The recorder reports the size and the time of each step of the wall clock. If the recorder
+        # reports no step, the sum of all steps is reported instead.
         written = self._written(self._clock.total_step())
         self._ring.close()
         return {**asdict(written), "missing": [*self._missing, *written.missing]}
@@ -219,7 +221,7 @@ class RecordingClient:
                 written.recording = [str(path) for path in parts(self._directory)]
         except (OSError, CosimError) as error:
             written.missing.append(
-                f"the end of the recording was not written from the ring: {error}"
+                f"the end of the recording could not be written from the ring: {error}"
             )
 
     def _written(self, clock_steps: list[str]) -> Written:
@@ -227,7 +229,7 @@ class RecordingClient:
 
         `clock_steps` is used if the recorder reports no clock steps.
         """
-        # The recorder ends after GOODBYE and reports in JSON.
+        # After GOODBYE, the recorder writes its result in JSON and ends.
         answer = b""
         why = "the recorder ended early; `freeflyer recover` repairs its files"
         if self._recorder is not None:

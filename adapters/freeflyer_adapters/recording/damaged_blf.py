@@ -95,7 +95,7 @@ def copy_frames(
 
 
 class BlfError(Exception):
-    """Error for invalid content of an intact container, which python-can does not check."""
+    """Invalid content of an intact container. python-can does not check this content."""
 
 
 class _Log:
@@ -197,7 +197,7 @@ def _first_object(content: bytes) -> int:
     """Return the offset in `content` at which the first object starts.
 
     From this offset to the end of `content`, each object is followed by the next object. The bytes
-    before this offset belong to an object whose start is lost. If there is no such object, return
+    before this offset belong to an object whose start is lost. If there is no such offset, return
     the length of `content`.
     """
     begin = content.find(OBJECT)
@@ -238,9 +238,9 @@ def _unpacked(data: bytes, allowance: int) -> bytes | None:
 
 
 class _Reader(can.BLFReader):
-    """A reader that rejects objects that are smaller than their header.
+    """The reader of python-can with a further check: no object is smaller than its header.
 
-    At an object of size 0, the reader of python-can would loop without end.
+    Without this check, the reader would loop without end at an object of size 0.
     """
 
     def _parse_container(self, data: bytes) -> Iterator[can.Message]:

@@ -44,7 +44,8 @@ Their IDs have two bytes and start at one."""
 MOST_OTHERS = 100_000
 """Maximum number of metadata records and attachments.
 
-The program that writes a repaired file keeps an index entry for each of them in memory."""
+The program that writes a repaired file keeps one index entry for each metadata record and for each
+attachment in memory."""
 WORK, WORK_A_BYTE = 4 * 2**20, 8
 """Limit of the bytes that are read: `WORK`, plus `WORK_A_BYTE` for each byte of the file."""
 DEFINITIONS = 64 * 2**20
@@ -127,7 +128,8 @@ class DamagedMcap:
         `damage` is not meaningful.
         """
         # A definition is a schema or a channel. A complete file repeats its definitions at its end.
-        # Read them there first, because the definitions at the start may be damaged.
+        # Read the definitions at the end first, because the definitions at the start may be
+        # damaged.
         self._take_summary()
         damage, place = self.damage, len(MAGIC) if self.has_magic else 0
         if not self.has_magic:
@@ -256,7 +258,8 @@ class DamagedMcap:
         """Store a schema or channel. Return whether the record is valid.
 
         If an ID has several definitions, the first definition is kept. There is one exception: a
-        definition from a chunk (`checked`) has a checksum, and replaces a definition without one.
+        definition from a chunk (`checked`) has a checksum. Such a definition replaces a definition
+        without a checksum.
         """
         schema = _parsed(Schema, body) if opcode == Opcode.SCHEMA else None
         channel = _parsed(Channel, body) if opcode == Opcode.CHANNEL else None
@@ -385,7 +388,7 @@ class DamagedMcap:
 
 
 def _inside(data: bytes) -> Iterator[tuple[int, int, int]]:
-    """Yield the opcode of each record, and start and end of its body. Stop if one is incomplete."""
+    """Yield opcode, start of body and end of body of each record. Stop at an incomplete record."""
     place, size = 0, len(data)
     while place + HEAD.size <= size:
         opcode, length = HEAD.unpack_from(data, place)
@@ -410,8 +413,9 @@ def _unpacked(compression: bytes, packed: bytes, size: int) -> bytes:
 
 
 def _parsed(kind: type[R], body: bytes) -> R | None:
-    """Parse a record with the mcap library. Return None if the library would write other bytes.
+    """Parse a record with the mcap library. Return None if the record is invalid.
 
+    To check the record, the library writes the parsed record again. The bytes must be the same.
     Further bytes at the end are permitted, because later versions of MCAP may add fields.
     """
     try:

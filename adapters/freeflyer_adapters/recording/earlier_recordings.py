@@ -18,8 +18,8 @@ def set_aside(directory: Path, channels: Sequence[CanChannel], can_format: str) 
     """Prepare the directory of a run for a new recording.
 
     A recording consists of one or more MCAP files, its parts. If an earlier recording in this
-    directory is unfinished, all its parts and its CAN logs are renamed. If it is finished, its
-    parts are removed. Otherwise they could be confused with the parts of the new run.
+    directory is unfinished, all its parts and its CAN logs are renamed. If the earlier recording is
+    finished, its parts are removed, so that they cannot be confused with the parts of the new run.
 
     `channels`, `can_format`: CAN channels and format of the CAN logs. They determine the file names
     of the logs.

@@ -19,7 +19,7 @@ from freeflyer_adapters.recording.wall_clock import WallClock
 STAMPED_BY_THE_WALL_CLOCK = ("local", "socketcan")
 """Interfaces that stamp frames with CLOCK_REALTIME.
 
-The times of other interfaces may count from another zero. They are not converted."""
+The times of other interfaces may count from another zero. These times are not converted."""
 FOLLOWED = 5_000_000
 """Smallest step that is corrected [ns].
 
@@ -32,7 +32,7 @@ class FrameTimes:
     def __init__(self, clock: WallClock) -> None:
         self._clock = clock
         self._steps = [_followed(clock.step(), 0)]
-        """Sums of all steps [ns] that may apply to the next frames: before and after new steps."""
+        """Possible total steps for the next frames [ns]: the totals before and after new steps."""
         self._last = self._from = clock.now() * 1e-9
 
     def corrected(self, frames: Sequence[can.Message], is_all: bool) -> list[can.Message]:
@@ -47,8 +47,8 @@ class FrameTimes:
         for frame in frames:
             frame.timestamp = latest = self._time(frame.timestamp, latest, now)
         if is_all:
-            # Keep the newest two sums. The step is read after the bus, so a frame that was stamped
-            # before this step may still arrive with the next call.
+            # Keep the newest two totals. The clock is read after the bus, so a frame that was
+            # stamped before the newest step may still arrive with the next call.
             del self._steps[:-2]
             self._from = now
         # The senders of a `local` channel are read one after another. So frames may be unordered.

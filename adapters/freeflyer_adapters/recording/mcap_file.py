@@ -29,7 +29,7 @@ CHUNK_SECONDS = 0.05
 DEFINITIONS_EVERY = 5.0
 """Time after which the schemas and channels are written again [s].
 
-A reader needs them to read the messages after a damaged place."""
+A reader needs these definitions for the messages after a damaged place."""
 FLIGHT_SECONDS = 2.0
 RECORDING, FLIGHT = "recording.mcap", "flight_recording.mcap"
 RUN, STOP = "freeflyer.run", "freeflyer.stop"
@@ -68,8 +68,8 @@ class RecordingFile:
         self._topics = topics(head, signals)
         a_row = sum(topic.layout.size + MESSAGE_OVERHEAD for topic in self._topics)
         rows = max(1, round(chunk_seconds * 1e9 / head.tick))
-        # The mcap writer ends a chunk at a given size. All rows have the same size, so this size is
-        # that of `rows` rows.
+        # The mcap writer ends a chunk at the size `chunk_size`. All rows have the same size. With
+        # the size given here, each chunk contains `rows` rows.
         self._writer = Writer(stream, chunk_size=a_row * rows - 1, compression=CompressionType.ZSTD)
         self._stream, self._number, self._repeated = stream, 0, -1
         self._writer.start(profile="ros2", library=library())
@@ -133,7 +133,7 @@ class RecordingFile:
             self._number += 1
 
     def flush(self) -> None:
-        """Flush complete chunks. Flushed chunks survive a killed process."""
+        """Flush complete chunks. A killed process loses no flushed chunk."""
         self._stream.flush()
 
     def finish(self, stop: Mapping[str, str]) -> None:

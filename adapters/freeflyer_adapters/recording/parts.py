@@ -37,8 +37,8 @@ PART_SECONDS = 300.0
 """Length of a part in real time [s].
 
 The index grows by some MiB per minute. With 26 topics, it takes 0.08 to 0.15 s to write the index.
-During this time no CAN frame is read. But the sockets lose no frame, because their buffers have
-space for 0.3 s (loop at 1 kHz)."""
+During this time the recorder reads no CAN frame. But the sockets lose no frame, because their
+buffers have space for the frames of 0.3 s (loop at 1 kHz)."""
 NEXT = "freeflyer.next"
 """Name of the metadata at the end of every part except the last part.
 
@@ -94,8 +94,8 @@ class PartedRecording:
     def _change(self) -> None:
         """Start the next part, then finish the previous part.
 
-        A run may be killed between these two actions. In this order, at least one part is then
-        unfinished. This part shows that the recording is unfinished.
+        If the run is killed between these two actions, both parts are unfinished. In the reverse
+        order, both parts would be complete files, and the recording would seem to be complete.
         """
         with self._stream:
             before, self._file = self._file, self._next()
@@ -119,7 +119,7 @@ class PartedRecording:
 
 
 def started(path: Path) -> str | None:
-    """Return the start of the run, as the metadata of a part states it. None if it is missing."""
+    """Return the start of the run from the metadata of a part, or None if it is missing."""
     try:
         with path.open("rb") as file:
             for record in DamagedMcap(file).records():

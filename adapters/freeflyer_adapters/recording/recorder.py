@@ -197,7 +197,7 @@ def main(path: str) -> int:
     follow(recorder, sys.stdin.fileno(), os.getppid())
     written = recorder.finish()
     if written.flight is not None or ring.written == 0:
-        # If the flight recording could not be written, keep the ring: only it has these rows.
+        # If the flight recording could not be written, keep the ring: only the ring has these rows.
         ring.remove()
     with contextlib.suppress(OSError):
         print(json.dumps(asdict(written)), flush=True)

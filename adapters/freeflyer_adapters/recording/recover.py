@@ -80,7 +80,9 @@ def recover(path: Path, out: Path | None = None, progress: Progress | None = Non
     suffix = path.suffix.lower()
     if suffix == ".ring":
         if out is not None:
-            raise RecordError(f"--out {out}: a ring is always written to the directory of its run")
+            raise RecordError(
+                f"--out {out}: the data of a ring is always written to the directory of its run; omit --out"
+            )
         _reject_foreign_ring(path)
         saved = save_ring(path)
         return _ring_result(path, saved)
@@ -142,8 +144,8 @@ def copy_whole(
 def unfinished(directory: Path) -> Iterator[Path]:
     """Yield the rings of ended runs, then the files in `directory` that `recover` accepts.
 
-    The rings are those whose run wrote its results to `directory`. The results of earlier
-    recoveries are left out.
+    The rings are those of runs whose results are in `directory`. Files that an earlier recovery
+    wrote are left out.
 
     Raises RecordError if the directory cannot be read.
     """
@@ -156,7 +158,10 @@ def unfinished(directory: Path) -> Iterator[Path]:
 
 
 def rings_of(directory: Path) -> Iterator[Path]:
-    """Yield the rings of runs with this directory whose loop and recorder have ended."""
+    """Yield the rings of ended runs whose results are in `directory`.
+
+    A run has ended when its loop and its recorder have ended.
+    """
     for path in sorted(folder().glob("*.ring")):
         try:
             if is_left_behind(path) and _directory_of(path) == directory.absolute():
@@ -244,7 +249,7 @@ def _lost(damage: Damage, kept: int) -> str:
         )
     if damage.exhausted:
         parts.append(
-            "reading was aborted: the file needs more memory or time than the limits for its size"
+            "reading was aborted: the file needs more memory or time than a file of this size may need"
         )
     if not parts and not damage.is_whole:
         parts.append("the end was missing; the index and the summary were written again")

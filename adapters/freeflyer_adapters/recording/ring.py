@@ -124,8 +124,8 @@ class RingWriter:
         self.rows = max(64, min(round(SECONDS * 1e9 / head.tick), LARGEST // row_bytes))
         first = PAGE + -(-len(text) // PAGE) * PAGE
         size = first + self.rows * row_bytes
-        # Lock the file before its memory is reserved. Otherwise another process could take the file
-        # for the ring of an ended run, and remove it.
+        # Lock the file before its memory is reserved. Otherwise another process could remove the
+        # file, because a file without a lock counts as the ring of an ended run.
         handle, name = tempfile.mkstemp(
             prefix=f"{os.getpid()}-", suffix=".ring", dir=directory or folder()
         )
@@ -187,7 +187,8 @@ class RingWriter:
     def close(self) -> None:
         """Release the lock. The file remains."""
         if self._lock >= 0:
-            # Unlock explicitly: `os.close` keeps the lock, as the memory map has a descriptor, too.
+            # Unlock explicitly. `os.close` alone does not release the lock, because the memory map
+            # has a descriptor of the file, too.
             fcntl.flock(self._lock, fcntl.LOCK_UN)
             os.close(self._lock)
             self._lock = -1
@@ -309,7 +310,8 @@ class RingReader:
     def close(self) -> None:
         """Release the lock. The file remains."""
         if self._lock >= 0:
-            # Unlock explicitly: `os.close` keeps the lock, as the memory map has a descriptor, too.
+            # Unlock explicitly. `os.close` alone does not release the lock, because the memory map
+            # has a descriptor of the file, too.
             fcntl.flock(self._lock, fcntl.LOCK_UN)
             os.close(self._lock)
             self._lock = -1

@@ -82,8 +82,8 @@ class RecordingHeader:
     def from_json(cls, text: bytes) -> RecordingHeader:
         """Parse the JSON of `to_json`. Raises RecordError for any other text."""
         try:
-            # The first signal starts at column 0. Each further signal starts where the one before
-            # ends.
+            # The first signal starts at column 0. Each further signal starts where the previous
+            # signal ends.
             raw = json.loads(text)
             signals = [
                 Signal(**{**signal, "units": tuple(signal["units"])}) for signal in raw["signals"]

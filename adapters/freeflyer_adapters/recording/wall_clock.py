@@ -1,10 +1,10 @@
 """Detection of steps of the wall clock during a recording.
 
 The times of a recording are the times of the monotonic clock plus an offset. The offset is measured
-at the start of the run. It is the difference of the wall clock and the monotonic clock. NTP can
-correct the rate of a clock slowly, but then it changes the rates of both clocks equally. Therefore
-the difference is constant until the wall clock is set to another time. Such a change is a step.
-Steps are reported. They do not change the times of the recording.
+at the start of the run. It is the difference of the wall clock and the monotonic clock. When NTP
+changes the rate of the wall clock, the rate of the monotonic clock changes equally. Therefore the
+difference is constant until the wall clock is set to another time. Such a change is a step. Steps
+are reported. They do not change the times of the recording.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class WallClock:
 
     @property
     def is_system_clock(self) -> bool:
-        """Whether the clocks are the system clocks, as in all processes. False in virtual time."""
+        """Whether the clocks are the clocks of the system. False in virtual time."""
         return type(self._environment) is Environment
 
     def now(self) -> int:
@@ -98,7 +98,7 @@ class WallClock:
     def total_step(self) -> list[str]:
         """Return a message about the total step. Return an empty list if there was no step.
 
-        Use this for a run in which `check` was never called.
+        Use this method for a run in which `check` was never called.
         """
         step = self.step()
         is_reported = abs(step) >= SMALLEST_REPORTED
