@@ -13,8 +13,11 @@ from freeflyer.fmi.fmu import FmuComponent
 STEP = 1e-3
 
 
-def free_start(seed: int = 7) -> dict[str, np.ndarray]:
-    """Return a start in which every axis moves: joints 0.1 rad/s rms, base 0.01 m/s, 0.01 rad/s."""
+def free_start(seed: int = 7, speed: float = 1.0) -> dict[str, np.ndarray]:
+    """Return a start in which every axis moves: joints 0.1 rad/s rms, base 0.01 m/s, 0.01 rad/s.
+
+    All velocities are multiplied by `speed`.
+    """
     random = np.random.default_rng(seed)
 
     def of_norm(size: int, norm: float) -> np.ndarray:
@@ -24,16 +27,25 @@ def free_start(seed: int = 7) -> dict[str, np.ndarray]:
     return {
         "base_position": np.array([0.3, -0.2, 0.1]),
         "base_orientation": Rotation.from_rotvec([0.2, -0.1, 0.3]).as_quat(),
-        "base_velocity": np.concatenate([of_norm(3, 0.01), of_norm(3, 0.01)]),
-        "joint_velocity": of_norm(6, 0.1 * np.sqrt(6)),
+        "base_velocity": speed * np.concatenate([of_norm(3, 0.01), of_norm(3, 0.01)]),
+        "joint_velocity": speed * of_norm(6, 0.1 * np.sqrt(6)),
     }
 
 
-def drift(path: Path, steps: int, every: int) -> dict[str, float]:
+def drift(
+    path: Path,
+    steps: int,
+    every: int,
+    *,
+    seed: int = 7,
+    speed: float = 1.0,
+    integration_step: float = STEP,
+) -> dict[str, float]:
     """Return the largest change of each conserved quantity, relative to its initial value."""
     plant = FmuComponent("free_flyer", path)
     try:
-        plant.enter_initialization(0.0, free_start())
+        start = free_start(seed, speed) | {"integration_step": np.array([integration_step])}
+        plant.enter_initialization(0.0, start)
         plant.exit_initialization()
         buffer = np.zeros(7)
         read = plant.bind_outputs(["kinetic_energy", "linear_momentum", "angular_momentum"], buffer)

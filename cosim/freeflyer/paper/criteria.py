@@ -34,7 +34,7 @@ SIGNALS = (
 )
 """Recorded signals that `measure` needs, in addition to those of the errors."""
 SMALL_ROTATION = 5.0
-"""Rotation of the base [deg] above which the robot rotates freely, and the energy has no meaning."""
+"""Rotation of the base [deg] above which a run without PC counts as lost."""
 LATE = 5.0
 """Length [s] of the last part of a diverging run. Its slope would be that of the divergence."""
 GROWTH = (0.3, 0.9)
@@ -149,7 +149,7 @@ def fig_3(continuous: Measures, unstable: Measures, passive: Measures) -> list[C
     """In continuous time both errors converge. The tracking error is in the order of 1e-4 m."""
     del unstable, passive
     largest = continuous["end_effector_position_max"]
-    limits = {error: 0.1 for error in ERRORS} | {"base_orientation": 0.2}
+    limits = dict.fromkeys(ERRORS, 0.1) | {"base_orientation": 0.2}
     return [
         Criterion(what="end-effector maximum", value=largest, unit="m", low=2e-5, high=9e-4),
         *(_decay(continuous, error, limit) for error, limit in limits.items()),

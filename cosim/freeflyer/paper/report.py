@@ -34,6 +34,10 @@ class Figure:
     path: Path
 
 
+PAPER = (
+    "M. De Stefano, R. Balachandran, A. Giordano, C. Ott, C. Secchi: Multi-rate tracking control for a space robot on a "
+    "controlled satellite: a passivity-based strategy"
+)
 ASSUMPTIONS = (
     "The paper does not give the following values: gains, trajectory amplitudes, start posture, mount, tool and arm masses. "
     "Its reference [16] is not public. All these values are assumptions of this project. Therefore the curves can have the same "
@@ -47,10 +51,16 @@ ASSUMPTIONS = (
 def write(
     path: Path,
     statements: Sequence[Statement],
+    sections: Mapping[str, Sequence[Statement]],
+    remarks: Sequence[str],
     figures: Sequence[Figure],
     results: Mapping[str, Result],
 ) -> None:
-    """Write the page. Raises OutputError."""
+    """Write the page. Raises OutputError.
+
+    `sections` are further tables of statements, by title. `remarks` state what cannot be had
+    together.
+    """
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(Path(__file__).parent),
         autoescape=True,
@@ -58,10 +68,12 @@ def write(
         lstrip_blocks=True,
     )
     page = environment.get_template("report.html.jinja").render(
-        statements=statements,
+        sections={"The paper's statements and the measured results": statements, **sections},
+        remarks=remarks,
         figures=[(figure, *_embedded(figure.path)) for figure in figures],
         results=results,
         versions=next(iter(results.values())).summary["versions"],
+        paper=PAPER,
         assumptions=ASSUMPTIONS,
     )
     write_text(path, page)

@@ -16,9 +16,18 @@ from freeflyer.analysis.figure_style import STYLE, save
 from freeflyer.foundation.clock import seconds
 from freeflyer.foundation.errors import DONE, STOPPED
 from freeflyer.foundation.output_file import check_writable, write_text
-from freeflyer.paper import figures, real_time, report
+from freeflyer.paper import criteria, figures, real_time, report
 from freeflyer.paper.report import ASSUMPTIONS, Figure, Statement
-from freeflyer.paper.statements import CASES, real_time_statements, statements
+from freeflyer.paper.statements import (
+    CASES,
+    DEFAULT_GAINS,
+    SETS,
+    TOGETHER,
+    default_statements,
+    real_time_statements,
+    set_statements,
+    statements,
+)
 from freeflyer.scenario import experiment, scenario
 from freeflyer.scenario.experiment import Result
 
@@ -58,9 +67,15 @@ def reproduce(directory: Path, fmi: int, console: Console, *, in_real_time: bool
         return STOPPED
     # Write the comparison with the paper.
     stated = statements(results) + real_time_statements(results, loops)
+    sections = {
+        f"Other assumptions: {text}": set_statements(results, name)
+        for name, text in list(SETS.items())[1:]
+    } | {"This project's default gains": default_statements(results)}
     drawn = draw(results, directory) + draw_real_time(loops, directory)
-    report.write(directory / "report.html", stated, drawn, {**results, **loops})
+    report.write(directory / "report.html", stated, sections, TOGETHER, drawn, {**results, **loops})
     console.print(table(stated))
+    for title, others in sections.items():
+        console.print(f"{title}: {counted(others)}", soft_wrap=True)
     console.print(ASSUMPTIONS, style="dim")
     console.print(
         f"Report: {directory / 'report.html'}; figures, records and summary.json are in the same directory",
@@ -144,14 +159,20 @@ def draw_real_time(loops: Mapping[str, Result], directory: Path) -> list[Figure]
 
 def draw(results: Mapping[str, Result], directory: Path) -> list[Figure]:
     """Draw the figures of the paper and the energy audits, and return the figures with captions."""
-    continuous, unstable, passive = (results[name].outcome.record for name in CASES[:3])
-    facility, without = (results[name].outcome.record for name in CASES[4:])
+    sine = results["continuous"].outcome.record
+    continuous, unstable, passive = (
+        results[f"paper_{run}"].outcome.record for run in criteria.RUNS
+    )
+    facility, without = (
+        results[name].outcome.record for name in ("facility", "facility_without_pc")
+    )
     both = "T_m = 1 ms, T_b = 0.3 s"
+    line = "The end-effector moves 0.14 m along x in 50 s, then rests"
     inside = "Facility experiment inside one FMI system (T_m = 1 ms, T_b = 4 ms; drives, noise and delay are assumptions)"
     # Each figure has a number, a drawing function, a record and a caption.
     drawings = [
-        ("2", figures.trajectory, continuous, "Desired end-effector position x and orientation theta (amplitudes and frequency are assumptions)."),
-        ("3", figures.errors, continuous, "Both controllers at 1 ms (FMUs): error of the end-effector (top) and of the base (bottom)."),
+        ("2", figures.trajectory, sine, "Desired end-effector position x and orientation theta of the scenario continuous (amplitudes and frequency are assumptions)."),
+        ("3", figures.errors, continuous, f"Both controllers at 1 ms (FMUs): error of the end-effector (top) and of the base (bottom). {line}."),
         ("3 (continuous time)", figures.errors, continuous, "The same loop in continuous time, without sampling: one model-exchange FMU, integrated by DOP853 with relative tolerance 1e-10."),
         ("4", figures.errors, unstable, f"Without passivity controllers, {both}: error of the end-effector (top) and of the base (bottom)."),
         ("7", figures.energies, unstable, f"Observed energies without passivity controllers, {both}: manipulator (top), base (bottom). The energies include E(0)."),
@@ -167,13 +188,13 @@ def draw(results: Mapping[str, Result], directory: Path) -> list[Figure]:
     labels = ("both controllers at 1 ms", "base at 0.3 s, no PC", "base at 0.3 s, with PC")
     lines = [
         (label, results[name].outcome.record.time, results[name].errors)
-        for label, name in zip(labels, CASES[:3], strict=True)
+        for label, name in zip(labels, DEFAULT_GAINS, strict=True)
     ]
     overview = directory / "overview.png"
     drawn = [
         Figure(
             number="Overview",
-            caption="Errors of the three cases of the paper's simulation, on one scale.",
+            caption="Errors with this project's default gains and a sustained sine, on one scale.",
             path=overview,
         )
     ]
@@ -190,12 +211,19 @@ def draw(results: Mapping[str, Result], directory: Path) -> list[Figure]:
             save(figure, path)
             drawn.append(Figure(number=f"Fig. {number}", caption=caption, path=path))
     # Draw the energy audits.
-    for name, record in (("multirate_unstable", unstable), ("multirate_passive", passive)):
+    for name in DEFAULT_GAINS[1:]:
+        record = results[name].outcome.record
         path = directory / f"energy_audit_{name}.png"
         save(audit_figure.draw(ledger.audit(recorded_loop.find(record))), path)
         caption = f"Energy audit of {name} (not in the paper): powers, balance, energy sources and sinks, observed and true energy."
         drawn.append(Figure(number="Energy audit", caption=caption, path=path))
     return drawn
+
+
+def counted(stated: list[Statement]) -> str:
+    """Return how many statements have each verdict, for the console."""
+    verdicts = [statement.verdict for statement in stated]
+    return ", ".join(f"{verdicts.count(v)} {v}" for v in dict.fromkeys(verdicts))
 
 
 def table(stated: list[Statement]) -> Table:
@@ -205,8 +233,8 @@ def table(stated: list[Statement]) -> Table:
         title_justify="left",
         show_lines=True,
     )
-    for header in ("where", "paper", "measured", ""):
-        shown.add_column(header, overflow="fold")
+    for header, share in (("where", 3), ("paper", 5), ("measured", 12), ("", 3)):
+        shown.add_column(header, overflow="fold", ratio=share)
     for s in stated:
         shown.add_row(s.where, s.paper, f"{s.measured}\n{s.remark}".strip(), s.verdict)
     return shown

@@ -18,7 +18,7 @@ NEVER = 1e9
 
 
 def start(block: Block, robot: Robot) -> tuple[SX, SX]:
-    """Declare the start pose of the desired motion. Return position (3) and quaternion (4), in I."""
+    """Declare the start pose of the motion. Return position (3) and quaternion (4), in I."""
     position, orientation = start_pose(robot)
     # fmt: off
     p_0 = block.parameter("initial_position", position, "m", "End-effector position at t = 0, in I")

@@ -65,7 +65,7 @@ class Scalar(NamedTuple):
     first: SX
     second: SX
 
-    def __mul__(self, other: Scalar) -> Scalar:
+    def times(self, other: Scalar) -> Scalar:
         return Scalar(
             self.value * other.value,
             self.first * other.value + self.value * other.first,
@@ -74,7 +74,7 @@ class Scalar(NamedTuple):
 
 
 def fade_out(t: SX, start: SX, duration: SX) -> Scalar:
-    """Return 1 - quintic_ramp. The result is 1 until `start` [s] and 0 from `duration` [s] later."""
+    """Return 1 - quintic_ramp: 1 until `start` [s], and 0 from `start` + `duration` [s] on."""
     value, first, second = quintic_ramp(t - start, duration)
     return Scalar(1.0 - value, -first, -second)
 
@@ -103,11 +103,11 @@ def along(
     s, c = ca.sin(omega * t), ca.cos(omega * t)
     r, rd, rdd = ramp
     sine = Scalar(r * s, rd * s + r * omega * c, rdd * s + 2.0 * rd * omega * c - r * omega**2 * s)
-    versine = ramp * Scalar(1.0 - c, omega * s, omega**2 * c)
+    versine = ramp.times(Scalar(1.0 - c, omega * s, omega**2 * c))
     none = Scalar(SX(0), SX(0), SX(0))
     periodic = ca.logic_or(shape == int(Shape.sine), shape == int(Shape.circle))
-    g = selected(periodic, sine * fade, selected(shape == int(Shape.line), ramp, none))
-    h = selected(shape == int(Shape.circle), versine * fade, none)
+    g = selected(periodic, sine.times(fade), selected(shape == int(Shape.line), ramp, none))
+    h = selected(shape == int(Shape.circle), versine.times(fade), none)
     still = SX(3, 1)
     first, second = ca.vertcat(translation, rotation_vector), ca.vertcat(second_translation, still)
     return Motion(

@@ -73,7 +73,7 @@ def through(t: SX, times: SX, points: SX) -> tuple[SX, SX, SX]:
     v_0, a_0 = (ca.if_else(present_a > 0, part, 0.0) for part in (v_0, a_0))
     v_1, a_1 = (ca.if_else(present_b > 0, part, 0.0) for part in (v_1, a_1))
 
-    # Quintic polynomial in s, with x = x_0 + h v_0 s + h^2 a_0 s^2 / 2 + c_3 s^3 + c_4 s^4 + c_5 s^5.
+    # Quintic polynomial x_0 + h v_0 s + h^2 a_0 s^2 / 2 + c_3 s^3 + c_4 s^4 + c_5 s^5.
     s = ca.fmin(ca.fmax((t - t_0) / h, 0.0), 1.0)
     moving = ca.logic_and(t > t_0, t < t_0 + h)
     u_0, u_1, w_0, w_1 = h * v_0, h * v_1, h**2 * a_0, h**2 * a_1
