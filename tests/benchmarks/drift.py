@@ -25,7 +25,9 @@ def main() -> None:
     path = Path(sys.argv[1]) if len(sys.argv) > 1 else directory() / "fmi2" / "free_flyer.fmu"
 
     def worst(seed: int, speed: float, duration: float, step: float) -> float:
-        found = drift(path, round(duration / 1e-3), 500, seed=seed, speed=speed, integration_step=step)
+        found = drift(
+            path, round(duration / 1e-3), 500, seed=seed, speed=speed, integration_step=step
+        )
         return max(found.values())
 
     print("largest drift over 100 s at integration steps of 1, 1/3, 1/7, 1/10 ms")
@@ -34,7 +36,9 @@ def main() -> None:
             steps = (1e-3, 1e-3 / 3.0, 1e-3 / 7.0, 1e-4)
             values = [worst(seed, speed / 0.1, 100.0, step) for step in steps]
             print(f"{speed:4g} rad/s rms, seed {seed}:", ", ".join(f"{v:.1e}" for v in values))
-    print("exponent of the drift in the step: 1 rad/s rms, 100 s, from 1 ms to 1/2, from 1/2 to 1/4 ms")
+    print(
+        "exponent of the drift in the step: 1 rad/s rms, 100 s, from 1 ms to 1/2, from 1/2 to 1/4 ms"
+    )
     for seed in SEEDS:
         values = [worst(seed, 10.0, 100.0, step) for step in (1e-3, 5e-4, 2.5e-4)]
         print(f"seed {seed}:", ", ".join(f"{np.log2(a / b):.2f}" for a, b in pairwise(values)))

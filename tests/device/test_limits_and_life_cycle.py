@@ -9,16 +9,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from freeflyer_adapters.device import settings
+from freeflyer_adapters.device import parameters as device_parameters
 from freeflyer_adapters.device.device import TRANSITIONS, LifeCycle, State
 from freeflyer_adapters.device.limits import ArmLimits, BaseLimits
+from freeflyer_adapters.device.parameters import Setting
 from freeflyer_adapters.device.quality import QualityMonitor
 from freeflyer_adapters.device.ramp_down import AT_REST, RampDown
-from freeflyer_adapters.device.settings import Setting
 
 N = 6
-ARM = {port.name: np.array(port.start) for port in settings.ports(settings.ARM, N)}
-BASE = {port.name: np.array(port.start) for port in settings.ports(settings.BASE)}
+ARM = {
+    port.name: np.array(port.start) for port in device_parameters.ports(device_parameters.ARM, N)
+}
+BASE = {port.name: np.array(port.start) for port in device_parameters.ports(device_parameters.BASE)}
 IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
 torques = st.lists(st.floats(-1e9, 1e9), min_size=N, max_size=N).map(np.array)
 
@@ -269,7 +271,9 @@ def test_active_is_reached_from_inactive_only() -> None:
     assert [s for s in LifeCycle if LifeCycle.active in TRANSITIONS[s]] == [LifeCycle.inactive]
 
 
-@pytest.mark.parametrize("setting", [*settings.ARM, *settings.BASE], ids=lambda s: s.name)
+@pytest.mark.parametrize(
+    "setting", [*device_parameters.ARM, *device_parameters.BASE], ids=lambda s: s.name
+)
 def test_every_limit_has_a_default_a_unit_and_an_effect(setting: Setting) -> None:
     assert setting.default
     assert setting.description

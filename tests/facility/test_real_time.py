@@ -264,7 +264,7 @@ def test_a_second_controller_of_a_base_without_arm_is_rejected_with_both_publish
         assert second.finish() == 2
         # A GID has 32 digits. Zenoh prints a session's ID without leading zeros.
         assert re.search(
-            r"accepts commands from publisher [0-9a-f]{32} already; this is session [0-9a-f]{1,32}:",
+            r"accepts commands from publisher [0-9a-f]{32} already; this controller is session [0-9a-f]{1,32}:",
             second.text,
         ), second.text
         assert first.popen.poll() is None

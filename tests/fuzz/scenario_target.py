@@ -20,7 +20,7 @@ import toml_mutation
 from target import Target
 
 from freeflyer.foundation.errors import CosimError
-from freeflyer.master.graph import Connection
+from freeflyer.master.connection import Connection
 from freeflyer.scenario import scenario
 from freeflyer_adapters.arm import options as arm_options
 from freeflyer_adapters.base import options as link_options

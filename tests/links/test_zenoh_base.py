@@ -363,7 +363,7 @@ def test_another_commander_prevents_the_configuration(here: ZenohBase, there: Sc
             flowing(there),
             pytest.raises(
                 DeviceError,
-                match=f"session {other.identity} commands topic base_robot/setpoint already",
+                match=f"session {other.identity} already publishes commands on topic base_robot/setpoint",
             ),
         ):
             here.configure()
@@ -413,7 +413,7 @@ def test_a_base_that_reports_another_publisher_is_rejected(
         flowing(there),
         pytest.raises(
             DeviceError,
-            match=f"base accepts commands from publisher {bytes(range(16)).hex()} already; this is session",
+            match=f"base accepts commands from publisher {bytes(range(16)).hex()} already; this controller is session",
         ),
     ):
         here.configure()

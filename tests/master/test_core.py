@@ -17,8 +17,8 @@ import freeflyer
 from freeflyer.fmi.component import Port, PythonComponent
 from freeflyer.foundation.errors import ComponentError
 from freeflyer.master import graph, native, schedule
+from freeflyer.master.connection import Connection
 from freeflyer.master.divergence import Limit
-from freeflyer.master.graph import Connection
 from freeflyer.master.master import Master, Outcome
 from freeflyer.scenario import experiment, scenario
 from freeflyer.scenario.assemble import assembled

@@ -15,8 +15,8 @@ from freeflyer.foundation import clock
 from freeflyer.foundation.errors import CosimError, GraphError, ScenarioError
 from freeflyer.foundation.units import converted, factor, same
 from freeflyer.master import graph, schedule
+from freeflyer.master.connection import Connection
 from freeflyer.master.divergence import Limit
-from freeflyer.master.graph import Connection
 from freeflyer.master.master import Master
 
 MS = 1_000_000

@@ -18,7 +18,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from freeflyer.foundation.errors import BAD_INPUT, OutputError
+from freeflyer.foundation.errors import OutputError
+from freeflyer.foundation.exit_codes import BAD_INPUT
 from freeflyer_adapters.device.device import DeviceError
 from freeflyer_adapters.loop.stop_notice import (
     LONGEST,

@@ -31,7 +31,7 @@ from freeflyer_adapters.arm.session import STOPPED, ArmSession, Phase
 from freeflyer_adapters.arm.state_receiver import Numbers, StateFrames
 from freeflyer_adapters.can.link import Receiver, Sender, flush, open_bus
 from freeflyer_adapters.can.second_sender import LISTEN
-from freeflyer_adapters.device import settings as all_settings
+from freeflyer_adapters.device import parameters as device_parameters
 from freeflyer_adapters.device.device import DeviceError, LifeCycle, SafeStop, State
 from freeflyer_adapters.device.limits import ArmLimits
 from freeflyer_adapters.device.permit import Permit
@@ -62,7 +62,7 @@ class CanArm:
         self._environment = environment.present()
         n = options.joints
         self.frames = ArmFrames(options.frames, n)
-        self.ports: Mapping[str, Port] = all_settings.arm_ports(n, all_settings.ARM)
+        self.ports: Mapping[str, Port] = device_parameters.arm_ports(n, device_parameters.ARM)
         self.values = memory(self.ports.values())
         self.implicit = options.implicit
         self.frames.check_activation(name, self.implicit)
@@ -123,7 +123,7 @@ class CanArm:
     def configure(self) -> None:
         # Check the settings and derive the limits.
         v = self.values
-        all_settings.check(self.name, all_settings.ARM, v)
+        device_parameters.check(self.name, device_parameters.ARM, v)
         self.cycle = self.step
         self.limits = ArmLimits(v, self.cycle)
         self.monitor = QualityMonitor.of(f"state frames of {self.name}", v, self.cycle)
@@ -164,10 +164,10 @@ class CanArm:
     def _described(self, receiver: Receiver) -> dict[str, list[float]]:
         """Wait for a description frame. Return the values of the frame: role -> values [SI].
 
-        `receiver`: receiver of the description frames. An arm that another controller has activated
-        sends no description frames, but its state frames can show the other controller. Therefore
-        the state frames are checked during the wait. Raises DeviceError if no description frame
-        arrives, and in the cases of `_check_conflicts`.
+        `receiver`: receiver of the description frames. If another controller has activated the
+        arm, the arm sends no description frames. However, its state frames can show the other
+        controller. Therefore the state frames are checked during the wait. Raises DeviceError if no
+        description frame arrives, and in the cases of `_check_conflicts`.
         """
         end = self._deadline()
         while (left := end - self._environment.monotonic()) > 0.0:
@@ -361,7 +361,7 @@ class CanArm:
     def _lost_permit(self) -> str:
         if self._reports_state and self.session.state is not LifeCycle.active:
             return (
-                f"the arm went to {self._state_text} by itself; its last command was {self._command_age:.0f} cycles old"
+                f"the arm went to {self._state_text} by itself; the last command that it accepted was {self._command_age:.0f} cycles old"
                 f"{self._states.errors}"
             )
         return f"{self.session.permit.lost}{self._states.errors}"

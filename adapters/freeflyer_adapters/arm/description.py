@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from freeflyer.fmi.component import Array
 from freeflyer_adapters.arm.frames import LIMIT_ROLES
 from freeflyer_adapters.can.frame import Frame
-from freeflyer_adapters.device import settings as all_settings
+from freeflyer_adapters.device import parameters as device_parameters
 from freeflyer_adapters.device.device import DeviceError
 
 MAY_BE_NARROWER = ("joint_velocity_limit", "joint_effort_limit")
-UNITS = {setting.name: setting.unit for setting in all_settings.ARM}
+UNITS = {setting.name: setting.unit for setting in device_parameters.ARM}
 
 
 def compare(
@@ -31,8 +31,8 @@ def compare(
     `where`: name of the arm in error messages. `frame`: the description frame. `described`: the
     values of this frame in SI units, as role -> values. A role is the name of a quantity, see
     `frames.py`.
-    `expected`: settings of `freeflyer_adapters.device.settings.ARM`, one value per joint. `joints`:
-    number of joints in the scenario.
+    `expected`: settings of `freeflyer_adapters.device.parameters.ARM`, one value per joint.
+    `joints`: number of joints in the scenario.
     """
     count, period = int(described["joint_count"][0]), float(expected["period"][0])
     if count != joints:

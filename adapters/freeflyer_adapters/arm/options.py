@@ -1,7 +1,7 @@
 """Options of a device of the kind "can_arm", from the table `[devices.NAME]` of a scenario.
 
 Both ends of the link, the host and the virtual arm, use these options. The numeric settings of the
-table `parameters` are defined in `freeflyer_adapters.device.settings`.
+table `parameters` are defined in `freeflyer_adapters.device.parameters`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 
 from freeflyer_adapters.arm.frames import FrameMapping
 from freeflyer_adapters.device.device import DeviceError
-from freeflyer_adapters.device.options import checked, known_keys
+from freeflyer_adapters.device.option_checks import checked, known_keys
 
 ACTIVATIONS = ("explicit", "implicit")
 

@@ -2,7 +2,7 @@
 
 The device publishes set points, and reads the latest measured pose and twist. The loop reads the
 device once per communication step, which is the cycle of the arm. Set points are published once per
-`cycle`, a setting of the device. One cycle is a whole number of communication steps.
+`cycle`, a setting of the device. `cycle` is a whole number of communication steps.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from freeflyer_adapters.base.link import OdometryLink, Received, is_usable
 from freeflyer_adapters.base.options import LinkOptions
 from freeflyer_adapters.base.rmw_zenoh import NO_PUBLISHER
 from freeflyer_adapters.base.session import open_session
-from freeflyer_adapters.device import settings as all_settings
+from freeflyer_adapters.device import parameters as device_parameters
 from freeflyer_adapters.device.device import DeviceError, LifeCycle, SafeStop, State
 from freeflyer_adapters.device.limits import BaseLimits
 from freeflyer_adapters.device.permit import Permit
@@ -54,7 +54,7 @@ class ZenohBase:
         self._environment = environment.present()
         # Ports: settings, set points, measurements.
         ports = [
-            *all_settings.ports(all_settings.BASE),
+            *device_parameters.ports(device_parameters.BASE),
             Port(name="position_setpoint", size=3, causality="input", units=("m",) * 3),
             Port(
                 name="orientation_setpoint",
@@ -106,7 +106,7 @@ class ZenohBase:
     def configure(self) -> None:
         v, o = self.values, self.options
         # The settings must be consistent before a link is opened.
-        all_settings.check(self.name, all_settings.BASE, v)
+        device_parameters.check(self.name, device_parameters.BASE, v)
         if not v["start_orientation"].any():
             raise DeviceError(
                 f"{self.name}.start_orientation is all zero; a unit quaternion x, y, z, w is expected"
@@ -147,7 +147,7 @@ class ZenohBase:
         others = link.publishers(o.setpoint_topic)
         if others:
             raise DeviceError(
-                f"{self.name}: session {others[0]} commands topic {o.setpoint_topic} already; this is session {link.identity}: "
+                f"{self.name}: session {others[0]} already publishes commands on topic {o.setpoint_topic}; this controller is session {link.identity}: "
                 f"stop session {others[0]} first"
             )
         self._reports_obedience = self._refuse_another_controller() is not None
@@ -203,7 +203,7 @@ class ZenohBase:
         obeyed = self._link.obeyed_publisher()
         if obeyed not in (None, NO_PUBLISHER, self._link.gid):
             raise DeviceError(
-                f"{self.name} accepts commands from publisher {obeyed} already; this is {self._link.gid or 'session ' + self._link.identity}: "
+                f"{self.name} accepts commands from publisher {obeyed} already; this controller is {self._link.gid or 'session ' + self._link.identity}: "
                 f"stop publisher {obeyed} first"
             )
         return obeyed
@@ -214,7 +214,7 @@ class ZenohBase:
         if self._reports_obedience:
             return []
         return [
-            "it does not report the publisher from which it accepts commands (like a plain ROS 2 node); therefore the base robot itself must end the "
+            "like a plain ROS 2 node, it does not report the publisher from which it accepts commands; therefore the base robot itself must end the "
             "motion after a stop and reject late set points (interface control document)"
         ]
 
@@ -279,7 +279,7 @@ class ZenohBase:
         link.watch_obedience()
         if others := link.publishers(self.options.setpoint_topic):
             raise DeviceError(
-                f"{self.name}: session {others[0]} also commands topic {self.options.setpoint_topic}; stop one of the two controllers"
+                f"{self.name}: session {others[0]} also publishes commands on topic {self.options.setpoint_topic}; stop one of the two controllers"
             )
         self.permit.take(self._environment.monotonic_ns())
         self._take_command(meanwhile)

@@ -89,6 +89,6 @@ class Checker:
             return Status.repeated
         if step == 1:
             return Status.ok
-        # If the step is too large, the frame is rejected. Its counter is still the reference for
-        # the next frame.
+        # If the step is too large, the frame is rejected. Nevertheless, its counter becomes the
+        # reference for the next frame.
         return Status.some_lost if step <= self.most_lost else Status.wrong_sequence

@@ -32,11 +32,11 @@ from freeflyer_adapters.can.link import flush, open_bus
 from freeflyer_adapters.cia402 import load, objects, process_data
 from freeflyer_adapters.cia402.network import PolledNetwork
 from freeflyer_adapters.cia402.options import DriveOptions
+from freeflyer_adapters.cia402.parameters import DRIVES
 from freeflyer_adapters.cia402.remote_drive import HEARTBEATS_MISSED, RemoteDrive
 from freeflyer_adapters.cia402.scaling import Scaling
-from freeflyer_adapters.cia402.settings import DRIVES
 from freeflyer_adapters.cia402.state_machine import Command, DriveState
-from freeflyer_adapters.device import settings as all_settings
+from freeflyer_adapters.device import parameters as device_parameters
 from freeflyer_adapters.device.device import DeviceError, LifeCycle, SafeStop, State
 from freeflyer_adapters.device.limits import ArmLimits
 from freeflyer_adapters.device.permit import Permit
@@ -76,7 +76,7 @@ class Cia402Arm:
         self.state = State(name)
         self._environment = environment.present()
         n = options.joints
-        self.ports: Mapping[str, Port] = all_settings.arm_ports(n, DRIVES)
+        self.ports: Mapping[str, Port] = device_parameters.arm_ports(n, DRIVES)
         self.values = memory(self.ports.values())
         self.scaling = Scaling(options.motors)
         self.answers, self.targets = Histogram(), Histogram()
@@ -146,7 +146,7 @@ class Cia402Arm:
     def configure(self) -> None:
         # Check settings and bus load, and derive the limits.
         o, v = self.options, self.values
-        all_settings.check(self.name, DRIVES, v)
+        device_parameters.check(self.name, DRIVES, v)
         self.cycle = self.step
         self.bus_load = load.check(
             self.name,

@@ -12,9 +12,9 @@ from freeflyer_adapters.cia402.process_data import ACTUAL, SPEED, TARGET
 from freeflyer_adapters.device.device import DeviceError
 
 SDO_FRAMES = 2
-"""Number of frames per cycle that are added to SYNC, PDOs and heartbeats. Each has 8 bytes.
+"""Number of frames per cycle that the calculation assumes besides SYNC, PDOs and heartbeats.
 
-These frames are one SDO request and one SDO response, or an EMCY.
+These frames of 8 bytes are one SDO request and one SDO response, or an EMCY.
 """
 LONGEST = 0.1
 """Longest cycle that an error message suggests [s]."""

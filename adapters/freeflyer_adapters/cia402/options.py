@@ -1,7 +1,7 @@
 """Options of a device of the kind "cia402_arm", from the table `[devices.NAME]` of a scenario.
 
 The host and the virtual drives use these options. The numeric settings of the table `parameters`
-are defined in `freeflyer_adapters.cia402.settings`.
+are defined in `freeflyer_adapters.cia402.parameters`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 from freeflyer_adapters.cia402.objects import SHIPPED_EDS
 from freeflyer_adapters.cia402.scaling import Motor
 from freeflyer_adapters.device.device import DeviceError
-from freeflyer_adapters.device.options import checked, known_keys
+from freeflyer_adapters.device.option_checks import checked, known_keys
 
 KEYS = ("interface", "channel", "bus", "bitrate", "joints", "node_ids", "host_node_id", "eds", "rated_torque", "encoder_resolution",
         "gear_ratio", "velocity_scale", "velocity", "heartbeat_s", "largest_load")  # fmt: skip

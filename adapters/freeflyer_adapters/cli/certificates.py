@@ -12,7 +12,7 @@ from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID
 from rich.console import Console
 
-from freeflyer.foundation.errors import DONE
+from freeflyer.foundation.exit_codes import DONE
 from freeflyer.foundation.output_file import folder
 from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer_adapters.base.certificate_authority import (

@@ -14,7 +14,8 @@ from rich.console import Console
 from rich.table import Table
 
 from freeflyer.cli.run import result_table
-from freeflyer.foundation.errors import BAD_INPUT, DONE, STOPPED, report_error
+from freeflyer.foundation.errors import report_error
+from freeflyer.foundation.exit_codes import BAD_INPUT, DONE, STOPPED
 from freeflyer.foundation.interrupts import interrupts
 from freeflyer.foundation.output_file import check_writable, folder, write_text
 from freeflyer.scenario import experiment, scenario

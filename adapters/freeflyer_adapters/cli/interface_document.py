@@ -23,9 +23,9 @@ from freeflyer_adapters.base.options import LinkOptions
 from freeflyer_adapters.can.bus_load import bus_load, frame_time
 from freeflyer_adapters.can.second_sender import LISTEN
 from freeflyer_adapters.can.signals import load
-from freeflyer_adapters.device import settings
+from freeflyer_adapters.device import parameters as device_parameters
 from freeflyer_adapters.device.device import TRANSITIONS, LifeCycle
-from freeflyer_adapters.device.settings import Setting
+from freeflyer_adapters.device.parameters import Setting
 from freeflyer_adapters.facility import can_faults, zenoh_faults
 from freeflyer_adapters.facility.faults import DIRECTIONS, KINDS, Fault, RandomFaults
 from freeflyer_adapters.facility.settings import FacilitySettings
@@ -132,7 +132,7 @@ def _missing_roles() -> Iterator[str]:
         "If one of the other roles is missing, a guarantee is lost. The table shows the effect of each missing role. If a role marked *explicit* is missing, "
         'the arm itself cannot reject an activation. In this case the scenario must set `activation = "implicit"`, and a torque '
         "frame activates the arm. `freeflyer hil` and `freeflyer hil --check` then print which commands this arm cannot reject. Only the interlock of the controller (see 8) is left. "
-        "One interlock is safe under two conditions. First, the link does not delay frames. Second, after a loss of state frames, the loop stops before the arm "
+        "This interlock alone is sufficient under two conditions. First, the link does not delay frames. Second, after a loss of state frames, the loop stops before the arm "
         "ends the session with its controller (`lost_consecutive`, `state_age_limit`).\n"
     )
     yield "| missing role | needed for | effect of the missing role |\n|---|---|---|"
@@ -149,8 +149,8 @@ def _second_sender() -> Iterator[str]:
     yield (
         f"Only one node may send frames with a given identifier (ISO 11898-1). The controller checks {LISTEN} state frames before it sends anything. In the loop, "
         "the controller checks all state frames. Two arms send two interleaved streams of frames, with correct checksums and different counters. "
-        "Before activation, more than three state frames in two cycles also show that there are two arms. Two arms are rejected before activation. In a running loop, two arms are a reason to stop. The following count as faults of one sender: repeated, late and reordered frames, a frozen "
-        "counter, and a jump of the counter. If three command frames of another sender arrive within 20 cycles, there is a second controller."
+        "Before activation, more than three state frames in two cycles also show that there are two arms. Two arms are rejected before activation. In a running loop, two arms are a reason to stop. Repeated, late and reordered frames, a frozen "
+        "counter, and a jump of the counter are treated as faults of one sender. If three command frames of another sender arrive within 20 cycles, there is a second controller."
         "\n\nThe following cases are not detected: two arms with the same content and "
         "the same counter; a second sender at a sixteenth of the rate or less; more than two senders; frames without E2E protection and "
         "without a cycle number. `tests/links/test_second_sender.py` measures the detection time. The median is 15 frames of each sender. Without loss of "
@@ -185,7 +185,7 @@ def _zenoh() -> Iterator[str]:
     )
     yield (
         "\nCDR and rmw_zenoh have no checksum. Therefore the senders of this project put a checksum into the two option bytes of CDR's encapsulation "
-        "header. Receivers ignore these bytes. The checksum is the CRC-16 of E2E profile 5 (polynomial 0x1021, initial value 0xFFFF), most significant byte first. "
+        "header. Receivers without this checksum, for example a plain ROS 2 node, ignore these bytes. The checksum is the CRC-16 of E2E profile 5 (polynomial 0x1021, initial value 0xFFFF), most significant byte first. "
         "The checksum covers the first two bytes of the message, all bytes from the fifth byte on, and the attachment. Later versions of CDR use the two "
         "lowest bits for the padding size, so these two bits must be zero. The sender increments its time stamp by 1 ns until the two bits of the checksum are zero. "
         "If the first sample of a publisher has non-zero option bytes, every sample of this publisher must have a correct checksum. The option bytes of a "
@@ -202,7 +202,7 @@ def _zenoh_session(o: LinkOptions) -> Iterator[str]:
         f"report this by a liveliness token of this project, `{rmw_zenoh.obedience_token(o.domain, o.setpoint_topic, 'GID')}`. `GID` is the GID "
         "(hexadecimal) of the publisher in command, that is, the publisher whose set points are accepted. If there is no such publisher, "
         f"`{rmw_zenoh.NO_PUBLISHER}` replaces the GID. If the base robot has this token, the link has three further properties:\n\n"
-        "- The controller is rejected if another publisher is in command.\n"
+        "- The controller does not activate if the token reports another publisher in command.\n"
         "- The controller activates the arm only after the base robot has accepted the set points of the controller.\n"
         "- The controller stops when the token is withdrawn.\n\n"
         "The virtual base robot has this token. It accepts a publisher after the set points of this publisher have arrived for 40 ms at the rate of their time stamps. "
@@ -218,7 +218,7 @@ def _zenoh_session(o: LinkOptions) -> Iterator[str]:
     )
     yield (
         "\nThe controller detects two publishers of the measured topic by their tokens, or by interleaved samples of two GIDs. Two publishers are rejected before activation. In a running "
-        "loop, two publishers are a reason to stop. A new publisher of the set-point topic has the same effect. Peers that are connected only to the base robot do not receive the "
+        "loop, two publishers are a reason to stop. If a second publisher of the set-point topic appears, the reactions are the same. Peers that are connected only to the base robot do not receive the "
         "tokens of each other. In this case, the base robot ignores the second publisher, and the token of the base robot reports the first publisher."
     )
     yield (
@@ -231,7 +231,7 @@ def _zenoh_session(o: LinkOptions) -> Iterator[str]:
 def _access_control(o: LinkOptions) -> Iterator[str]:
     yield (
         f"\n### Access control\n\nWith certificates, Zenoh's access control on each end permits only the messages of this table. The table uses the default names. "
-        f"The controller is `{o.controller}`, which is the only commander. The robot is `{o.robot}`. A third-party base robot needs the rules for the end of the "
+        f"The controller is `{o.controller}`, which is the only commander. The robot is `{o.robot}`. A third-party base robot needs the rules in the rows of the "
         f"base robot. A router in front of this base robot can have these rules instead. By the token "
         f"`{rmw_zenoh.commander_token(o.domain, o.setpoint_topic, 'NAME')}`, the base robot can report that the certificate NAME may command."
     )
@@ -275,8 +275,8 @@ def _settings() -> Iterator[str]:
         "wrench, and for the observed energies over a given time."
     )
     for title, rows in (
-        ("Arm (`can_arm`)", settings.ARM),
-        ("Base robot (`zenoh_base`)", settings.BASE),
+        ("Arm (`can_arm`)", device_parameters.ARM),
+        ("Base robot (`zenoh_base`)", device_parameters.BASE),
     ):
         yield f"\n### {title}\n\n| setting | default | unit | effect | meaning |\n|---|---|---|---|---|"
         for row in rows:

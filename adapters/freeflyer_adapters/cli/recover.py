@@ -8,7 +8,8 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import Progress
 
-from freeflyer.foundation.errors import DONE, RecordError
+from freeflyer.foundation.errors import RecordError
+from freeflyer.foundation.exit_codes import DONE
 from freeflyer.foundation.interrupts import interrupts
 from freeflyer_adapters.recording.recover import recover, rings_of, unfinished
 

@@ -19,8 +19,7 @@ from freeflyer_adapters.foundation.pose import distance
 class ArmLimits:
     """Limits of one arm.
 
-    `settings`: values of `freeflyer_adapters.device.settings.ARM`. `cycle`: period of the commands
-    [s].
+    `settings`: values of `device.parameters.ARM`. `cycle`: period of the commands [s].
     """
 
     def __init__(self, settings: Mapping[str, Array], cycle: float) -> None:
@@ -94,7 +93,7 @@ class ArmLimits:
 
 
 class BaseLimits:
-    """Limits of one base robot. `settings`: values of `freeflyer_adapters.device.settings.BASE`."""
+    """Limits of one base robot. `settings`: values of `device.parameters.BASE`."""
 
     def __init__(self, settings: Mapping[str, Array]) -> None:
         self.lower, self.upper = (

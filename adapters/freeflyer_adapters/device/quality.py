@@ -33,7 +33,7 @@ class QualityMonitor:
 
     @classmethod
     def of(cls, subject: str, settings: Mapping[str, Array], cycle: float) -> QualityMonitor:
-        """Create the monitor from a device's settings; see `freeflyer_adapters.device.settings`."""
+        """Create the monitor from a device's settings; see `device.parameters`."""
         return cls(
             subject,
             consecutive=int(settings["lost_consecutive"][0]),

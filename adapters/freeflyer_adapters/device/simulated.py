@@ -19,11 +19,11 @@ import numpy as np
 from freeflyer.fmi.component import Array, Component, Port, memory
 from freeflyer.fmi.fmu import FmuComponent
 from freeflyer.scenario.assemble import find_fmu
-from freeflyer_adapters.device import settings as all_settings
+from freeflyer_adapters.device import parameters as device_parameters
 from freeflyer_adapters.device.component import DeviceComponent
 from freeflyer_adapters.device.device import DeviceError, LifeCycle, SafeStop, State
 from freeflyer_adapters.device.limits import ArmLimits, BaseLimits
-from freeflyer_adapters.device.options import known_keys
+from freeflyer_adapters.device.option_checks import known_keys
 from freeflyer_adapters.device.ramp_down import RampDown
 from freeflyer_adapters.foundation.histogram import Histogram
 
@@ -54,10 +54,10 @@ class SimulatedDevice:
         self._parameters = [port.name for port in ports.values() if port.settable]
         if self.is_arm:
             joints = model.ports["joint_torque_command"].size
-            for port in all_settings.ports(all_settings.ARM, joints):
+            for port in device_parameters.ports(device_parameters.ARM, joints):
                 ports.setdefault(port.name, port)
         if self.is_base:
-            for port in all_settings.ports(all_settings.BASE):
+            for port in device_parameters.ports(device_parameters.BASE):
                 ports.setdefault(port.name, port)
         self._sent: tuple[Array, Array] | None = None
         self._inputs = [port.name for port in ports.values() if port.causality == "input"]
@@ -80,9 +80,9 @@ class SimulatedDevice:
 
     def configure(self) -> None:
         if self.is_arm:
-            all_settings.check(self.name, all_settings.ARM, self.values)
+            device_parameters.check(self.name, device_parameters.ARM, self.values)
         if self.is_base:
-            all_settings.check(self.name, all_settings.BASE, self.values)
+            device_parameters.check(self.name, device_parameters.BASE, self.values)
         given = {name: self.values[name].copy() for name in self._parameters}
         self.model.enter_initialization(0.0, given)
         inputs = np.concatenate([np.zeros(0), *(self.values[name] for name in self._inputs)])

@@ -21,7 +21,7 @@ from freeflyer.foundation.plugins import load, plugins
 from freeflyer.foundation.signal_name import split
 from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer.master import graph, schedule
-from freeflyer.master.graph import Connection
+from freeflyer.master.connection import Connection
 from freeflyer.master.master import Master, Outcome
 from freeflyer.scenario import assemble, parameters
 from freeflyer.scenario.scenario import Scenario

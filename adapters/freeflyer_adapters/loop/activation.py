@@ -12,8 +12,8 @@ from freeflyer_adapters.device.device import Device, SafeStop
 def guarded(device: Device, call: Callable[[], object]) -> None:
     """Call a function of a device's driver.
 
-    StepFailed and CosimError are raised unchanged. Every other exception is raised as SafeStop. The
-    loop ends a run with SafeStop in an orderly way, so the results of the run are kept.
+    StepFailed and CosimError are raised unchanged. Every other exception is raised as SafeStop. If
+    SafeStop is raised, the loop ends the run in an orderly way and keeps its results.
     """
     try:
         call()
@@ -26,9 +26,9 @@ def guarded(device: Device, call: Callable[[], object]) -> None:
 def clocks_first(devices: Sequence[Device]) -> list[Device]:
     """Return the devices in the order in which their commands are written.
 
-    The clock of the loop is the device whose state frames start the instants of the loop. Only an
-    arm can be the clock. The clock is first, because the arm waits for its command. Without a
-    clock, the order is not changed.
+    The clock of the loop is the device whose state frames trigger the loop: each state frame starts
+    one cycle. Only an arm can be the clock. The clock is first, because the arm waits for its
+    command. Without a clock, the order is not changed.
     """
     return sorted(devices, key=lambda device: not device.is_clock)
 

@@ -21,7 +21,7 @@ from freeflyer.foundation.clock import seconds
 from freeflyer.foundation.errors import StepFailed
 from freeflyer.foundation.interrupts import interrupts, no_interrupts
 from freeflyer.foundation.signal_name import split
-from freeflyer.master.graph import Connection
+from freeflyer.master.connection import Connection
 from freeflyer.master.master import InstantHook, Master, Outcome
 from freeflyer.scenario import metrics
 from freeflyer.scenario.assemble import assembled

@@ -17,7 +17,8 @@ from logging.handlers import SysLogHandler
 from pathlib import Path
 from typing import Any
 
-from freeflyer.foundation.errors import BAD_INPUT, OutputError
+from freeflyer.foundation.errors import OutputError
+from freeflyer.foundation.exit_codes import BAD_INPUT
 from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer_adapters.device.device import DeviceError
 from freeflyer_adapters.foundation import environment

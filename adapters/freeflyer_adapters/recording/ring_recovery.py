@@ -1,7 +1,8 @@
 """Recovery of the rings that killed loops have left in shared memory.
 
 A ring is a ring buffer with the last seconds of a loop (`freeflyer_adapters.recording.ring`). The
-flight recording is a file with these last seconds. The recording contains the whole run.
+flight recording is a file with these last seconds. The recording is another file, which contains
+the whole run.
 """
 
 from __future__ import annotations

@@ -18,7 +18,8 @@ from freeflyer.analysis.audit.ledger import Audit, Port
 from freeflyer.analysis.figure_style import save
 from freeflyer.fmi.component import Array
 from freeflyer.foundation.clock import seconds
-from freeflyer.foundation.errors import DONE, RecordError
+from freeflyer.foundation.errors import RecordError
+from freeflyer.foundation.exit_codes import DONE
 from freeflyer.foundation.output_file import check_writable, write_text
 from freeflyer.master.record import Record
 

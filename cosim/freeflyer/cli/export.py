@@ -8,7 +8,8 @@ from pathlib import Path
 from rich.console import Console
 
 from freeflyer.cli.run import SCENARIO_HELP, add_overrides
-from freeflyer.foundation.errors import DONE, ScenarioError
+from freeflyer.foundation.errors import ScenarioError
+from freeflyer.foundation.exit_codes import DONE
 from freeflyer.scenario import assemble, scenario
 from freeflyer.ssp import write as ssp_write
 

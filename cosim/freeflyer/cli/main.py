@@ -15,7 +15,8 @@ from contextlib import contextmanager
 from importlib import import_module
 from typing import TYPE_CHECKING, NoReturn, Protocol
 
-from freeflyer.foundation.errors import BAD_INPUT, STOPPED, CosimError, report_error
+from freeflyer.foundation.errors import CosimError, report_error
+from freeflyer.foundation.exit_codes import BAD_INPUT, STOPPED
 from freeflyer.foundation.interrupts import ENDING
 from freeflyer.foundation.plugins import load, plugins
 

@@ -15,7 +15,7 @@ from freeflyer.analysis.prediction.modes import Mode
 from freeflyer.analysis.prediction.set_point import SetPoint, at_set_point
 from freeflyer.analysis.prediction.trajectory import AlongTrajectory, along_trajectory, check_length
 from freeflyer.cli.run import SCENARIO_HELP, add_overrides
-from freeflyer.foundation.errors import DONE
+from freeflyer.foundation.exit_codes import DONE
 from freeflyer.foundation.interrupts import interrupts
 from freeflyer.foundation.output_file import check_writable, folder, write_text
 from freeflyer.scenario import scenario

@@ -13,7 +13,8 @@ from rich.table import Table
 
 from freeflyer.analysis.sweep import file as sweep_file
 from freeflyer.cli.run import add_fmi, add_overrides
-from freeflyer.foundation.errors import DONE, STOPPED, ScenarioError, report_error
+from freeflyer.foundation.errors import ScenarioError, report_error
+from freeflyer.foundation.exit_codes import DONE, STOPPED
 from freeflyer.foundation.output_file import folder
 
 if TYPE_CHECKING:

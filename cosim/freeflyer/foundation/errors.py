@@ -1,4 +1,4 @@
-"""Exceptions and exit codes.
+"""Exceptions. The attribute `exit_code` is the exit code of a command that raises the exception.
 
 A message for the user contains, in this order: the subject, the value that was found, the expected
 value, and the remedy.
@@ -6,8 +6,7 @@ value, and the remedy.
 
 import sys
 
-DONE, BAD_INPUT, STOPPED = 0, 2, 3
-"""Exit codes of every command."""
+from freeflyer.foundation.exit_codes import BAD_INPUT, STOPPED
 
 
 class CosimError(Exception):

@@ -8,7 +8,8 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-from freeflyer.foundation.errors import BAD_INPUT, OutputError
+from freeflyer.foundation.errors import OutputError
+from freeflyer.foundation.exit_codes import BAD_INPUT
 
 
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:

@@ -1,4 +1,8 @@
-"""Limits of signals. A run has diverged if a signal exceeds its limit."""
+"""Limits of signals. A run has diverged if a signal exceeds its limit.
+
+The limits of the shipped scenarios are in `[[limits]]` of paper/scenarios/_free_flyer_loop.toml. A
+run also has diverged if a step fails with `StepFailed.left_validity` (foundation/errors.py).
+"""
 
 from __future__ import annotations
 

@@ -1,23 +1,9 @@
-"""The graph of components and connections: checks, and the execution order at an instant.
-
-An instant is a point in time at which steps may start.
-
-A controller computes its outputs for the start of a step. Such an output depends on inputs at the
-same instant, or it is declared as sampled. A controller must be stepped before other components use
-its outputs at the same instant.
-
-A plant computes its outputs for the end of a step. Therefore the outputs of a plant at an instant
-are known from the step that ends at this instant. These outputs impose no order.
-
-A delayed connection transfers the value that its source had before the instant. Therefore a delayed
-connection imposes no order.
-"""
+"""The graph of components and connections, and its checks."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from graphlib import CycleError, TopologicalSorter
 from typing import Literal
 
 from freeflyer.fmi.component import Component, Port
@@ -25,6 +11,8 @@ from freeflyer.foundation.errors import GraphError
 from freeflyer.foundation.signal_name import split
 from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer.foundation.units import same
+from freeflyer.master import execution_order
+from freeflyer.master.connection import Connection
 
 Exchange = Literal["sequential", "parallel"]
 """The coupling scheme of the components.
@@ -35,28 +23,6 @@ Parallel (Jacobi): at an instant, every component uses outputs of steps that end
 or before. The output of a controller is available at the end of its step. Therefore this output
 reaches the other components one controller step later than in sequential exchange.
 """
-
-
-@dataclass(frozen=True, kw_only=True)
-class Connection:
-    """A connection from the output `source` to the input `target`.
-
-    Both names have the form COMPONENT.VARIABLE. If `delayed` is True, the connection transfers the
-    value that the source had before the present instant.
-
-    If `of_terminals` is True, both names have the form COMPONENT.TERMINAL. A terminal is a named
-    group of variables, its members. All matching members of the two terminals are connected.
-    """
-
-    source: str
-    target: str
-    delayed: bool = False
-    of_terminals: bool = False
-    optional: bool = False
-    """If True, the connection is omitted when its source does not exist."""
-
-    def __str__(self) -> str:
-        return f"{self.source} {'<->' if self.of_terminals else '->'} {self.target}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -186,7 +152,7 @@ def build(
     if exchange == "parallel":
         connections = [replace(connection, delayed=False) for connection in connections]
         samples = dict.fromkeys(components, False)
-    first = _order(components, connections, samples or {})
+    first = execution_order.controllers(components, connections, samples or {})
     then = tuple(name for name in components if name not in first)
     return Graph(components=components, connections=tuple(connections), first=first, then=then)
 
@@ -211,69 +177,3 @@ def _check(components: Mapping[str, Component], connection: Connection) -> None:
         if not same(given, wanted):
             element = f" at element {index + 1}" if source.size > 1 else ""
             raise GraphError(f"{subject}: units differ{element}: {given} and {wanted}")
-
-
-def _order(
-    components: Mapping[str, Component],
-    connections: Sequence[Connection],
-    samples: Mapping[str, bool],
-) -> tuple[str, ...]:
-    """Return the controllers in their execution order.
-
-    In the result, each controller comes after the controllers whose outputs it uses through
-    connections that are not delayed. For `samples`, see `build`. Raises GraphError if the
-    connections form an algebraic loop.
-    """
-    used: dict[str, set[str]] = {name: set() for name in components}
-    for connection in connections:
-        source, variable = split(connection.source)
-        used[source].add(variable)
-    early = {
-        name
-        for name, component in components.items()
-        if _is_early(name, component, used[name], samples.get(name))
-    }
-    sorter: TopologicalSorter[str] = TopologicalSorter()
-    for name in components:  # independent components keep the order of the scenario
-        sorter.add(name)
-    for connection in connections:
-        (source, _), (target, _) = split(connection.source), split(connection.target)
-        if source in early and not connection.delayed:
-            sorter.add(target, source)
-    try:
-        ordered = list(sorter.static_order())
-    except CycleError as error:
-        # graphlib lists the components of the loop against the direction of the data flow.
-        loop = " -> ".join(reversed(error.args[1]))
-        raise GraphError(
-            f"algebraic loop: {loop}: each component needs an output of another component at the same instant; declare one of the connections delayed"
-        ) from error
-    return tuple(name for name in ordered if name in early)
-
-
-def _is_early(name: str, component: Component, used: set[str], samples: bool | None) -> bool:
-    """Return whether a component is a controller: its outputs are values at the start of a step.
-
-    `samples` is the declaration for this component, or None. If `samples` is None, the ports
-    decide. `used` contains the outputs with a connection. Only these outputs are considered. If no
-    output has a connection, all outputs are considered.
-
-    Raises GraphError if the ports decide and `used` contains outputs of both kinds: values at the
-    start of a step, and values at the end of a step.
-    """
-    if samples is not None:
-        return samples
-    outputs = [
-        port
-        for port in component.ports.values()
-        if port.causality == "output" and (not used or port.name in used)
-    ]
-    prompt = [port.name for port in outputs if port.prompt]
-    settled = [port.name for port in outputs if not port.prompt]
-    if prompt and settled and used:
-        raise GraphError(
-            f"component {name}: its output {prompt[0]} depends directly on its inputs and its output {settled[0]} does not, and "
-            f"both outputs are connected; declare samples = true (outputs are values at the start of a step) or samples = false (outputs "
-            f"are values at the end of a step)"
-        )
-    return bool(prompt)

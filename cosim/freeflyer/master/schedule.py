@@ -3,7 +3,7 @@
 Each component has its own communication step. The smallest of these steps is called the tick. All
 steps are multiples of the tick. Instant k is the time k * tick.
 
-The schedule does not order the components that step at the same instant. `freeflyer.master.graph`
+The schedule does not order the components that step at the same instant. `execution_order`
 determines their order.
 """
 

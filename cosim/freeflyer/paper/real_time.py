@@ -17,7 +17,8 @@ import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from freeflyer.foundation.errors import DONE, STOPPED, OutputError
+from freeflyer.foundation.errors import OutputError
+from freeflyer.foundation.exit_codes import DONE, STOPPED
 from freeflyer.master.master import Outcome
 from freeflyer.master.record import Record
 from freeflyer.scenario.experiment import Result

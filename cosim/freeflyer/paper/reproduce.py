@@ -14,7 +14,7 @@ from freeflyer.analysis.audit import figure as audit_figure
 from freeflyer.analysis.audit import ledger, recorded_loop
 from freeflyer.analysis.figure_style import STYLE, save
 from freeflyer.foundation.clock import seconds
-from freeflyer.foundation.errors import DONE, STOPPED
+from freeflyer.foundation.exit_codes import DONE, STOPPED
 from freeflyer.foundation.output_file import check_writable, write_text
 from freeflyer.paper import criteria, figures, real_time, report
 from freeflyer.paper.report import ASSUMPTIONS, Figure, Statement

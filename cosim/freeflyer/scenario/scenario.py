@@ -31,8 +31,9 @@ from freeflyer.foundation.errors import ScenarioError
 from freeflyer.foundation.signal_name import split, split_connection
 from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer.foundation.units import converted, factor
+from freeflyer.master.connection import Connection
 from freeflyer.master.divergence import Limit
-from freeflyer.master.graph import Connection, Exchange
+from freeflyer.master.graph import Exchange
 from freeflyer.scenario import csv_parameters
 from freeflyer.scenario.inheritance import Raw, merged
 from freeflyer.scenario.overrides import override

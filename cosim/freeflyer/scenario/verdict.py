@@ -6,7 +6,8 @@ follows from the verdict.
 
 from __future__ import annotations
 
-from freeflyer.foundation.errors import DONE, STOPPED, report_error
+from freeflyer.foundation.errors import report_error
+from freeflyer.foundation.exit_codes import DONE, STOPPED
 from freeflyer.master.master import Outcome
 from freeflyer.scenario.scenario import Scenario
 

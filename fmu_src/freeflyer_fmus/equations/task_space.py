@@ -17,7 +17,7 @@ SX = ca.SX
 
 
 def jacobians(mechanism: Mechanism, state: State) -> tuple[SX, SX]:
-    """Return J_b (6, 6) and J_m (6, n), the Jacobians of equation (2) of the paper, in I."""
+    """Return J_b (6, 6) and J_m (6, n) of equation (2) of the paper, in the inertial frame I."""
     R_IB = rotation.matrix(state.orientation)
     at = axes(mechanism, state.q)
     R = ca.diagcat(R_IB, R_IB)

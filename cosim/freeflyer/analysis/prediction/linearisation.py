@@ -25,7 +25,7 @@ from freeflyer.foundation.clock import seconds
 from freeflyer.foundation.errors import ScenarioError
 from freeflyer.foundation.signal_name import split
 from freeflyer.master import graph, schedule
-from freeflyer.master.graph import Connection
+from freeflyer.master.connection import Connection
 from freeflyer.master.master import Master
 from freeflyer.scenario import parameters
 from freeflyer.scenario.assemble import System, find_fmu

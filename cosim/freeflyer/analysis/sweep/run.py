@@ -18,7 +18,8 @@ from distributed.scheduler import KilledWorker
 from freeflyer.analysis.sweep.plan import Plan
 from freeflyer.analysis.sweep.results import Results
 from freeflyer.analysis.sweep.task import WorkerRefused, failure, run_batch
-from freeflyer.foundation.errors import STOPPED, ScenarioError
+from freeflyer.foundation.errors import ScenarioError
+from freeflyer.foundation.exit_codes import STOPPED
 from freeflyer.foundation.interrupts import interrupts
 from freeflyer.scenario.metrics import versions
 

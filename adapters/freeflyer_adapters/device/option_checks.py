@@ -1,4 +1,7 @@
-"""Checks of the keys in the table of a device (`[devices.NAME]`) of a scenario."""
+"""Checks of the keys in the table of a device (`[devices.NAME]`) of a scenario.
+
+The numeric settings of a device are in `parameters`.
+"""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from freeflyer_adapters.device import settings
+from freeflyer_adapters.device import parameters as device_parameters
 
 DEFAULTS = {"period": (0.004,), "state_age_limit": (0.04,), "lost_consecutive": (5.0,)}
 DESCRIPTIONS = {
@@ -23,5 +23,5 @@ DRIVES = tuple(
         default=DEFAULTS.get(s.name, s.default),
         description=DESCRIPTIONS.get(s.name, s.description),
     )
-    for s in settings.ARM
+    for s in device_parameters.ARM
 )
