@@ -1,10 +1,10 @@
 """Matched law on random rigid bodies that rotate: python tests/benchmarks/rigid_body.py [COUNT]
 
 The inertia of a rotating body is not constant in I. Then the premise of the matched law does not
-hold, and the law can generate energy. Each body starts at a random orientation and angular velocity.
-A torque in I is held for a period. V is the kinetic energy plus the potential of the spring. The
-table shows for each theta how many bodies exceed V(0) at a sample, how many end above V(0), and the
-largest V / V(0). The gains are the same about all axes.
+hold, and the law can generate energy. Each body starts with a random orientation and angular
+velocity. A torque in I is held for a period. V is the kinetic energy plus the potential of the
+spring. The table shows for each theta how many bodies exceed V(0) at a sample, how many end above
+V(0), and the largest V / V(0). The gains are the same about all axes.
 """
 
 from __future__ import annotations

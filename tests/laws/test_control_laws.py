@@ -8,13 +8,11 @@ import casadi as ca
 import numpy as np
 import pytest
 from families import family
-from hypothesis import given
-from hypothesis import strategies as st
 from robots import ROBOTS
 from scipy.integrate import solve_ivp
 
 from freeflyer_fmus.blocks.continuous_loop import continuous_loop
-from freeflyer_fmus.equations import task_space, tracking_control, trajectory
+from freeflyer_fmus.equations import task_space, tracking_control
 from freeflyer_fmus.equations.mechanism import State, constant_mechanism
 from freeflyer_fmus.robot.robot import Robot
 from freeflyer_fmus.robot.urdf import load_robot_file
@@ -210,39 +208,6 @@ def test_rate_of_W_is_the_papers_expression_and_negative_where_V_is_constant() -
     exact, _, _, stored = (float(part) for part in f(0.0, loop.p, state))
     assert stored > 0.0
     assert exact == pytest.approx(-stored, rel=1e-9)
-
-
-@given(st.floats(0.05, 40.0))
-def test_the_reference_is_consistent_in_position_velocity_and_acceleration(time: float) -> None:
-    t = SX.sym("t")
-    motion = trajectory.ramped_sine(
-        t,
-        SX([0.1, 0.2, 0.3]),
-        SX([0, 0, 0, 1]),
-        SX([0.15, 0.02, 0]),
-        SX([0.05, 0.2, 0.1]),
-        SX(0.1),
-        SX(5.0),
-    )
-    derivative = [
-        ca.jtimes(part, t, SX(1)) for part in (motion.position, motion.velocity, motion.orientation)
-    ]
-    q = motion.orientation
-    w = 2 * (
-        q[3] * derivative[2][:3] - derivative[2][3] * q[:3] + ca.cross(q[:3], derivative[2][:3])
-    )
-    f = ca.Function(
-        "f",
-        [t],
-        [
-            derivative[0] - motion.velocity[:3],
-            derivative[1] - motion.acceleration,
-            w - motion.velocity[3:],
-            ca.sumsqr(q) - 1,
-        ],
-    )
-    for part in f(time):
-        assert np.abs(np.array(part)).max() < 1e-12
 
 
 def test_the_singular_value_bound_is_tight_near_a_singularity() -> None:

@@ -11,16 +11,13 @@ from hypothesis import strategies as st
 from freeflyer_fmus.equations.sampled_control import mean_wrench, sampled_damping
 
 SX = ca.SX
-_M, _K, _D, _T, _x, _v = (
+_M, _K, _D, _T, _x, _v, _theta = (
     SX.sym(name, *shape)
-    for name, shape in zip("MKDTxv", [(6, 6)] * 3 + [()] + [(6,)] * 2, strict=True)
+    for name, shape in zip("MKDTxvh", [(6, 6)] * 3 + [()] + [(6,)] * 2 + [()], strict=True)
 )
-WRENCH = ca.Function(
-    "wrench", [_M, _K, _D, _T, _x, _v], [mean_wrench(_M, _K, _D, _T, -_K @ _x, _v)]
-)
-GAINS = ca.Function(
-    "gains", [_M, _K, _D, _T], [ca.jacobian(WRENCH(_M, _K, _D, _T, _x, _v), w) for w in (_x, _v)]
-)
+_wrench = mean_wrench(_M, _K, _D, _T, -_K @ _x, _v, _theta)
+WRENCH = ca.Function("wrench", [_M, _K, _D, _T, _x, _v, _theta], [_wrench])
+GAINS = ca.Function("gains", [_M, _K, _D, _T, _theta], [ca.jacobian(_wrench, w) for w in (_x, _v)])
 seeds, periods = st.integers(0, 2**32 - 1), st.floats(1e-3, 1.0)
 
 
@@ -47,7 +44,7 @@ def held_motion(
 def test_the_work_of_the_held_wrench_is_that_of_a_spring_and_a_damper(seed: int, T: float) -> None:
     random, M, K, D = case(seed)
     x, v = random.normal(size=6), random.normal(size=6)
-    F = np.array(WRENCH(M, K, D, T, x, v)).ravel()
+    F = np.array(WRENCH(M, K, D, T, x, v, 0.5)).ravel()
     after, _ = held_motion(M, F, T, x, v)
     mean_velocity = (after - x) / T
     stored = 0.5 * (after @ K @ after - x @ K @ x)
@@ -56,19 +53,24 @@ def test_the_work_of_the_held_wrench_is_that_of_a_spring_and_a_damper(seed: int,
     assert F @ (after - x) == pytest.approx(-stored - dissipated, abs=1e-10 * scale)
 
 
+def transition(
+    M_true: np.ndarray, M: np.ndarray, K: np.ndarray, D: np.ndarray, T: float, theta: float
+) -> np.ndarray:
+    """Return the matrix (12, 12) from (x, v) at a sample to (x, v) at the next sample."""
+    K_d, D_d = (-np.array(part) for part in GAINS(M, K, D, T, theta))
+    columns = [
+        np.concatenate(
+            held_motion(M_true, -K_d @ state[:6] - D_d @ state[6:], T, state[:6], state[6:])
+        )
+        for state in np.eye(12)
+    ]
+    return np.array(columns).T
+
+
 def spectral_radius(
     M_true: np.ndarray, M: np.ndarray, K: np.ndarray, D: np.ndarray, T: float
 ) -> float:
-    # Columns of the transition matrix from sample to sample.
-    K_d, D_d = (-np.array(part) for part in GAINS(M, K, D, T))
-    columns = []
-    for state in np.eye(12):
-        columns.append(
-            np.concatenate(
-                held_motion(M_true, -K_d @ state[:6] - D_d @ state[6:], T, state[:6], state[6:])
-            )
-        )
-    return float(abs(np.linalg.eigvals(np.array(columns).T)).max())
+    return float(abs(np.linalg.eigvals(transition(M_true, M, K, D, T, 0.5))).max())
 
 
 @given(seeds, periods)
@@ -94,23 +96,54 @@ def test_for_a_mass_far_below_its_model_it_can_be_unstable() -> None:
     assert spectral_radius(0.2 * M, M, K, D, 1.0) > 1.0
 
 
+def growth_of_V(M: np.ndarray, K: np.ndarray, D: np.ndarray, T: float, theta: float) -> float:
+    """Return the largest V(1) / V(0) over all starts. V = v^T M v / 2 + x^T K x / 2."""
+    root = np.linalg.cholesky(np.block([[K, np.zeros((6, 6))], [np.zeros((6, 6)), M]])).T
+    step = root @ transition(M, M, K, D, T, theta) @ np.linalg.inv(root)
+    return float(np.linalg.norm(step, 2) ** 2)
+
+
+@given(seeds, periods, st.floats(0.5, 1.0))
+def test_every_theta_from_one_half_on_is_stable_for_a_constant_inertia(
+    seed: int, T: float, theta: float
+) -> None:
+    _, M, K, D = case(seed)
+    assert abs(np.linalg.eigvals(transition(M, M, K, D, T, theta))).max() < 1.0
+
+
+@given(seeds, periods)
+def test_V_never_increases_with_theta_one_half_and_a_constant_inertia(seed: int, T: float) -> None:
+    _, M, K, D = case(seed)
+    assert growth_of_V(M, K, D, T, 0.5) < 1.0 + 1e-9
+
+
+def test_with_a_larger_theta_V_can_increase_for_a_while() -> None:
+    """Only theta = 1/2 makes the work of the held wrench that of a spring and a damper."""
+    _, M, K, D = case(3)
+    assert growth_of_V(M, K, D, 1.0, 0.6) > 2.0
+
+
 @given(seeds)
 def test_the_matched_law_tends_to_the_continuous_law(seed: int) -> None:
     _, M, K, D = case(seed)
     errors = []
     for T in (1e-4, 1e-5):
-        K_d, D_d = (-np.array(part) for part in GAINS(M, K, D, T))
+        K_d, D_d = (-np.array(part) for part in GAINS(M, K, D, T, 0.5))
         errors.append(
             max(np.abs(K_d - K).max() / np.abs(K).max(), np.abs(D_d - D).max() / np.abs(D).max())
         )
     assert errors[1] < 0.11 * errors[0]
 
 
-@given(st.floats(1.0, 200.0), st.floats(0.0, 1e4), st.floats(0.0, 1e4), periods)
+@given(
+    st.floats(1.0, 200.0), st.floats(0.0, 1e4), st.floats(0.0, 1e4), periods, st.floats(0.5, 1.0)
+)
 def test_its_damping_is_below_the_limit_of_a_held_damper(
-    m: float, k: float, d: float, T: float
+    m: float, k: float, d: float, T: float, theta: float
 ) -> None:
-    damping = float(ca.evalf(sampled_damping(SX(m), SX(k), SX(d), SX(T))))
-    _, D_d = (-np.array(part) for part in GAINS(m * np.eye(6), k * np.eye(6), d * np.eye(6), T))
+    damping = float(ca.evalf(sampled_damping(SX(m), SX(k), SX(d), SX(T), theta)))
+    _, D_d = (
+        -np.array(part) for part in GAINS(m * np.eye(6), k * np.eye(6), d * np.eye(6), T, theta)
+    )
     assert damping == pytest.approx(D_d[0, 0], rel=1e-12, abs=1e-12)
-    assert damping < 2.0 * m / T
+    assert damping < m / (theta * T) <= 2.0 * m / T

@@ -263,7 +263,8 @@ def test_a_safe_stop_of_the_arm_stops_the_loop_with_its_report(
     there.life = LifeCycle.safe_stop
     there.send(command_age=(4.0,))
     with pytest.raises(
-        SafeStop, match="went to safe_stop by itself; the last command that it accepted was 4 cycles old"
+        SafeStop,
+        match="went to safe_stop by itself; the last command that it accepted was 4 cycles old",
     ):
         arm.read()
 

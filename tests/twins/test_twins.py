@@ -88,7 +88,7 @@ def test_in_process_block_and_both_fmus_give_the_same_results(name: str, seed: i
     agree(in_process, two, name)
 
 
-@pytest.mark.parametrize("bookkeeping", [1, 2])
+@pytest.mark.parametrize("bookkeeping", [1, 2, 3, 4])
 @pytest.mark.parametrize(
     ("name", "choice", "options"),
     [("manipulator_controller", "observer", 3), ("base_controller", "discretisation", 2)],
@@ -106,6 +106,61 @@ def test_in_process_block_and_fmu_agree_in_every_mode(
             FmuComponent(name, directory() / "fmi2" / f"{name}.fmu"), 30, 5, period, values
         )
         agree(in_process, fmu, f"{name} {option} {bookkeeping}")
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        *(("reference_trajectory", {"shape": shape}) for shape in (2.0, 3.0, 4.0)),
+        ("reference_trajectory", {"fade_out_start": 0.01, "fade_out_time": 0.02}),
+        ("reference_trajectory", {"drift": [0.1, 0.2, 0.3, 0.4, 0.5, 0.6], "start_offset": 0.2}),
+        ("waypoint_trajectory", {"waypoint_t": [0.0, 0.01, 0.03, *[0.0] * 29], "waypoint_y": 0.1}),
+        ("waypoint_trajectory", {"waypoint_t": [0.0, 0.02, *[0.0] * 30], "waypoint_qx": -0.3}),
+        ("free_flyer", {"integration_step": 1.5e-4}),
+        ("base_controller", {"discretisation": 2.0, "theta": 0.7}),
+        ("manipulator_controller", {"discretisation": 2.0, "theta": 0.7}),
+    ],
+    ids=str,
+)
+def test_in_process_block_and_both_fmus_agree_with_every_option(
+    name: str, values: dict[str, object]
+) -> None:
+    block = declared(name)
+    given = {key: np.resize(value, block.variables[key].size) for key, value in values.items()}
+    plain, in_process = (
+        outputs_of(InProcessBlock(block), 40, 3, block.default_step, settings)
+        for settings in ({}, given)
+    )
+    assert not np.array_equal(plain, in_process)
+    for version in (2, 3):
+        fmu = FmuComponent(name, directory() / f"fmi{version}" / f"{name}.fmu")
+        agree(in_process, outputs_of(fmu, 40, 3, block.default_step, given), f"{name} {values}")
+
+
+@pytest.mark.parametrize("mixed", [3, 4])
+def test_each_port_has_its_own_bookkeeping(mixed: int) -> None:
+    """Without dampers, the observed energies do not depend on each other."""
+    block = declared("manipulator_controller")
+    energies = ("manipulator_observed_energy", "base_observed_energy")
+    names = [
+        name for name, port in InProcessBlock(block).ports.items() if port.causality == "output"
+    ]
+    starts = np.cumsum([0, *(block.variables[name].size for name in names)])
+
+    def observed(bookkeeping: int) -> list[np.ndarray]:
+        off = dict.fromkeys(
+            ("manipulator_passivity_control", "base_passivity_control"), np.zeros(1)
+        )
+        values = off | {"bookkeeping": np.array([float(bookkeeping)])}
+        history = outputs_of(InProcessBlock(block), 30, 5, block.default_step, values)
+        places = [names.index(name) for name in energies]
+        return [history[:, starts[place] : starts[place + 1]] for place in places]
+
+    printed, applied, both = observed(1), observed(2), observed(mixed)
+    expected = (applied[0], printed[1]) if mixed == 3 else (printed[0], applied[1])
+    assert all(np.array_equal(found, wanted) for found, wanted in zip(both, expected, strict=True))
+    assert not np.array_equal(printed[0], applied[0])
+    assert not np.array_equal(printed[1], applied[1])
 
 
 def test_ports_of_in_process_block_and_fmus_are_the_same(fmus: Path) -> None:

@@ -1,6 +1,6 @@
 """Criteria for the paper's statements on Figs. 3, 4, 7, 8, 9 and 10.
 
-The paper states them in words. Each statement is here a list of inequalities between numbers that
+The paper states them without numbers. Each statement is here a list of inequalities between numbers that
 are measured in three runs of one set of assumptions: in continuous time (or with both controllers
 at a high rate), without passivity controllers (PC), and with PC.
 """
@@ -126,11 +126,14 @@ class Criterion:
         None if the bound is 0: then only the sign of the value counts.
         """
         factors = []
-        for bound, is_low in ((self.low, True), (self.high, False)):
-            if bound != 0.0 and math.isfinite(bound):
-                # A negative value is above a negative bound if its magnitude is smaller.
-                larger = (self.value, bound) if is_low == (bound > 0.0) else (bound, self.value)
-                factors.append(abs(quotient(*larger)))
+        for bound, sign in ((self.low, 1.0), (self.high, -1.0)):
+            if bound == 0.0 or not math.isfinite(bound):
+                continue
+            if self.value * bound <= 0.0:  # the signs differ
+                factors.append(math.inf if sign * (self.value - bound) > 0.0 else 0.0)
+            else:
+                # With two negative numbers, the greater one has the smaller magnitude.
+                factors.append((self.value / bound) ** (sign * math.copysign(1.0, bound)))
         return min(factors, default=None)
 
     def __str__(self) -> str:
