@@ -41,7 +41,10 @@ def error_of(capsys: pytest.CaptureFixture[str], directory: Path, text: str, *op
             f"[grid]\n{P} = []",
             "[grid] base_controller.period is []; a list with at least one value",
         ),
-        ("[grid]", "varies no parameter; a [grid] or a [sample] with parameters is expected"),
+        (
+            "[grid]",
+            "varies no parameter; a [grid], a [sample] or a [vary] with parameters is expected",
+        ),
         ("", "varies no parameter"),
         ('[grid]\n"base_controller.perod" = [0.1]', "no parameter 'perod'; did you mean 'period'"),
         (

@@ -117,6 +117,7 @@ def report(plan: Plan, results: Results, console: Console) -> None:
 
     Print the shares of stable and diverged runs, and the names of the files.
     """
+    from freeflyer.analysis.sweep import evaluation
     from freeflyer.analysis.sweep import results as sweep_results
 
     # Print, for each case, the shares of stable and diverged runs.
@@ -154,7 +155,11 @@ def report(plan: Plan, results: Results, console: Console) -> None:
         written += ["stability_map.png", "stability_map.pdf"]
     if plan.evaluation is not None:
         axes = [str(axis.target) for axis in plan.axes]
-        console.print(plan.evaluation.report(table.to_pylist(), axes, results.directory))
+        rows, by = table.to_pylist(), str(plan.sweep.evaluation)
+        console.print(
+            evaluation.reported(plan.evaluation, by, rows, axes, results.directory),
+            soft_wrap=True,
+        )
     console.print(f"Results in {results.directory}: {', '.join(written)}", soft_wrap=True)
 
 

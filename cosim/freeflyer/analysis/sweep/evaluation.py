@@ -53,6 +53,23 @@ def load(text: str) -> Evaluation:
     return cast(Evaluation, found)
 
 
+def reported(
+    by: Evaluation, text: str, rows: Sequence[Mapping[str, Any]], axes: Sequence[str], folder: Path
+) -> RenderableType:
+    """Return the report of the evaluation `by`. `text` is its name in the sweep file.
+
+    Raises CosimError if the evaluation raises any exception. The results of the sweep are kept.
+    """
+    try:
+        return by.report(rows, axes, folder)
+    except CosimError:
+        raise
+    except Exception as error:  # user code can raise anything
+        raise CosimError(
+            f"evaluation {text} cannot report the results in {folder}: {type(error).__name__}: {error}"
+        ) from error
+
+
 def source(text: str | None) -> Path | None:
     """Return the file of an evaluation, or None if it is in a module."""
     path = Path((text or "").rpartition(":")[0])
