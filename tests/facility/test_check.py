@@ -68,7 +68,7 @@ def test_accelerated_runs_the_experiment_with_the_faults_of_the_scenario(
 
 @pytest.mark.parametrize(
     ("device", "sentence"),
-    [("arm_drive", "no description frame within"), ("base_robot", "sends nothing on topic")],
+    [("arm_drive", "no description frame within"), ("base_robot", "no valid sample on topic")],
 )
 def test_a_link_that_is_cut_from_the_start_is_reported_and_nothing_moves(
     device: str, sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

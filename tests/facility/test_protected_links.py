@@ -135,7 +135,7 @@ def test_a_missing_certificate_is_reported(refused: Refused, bench: tuple[Rig, P
     plain = bench[0].endpoint.replace("tls/", "tcp/")
     found = refused('devices.base_robot.certificates=""', endpoint=plain)
     assert re.search(
-        r"sends nothing .* within 1 s: TLS is used on tcp/127.0.0.1:\d+: `certificates` and tls/127.0.0.1:\d+ are expected",
+        r"no valid sample on .* within 1 s: TLS is used on tcp/127.0.0.1:\d+: `certificates` and tls/127.0.0.1:\d+ are expected",
         found,
     )
 

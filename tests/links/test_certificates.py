@@ -359,13 +359,13 @@ FAR = "tcp/192.0.2.10:7447"
 @pytest.mark.parametrize(
     ("table", "sentence"),
     [
-        ({"connect": [FAR]}, "leaves this machine without encryption, so any peer that reaches this endpoint could command the robot; make certificates with "
+        ({"connect": [FAR]}, "is not limited to this machine and is not encrypted, so any peer that reaches this endpoint could command the robot; make certificates with "
          "`freeflyer certificates DIR`, then set certificates = 'DIR' and write tls/192.0.2.10:7447 (or set insecure = true)"),
-        ({"listen": ["tcp/192.0.2.1:0"]}, "leaves this machine without encryption"),
-        ({"connect": ["tcp/lab.example:7447"]}, "leaves this machine without encryption"),
-        ({"connect": ["udp/192.0.2.10:7447"]}, "leaves this machine without encryption"),
-        ({"connect": ["ws/192.0.2.10:7447"]}, "leaves this machine without encryption"),
-        ({"connect": ["tcp/[2001:db8::1]:7447"]}, "leaves this machine without encryption"),
+        ({"listen": ["tcp/192.0.2.1:0"]}, "is not limited to this machine and is not encrypted"),
+        ({"connect": ["tcp/lab.example:7447"]}, "is not limited to this machine and is not encrypted"),
+        ({"connect": ["udp/192.0.2.10:7447"]}, "is not limited to this machine and is not encrypted"),
+        ({"connect": ["ws/192.0.2.10:7447"]}, "is not limited to this machine and is not encrypted"),
+        ({"connect": ["tcp/[2001:db8::1]:7447"]}, "is not limited to this machine and is not encrypted"),
         ({"listen": ["tcp/0.0.0.0:0"]}, "every interface"),
         ({"listen": ["tcp/[::]:0"]}, "every interface"),
         ({"listen": ["tcp/0.0.0.0:0"], "insecure": True}, "every interface of this machine, which requires certificates"),

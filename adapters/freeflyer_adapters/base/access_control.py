@@ -1,7 +1,7 @@
 """Zenoh access control of the base robot's link, by the common names of the certificates.
 
 Zenoh checks every message that arrives from a peer (flow: ingress) and every message that is sent
-to a peer (flow: egress). For this check, Zenoh compares the flow, the kind and the key of the
+to a peer (flow: egress). For this check, Zenoh compares the flow, the kind and the Zenoh key of the
 message with the rules. A rule permits messages of certain kinds in one flow, if one of its key
 expressions includes the key of the message. A subject is a group of peers, to which rules are
 assigned. A peer belongs to a subject by the name of its certificate, or by the protocol of its
@@ -40,8 +40,8 @@ class Protection:
     listens_for_others: bool
     """True for the base robot, because the other peers connect to it.
 
-    In this case, the certificate must be valid for listening, and for the hosts in the listening
-    endpoints.
+    If this value is True, the certificate must be valid for listening, and for the hosts in the
+    listening endpoints.
     """
 
 

@@ -28,7 +28,7 @@ HOSTS = ("localhost", "127.0.0.1", "::1")
 EARLIER = timedelta(minutes=5)
 """A certificate is valid from 5 minutes before the time at which it is made.
 
-The clock of another machine may be behind by this time.
+The clock of another machine may be behind by up to 5 minutes.
 """
 
 
@@ -108,8 +108,8 @@ class CertificateAuthority:
         valid for listening, not only for connecting. `start`: start of the validity (default:
         `EARLIER` before now).
 
-        The validity ends `days` days after `start` + `EARLIER`, or earlier, at the end of the
-        validity of the authority's certificate.
+        The validity ends `days` days after `start` + `EARLIER`, but not after the validity of the
+        authority's certificate.
         """
         key = ec.generate_private_key(ec.SECP256R1())
         start = start or datetime.now(UTC) - EARLIER

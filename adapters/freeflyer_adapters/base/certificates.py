@@ -252,7 +252,7 @@ def _check_key(identity: Identity, certificate: x509.Certificate, subject: str) 
     form = (Encoding.DER, PublicFormat.SubjectPublicKeyInfo)
     if key.public_key().public_bytes(*form) != certificate.public_key().public_bytes(*form):
         raise DeviceError(
-            f"{subject}: key {path} does not belong to certificate {identity.certificate}; the key and the certificate of one pair are expected"
+            f"{subject}: key {path} does not belong to certificate {identity.certificate}; a key and a certificate that belong together are expected"
         )
 
 

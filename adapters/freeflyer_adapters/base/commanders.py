@@ -3,10 +3,10 @@
 A commander is a controller whose certificate has the permission to send set points. The base robot
 declares one token for each commander.
 
-Zenoh's access control drops messages without a permission, and the sender receives no error. With
-these tokens, a controller detects that its permission is missing before it sends set points. The
-tokens only give information; the access control of the base robot enforces the permission. Only
-links with certificates have these tokens.
+Zenoh's access control drops messages without a permission, and the sender receives no error. By
+these tokens, a controller checks its permission before it sends set points. The tokens only give
+information; the access control of the base robot enforces the permission. Only links with
+certificates have these tokens.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def announce(session: Any, options: LinkOptions) -> list[Any]:
 
 
 def announced(session: Any, options: LinkOptions) -> list[str]:
-    """Return the names of the certificates that may send set points.
+    """Return the certificate names of the controllers that may send set points.
 
     The names are read from the tokens of the base robot. Without tokens, the list is empty.
     """

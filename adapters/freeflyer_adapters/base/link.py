@@ -44,8 +44,7 @@ SECOND, WITHIN = 3, 20
 """A second publisher is reported if its samples are interleaved with the samples of the source.
 
 Condition: samples of other publishers arrive `SECOND` times, while at most `WITHIN` samples of the
-source are accepted. Several samples of other publishers without an accepted sample between them
-count as one time.
+source are accepted. Several consecutive samples of other publishers are counted as one.
 """
 LARGEST = 1e4
 """Limit of the absolute value of a position [m] or velocity [m/s, rad/s], for each component."""
@@ -362,7 +361,7 @@ class OdometryLink:
         if frames != expected:
             return self._refused(
                 f"a pose of {frames[1]!r} in {frames[0]!r} (child_frame_id, header.frame_id); {expected[1]!r} in {expected[0]!r} is "
-                f"expected (child_frame, frame of the device)"
+                f"expected (the device's options child_frame, frame)"
             )
         # Check the publisher and the order of its samples.
         if self._source is not None and attachment.gid != self._source:

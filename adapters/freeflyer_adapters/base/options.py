@@ -54,7 +54,7 @@ class LinkOptions:
     The default in a scenario is the name of the device.
     """
     commanders: Sequence[str] = ("controller",)
-    """Names of the certificates that may command the base robot.
+    """Certificate names of the controllers that may command the base robot.
 
     The default in a scenario is the name in `controller`.
     """
@@ -77,13 +77,13 @@ def check(options: LinkOptions, subject: str) -> None:
             )
     if not options.listen:
         raise DeviceError(
-            f"{subject}: listen is empty, so Zenoh would listen on every interface; name an endpoint"
+            f"{subject}: listen is empty, so Zenoh would listen on every interface; at least one endpoint is expected"
         )
     for text in (*options.connect, *options.listen):
         _check_endpoint(Endpoint(text), options, subject)
     if options.certificates is not None and options.insecure:
         raise DeviceError(
-            f"{subject}: insecure = true and certificates exclude each other; remove one of the two keys"
+            f"{subject}: insecure = true and certificates exclude each other; remove one of the two options"
         )
     # Check the names of certificates.
     for key, names in (
@@ -160,7 +160,7 @@ def _check_endpoint(endpoint: Endpoint, options: LinkOptions, subject: str) -> N
         )
     if not (options.certificates or options.insecure or endpoint.is_within_this_machine):
         raise DeviceError(
-            f"{where} leaves this machine without encryption, so any peer that reaches this endpoint could command the robot; {how} "
+            f"{where} is not limited to this machine and is not encrypted, so any peer that reaches this endpoint could command the robot; {how} "
             f"and write tls/{endpoint.address} (or set insecure = true)"
         )
 

@@ -1,19 +1,19 @@
 """Delays of samples, computed from the time stamps of a peer.
 
-The clock of the peer is not synchronised with the clock of this machine. Therefore only the
-difference between the delays of two samples can be computed.
+The offset between the clock of the peer and the clock of this machine is unknown. Therefore only
+the difference between the delays of two samples can be computed.
 """
 
 from __future__ import annotations
 
 DRIFT = 1e-3
-"""Upper bound of the drift between two clocks that are synchronised from time to time [s/s]."""
+"""Upper bound of the drift between two clocks, even if a time service corrects them [s/s]."""
 SMALLEST_STEP = 50_000_000
 """Smallest forward step of the peer's clock that is detected [ns].
 
 If the time stamps advance by more than the times of arrival, either the delay has become smaller or
 the clock was set forward. The delay relative to the fastest sample cannot become smaller than zero.
-So if the difference is greater than the last delay plus this value, the clock was set forward.
+So if this excess is greater than the last delay plus `SMALLEST_STEP`, the clock was set forward.
 """
 
 
@@ -37,10 +37,10 @@ class PeerClock:
         if not self.steps:
             return ""
         how = f"set {'back' if self.step < 0 else 'forward'} by {abs(self.step) * 1e-9:.3f} s"
-        return f"its clock was {how}{f' (the last of {self.steps} clock steps)' if self.steps > 1 else ''}; the ages of samples are counted anew after this step"
+        return f"its clock was {how}{f' (the last of {self.steps} clock steps)' if self.steps > 1 else ''}; the ages of later samples assume the same transport delay as before this step"
 
     def reset(self) -> None:
-        """Start again, for another publisher."""
+        """Discard the stored times, for another publisher."""
         self._fastest: int | None = None
         self._delay = self._stamp = self._arrived = 0
 

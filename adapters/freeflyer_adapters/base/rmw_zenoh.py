@@ -88,9 +88,10 @@ def obedience_token(domain: int, topic: str, gid: str) -> str:
 
 
 def commander_token(domain: int, topic: str, name: str) -> str:
-    """Return the key of the token by which a base robot reports a certificate that may command.
+    """Return the key of the token by which a base robot reports one of its commanders.
 
-    `name` is the common name of the certificate. ROS 2 does not have this token; it is an addition
+    A commander is a controller that may send set points. `name` is the common name of its
+    certificate. ROS 2 does not have this token; it is an addition
     of this project.
     """
     return f"freeflyer/commanders/{domain}/{mangled(topic.strip('/'))}/{name}"

@@ -95,7 +95,7 @@ def read(data: bytes) -> Odometry:
             raise MessageError(f"a frame name has {length} bytes; 1 to {LONGEST_NAME} are expected")
         text = data[place + 4 : place + 4 + length]
         if text.find(0) != length - 1:
-            raise MessageError("a frame name does not end with its first zero byte")
+            raise MessageError("the last byte of a frame name is expected to be its only zero byte")
         try:
             names.append(text[:-1].decode())
         except UnicodeDecodeError as error:
@@ -126,6 +126,6 @@ def _take(form: str, data: bytes, place: int) -> tuple[Any, ...]:
 def _align(data: bytearray, size: int) -> None:
     """Append zero bytes until the length is a multiple of `size`.
 
-    The four bytes of the encapsulation header do not count.
+    This length does not include the four bytes of the encapsulation header.
     """
     data += bytes(-(len(data) - 4) % size)

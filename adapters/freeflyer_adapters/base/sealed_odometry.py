@@ -2,8 +2,8 @@
 
 CDR and rmw_zenoh have no checksum. The checksum of this module is a CRC-16 (CCITT, as in E2E
 profile 5) over the message and the attachment. The checksum is stored in the two option bytes of
-CDR's encapsulation header. Receivers ignore these bytes (DDSI-RTPS 2.5, 10.2). A sample with a
-checksum is called sealed.
+CDR's encapsulation header. Other receivers, for example a plain ROS 2 node, ignore the option bytes
+(DDSI-RTPS 2.5, 10.2). A sample with a checksum is called sealed.
 
 Later versions of CDR use the two lowest option bits for the padding size. Therefore these two bits
 must stay zero. The sender increments the time stamp by 1 ns until both bits of the checksum are

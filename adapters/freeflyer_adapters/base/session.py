@@ -27,7 +27,7 @@ def open_session(
     """Open a Zenoh session in peer mode.
 
     `subject`: name of the device, for messages. `protection`: certificate and access control of
-    this end, or None for a link without certificates.
+    this end of the link, or None for a link without certificates.
 
     Raises DeviceError if an endpoint or a certificate cannot be used.
     """

@@ -1,8 +1,8 @@
 """Diagnosis of a TLS endpoint by a separate handshake.
 
 If a handshake fails, Zenoh tries again and does not return the error. So this module makes a
-separate handshake to find the error. In the messages, "our certificate" is the certificate of this
-end.
+separate handshake to find the error. In the messages, "our certificate" is the certificate that
+this process sends.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ If no alert arrives in this time, the peer has accepted our certificate.
 """
 ANOTHER_AUTHORITY = (18, 19, 20, 21)
 NOT_YET, EXPIRED, OTHER_NAME, OTHER_ADDRESS = 9, 10, 62, 64
-"""Error codes X509_V_ERR_* of OpenSSL, also in `ANOTHER_AUTHORITY`."""
+"""Error codes X509_V_ERR_* of OpenSSL. `ANOTHER_AUTHORITY` contains such codes, too."""
 ALERTS = {
     "CERTIFICATE_REQUIRED": "it requires a certificate, but no certificate was sent",
     "UNKNOWN_CA": "it does not trust the authority that signed our certificate",
@@ -79,7 +79,7 @@ def problem(endpoint: Endpoint, identity: Identity | None, peer: str | None) -> 
         return refused
     name = common_name(x509.load_der_x509_certificate(found))
     if peer is not None and name != peer:
-        return f"the certificate on {endpoint.text} belongs to {name!r}, but {peer!r} is expected there (`robot` of the device)"
+        return f"the certificate on {endpoint.text} belongs to {name!r}, but {peer!r} is expected there (the device's option `robot`)"
     return None
 
 

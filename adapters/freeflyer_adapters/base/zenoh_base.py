@@ -119,7 +119,7 @@ class ZenohBase:
             )
         if v["watchdog"][0] < 2.0 * cycle:
             raise DeviceError(
-                f"{self.name}.watchdog is {v['watchdog'][0]:g} s; at least two cycles of set points are expected, {2.0 * cycle:g} s"
+                f"{self.name}.watchdog is {v['watchdog'][0]:g} s; at least {2.0 * cycle:g} s, two cycles of set points, are expected"
             )
         self.limits = BaseLimits(v)
         self.monitor = QualityMonitor.of(f"measurements of {self.name}", v, cycle)
@@ -184,7 +184,7 @@ class ZenohBase:
                     )
                     why = why or link_diagnosis.why_silent(self._session, o)
                     raise DeviceError(
-                        f"{self.name} sends nothing on topic {o.measured_topic} via {', '.join(o.connect)} within "
+                        f"{self.name}: no valid sample on topic {o.measured_topic} via {', '.join(o.connect)} within "
                         f"{v['configure_timeout'][0]:g} s{why}"
                     )
                 self._environment.sleep(0.001)
@@ -316,7 +316,7 @@ class ZenohBase:
                 raise DeviceError(
                     commanders.refusal(self._session, self.options, self.name)
                     or f"{self.name} does not take set points of {self.options.setpoint_topic}, although these set points are equal to its measured pose: "
-                    f"the base robot receives no set points, receives other messages, or rejects the set points"
+                    f"the base robot either receives no set points, receives other messages, or rejects the set points"
                 )
             if meanwhile():
                 return
@@ -401,8 +401,8 @@ class ZenohBase:
         self._steps += 1
         reason = None
         if received:
-            # Gaps in the sequence numbers show lost samples. A cycle without a recent sample was
-            # already counted as lost (`_silent`, see below), so these cycles are subtracted.
+            # Gaps in the sequence numbers show lost samples. The number of cycles without a recent
+            # sample (`_silent`) is subtracted, because these cycles were already counted as lost.
             missing = self._sequence - before - 1 - self._silent if before else 0
             reason = self.monitor.lose(max(missing, 0))
             self._silent = 0

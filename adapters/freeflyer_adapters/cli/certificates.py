@@ -40,7 +40,7 @@ class CertificatesCommand:
             "directory",
             type=folder,
             metavar="DIR",
-            help="folder of the certificate authority; if the folder has none, a new authority is made",
+            help="folder of the certificate authority; if the folder has no authority, a new authority is made",
         )
         # The peers that get a certificate.
         parser.add_argument(
@@ -70,7 +70,7 @@ class CertificatesCommand:
             type=float,
             default=DAYS,
             metavar="N",
-            help="validity of the certificates (default: 365)",
+            help="validity of the certificates in days (default: 365)",
         )
         parser.add_argument(
             "--renew",
@@ -134,7 +134,7 @@ def _check(
             )
     if twice := next((name for name in names if [*names, *renewed].count(name) > 1), None):
         raise CertificateError(
-            f"{twice!r} is named more than once; one certificate for each name is expected"
+            f"{twice!r} is named more than once; each name is expected only once"
         )
     for host in hosts:
         if not _is_host(host):

@@ -226,9 +226,9 @@ def _check(chosen: Scenario, arguments: argparse.Namespace, console: Console) ->
 def _reason_kept(stop: StopNotice) -> Iterator[None]:
     """If a run ends with an exception, write the reason to stop.json and the system log.
 
-    If the reason was already written, nothing is written here. The reason was not written before if
-    the run ends before its devices are prepared. The reason is not printed here, because the
-    command prints the error.
+    If the run itself has already written the reason, nothing is written here. A run that ends
+    before its devices are prepared has not written the reason. The reason is not printed here,
+    because the command prints the error.
     """
     try:
         yield

@@ -64,7 +64,7 @@ def _can() -> Iterator[str]:
         "The nominal bit rate is 1 Mbit/s, and the data bit rate is 5 Mbit/s (bit-rate switching). Both rates are settings of the CAN interface "
         "in python-can. AUTOSAR E2E profile 5 protects all frames. The E2E header is in the first three bytes of a frame. The header contains a CRC-16, "
         "and then an 8-bit counter. The CRC covers the data and the data ID. A frame is rejected if its CRC is wrong, if its counter is repeated, or if its "
-        "counter is more than 50 ahead. All numbers are little-endian."
+        "counter is more than 50 ahead of the last counter. All numbers are little-endian."
     )
     yield "\n| frame | identifier | bytes | cycle | data ID | from | longest time on the bus |\n|---|---|---|---|---|---|---|"
     for kind in MESSAGES:
@@ -106,7 +106,7 @@ def _dialogue() -> Iterator[str]:
         "3. `EchoedCycle` of the next state frame reports which answer the arm has used. The controller counts late and missing answers. "
         "`CommandAge` reports the number of cycles since the last command.",
         f"4. Every activation has a new random session number in the signal `Controller`. A command with `Mode` {int(Mode.reset)} claims this number. "
-        "If the arm has no session and the number is not used up (see 7), the arm repeats the number in its following state frames (echo). "
+        "If the arm has no session and the number is not used up (see item 7), the arm repeats the number in its following state frames (echo). "
         "If the arm is in the state *safe_stop* or *fault* and its brakes are engaged, the claim also changes the arm to the state *inactive*. "
         "The arm ignores all other numbers until the present session has sent no frame for one second.",
         f"5. A command with `Mode` {int(Mode.activate)} activates an arm in the state *inactive* under two conditions. First, the command contains the echoed number. "
@@ -131,7 +131,7 @@ def _missing_roles() -> Iterator[str]:
         "A role is the meaning that a signal has for this project. A DBC of a user must have the four joint signals and `cycle`. "
         "If one of the other roles is missing, a guarantee is lost. The table shows the effect of each missing role. If a role marked *explicit* is missing, "
         'the arm itself cannot reject an activation. In this case the scenario must set `activation = "implicit"`, and a torque '
-        "frame activates the arm. `freeflyer hil` and `freeflyer hil --check` then print which commands this arm cannot reject. Only the interlock of the controller (see 8) is left. "
+        "frame activates the arm. `freeflyer hil` and `freeflyer hil --check` then print which commands this arm cannot reject. Only the interlock of the controller (item 8 of the dialogue) is left. "
         "This interlock alone is sufficient under two conditions. First, the link does not delay frames. Second, after a loss of state frames, the loop stops before the arm "
         "ends the session with its controller (`lost_consecutive`, `state_age_limit`).\n"
     )
@@ -181,7 +181,7 @@ def _zenoh() -> Iterator[str]:
         "- The time stamp differs from the last time stamp.\n\n"
         "Only differences of time stamps are used. If a later sample has an earlier time stamp, the clock of the sender was set back. This step of the clock "
         "is counted (`clock_steps`) and has no other effect. Only the latest sample is kept (RingChannel(1)). Samples are sent with priority REAL_TIME, express, "
-        "and congestion control DROP. The liveliness tokens of rmw_zenoh announce publishers and subscriptions (best effort, keep last 1)."
+        "and congestion control DROP. The liveliness tokens of rmw_zenoh announce publishers and subscriptions (QoS: best effort, keep last 1)."
     )
     yield (
         "\nCDR and rmw_zenoh have no checksum. Therefore the senders of this project put a checksum into the two option bytes of CDR's encapsulation "
@@ -230,12 +230,12 @@ def _zenoh_session(o: LinkOptions) -> Iterator[str]:
 
 def _access_control(o: LinkOptions) -> Iterator[str]:
     yield (
-        f"\n### Access control\n\nWith certificates, Zenoh's access control on each end permits only the messages of this table. The table uses the default names. "
+        f"\n### Access control\n\nWith certificates, Zenoh's access control on each end of the link permits only the messages of this table. The table uses the default names. "
         f"The controller is `{o.controller}`, which is the only commander. The robot is `{o.robot}`. A third-party base robot needs the rules in the rows of the "
         f"base robot. A router in front of this base robot can have these rules instead. By the token "
-        f"`{rmw_zenoh.commander_token(o.domain, o.setpoint_topic, 'NAME')}`, the base robot can report that the certificate NAME may command."
+        f"`{rmw_zenoh.commander_token(o.domain, o.setpoint_topic, 'NAME')}`, the base robot can report that the controller with the certificate NAME may command it."
     )
-    yield "\n| on the end of | certificates | flow | messages | key expressions |\n|---|---|---|---|---|"
+    yield "\n| end of the link | certificates of the peer | flow | messages | key expressions |\n|---|---|---|---|---|"
     for end, protection in (
         ("base robot", access_control.robot_protection(o)),
         ("controller", access_control.controller_protection(o)),

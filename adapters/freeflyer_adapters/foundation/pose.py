@@ -16,8 +16,8 @@ from freeflyer.fmi.component import Array
 def rotated(orientation: Array, vector: Array, *, back: bool = False) -> tuple[float, float, float]:
     """Rotate `vector` by `orientation`, a unit quaternion (4, xyzw).
 
-    With the rotation matrix R of `orientation`, the result is R v. If `back` is True, the result is
-    R^T v.
+    With the rotation matrix R of `orientation`, the result is R times `vector`. If `back` is True,
+    the result is R^T times `vector`.
     """
     x, y, z, w = orientation.tolist()
     a, b, c = vector.tolist()

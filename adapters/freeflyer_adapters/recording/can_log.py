@@ -30,7 +30,7 @@ class WholeBlfWriter(can.BLFWriter):
     A BLF file consists of containers, which contain the frames. The base class collects 128 KiB of
     frames in the open container before it writes this container. The base class writes the file
     header, with the start time, only at the end. Without `save`, a killed recorder would lose the
-    frames of the last seconds, and the date of all frames.
+    frames of the last seconds, and the start time.
     """
 
     def save(self) -> None:

@@ -39,7 +39,7 @@ from freeflyer_adapters.recording.ring_header import CanChannel, RecordingHeader
 from freeflyer_adapters.recording.wall_clock import WallClock
 
 COUNTERS_EVERY = 10
-"""The counters are read once per this number of instants. States are read at every instant."""
+"""Number of instants between two readings of the counters. States are read at every instant."""
 TIMEOUT = 30.0
 """Longest wait for the start and for the end of the recorder [s].
 
@@ -236,7 +236,7 @@ class RecordingClient:
             try:
                 answer, _ = self._recorder.communicate(GOODBYE, timeout=TIMEOUT)
             except subprocess.TimeoutExpired:
-                why = f"the recorder (process {self._recorder.pid}) has not responded for {TIMEOUT:g} s; the recorder ends by itself when it runs again"
+                why = f"the recorder (process {self._recorder.pid}) has not responded for {TIMEOUT:g} s; if the recorder is suspended, it ends by itself after it is resumed"
             except (OSError, ValueError):
                 pass
         try:

@@ -88,9 +88,11 @@ def copy_frames(
             f"{log.skipped} bytes in {log.places} place{'s' * (log.places > 1)} could not be read"
         )
     if broken:
-        parts.append(f"the data after {broken} place{'s' * (broken > 1)} could not be decoded")
+        parts.append(
+            f"the data after {broken} invalid object{'s' * (broken > 1)} could not be decoded"
+        )
     if size != log.length and not parts:
-        parts.append("the end was missing")
+        parts.append("the end of the file was missing")
     return kept, begin, end, ", ".join(parts), not parts
 
 

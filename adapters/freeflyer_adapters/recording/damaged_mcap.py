@@ -128,8 +128,8 @@ class DamagedMcap:
         `damage` is not meaningful.
         """
         # A definition is a schema or a channel. A complete file repeats its definitions at its end.
-        # Read the definitions at the end first, because the definitions at the start may be
-        # damaged.
+        # First read these repeated definitions, because the definitions at the start of the file
+        # may be damaged.
         self._take_summary()
         damage, place = self.damage, len(MAGIC) if self.has_magic else 0
         if not self.has_magic:

@@ -61,8 +61,7 @@ def read_recording(path: str | Path) -> pandas.DataFrame:
 def _take(path: Path, found: Found, metadata: dict[str, dict[str, str]]) -> None:
     """Add the messages and metadata of a file.
 
-    Stop reading the file if, by its metadata, the file belongs to another run than the files that
-    were read before.
+    Stop reading the file if its metadata are from another run than the files that were read before.
     """
     with path.open("rb") as file:
         for record in DamagedMcap(file).records():

@@ -19,7 +19,7 @@ from freeflyer_adapters.recording.wall_clock import WallClock
 STAMPED_BY_THE_WALL_CLOCK = ("local", "socketcan")
 """Interfaces that stamp frames with CLOCK_REALTIME.
 
-The times of other interfaces may count from another zero. These times are not converted."""
+The times of other interfaces may start at another zero. These times are not converted."""
 FOLLOWED = 5_000_000
 """Smallest step that is corrected [ns].
 

@@ -95,7 +95,7 @@ class PartedRecording:
         """Start the next part, then finish the previous part.
 
         If the run is killed between these two actions, both parts are unfinished. In the reverse
-        order, both parts would be complete files, and the recording would seem to be complete.
+        order, all existing parts would be complete, and the recording would seem to be complete.
         """
         with self._stream:
             before, self._file = self._file, self._next()
@@ -147,8 +147,8 @@ def save_rest(ring: RingReader, recorder: str, clock_steps: Sequence[str] = ()) 
     ours = [path for path in there if started(path) == str(head.started)]
     # For each instant in the ring, find the topics that are missing in the last two parts.
     made = topics(head, chosen(head))
-    # Size of the end of a part that is searched for these rows. It is an upper limit, because
-    # compression makes the rows smaller.
+    # Search this number of bytes at the end of a part for these rows. The number is sufficient,
+    # because compression makes the rows smaller.
     enough = (len(rows) + 1000) * sum(topic.layout.size + MESSAGE_OVERHEAD for topic in made)
     has = _recorded(ours[-2:], set(rows.times[:, 0].tolist()), enough)
     every = {topic.name for topic in made}

@@ -105,7 +105,8 @@ class Recorder:
         behind = True
         while behind:
             rows = self.ring.take(BATCH)
-            # Stop at an incomplete batch. Otherwise new rows might keep this loop running.
+            # After an incomplete batch, leave the `while` loop. Otherwise new rows might keep it
+            # running.
             behind = len(rows) == BATCH
             if self._file is not None:
                 file, self._file = self._file, None

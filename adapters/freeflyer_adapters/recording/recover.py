@@ -55,7 +55,7 @@ class Recovered:
     def sentence(self) -> str:
         """Message about the result in one line."""
         if self.rest is not None:
-            return f"{self.path}: kept {self._kept}; the end of the recording was still in memory and is now in {self.rest}"
+            return f"{self.path}: kept {self._kept}; the end of the recording was only in memory and is now in {self.rest}"
         if self.path is None:
             return f"{self.source} is complete: {self._kept}; nothing was written"
         return f"{self.path}: kept {self._kept}; {self.lost or 'nothing was lost'}"
@@ -252,7 +252,9 @@ def _lost(damage: Damage, kept: int) -> str:
             "reading was aborted: the file needs more memory or time than a file of this size may need"
         )
     if not parts and not damage.is_whole:
-        parts.append("the end was missing; the index and the summary were written again")
+        parts.append(
+            "the end of the file was missing; the index and the summary were written again"
+        )
     return ", ".join(parts)
 
 

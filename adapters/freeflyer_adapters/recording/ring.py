@@ -6,8 +6,7 @@ The buffer is a file in the user's runtime directory or in /dev/shm. The file re
 ends. A write only copies numbers. It needs no lock, no system call and no allocation.
 
 The file contains a page with fixed numbers (`FIXED`, `WRITTEN`), the recording header as JSON, and
-the rows. The loop counts its rows, and the number of a row starts at 0. A row contains, in this
-order:
+the rows. The rows are numbered from 0. A row contains, in this order:
 
 - the number of the row plus 1, the wall time [ns], the monotonic clock [ns] and the instant k
 - the values
