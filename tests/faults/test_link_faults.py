@@ -184,7 +184,7 @@ def test_every_kind_is_supported_by_a_device() -> None:
         ({"random_faults": {"kinds": [["loss"]]}}, "kinds is"),
         ({"random_faults": {"count": 100_000_000}}, "count is 100000000; a whole number from 0 to 1000 is expected"),
         ({"faults": [{"device": "a"}]}, "kind is missing; one of loss, delay"),
-        ({"faults": [{"kind": "cut", "device": "a", "duration_s": 0.1}]}, "duration_s counts from begin_s, but begin_s is missing"),
+        ({"faults": [{"kind": "cut", "device": "a", "duration_s": 0.1}]}, "duration_s is measured from begin_s, but begin_s is missing"),
         ({"random_faults": {"cout": 1}}, "cout is not known; did you mean 'count'?"),
     ],
 )  # fmt: skip

@@ -1,11 +1,12 @@
-"""Controller of the virtual arm: session handling, life cycle and watchdog.
+"""State machine of the virtual arm: session handling, life cycle and watchdog.
 
 The module reads no clock and sends no frames. One call of `ArmLogic.begin` is one cycle. In every
 cycle, the arm sends one state frame, which contains the cycle number.
 
-Session: the time in which the arm accepts the commands of one controller. The command frames of
-this controller contain a session number. A session number expires when the arm leaves the state
-active, or when the controller commands the brakes.
+A controller is a program that sends commands to the arm. Session: the time in which the arm accepts
+the commands of one controller. The command frames of this controller contain a session number. A
+session number expires when the arm leaves the state active, or when the controller commands the
+brakes.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ class Command:
 
 
 class ArmLogic:
-    """State machine of the arm's controller.
+    """State machine of the virtual arm.
 
     `joints`: number of joints. `cycle` [s]: time between two calls of `begin`.
     `watchdog` [cycles]: at this age of the last command, the arm goes to the state safe_stop.
@@ -105,7 +106,7 @@ class ArmLogic:
         self._stopping_torque = np.zeros(joints)
 
     def again(self) -> ArmLogic:
-        """Return the controller for a new session, in the state inactive.
+        """Return a state machine for a new session, in the state inactive.
 
         The cycle number continues, and the expired session numbers are kept.
         """
@@ -159,7 +160,7 @@ class ArmLogic:
             self.torque = self.ramp.torque(self._stopping_torque, velocity, elapsed)
             if self.ramp.over(velocity, elapsed):
                 self._brake()
-        # End the session if the controller sends no frames.
+        # End the session if the controller has sent no frame for longer than `silence`.
         self._quiet += 1
         if self.controller and self._quiet > self.silence:
             self._note(f"controller {self.controller} is silent")

@@ -17,7 +17,10 @@ from freeflyer_adapters.facility.link_faults import TAMPERING, LinkFaults, Way
 FAULT_KINDS = ("loss", "delay", "jitter", "duplication", "reordering", "flipped_bits", "wrong_data_id", "stale_stamp",
                "frozen_counter", "out_of_range", "clock_jump", "cut", "bus_off", "hung", "dead", "device_fault")  # fmt: skip
 MOST_FRAMES = 256
-"""Maximum number of frames per call, so that a flood of frames cannot block a virtual device."""
+"""Maximum number of frames per call of `recv`.
+
+Because of this limit, a flood of frames cannot block a virtual device.
+"""
 OF_DRIVES = tuple(kind for kind in FAULT_KINDS if kind not in TAMPERING)
 STAMPS = {"to_controller": ("cycle",), "to_device": ("answered_cycle",)}
 """Role of the frame field that contains a cycle number, by direction."""

@@ -57,7 +57,7 @@ class DriveLogic:
         return self.state is not S.operation_enabled and self.state not in STOPPING
 
     def restart_host_watchdog(self) -> None:
-        """Restart the watchdog that monitors the host, after each heartbeat of the host."""
+        """Restart the watchdog that monitors the host. Call this after each host heartbeat."""
         self._since_host = 0
 
     def disarm_host_watchdog(self) -> None:
@@ -151,7 +151,7 @@ class DriveGroup:
     """The drives of one arm. They share one brake circuit.
 
     The brakes are released only while the drive functions of all drives are enabled. `silence`
-    [ticks]: after this time without a SYNC, the host counts as disconnected.
+    [ticks]: after this time without a SYNC, the host is regarded as disconnected.
     """
 
     def __init__(self, drives: Sequence[DriveLogic], silence: int) -> None:

@@ -63,8 +63,8 @@ MOST = 1000
 class Fault:
     """A fault of one device.
 
-    `begin_s` counts from the first activation of the device in a session. If `begin_s` is None, the
-    fault is active from the start of the session.
+    `begin_s` is measured from the first activation of the device in a session. If `begin_s` is
+    None, the fault is active from the start of the session.
     """
 
     kind: str
@@ -177,7 +177,7 @@ def _read_one(subject: str, entry: Mapping[str, Any]) -> Fault:
             )
     if "duration_s" in entry and "begin_s" not in entry:
         raise DeviceError(
-            f"{subject}: duration_s counts from begin_s, but begin_s is missing; add begin_s, or remove duration_s for a permanent fault"
+            f"{subject}: duration_s is measured from begin_s, but begin_s is missing; add begin_s, or remove duration_s for a permanent fault"
         )
     if KINDS[kind].whole_device and direction != "both":
         raise DeviceError(

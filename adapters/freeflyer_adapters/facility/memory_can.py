@@ -22,9 +22,9 @@ class Time(Protocol):
 
 
 class MemoryBus(can.BusABC):
-    """A node of a CAN channel. `nodes` is the list of all nodes. A new node adds itself to it.
+    """A node of a CAN channel. Frames arrive without delay and in order.
 
-    Frames arrive without delay and in order.
+    `nodes` is the list of all nodes. A new node adds itself to this list.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Zenoh sessions in memory and in virtual time, with only the methods that the links use."""
+"""Zenoh sessions in memory and in virtual time. They have only the methods that callers need."""
 
 from __future__ import annotations
 

@@ -103,7 +103,7 @@ class Facility:
     """
 
     def __init__(self, scenario: Scenario, fmi: int | None = None) -> None:
-        # The host itself simulates the devices of kind "simulated".
+        # The control loop itself simulates the devices of kind "simulated".
         played = [spec for spec in scenario.devices if spec.kind != SIMULATED]
         if not played:
             raise DeviceError(
@@ -309,7 +309,7 @@ def _factory(name: str, kind: str) -> Factory:
 def _with_drawn_faults(
     settings: FacilitySettings, factories: Mapping[str, Factory]
 ) -> FacilitySettings:
-    """Return the settings with the scheduled faults and the drawn random faults. Check them."""
+    """Return the settings with the scheduled and the random faults. Check all these faults."""
     kinds: dict[str, tuple[str, ...]] = {
         name: getattr(factory, "fault_kinds", ()) for name, factory in factories.items()
     }

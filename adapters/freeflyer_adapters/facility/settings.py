@@ -1,4 +1,4 @@
-"""Scenario table `[facility]`: settings of the controllers of the virtual devices."""
+"""Scenario table `[facility]`: settings of the virtual devices."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ class FacilitySettings:
     measure_every: int = 4
     """Arm cycles between two measurements of the base."""
     describe_every: int = 100
-    """Cycles between two description frames. An arm in the state active sends none of them."""
+    """Cycles between two description frames. An active arm sends no description frames."""
     ramp_down_time_s: float = 0.25
     ramp_down_damping: float = 5.0
     """Damping of the joint speeds during the ramp-down [N m s/rad]."""
     seed: int = 1
-    """Seed of all random numbers of the faults."""
+    """Seed of the random effects of the faults. The choice of random faults has its own seed."""
     faults: tuple[Fault, ...] = ()
     random_faults: RandomFaults | None = None
 

@@ -78,8 +78,8 @@ class VirtualBase(VirtualDevice[BaseLogic]):
         self._pose = (np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))
         self._calls = 0
         self._session: Any = open_session([], o.connect, name, access_control.robot_protection(o))
-        # These tokens name the certificates that may command the robot. They exist as long as the
-        # session.
+        # The Zenoh tokens of the commanders name the certificates that may command the robot. The
+        # tokens exist as long as the session.
         self._commanders = commanders.announce(self._session, o)
         self.faults = LinkFaults(settings.faults_of(name), period, settings.seed, ZenohTamper())
         self._link = FaultyOdometryLink(self._session, o, o.measured_topic, o.setpoint_topic)
@@ -125,7 +125,7 @@ class VirtualBase(VirtualDevice[BaseLogic]):
         self.logic.hold(*self._pose)
 
     def _take(self, received: Received) -> bool | None:
-        """Pass a usable set point to `BaseLogic.take`, and return the result. Else return False."""
+        """Return the result of `BaseLogic.take`, or False if the set point is not usable."""
         odometry = received.odometry
         if not is_usable(odometry):
             return False

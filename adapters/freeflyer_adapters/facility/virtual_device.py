@@ -16,7 +16,7 @@ from freeflyer_adapters.foundation.histogram import Histogram
 
 
 class Logic(Protocol):
-    """Controller of a virtual device."""
+    """State machine of a virtual device."""
 
     events: list[tuple[int, str]]
     """Cycle and text of each event."""
@@ -81,7 +81,7 @@ class VirtualDevice(ABC, Generic[L]):
     def begin_cycle(self) -> bool:
         """Apply the faults of the whole device. Call this method first in every cycle.
 
-        Return whether the controller of the device runs in this cycle.
+        Return whether the state machine of the device runs in this cycle.
         """
         faults = self._faults
         self._cycles += 1

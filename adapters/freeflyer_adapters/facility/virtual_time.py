@@ -24,7 +24,7 @@ from freeflyer_adapters.facility.memory_zenoh import MemorySession, Net
 from freeflyer_adapters.foundation.environment import Environment
 
 START = 1_000_000_000
-"""First time of both clocks, the monotonic clock and the wall clock [ns].
+"""Start time of both clocks, the monotonic clock and the wall clock [ns].
 
 This time is not zero, because zero may mean that a time is not set."""
 
@@ -72,8 +72,8 @@ class VirtualTime(Environment):
             raise RuntimeError(
                 "the facility itself waits in virtual time; this wait would never end"
             )
-        # Advance by at least 1 ns. If a caller waits for a remaining time that is rounded to zero,
-        # the time would not advance otherwise, and the caller could wait again without end.
+        # Advance by at least 1 ns. Otherwise a short remaining time is rounded to zero, and a
+        # caller that waits repeatedly for this time would never end.
         end = self._now + max(1, round(duration * 1e9))
         while self._facility is not None and self._next <= end:
             self._now = self._next

@@ -54,7 +54,7 @@ class ZenohTamper:
             )
         elif fault.kind == "stale_stamp":
             # While this fault is active, all samples have the same stamp. This stamp is 1 ns before
-            # the original stamp of the first sample in this time.
+            # the original stamp of the first sample that the fault affects.
             attachment = replace(attachment, stamp=memory.setdefault("stamp", attachment.stamp - 1))
         elif fault.kind == "clock_jump":
             attachment = replace(attachment, stamp=attachment.stamp + round(fault.jump_s * 1e9))

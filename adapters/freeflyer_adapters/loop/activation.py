@@ -13,7 +13,7 @@ def guarded(device: Device, call: Callable[[], object]) -> None:
     """Call a function of a device's driver.
 
     StepFailed and CosimError are raised unchanged. Every other exception is raised as SafeStop. If
-    SafeStop is raised, the loop ends the run in an orderly way and keeps its results.
+    SafeStop is raised, the loop ends the run in an orderly way and keeps the results.
     """
     try:
         call()

@@ -1,7 +1,7 @@
 """The graded stop: brings every device to rest. The sequence is the same for every reason.
 
 This module defines the sequence of the stop for all devices together. The sequence for one arm is:
-ramp down the torques, then engage the brakes. This sequence is in
+ramp down the torques, then engage the brakes. The sequence for one arm is implemented in
 `freeflyer_adapters.device.ramp_down` and in the method `ramp_down` of the device.
 """
 
@@ -26,8 +26,8 @@ def stop(devices: Sequence[Device], period: int, reason: str, *, orderly: bool) 
     """Bring all active devices to rest and close all devices. Return a sentence about the result.
 
     The ramp-down of a device consists of steps. `period` [ns] is the time between two steps if no
-    active device is the clock of the loop. `reason` is the reason of the stop. `orderly` is True if
-    nothing has failed.
+    active device is the clock of the loop (see `activation.clocks_first`). `reason` is the reason
+    of the stop. `orderly` is True if nothing has failed.
     """
     # Revoke all permits. Without a permit, only commands that reduce motion can be sent.
     for device in devices:

@@ -50,7 +50,7 @@ class LoopReport:
     times: Mapping[str, Mapping[str, float]]
     """Summaries of the measured durations (`Histogram.summary`), by name."""
     devices: Mapping[str, Mapping[str, float]]
-    """Counts of each device (`Device.report`), by the name of the device."""
+    """Counters of each device (`Device.report`), by the name of the device."""
     stop: str
     """Reason of the stop, and the final state of the devices."""
     remarks: Sequence[str] = ()
@@ -81,7 +81,7 @@ def with_devices(
     time.
     `fmi`: FMI version of the models of simulated devices. None: the version in the scenario.
 
-    Raises DeviceError if the scenario has no devices, or if its exchange is not "sequential".
+    Raises DeviceError if the scenario has no devices, or if `exchange` is not "sequential".
     """
     if not scenario.devices:
         raise DeviceError(
@@ -100,7 +100,8 @@ def with_devices(
         ]
     else:
         specs = list(scenario.devices)
-    # A simulated device has the parameters of its model and the settings of a device.
+    # Merge the settings of the model into each simulated device. The device's own settings take
+    # precedence.
     specs = [
         _with_model(spec, models[spec.name], fmi) if spec.kind == SIMULATED else spec
         for spec in specs
@@ -137,10 +138,10 @@ def _with_model(spec: ComponentSpec, model: ComponentSpec, fmi: int | None) -> C
 def _present_errors(
     scenario: Scenario, master: Master, values: Values
 ) -> dict[str, Callable[[], float]]:
-    """Return one function for each error of the scenario.
+    """Return one function for each error in the table [errors] of the scenario.
 
-    The function computes the error from the signal values at the time of the call. The keys are the
-    names of the errors with their units.
+    The function computes the error from the signal values at the time of the call. The keys of
+    the returned mapping are the names of the errors with their units.
     """
 
     def error_now(measure: Measure) -> Callable[[], float]:
@@ -332,9 +333,10 @@ def _loop(
     hooks: Sequence[InstantHook],
     stop_requests: Sequence[float],
 ) -> Outcome:
-    """Activate the devices, then run to the end. `stop_requests`: times of received SIGINTs.
+    """Activate the devices, then run to the end. Return the outcome of the run.
 
-    A SIGINT is an interruption by the user. Returns the outcome of the run.
+    `stop_requests`: arrival times of the signals that `interrupts` collects, for example SIGINT.
+    Such a signal is an interruption by the user.
     """
     try:
         if activation.activate(devices, lambda: bool(stop_requests)):
@@ -388,7 +390,7 @@ class _Stopping:
             self.left = stop(self._devices, self._period, self.reason, orderly=self.orderly)
             if self._observation.view is not None:
                 self._observation.view.end()  # the view would overwrite the reason
-            # The command prints an error that occurs before any device is active.
+            # If no device was active, the command line prints the error later.
             quiet = error is not None and self.left == NOTHING_ACTIVE
             if self._notice is not None:
                 self._notice.give(self.reason, self.left, orderly=self.orderly, quiet=quiet)

@@ -65,8 +65,8 @@ class Observation:
     """Hook that updates the measured times, the recording and the live view.
 
     The hook runs after the commands are written. It sends nothing to the devices. `energies` are
-    the names of the observed energies. `errors` are functions that compute the present errors of
-    the scenario, by name. Both are shown in the live view.
+    the names of the observed energies. `errors` are functions that compute the present values
+    of the table [errors] of the scenario, by name. The live view shows energies and errors.
     """
 
     def __init__(

@@ -41,7 +41,7 @@ If standard output is still blocked after this time, it is written after the oth
 
 
 class StopNotice:
-    """The outputs of the reason of a stop: standard output, DIR/stop.json and the system log."""
+    """Writer of the reason of a stop to standard output, DIR/stop.json and the system log."""
 
     problems: list[str]
     """One sentence for each output that failed. The caller prints the sentences after the stop."""
@@ -60,7 +60,7 @@ class StopNotice:
         option `--log-to`, or None for no system log. `scenario`: name of the scenario. `show`
         prints a line on standard output.
 
-        Raises DeviceError if `log_to` is not valid, or if this log is not available. Raises
+        Raises DeviceError if `log_to` is not valid, or if the system log is not available. Raises
         OutputError (exit code 2) if stop.json cannot be created.
         """
         self.problems = []
@@ -158,8 +158,8 @@ class StopNotice:
 class _SystemLog:
     """A client that sends datagrams to a system log.
 
-    The SysLogHandler of Python is not used for two reasons. It reconnects with a blocking socket,
-    and it resolves the host name for each message.
+    Python's SysLogHandler is unsuitable: it reconnects with a blocking socket, and it resolves the
+    host name for each message.
     """
 
     def __init__(self, log_to: str) -> None:
@@ -179,7 +179,7 @@ class _SystemLog:
             host and port.isascii() and port.isdecimal() and len(port) < 6 and 0 < int(port) < 65536
         ):
             raise DeviceError(
-                f"--log-to {log_to!r}: this is neither a path nor HOST:PORT with a port of 1 to 65535; {expected}"
+                f"--log-to {log_to!r}: the text after 'syslog:' is neither a path nor HOST:PORT with a port of 1 to 65535; {expected}"
             )
         # Check the address: a Unix socket must exist, and a host name must resolve.
         family: int = socket.AF_UNIX
