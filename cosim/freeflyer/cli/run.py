@@ -12,6 +12,7 @@ from typing import get_args
 from rich.console import Console
 from rich.table import Table
 
+from freeflyer.analysis import observer_notes
 from freeflyer.foundation.errors import ScenarioError
 from freeflyer.foundation.output_file import check_writable, folder
 from freeflyer.scenario import experiment, scenario
@@ -102,6 +103,8 @@ class RunCommand:
                 )
         experiment.write(result, directory)
         console.print(result_table(result))
+        for note in observer_notes.notes(result.outcome.record.provenance):
+            console.print(f"Note: {note}", soft_wrap=True)
         console.print(f"Results in {directory}: record.parquet, summary.json", soft_wrap=True)
         return verdict(result.scenario, result.outcome)
 

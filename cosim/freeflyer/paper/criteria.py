@@ -1,8 +1,8 @@
 """Criteria for the paper's statements on Figs. 3, 4, 7, 8, 9 and 10.
 
-The paper states them without numbers. Each statement is here a list of inequalities between numbers that
-are measured in three runs of one set of assumptions: in continuous time (or with both controllers
-at a high rate), without passivity controllers (PC), and with PC.
+The paper states them without numbers. Here each statement is a list of inequalities. Their numbers
+are measured in three runs with the same assumptions: with both controllers at a high rate, without
+passivity controllers (PC), and with PC.
 """
 
 from __future__ import annotations

@@ -42,8 +42,8 @@ class FeedForward(NamedTuple):
     """Feed-forward wrenches F_m* = M_m x_md'' + Gamma_m x_md', F_b* = M_bm x_md'' + Gamma_bm x_md'.
 
     Both wrenches have six elements, in I. The other members are intermediate results: `qd_r` is
-    q_r' (n), `p_be` (3) is the position of E relative to B's origin, in I, and `sigma_min` is a lower bound
-    of the smallest singular value of J_m. `null_space` is None for six joints.
+    q_r' (n), `p_be` (3) is the position of E relative to B's origin, in I, and `sigma_min` is a
+    lower bound of the smallest singular value of J_m. `null_space` is None for six joints.
     """
 
     F_m: SX

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from freeflyer.analysis import observer_notes
 from freeflyer.analysis.audit.recorded_loop import RecordedLoop
 from freeflyer.foundation.clock import seconds
 
@@ -43,6 +44,7 @@ def notes(loop: RecordedLoop) -> list[str]:
                 f"The rotational stiffness of the {name} controller is not isotropic. Therefore the torque of its spring has no "
                 "potential energy. The virtual energy of its law includes this effect."
             )
+    found += observer_notes.notes(loop.provenance)
     # Work that is not in the balance.
     if loop.joint_torque.shape[1] != 6:
         found.append(

@@ -1,0 +1,42 @@
+"""Energy that the observers of a run cannot see."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from freeflyer.master.provenance import Provenance
+
+NEEDED = ("stiffness", "damping", "period", "discretisation", "bookkeeping")
+
+
+def notes(provenance: Provenance | None) -> list[str]:
+    """Return a sentence for each manipulator controller whose observer misses sampling energy.
+
+    Equation (20) pairs F(k) with v(k), and not with the displacement that F(k) causes. Therefore
+    the bookkeeping `as_printed` does not count the energy F^2 T^2 / (2 M) that sampling generates
+    per period T. For a sampled spring-damper, this energy is more than the damper dissipates if
+    K_P T / 2 > K_D.
+    """
+    found = []
+    for name, parameters in (provenance.parameters if provenance else {}).items():
+        if "manipulator_initial_energy" not in parameters or not parameters.keys() >= set(NEEDED):
+            continue
+        stiffness, damping, period, discretisation, bookkeeping = (
+            parameters[key] for key in NEEDED
+        )
+        spring = 0.5 * float(period) * np.array(stiffness)
+        too_stiff = spring > np.array(damping)
+        if too_stiff.any() and discretisation == "emulated" and _is_printed(bookkeeping):
+            axis = int(np.argmax(too_stiff))
+            found.append(
+                f"The observer of port M does not see the energy that sampling generates there: {name} has the bookkeeping "
+                f"{bookkeeping!r}, and K_Pm T_m / 2 = {spring[axis]:g} is above K_Dm = {damping[axis]:g} in element {axis + 1}. "
+                "Set the bookkeeping `applied`, or increase the damping."
+            )
+    return found
+
+
+def _is_printed(bookkeeping: Any) -> bool:
+    return bookkeeping == "as_printed" or "manipulator_as_printed" in str(bookkeeping)
