@@ -118,7 +118,8 @@ def test_a_coarser_record_gives_the_same_energies_with_a_larger_residual() -> No
     )
     assert not fine.notes
     assert (
-        "`freeflyer run SCENARIO --set record.every_s=0.001` closes the balance" in coarse.notes[0]
+        "`freeflyer run SCENARIO --set record.every_s=0.001` records all samples and closes the balance"
+        in coarse.notes[0]
     )
     for term in ("work", "stale", "virtual", "dissipated"):
         one, other = getattr(fine.base, term)[-1], getattr(coarse.base, term)[-1]

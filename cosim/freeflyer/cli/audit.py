@@ -223,19 +223,19 @@ def table(audit: Audit) -> Table:
             float(np.abs(balance.residual_of_ports).max()),
         )
         row(
-            "largest residual with work of held (F_b, tau)",
+            "largest residual with work of held F_b and tau",
             None,
             None,
             float(np.abs(balance.residual_of_held).max()),
         )
-        row("sum of |work| of (F_b, tau)", None, None, balance.moved)
+        row("sum of |work| of F_b and tau", None, None, balance.moved)
     return shown
 
 
 def observers(audit: Audit) -> Table:
     """Return the table of observed and true energies."""
     shown = Table(
-        title=f"Observed energy [J] with E(0), observer {audit.loop.observer!r}",
+        title=f"Observed energy [J] including E(0), observer {audit.loop.observer!r}",
         title_justify="left",
     )
     for header in ("", "port B", "port M"):

@@ -36,7 +36,7 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     ),
     "certificates": (
         "freeflyer_adapters.cli.certificates:CertificatesCommand",
-        "create a certificate authority, and a certificate and key for each end of the base robot's link",
+        "create a certificate authority, and a certificate with key for each peer of the base robot's link",
     ),
     "export": (
         "freeflyer.cli.export:ExportCommand",

@@ -150,8 +150,8 @@ def _print_along(along: AlongTrajectory, console: Console) -> None:
         f"  at {milliseconds(along.period_s)}: {along.growth_rate:+.3g} 1/s, {'unstable' if along.growth_rate >= 0.0 else 'stable'}"
     )
     print_line(
-        f"  frozen in time (not a criterion of stability): the loop is unstable {100 * along.frozen_unstable:.0f} % of the time; "
-        f"the largest growth rate is {along.frozen_growth_rate:+.3g} 1/s (at {along.frozen_at_s:g} s)"
+        f"  frozen-time loop (not a criterion of stability): unstable {100 * along.frozen_unstable:.0f} % of the time; "
+        f"its largest growth rate is {along.frozen_growth_rate:+.3g} 1/s (at {along.frozen_at_s:g} s)"
     )
 
 

@@ -110,7 +110,7 @@ class RunCommand:
 
 
 def result_table(result: Result) -> Table:
-    """Return the errors, observed energies and times of a run as a table for the console."""
+    """Return the tracking errors, observed energies and times of a run as a console table."""
     table = Table(title=result.scenario.title, title_justify="left")
     table.add_column("")
     table.add_column("maximum", justify="right")

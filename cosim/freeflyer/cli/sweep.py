@@ -166,8 +166,8 @@ def report(plan: Plan, results: Results, console: Console) -> None:
 def predicted(plan: Plan, figure: Map, console: Console) -> Mapping[str, tuple[Array, Array]]:
     """Predict the stability boundary of each case from the linearised loop.
 
-    A point of the boundary belongs to one value on the y axis of the map. A point takes about 1 s.
-    A progress bar is shown on a terminal.
+    For each value on the y axis of the map, the boundary has one point. The computation of a point
+    takes about 1 s. A progress bar is shown on a terminal.
     """
     from freeflyer.analysis.sweep import boundary
 

@@ -6,8 +6,10 @@ An archive is rejected if it contains:
 - two entries that some operating system would store in one file, for example NAME and name;
 - an entry that is neither a regular file nor a folder;
 - an encrypted entry;
-- an entry with a compression method other than deflate or none (section 2.5 of FMI 3.0);
-- a decompression bomb: a small archive that unpacks to a very large size.
+- an entry with a compression method other than deflate or none (section 2.5 of FMI 3.0).
+
+An archive is also rejected if it is a decompression bomb: a small file that unpacks to a very large
+size.
 
 An XML entry with a document type is rejected when it is read. A document type can define entities,
 and the XML parser could fetch or expand them.
@@ -202,8 +204,8 @@ def _checked(
     for entry in entries:
         place = _place(entry)
         # Some file systems ignore case or normalize Unicode. Such a file system would store two
-        # entries in one file if their names differ only in case or in Unicode normalization. For
-        # such names, `alike` is equal.
+        # entries in one file if their names differ only in case or in Unicode normalization. Such
+        # names have the same value of `alike`.
         alike = tuple(unicodedata.normalize("NFC", part).casefold() for part in place)
         if alike in spelled:
             raise ArchiveError(

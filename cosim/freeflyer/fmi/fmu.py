@@ -80,9 +80,9 @@ _LOGGER = fmi2.fmi2CallbackLoggerTYPE(_route)
 def _remove_modules(directory: Path) -> None:
     """Remove the Python modules in the folder of an unpacked FMU from `sys.modules`.
 
-    An FMU that is written in Python may import its modules with our own interpreter. Another FMU
-    may contain different modules with the same names. Without this removal, the imports of the
-    other FMU would find the modules of the first FMU.
+    An FMU that is written in Python may import its modules in the interpreter of this process.
+    Another FMU may contain different modules with the same names. Without this removal, the imports
+    of the other FMU would find the modules of the first FMU.
     """
     inside = _inside(directory)
     for name, module in list(sys.modules.items()):
@@ -142,7 +142,7 @@ class FmuComponent:
         return self._ports
 
     def variables_of(self, port: str) -> Sequence[ModelVariable]:
-        """Return the model variables of a port, in order."""
+        """Return the model variables of a port, in the order of the port's elements."""
         return self._variables[port]
 
     # Loading

@@ -146,10 +146,11 @@ def annotated_units(path: Path) -> dict[str, tuple[str, ...]]:
 
 @_cached_per_file
 def terminals_of(path: Path) -> dict[str, dict[str, str]]:
-    """Return the terminals of an FMU. A terminal is a named group of variables, its members.
+    """Return the terminals of an FMU.
 
-    The keys of the result are the names of the terminals. Each value maps the names of the members
-    to names of variables.
+    A terminal is a named group of variables. These variables are its members. The keys of the
+    result are the names of the terminals. Each value maps the names of the members to names of
+    variables.
 
     FMI 3.0 FMUs declare terminals in the file terminalsAndIcons.xml. Our FMI 2.0 FMUs declare
     terminals in an annotation of the model description.

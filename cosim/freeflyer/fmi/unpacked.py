@@ -73,7 +73,10 @@ def _kept(version: Version) -> Path | None:
 
 
 def give_back(folder: Path) -> None:
-    """Make a folder available for reuse, or remove it. Call this after the instance is freed."""
+    """Make a folder available for reuse, or remove it.
+
+    Call this function after the instance is freed.
+    """
     version = _of.pop(folder, None)
     if version is not None and _place is not None:
         _free.setdefault(version, []).append(folder)

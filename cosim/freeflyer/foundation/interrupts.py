@@ -17,7 +17,7 @@ ENDING = tuple(
 )
 """Signals after which a run ends in an orderly way, between two instants.
 
-If the process already ignores a signal (nohup), `interrupts` leaves this signal ignored.
+`interrupts` does not collect a signal that the process already ignores, for example after nohup.
 """
 _noted: list[list[float]] = []
 """Contains one item while an `interrupts` context is active, otherwise no items.

@@ -40,7 +40,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def check_writable(directory: Path) -> None:
-    """Check that results can be written to a directory. Call this before a run.
+    """Check before a run that results can be written to a directory.
 
     Raises OutputError with exit code 2 if no file can be written to the directory.
     """

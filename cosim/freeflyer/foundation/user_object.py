@@ -12,7 +12,7 @@ from freeflyer.foundation.plugins import renamed
 
 
 def load(text: str, folder: Path) -> Any:
-    """Return the object. A relative path FILE.py is relative to `folder`.
+    """Return the object that `text` names. A relative path FILE.py is relative to `folder`.
 
     Raises CosimError if the file or the object does not exist, or if its module raises any
     exception.

@@ -13,7 +13,8 @@ class Connection:
     value that the source had before the present instant.
 
     If `of_terminals` is True, both names have the form COMPONENT.TERMINAL. A terminal is a named
-    group of variables, its members. All matching members of the two terminals are connected.
+    group of variables. These variables are its members. All matching members of the two terminals
+    are connected.
     """
 
     source: str

@@ -217,9 +217,9 @@ class Master:
     def reject_failure_at_start(self, k: int, error: StepFailed) -> None:
         """Raise ComponentError if the failure `error` occurred at instant 0.
 
-        No result exists yet at this instant. If k is not 0, the method does nothing. If the
-        equations left their range of validity, the run counts as diverged, and the method does
-        nothing.
+        No result exists yet at this instant. If k, the instant of the failure, is not 0, the method
+        does nothing. If the equations left their range of validity, the run counts as diverged, and
+        the method does nothing.
         """
         if k == 0 and not error.left_validity:
             raise ComponentError(f"component {error}") from error

@@ -59,5 +59,7 @@ class Provenance:
                     f"the key {key} in its provenance has a value of a wrong type; {kind.__name__} is expected"
                 )
         if not all(0 < step < 1 << 63 for step in raw["steps"].values()):
-            raise ValueError("the key 'steps' in its provenance has a value outside the range from 1 to 2^63 - 1")
+            raise ValueError(
+                "the key 'steps' in its provenance has a value outside the range from 1 to 2^63 - 1"
+            )
         return cls(**raw)

@@ -271,8 +271,8 @@ class _System:
     ) -> None:
         """Collect the parameters of an element and of the elements inside it.
 
-        `above` contains names and values of parameters that the systems around this element set.
-        The names are relative to this element. The values in `above` replace the values that this
+        `above` contains the parameters from the systems around this element: names and values. The
+        names are relative to this element. The values in `above` replace the values that this
         element sets itself.
         """
         values = [*self._bound(element, place), *above]
@@ -398,7 +398,7 @@ class _System:
             ]
             if any(isinstance(element, dict) for element in elements):
                 raise self.fail(
-                    f"elements of {part.name}.{name} are set one by one in units that differ from the FMU's units; this is not supported"
+                    f"elements of {part.name}.{name} are set one by one in units that differ from the FMU's units, which is not supported"
                 )
             result[name] = elements
         return result

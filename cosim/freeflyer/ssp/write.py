@@ -306,7 +306,7 @@ def _unit(
     """Return the definition of the unit `name` in SI base units, by the name of the unit.
 
     SSP requires such a definition. It is read from the FMU. `known` contains the definitions that
-    were read from all FMUs before. If `name` is None, the result is empty.
+    were read earlier. If `name` is None, the result is empty.
 
     Raises ComponentError if the FMU does not define the unit, or if the definition differs from the
     definition in `known`.

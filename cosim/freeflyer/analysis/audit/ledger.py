@@ -141,8 +141,8 @@ def audit(loop: RecordedLoop) -> Audit:
     # With the tracking observer, the damper of the manipulator's passivity controller acts on the
     # velocity error. With the other observers, it acts on the velocity of the port.
     tracking = loop.observer == "tracking"
-    # Only the feed-forward F* of port M is needed below, for the tracking power. The reference of
-    # the base is at rest.
+    # The set point of the base does not move (`at_rest`). The tracking power needs only the
+    # feed-forward F* of port M.
     port_m, F_m_star = _port(
         loop,
         law_m,
@@ -237,9 +237,9 @@ def _port(
         return pose, motion.velocity - desired.velocity
 
     # Split the law into the sampled spring-damper -K_P Delta x - K_D Delta x' and the feed-forward
-    # F*, which is the rest. Some controllers compute discrete gains from K_P and K_D (not
-    # `is_plain`). These gains are not recorded, and the law cannot be split. Therefore the whole
-    # law counts as a spring-damper without feed-forward.
+    # F*, which is the rest. If `is_plain` is false, the controller computes discrete gains from K_P
+    # and K_D. These gains are not recorded, and the law cannot be split. Therefore the whole law
+    # counts as a spring-damper without feed-forward.
     sampled_pose, sampled_velocity = (
         energy.last_samples(loop.time, values, law.period) for values in errors(law.measured)
     )

@@ -18,14 +18,14 @@ def notes(loop: RecordedLoop) -> list[str]:
     if loop.plant is None:
         found.append(
             "No component has the output kinetic_energy and receives base_wrench and joint_torque. (The facility has no such "
-            "component, because drives move the arm in 1 g.) Therefore the audit has no energy balance. The work is computed from the "
-            "commanded wrenches and the measured motion."
+            "component, because drives move its arm under gravity.) Therefore the audit has no energy balance. The work is computed "
+            "from the commanded wrenches and the measured motion."
         )
     if any(law.period < step for law in laws.values()):
         finest = seconds(min(law.period for law in laws.values()))
         found.append(
             f"The record has one row every {seconds(step):g} s and does not have all samples. Therefore the work is approximated. "
-            f"The command `freeflyer run SCENARIO --set record.every_s={finest:g}` {'closes the balance' if loop.plant else 'records all samples'}."
+            f"The command `freeflyer run SCENARIO --set record.every_s={finest:g}` records all samples{' and closes the balance' if loop.plant else ''}."
         )
     # Limitations of one controller.
     for name, law in laws.items():

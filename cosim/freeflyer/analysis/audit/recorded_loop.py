@@ -85,12 +85,12 @@ class Plant:
 class RecordedLoop:
     """Signals of the control loop, for the first rows of a record.
 
-    The rows end before the first row with a value that is not finite, or with a quaternion whose
-    norm is almost zero. `rows_left_out` is the number of rows after this end. `time` is (n,) [s].
-    fmu_src/NOTATION.md defines the wrenches. `base` and `end_effector` are the actual motions,
-    `desired` is the desired motion of the end-effector, and `setpoint` is the desired motion of the
-    base. A record of the facility has no simulated robot. Then `plant` is None, and `base` and
-    `end_effector` are the measured motions.
+    A row is invalid if a value is not finite, or if the norm of a quaternion is almost zero. The
+    first invalid row and all later rows are left out. Their number is `rows_left_out`. `time` is
+    (n,) [s]. fmu_src/NOTATION.md defines the wrenches. `base` and `end_effector` are the actual
+    motions, `desired` is the desired motion of the end-effector, and `setpoint` is the desired
+    motion of the base. A record of the facility has no simulated robot. Then `plant` is None, and
+    `base` and `end_effector` are the measured motions.
     """
 
     provenance: Provenance
@@ -232,7 +232,7 @@ class _Finder:
             )
         ]
 
-        # Only now have all signals been read. Therefore the message of the error lists all missing
+        # All signals have been read at this point. Therefore the error message lists all missing
         # data.
         self.check_complete()
         loop = RecordedLoop(

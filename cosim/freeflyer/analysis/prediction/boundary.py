@@ -1,8 +1,9 @@
 """Predict the largest stable base period of a scenario from its linearised loop at the set point.
 
 The prediction varies the period of one controller. This controller is called the scanned
-controller, and its period is called the base period T_b. The scanned controller is usually the base
-controller. All other controllers are called the fast controllers. They have the step T_m.
+controller, and its period is called the base period T_b. The period of the scenario is the value of
+T_b in the scenario. The scanned controller is usually the base controller. All other controllers
+are called the fast controllers. They have the step T_m.
 """
 
 from __future__ import annotations
@@ -43,9 +44,9 @@ class Prediction:
     scanned period, `radius` is the spectral radius of the map over one period, without the neutral
     directions. `neutral` is the number of neutral directions. In a neutral direction, no force
     returns the plant to the set point: it can rest at any position.
-    `largest_stable_s`: all periods up to this period are stable. It is 0 if T_m is unstable. It is
-    the longest scanned period if all periods are stable. `stable_s` contains the first and the last
-    period of each stable interval.
+    `largest_stable_s`: all periods up to this period are stable. It is 0 if the loop is unstable
+    with T_b = T_m. It is the longest scanned period if all periods are stable. `stable_s` contains
+    the first and the last period of each stable interval.
     `boundary` is the least stable mode at the first unstable period. `limit` is the cause of this
     instability. `boundary` and `limit` are None if all periods are stable. `own` is the least
     stable mode at the period of the scenario. `coordinates` describe the loop at the first unstable
@@ -175,7 +176,7 @@ def _count(longest: float | None, tick: int, period: int) -> int:
         )
     if longest > seconds(MOST_PERIODS * tick):
         raise ScenarioError(
-            f"--longest {longest:g}: this is more than {MOST_PERIODS} steps of the fast controllers; at most {shown(MOST_PERIODS * tick)} is expected"
+            f"--longest {longest:g}: at most {shown(MOST_PERIODS * tick)} is expected, {MOST_PERIODS} steps of the fast controllers"
         )
     # Round down to a multiple of T_m. The tolerance 1e-6 allows for a rounding error of `longest`.
     return int(longest / seconds(tick) + 1e-6)

@@ -99,18 +99,18 @@ class LoopModel:
         }
 
     def values(self, period: int) -> Values:
-        """Return all parameter values [SI] if the scanned controller has this period [ns]."""
+        """Return all parameter values [SI] for this period [ns] of the scanned controller."""
         values = {name: dict(own) for name, own in self.system.values.items()}
         for name, parameter in self._linked:
             values[name][parameter] = np.array([seconds(period)])
         return values
 
     def started(self, stop: int, record_every: int) -> Master:
-        """Return an initialised master. The scanned controller has the step T_m, like all others.
+        """Return an initialised master.
 
-        With this step, the motion is closest to the desired motion. `stop` is the end of the run,
-        and `record_every` is the time between two rows of the record. Both are in ns. Raises
-        CosimError.
+        The scanned controller has the step T_m, like all other controllers. With this step, the
+        motion is closest to the desired motion. `stop` is the end of the run, and `record_every` is
+        the time between two rows of the record. Both are in ns. Raises CosimError.
         """
         tick, steps = self.roles.tick, dict(self.system.steps)
         steps[self.roles.scanned] = tick

@@ -87,7 +87,8 @@ def roles_of(
                 f"must have the same step"
             )
 
-    # T_m must be a multiple of the plant's step. The scanned period must be a multiple of T_m.
+    # T_m must be a multiple of the plant's step, and in parallel exchange it must be equal to the
+    # plant's step. The scanned period must be a multiple of T_m.
     plant_step = system.steps[plants[0]]
     if tick % plant_step or (scenario.exchange == "parallel" and plant_step != tick):
         raise ScenarioError(

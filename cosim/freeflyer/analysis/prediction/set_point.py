@@ -26,10 +26,11 @@ from freeflyer.scenario.scenario import Scenario
 REST = 1e-6
 """The plant is at rest if no state changes faster than this rate [SI unit of the state per s]."""
 MEMORY = 1e-9
-"""Limit for the ratio of two output errors of a controller.
+"""Limit for the ratio of two deviations of a controller's outputs.
 
-The first error is measured one sample after a disturbance of the inputs. It is divided by the
-second error, which is measured during the disturbance. A controller with a larger ratio has memory.
+The first deviation is measured one sample after a disturbance of the inputs. It is divided by the
+second deviation, which is measured during the disturbance. A controller with a larger ratio has
+memory.
 """
 NEUTRAL = 1e-12
 """Limit for singular values of P - 1. P is the map over one period, 1 is the identity matrix.
@@ -146,5 +147,5 @@ def _check_memory(model: LoopModel, name: str, point: Point) -> None:
         worst = [n for n in outputs for _ in range(fmu.ports[n].size)][int(after.argmax())]
         raise ScenarioError(
             f"component {name} has memory: a disturbance of its inputs still affects its output {worst} one sample later; the "
-            f"prediction needs controllers without memory (passivity controllers off)"
+            f"prediction needs controllers without memory, with all passivity controllers switched off"
         )

@@ -84,9 +84,10 @@ class Trajectory:
     """Linearisations of the plant along a run in which all controllers have the step T_m."""
 
     def __init__(self, model: LoopModel, coordinates: TaskCoordinates, cell: float = CELL) -> None:
-        """Run the scenario, and linearise the plant every `cell` [s]. `coordinates` give energies.
+        """Run the scenario, and linearise the plant every `cell` [s].
 
-        Raises ScenarioError if the run stops early.
+        `coordinates` gives the energy of a perturbation. Raises ScenarioError if the run stops
+        early.
         """
         self.model, self._coordinates, tick = model, coordinates, model.roles.tick
         self.cell = max(nanoseconds(cell, "the cell") // tick, 1)  # in units of T_m

@@ -34,7 +34,8 @@ typedef enum { SET, STEP, GET, LIMIT } Operation;
 typedef int Call(int index, Operation operation, double time, double size);
 
 /* Number of value references and number of values in one FMI call. FMI 2.0 needs one value
-   reference for each value. FMI 3.0 needs one for each variable; an array is one variable. */
+   reference for each value. FMI 3.0 needs one value reference for each variable, and an array is
+   one variable. */
 typedef struct {
     size_t references, values;
 } Batch;

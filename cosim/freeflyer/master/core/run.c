@@ -41,10 +41,10 @@ static bool step_fails(Core *core, int index, int64_t k)
     return false;
 }
 
-/* Read the outputs of a slave. Some outputs are needed by no connection and no limit. They are read
-   only if `all` is true: at a recorded instant, or at the end of the run. A slave with a step of
-   several ticks is an exception: all its outputs are read at each of its steps. The next recorded
-   instant may be between two of its steps, and its outputs are not read at this instant. */
+/* Read the outputs of a slave that connections or limits need. The other outputs are only recorded.
+   They are also read if `all` is true: at a recorded instant, or at the end of the run. If the step
+   of a slave is several ticks, all its outputs are read at each of its steps. The reason is that a
+   recorded instant may be between two of its steps, when no outputs of this slave are read. */
 static bool get_fails(Core *core, int index, bool all)
 {
     return fails(core, index, GET, get_outputs(core, index, all || core->slave[index].ratio > 1));
@@ -64,9 +64,10 @@ static bool maybe_exceeded(const Limit *limit)
     return !within || (limit->euclidean && !(sum <= limit->bound * limit->bound * (1.0 - 1e-12)));
 }
 
-/* Return true if a limit ends the run. C only finds the limits that may be exceeded. For these
-   limits, it calls Python. Python decides, and counts the instants at which a limit is exceeded.
-   When a limit is no longer exceeded, C calls Python once more. Python then resets this count. */
+/* Return true if a limit ends the run. C finds the limits that may be exceeded, and calls Python
+   for each of these limits. Python decides whether the limit is exceeded, and counts the instants
+   at which it is exceeded. When a limit is no longer exceeded, C calls Python once more. Python
+   then resets the counter. */
 static bool limit_exceeded(Core *core)
 {
     for (int i = 0; i < core->limits; i++) {
@@ -91,8 +92,8 @@ static void record(Core *core, int64_t k)
 }
 
 /* Read the outputs of the plants (all slaves except the controllers) whose step ends at instant k.
-   At the last instant of the run, read the outputs of all plants. The outputs of controllers are
-   read after the start of a step, in `samples_fail`. */
+   At the last instant of the run, read the outputs of all plants. `samples_fail` reads the outputs
+   of a controller, directly after its step. */
 static bool settled_outputs_fail(Core *core, int64_t k, bool all)
 {
     for (int i = core->first; i < core->slaves; i++) {
