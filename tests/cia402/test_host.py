@@ -560,7 +560,7 @@ def test_a_second_controller_is_rejected_while_the_first_sends_sync_or_has_enabl
         with pytest.raises(
             DeviceError,
             match=re.escape(
-                "(node 3) is in the state Operation enabled already: another controller drives it"
+                "(node 3) is in the state Operation enabled already: another controller has enabled it"
             ),
         ):
             bench.host.configure()

@@ -233,7 +233,7 @@ def test_a_second_controller_is_rejected_before_any_motion_with_both_numbers(ben
     second = bench.hil(*PATIENT_LOOP, out="second")
     assert second.finish() == 2
     assert re.search(
-        r"accepts commands from controller \d+ already; this is controller \d+", second.text
+        r"accepts commands from controller \d+ already; this run is controller \d+", second.text
     ), second.text
     assert first.popen.poll() is None
     first.send(signal.SIGINT)

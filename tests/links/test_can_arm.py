@@ -277,7 +277,7 @@ def test_an_arm_that_accepts_another_controller_stops_the_loop_with_both_numbers
     there.send()
     with pytest.raises(
         SafeStop,
-        match=f"accepts commands from controller {there.accepted}; this is controller {arm.session.number}",
+        match=f"accepts commands from controller {there.accepted}; this run is controller {arm.session.number}",
     ):
         arm.read()
 
@@ -622,7 +622,7 @@ def test_an_arm_that_accepts_another_controller_is_rejected_with_both_numbers(
     there.serve()
     with pytest.raises(
         DeviceError,
-        match=r"accepts commands from controller 4711 already; this is controller \d+: stop the other controller first",
+        match=r"accepts commands from controller 4711 already; this run is controller \d+: stop the other controller first",
     ):
         arm.configure()
     there.pause()
@@ -866,7 +866,7 @@ def test_a_reason_to_stop_discards_the_frames_queued_in_the_interface(
 def test_lost_cycles_during_a_flood_report_the_flood(active: tuple[CanArm, ScriptedArm]) -> None:
     arm, _ = active
     arm._states.others = 10 * arm._states.receiver.accepted
-    reason = r"cycles in a row were lost.*; a flood of frames: \d+ frames with other identifiers were received beside"
+    reason = r"cycles in a row were lost.*; a flood of frames: \d+ frames with other identifiers were received in addition to"
     with pytest.raises(SafeStop, match=reason):  # noqa: PT012
         for _ in range(20):
             arm.read()

@@ -326,7 +326,8 @@ def test_command_and_state_frame_with_one_identifier_are_rejected(
         SIGNALS if messages == MESSAGES else {**SIGNALS, "joint_torque_command": ["T_A", "T_B"]}
     )
     with pytest.raises(
-        DeviceError, match=r"have the same identifier 0x20[01], but two nodes must not send one"
+        DeviceError,
+        match=r"have the same identifier 0x20[01], but two nodes must not send frames with the same identifier",
     ) as caught:
         ArmFrames(FrameMapping(dbc=own(tmp_path, text), messages=messages, signals=signals), 2)
     assert "\n" not in str(caught.value)

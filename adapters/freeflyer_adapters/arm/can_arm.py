@@ -219,7 +219,7 @@ class CanArm:
             raise DeviceError(f"{self._where}: {self._states.problem}")
         if session.has_other_controller:
             raise DeviceError(
-                f"{self._where} accepts commands from controller {session.echoed_number} already; this is controller {session.number}: "
+                f"{self._where} accepts commands from controller {session.echoed_number} already; this run is controller {session.number}: "
                 f"stop the other controller first"
             )
         if (
@@ -325,9 +325,9 @@ class CanArm:
             raise SafeStop(self.name, f"{sentence}{self._states.flood}")
         # Count lost frames.
         if received:
-            # Each missing cycle number is a lost frame. Do not count the frames again that were
-            # already counted at their deadlines (`_silent_cycles`). If the arm itself has paused,
-            # no number is missing.
+            # Each missing cycle number is a lost frame. Subtract the frames that were already
+            # counted at their deadlines (`_silent_cycles`). If the arm itself has paused, no number
+            # is missing.
             gap = (self._cycle_number - before) % self.frames.cycles
             missing = gap - 1 - self._silent_cycles
             reason = self.monitor.lose(max(missing, 0))
@@ -349,7 +349,7 @@ class CanArm:
         if self.session.has_other_controller:
             raise SafeStop(
                 self.name,
-                f"the arm accepts commands from controller {self.session.echoed_number}; this is controller {self.session.number}",
+                f"the arm accepts commands from controller {self.session.echoed_number}; this run is controller {self.session.number}",
             )
         if permit.lost:
             raise SafeStop(self.name, self._lost_permit())
@@ -421,8 +421,8 @@ class CanArm:
         """Whether the arm is known to be at rest.
 
         If the arm reports its brakes, the brakes must be engaged. If the arm reports only its life
-        cycle state, this state must not be active. If the arm reports neither of these, a state
-        frame must have arrived after the brake command.
+        cycle state, this state must not be active. If the arm reports neither brakes nor life cycle
+        state, a state frame must have arrived after the brake command.
         """
         if "brakes" in self.frames.state:
             return self._braked
@@ -530,7 +530,7 @@ class CanArm:
             and mode is not Mode.torque
             and not session.permits(Mode.torque, clock())
         ):
-            return  # if the command frame has no mode, the arm treats it as a torque command
+            return  # an arm without modes treats every command frame as a torque command
         if mode is not Mode.torque:
             torque = np.zeros_like(torque)
         self._brake_sent = mode is Mode.brake

@@ -50,5 +50,5 @@ def compare(
             if (beyond if role in MAY_BE_NARROWER else abs(beyond)) > f.resolution:
                 raise DeviceError(
                     f"{where}: the {role.replace('_', ' ')} of joint {j + 1} is {actual:g} {UNITS[role]}, but the scenario's robot has "
-                    f"{float(limit):g} {UNITS[role]}; it is another arm, or one of the two values is wrong"
+                    f"{float(limit):g} {UNITS[role]}; this arm is not the scenario's arm, or one of the two values is wrong"
                 )

@@ -44,7 +44,7 @@ class Mode(IntEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class Role:
-    """Quantity in a frame.
+    """Name, signal and unit of a quantity in a frame.
 
     `signal`: name of the signal in the shipped DBC. `per_joint`: whether each joint has one signal.
     Then `{}` in `signal` stands for the number of the joint. `required`: whether every DBC must
@@ -100,7 +100,10 @@ CONSEQUENCES: Mapping[str, str] = {
 }
 """Effect of a missing role, or of a missing number for the mode `activate`."""
 NEEDED = ("mode_values.activate", "controller", "obeyed_controller", "answered_cycle", "life_cycle")
-"""If one of these is missing, the arm cannot reject an activation that no run has requested."""
+"""If one of these entries is missing, the arm cannot reject a late activation.
+
+A late activation is an activation that the present run has not requested.
+"""
 MESSAGES = {"command": "ArmCommand", "state": "ArmState", "description": "ArmDescription"}
 LIMIT_ROLES = (
     "joint_lower_limit",
@@ -114,13 +117,14 @@ LIMIT_ROLES = (
 class FrameMapping:
     """DBC of a scenario, and the names and numbers in this DBC.
 
-    An empty table selects the names and numbers of the shipped DBC. A frame is "command", "state"
-    or "description".
+    An empty table selects the names and numbers of the shipped DBC. The frames are called
+    "command", "state" and "description".
 
     - `messages`: frame -> message name.
     - `signals`: role -> signal name. For a role with one signal per joint, the name contains `{}`
       for the number of the joint. A list of names is also possible.
-    - `data_ids`: frame -> E2E data ID. Needed if the DBC has no attribute E2eDataId.
+    - `data_ids`: frame -> E2E data ID. E2E protection needs an entry if the DBC has no attribute
+      E2eDataId.
     - `e2e_offset`: first byte of the E2E header.
     - `mode_values`, `life_cycle_values`: name -> raw number in the DBC. Needed if the number
       differs from the number in the shipped DBC.
@@ -159,7 +163,7 @@ class FrameMapping:
     def has_description(self) -> bool:
         """Whether the arm sends a description frame.
 
-        This is the case if `messages` contains the frame, or if all frames in the DBC, including
+        The arm sends it if `messages` contains the frame, or if all frames in the DBC, including
         the description frame, have the shipped names.
         """
         if "description" in self.messages or self.dbc == SHIPPED_DBC:
@@ -288,7 +292,7 @@ class ArmFrames:
         ):
             raise DeviceError(
                 f"DBC {mapping.dbc}: {self.command.message.name} and {self.state.message.name} have the same identifier "
-                f"0x{self.state.identifier:X}, but two nodes must not send one identifier; different identifiers are expected"
+                f"0x{self.state.identifier:X}, but two nodes must not send frames with the same identifier"
             )
         self.description: Frame | None = None
         if mapping.has_description:
@@ -340,10 +344,10 @@ class ArmFrames:
         return [name for name in CONSEQUENCES if not present.get(name, name in roles)]
 
     def check_activation(self, subject: str, implicit: bool) -> None:
-        """Raise DeviceError if the arm cannot reject an activation that no run has requested.
+        """Raise DeviceError if the arm cannot reject a late activation (see NEEDED).
 
         `subject`: name of the arm in the error message. `implicit`: whether the scenario accepts an
-        arm that cannot reject such an activation.
+        arm that cannot reject a late activation.
         """
         missing = [name for name in self.missing if name in NEEDED]
         if missing and not implicit:

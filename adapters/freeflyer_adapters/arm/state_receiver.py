@@ -134,7 +134,7 @@ class StateFrames:
         """
         if self.others < FLOOD * self.receiver.accepted:
             return ""
-        return f"; a flood of frames: {self.others} frames with other identifiers were received beside {self.receiver.accepted} state frames"
+        return f"; a flood of frames: {self.others} frames with other identifiers were received in addition to {self.receiver.accepted} state frames"
 
     def silence(self, what: str, receiver: Receiver, waited: float) -> str:
         """Return an error message for a frame type that was not received within `waited` [s].
@@ -149,7 +149,7 @@ class StateFrames:
         why += f"; {self.others} frames with other identifiers were received" if self.others else ""
         return (
             f"sends no {what} frame within {waited:g} s{why}{self.errors}: is the arm (or `freeflyer facility`) running on this channel, "
-            f"and not active for another controller?"
+            f"or has another controller activated the arm?"
         )
 
     def wait(self, timeout: float) -> bool:

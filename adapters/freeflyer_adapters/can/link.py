@@ -22,10 +22,10 @@ from freeflyer_adapters.foundation import environment
 FILTERING = ("local", "socketcan")
 """Interfaces to which `open_bus` gives a filter.
 
-These interfaces themselves remove unwanted frames. For the other interfaces, python-can's `recv`
-removes unwanted frames. If `recv` with timeout 0 removes a frame, it returns None, even if further
-frames are waiting. Therefore the other interfaces get no filter. `Receiver.take` compares the
-identifiers for every interface.
+These interfaces themselves remove unwanted frames. If another interface had a filter, python-can's
+`recv` would remove the unwanted frames. If `recv` with timeout 0 removes a frame, `recv` returns
+None, even if further frames are waiting. Therefore the other interfaces get no filter.
+`Receiver.take` compares the identifiers for every interface.
 """
 RECENT = 32
 """Number of sent frames that `Sender.recent` stores."""

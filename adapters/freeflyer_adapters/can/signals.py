@@ -140,7 +140,7 @@ def _parsed(text: str) -> Any:
 def only(message: Any, names: Set[str]) -> Any:
     """Return a copy of `message` that contains only the signals `names`.
 
-    All other signals are not decoded. Therefore an invalid value in such a signal, for example in a
+    No other signal is decoded. Therefore an invalid value in another signal, for example in a
     multiplexer, cannot cause an error.
     """
     return cantools.database.Message(

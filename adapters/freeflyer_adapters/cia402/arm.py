@@ -2,7 +2,7 @@
 
 In CANopen, no single frame contains the state of the whole arm. Therefore no frame can be the clock
 of the loop, and the loop waits for absolute deadlines (`is_clock = False`). The host is the
-producer of SYNC.
+producer of SYNC: the CANopen frame at which the drives latch their measurements and apply targets.
 
 In each cycle, `read` first sends SYNC, before any computation. Therefore the jitter of SYNC is only
 the jitter of the host's wake-up. Then `read` waits for the TPDOs of all drives. `write` sends the
@@ -277,7 +277,7 @@ class Cia402Arm:
         self.scaling.reset()
         # The first heartbeat of the host starts the heartbeat monitors of the drives. After this
         # heartbeat, no heartbeat may be missing. From now on, the cycles of the host are not
-        # interrupted. Therefore the next cycle sends a heartbeat.
+        # interrupted. Therefore `_cycles = 0` makes the next cycle send a heartbeat.
         self._is_host, self._cycles = True, 0
         for drive in self.drives:
             drive.emergency = 0

@@ -29,8 +29,8 @@ class DriveOptions:
     - `bitrate` [bit/s].
     - `node_ids`, `motors`: one value for each joint.
     - `eds`: file with the object dictionary of the drives.
-    - `measured_velocity`: whether velocities are measured (TPDO2). Otherwise they are estimated
-      from positions.
+    - `measured_velocity`: whether the drives send measured velocities (TPDO2). Otherwise the host
+      estimates velocities from positions.
     - `heartbeat`: heartbeat period of the drives and of the host [s].
     - `largest_load`: largest allowed bus load, as a fraction.
     """

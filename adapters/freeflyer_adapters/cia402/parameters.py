@@ -13,7 +13,7 @@ DEFAULTS = {"period": (0.004,), "state_age_limit": (0.04,), "lost_consecutive": 
 DESCRIPTIONS = {
     "period": "Period of SYNC. This is also the communication step of the device",
     "state_age_limit": "Largest age of a drive's last TPDO",
-    "lost_consecutive": "Number of consecutive lost cycles at which the loop stops. The default is 20 ms, as for libfranka (20 cycles of 1 ms)",
+    "lost_consecutive": "Number of consecutive lost cycles at which the loop stops. The default corresponds to 20 ms, as for libfranka (20 cycles of 1 ms)",
     "configure_timeout": "Longest wait for a response of a drive, and longest time until all drives are enabled",
 }
 

@@ -1,6 +1,7 @@
 """Cyclic frames in the predefined connection set of CiA 301.
 
-The host sends SYNC and one RPDO for each drive. Each drive sends one or two TPDOs.
+PDO: process data object, the content of a cyclic frame. A drive receives RPDOs and sends TPDOs. The
+host sends SYNC and one RPDO for each drive. Each drive sends one or two TPDOs.
 """
 
 from __future__ import annotations

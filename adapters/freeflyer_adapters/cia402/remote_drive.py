@@ -27,7 +27,7 @@ from freeflyer_adapters.device.device import DeviceError
 from freeflyer_adapters.device.permit import Permit
 
 NOT_VALID = 1 << 31
-"""Bit of a PDO's COB-ID: the PDO is disabled."""
+"""Bit of a PDO's COB-ID that disables the PDO."""
 HEARTBEATS_MISSED = 2.5
 """Time without a heartbeat, in heartbeat periods, after which a node counts as failed.
 
@@ -106,7 +106,7 @@ class RemoteDrive:
         self._read_state()
         if self.state is not None and self.powered:
             raise DeviceError(
-                f"{self.where} is in the state {self.state.value} already: another controller drives it; stop the other controller first"
+                f"{self.where} is in the state {self.state.value} already: another controller has enabled it; stop the other controller first"
             )
 
     def _read_state(self) -> None:
@@ -193,7 +193,7 @@ class RemoteDrive:
             raise DeviceError(
                 f"{self.where}: the {what} ({entry}) is {actual:.9g} {unit}".rstrip()
                 + f", but the scenario has {expected:.9g} {unit}".rstrip()
-                + "; it is another drive, or one of the two values is wrong"
+                + "; this drive is not the scenario's drive, or one of the two values is wrong"
             )
 
     def _ratio(self, above: Entry, below: Entry) -> float:

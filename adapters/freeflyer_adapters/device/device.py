@@ -46,7 +46,7 @@ TRANSITIONS: Mapping[LifeCycle, frozenset[LifeCycle]] = {
 
 
 STATE = ": state"
-"""Suffix of a name in the live view. A value with this suffix is a life cycle state."""
+"""Suffix of a name in the live view. The value of such a name is a life cycle state."""
 SIMULATED = "simulated"
 """Kind of a device whose model runs in the host process."""
 
@@ -165,7 +165,7 @@ class Device(Protocol):
         """Limit and send the commands. Raises SafeStop if the commands must not be sent."""
 
     def revoke(self, reason: str) -> None:
-        """Permanently revoke the permission for power of this activation.
+        """Permanently revoke the permission to give power to the device in this activation.
 
         `reason`: reason of the stop. From now on, only commands that lower the power are sent.
         """

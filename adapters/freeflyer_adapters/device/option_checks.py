@@ -1,6 +1,6 @@
 """Checks of the keys in the table of a device (`[devices.NAME]`) of a scenario.
 
-The numeric settings of a device are in `parameters`.
+`freeflyer_adapters.device.parameters` checks the numeric settings of a device.
 """
 
 from __future__ import annotations

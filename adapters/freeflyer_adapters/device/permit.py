@@ -19,7 +19,7 @@ class Permit:
     Times are [ns] of the monotonic clock. `subject`: name of the device in messages. `watchdog`
     [ns]: longest time for which the device continues without a command. After a longer delay of the
     loop, the device counts as stopped. `reports_state`: whether the device reports its life cycle
-    state. If the device reports no state, every measurement counts as a report of the state active.
+    state. If the device reports no state, the caller derives the state from measurements.
     """
 
     def __init__(self, subject: str, *, watchdog: int, reports_state: bool = True) -> None:

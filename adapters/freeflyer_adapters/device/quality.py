@@ -1,7 +1,7 @@
 """Monitor of the quality of a link. Too many lost cycles stop the loop.
 
-The monitor counts cycles and reads no clock. Therefore it works in real time and at any simulated
-speed.
+The monitor counts cycles and reads no clock. Therefore it works in real time and in virtual
+time.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class QualityMonitor:
         )
 
     def lose(self, count: int) -> str | None:
-        """Count `count` lost cycles. Return the first reason to stop, or None."""
+        """Add `count` lost cycles. Return the first reason to stop, or None."""
         for done in range(count):
             reason = self.observe(lost=True)
             if reason:
@@ -52,7 +52,7 @@ class QualityMonitor:
         return None
 
     def observe(self, lost: bool) -> str | None:
-        """Count one cycle. Return the reason to stop, or None."""
+        """Add one cycle. Return the reason to stop, or None."""
         self._count += 1
         if not lost:
             self._row = 0

@@ -237,8 +237,8 @@ def _nothing() -> None:
 def simulated_component(name: str, options: Mapping[str, Any], directory: Path) -> DeviceComponent:
     """Return a device of the kind "simulated". This function is an entry point.
 
-    The keys `fmu` and `fmi` have the same meaning as in the kind "fmu". Raises DeviceError if the
-    FMU is not a sampled block.
+    The keys `fmu` and `fmi` have the same meaning as for a component of the kind "fmu". Raises
+    DeviceError if the FMU has no settable parameter `period`.
     """
     known_keys(name, options, ("fmu", "fmi"))
     model = FmuComponent(name, find_fmu(name, options, directory))
