@@ -1,0 +1,133 @@
+"""Statements of the documents on energy and passivity, each checked with a simulated run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from freeflyer.cli import main as command
+from freeflyer.master.record import Record
+from freeflyer.scenario import experiment, scenario
+
+DATA = Path(__file__).parents[1] / "data"
+CONTROLLER = "manipulator_controller"
+
+
+def run(name: str, *settings: str) -> Record:
+    return experiment.run(scenario.load(name, settings)).outcome.record
+
+
+def observed(record: Record, port: str) -> np.ndarray:
+    """Return the observed energy (rows,) [J], summed over the degrees of freedom, minus E(0)."""
+    energy = record[f"{CONTROLLER}.{port}_observed_energy"]
+    return np.asarray((energy - energy[0]).sum(axis=1))
+
+
+@pytest.mark.parametrize("name", ["multirate_passive", "multirate_unstable"])
+def test_at_the_true_ports_both_energies_have_the_sum_of_the_lost_kinetic_energy(name: str) -> None:
+    """E_m + E_b = KE(0) - KE(t), up to the quadrature at the ports: some 1e-5 J."""
+    record = run(name, "record.every_s=0.001", "stop_s=24")
+    kinetic = record["free_flyer.kinetic_energy"]
+    total = observed(record, "manipulator") + observed(record, "base")
+    assert np.ptp(kinetic) > 0.02
+    assert np.abs(total - (kinetic[0] - kinetic)).max() < 4e-5
+
+
+def test_from_rest_with_no_initial_energy_both_energies_cannot_stay_positive() -> None:
+    record = run(
+        "multirate_passive", f"{CONTROLLER}.manipulator_initial_energy=0", "record.every_s=0.001",
+        "stop_s=10",
+    )  # fmt: skip
+    smaller = np.minimum(observed(record, "manipulator"), observed(record, "base"))
+    assert smaller.min() < -1e-4
+
+
+def held_spring(bookkeeping: str, damping: float) -> Record:
+    """Run the sustained motion with a stiff sampled spring at the end-effector, without PC."""
+    return run(
+        "sustained_unstable",
+        f"{CONTROLLER}.bookkeeping={bookkeeping}",
+        f"{CONTROLLER}.damping=[{damping}, {damping}, {damping}, 0.04, 0.04, 0.04]",
+        "base_controller.period=0.001",
+        "record.every_s=0.001",
+        "stop_s=12",
+    )
+
+
+def test_the_printed_bookkeeping_does_not_see_the_sampling_energy_of_port_m() -> None:
+    """K_Pm T_m / 2 = 2 N s/m > K_Dm: port M generates energy, and (20) as printed absorbs some."""
+    applied, printed = (
+        observed(held_spring(bookkeeping, 0.2), "manipulator")
+        for bookkeeping in ("applied", "as_printed")
+    )
+    assert applied.min() < 0.0
+    assert printed[-1] - applied[-1] > 0.5 * -applied.min()
+
+
+def test_a_run_and_an_audit_note_what_the_printed_bookkeeping_cannot_see(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    printed = f"{CONTROLLER}.bookkeeping=as_printed"
+    out = str(tmp_path / "run")
+    options = ["--set", "stop_s=1", "--out", out]
+    assert command.call(["run", "sustained_passive", *options, "--set", printed]) == 0
+    expected = "K_Pm T_m / 2 = 2 is above K_Dm = 1.2 in element 1"
+    assert expected in capsys.readouterr().out
+    assert command.call(["audit", out]) == 0
+    assert expected in capsys.readouterr().out
+    for scenario_and_settings in (["sustained_passive"], ["multirate_passive", "--set", printed]):
+        assert command.call(["run", *scenario_and_settings, *options]) == 0
+        assert "does not see" not in capsys.readouterr().out
+
+
+def test_the_matched_law_diverges_if_the_base_command_acts_one_period_late(tmp_path: Path) -> None:
+    path = tmp_path / "late.toml"
+    path.write_text(
+        f"""
+extends = "multirate_matched"
+expect = "diverges"
+connections = [
+  "base_controller.base_wrench -> late_wrench.commanded",
+  "late_wrench.wrench -> free_flyer.base_wrench",
+]
+[components.late_wrench]
+kind = "twin"
+block = "{DATA / "late_wrench.py"}"
+step_s = "=period"
+"""
+    )
+    result = experiment.run(scenario.load(str(path)))
+    assert result.outcome.diverged
+    assert 12.0 < result.outcome.simulated < 25.0
+
+
+@pytest.mark.slow
+def test_tracking_does_not_recover_from_a_push_but_keeps_a_residual_motion(tmp_path: Path) -> None:
+    """2 N m on joint 2 for 0.1 s. The observer `port` diverges, `tracking` keeps 5 mm and 1 deg."""
+    path = tmp_path / "push.toml"
+    path.write_text(
+        f"""
+extends = "multirate_passive"
+stop_s = 200
+connections = [
+  "manipulator_controller.joint_torque -> push.commanded",
+  "push.torque -> free_flyer.joint_torque",
+]
+[components.push]
+kind = "twin"
+block = "{DATA / "push.py"}"
+step_s = 0.001
+"""
+    )
+    diverged = experiment.run(scenario.load(str(path)))
+    assert diverged.outcome.diverged
+    kept = experiment.run(
+        scenario.load(
+            str(path),
+            [f"{CONTROLLER}.observer=tracking", f"{CONTROLLER}.manipulator_initial_energy=0"],
+        )
+    )
+    assert not kept.outcome.diverged
+    assert 1e-3 < kept.summary["base_position_error_m"]["last_10_s"] < 2e-2
