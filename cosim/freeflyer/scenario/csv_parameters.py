@@ -40,8 +40,11 @@ def expanded(parameters: Mapping[str, Any], folder: Path, where: str) -> dict[st
 
 def _columns(path: Path, subject: str) -> dict[str, list[float]]:
     try:
-        if path.stat().st_size > LARGEST:
-            raise ScenarioError(f"{subject}: {path} is larger than {LARGEST} bytes")
+        size = path.stat().st_size
+        if not path.is_file() or size > LARGEST:
+            raise ScenarioError(
+                f"{subject}: {path} is not a regular file of at most {LARGEST} bytes"
+            )
         lines = list(csv.reader(path.read_text(encoding="utf-8-sig").splitlines()))
     except (OSError, ValueError, csv.Error) as error:
         reason = getattr(error, "strerror", None) or error
@@ -51,7 +54,7 @@ def _columns(path: Path, subject: str) -> dict[str, list[float]]:
     if (
         len(rows) < 2
         or len(set(header)) < len(header)
-        or not all(name.isidentifier() for name in (f"_{column}" for column in header))
+        or not all(name.isidentifier() for name in header)
     ):
         raise ScenarioError(
             f"{subject}: {path} has the first line {','.join(header)!r}; "
