@@ -61,6 +61,13 @@ CHANGES = {
 }
 
 
+PAGE = Path(__file__).parents[2] / "docs" / "paper_statements.md"
+
+
+def others() -> list[str]:
+    return list(statements.SETS)[1:]
+
+
 @cache
 def measured(run: str, changes: Sequence[str] = (), prefix: str = "paper") -> Measures:
     name = f"{prefix}_{run}"
@@ -90,7 +97,7 @@ def test_every_statement_holds_with_the_papers_observer_and_bookkeeping() -> Non
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("prefix", ["sustained", "sustained_mixed"])
+@pytest.mark.parametrize("prefix", others())
 def test_every_statement_holds_with_a_sustained_motion(prefix: str) -> None:
     judged = criteria.judged({run: measured(run, (), prefix) for run in criteria.RUNS})
     assert failing(judged) == []
@@ -99,6 +106,24 @@ def test_every_statement_holds_with_a_sustained_motion(prefix: str) -> None:
 @pytest.mark.parametrize("name", CHANGES)
 def test_a_change_of_the_assumptions_fails_the_named_statements(name: str) -> None:
     assert failing(changed(name)) == CHANGES[name][2].split()
+
+
+@pytest.mark.parametrize(("drift", "figures"), [(1e-4, []), (3e-4, ["7"])])
+def test_a_start_drift_of_3e_4_m_s_fails_the_statement_on_fig_7(
+    drift: float, figures: list[str]
+) -> None:
+    settings = (f"free_flyer.base_velocity=[{drift}, 0, 0, 0, 0, 0]",)
+    runs = {run: measured(run, settings) for run in criteria.RUNS}
+    assert failing(criteria.judged(runs)) == figures
+
+
+@pytest.mark.parametrize(
+    "prefix", ["paper", *(pytest.param(name, marks=pytest.mark.slow) for name in others())]
+)
+def test_the_page_has_the_criteria_and_values_of_each_figure(prefix: str) -> None:
+    judged = criteria.judged({run: measured(run, (), prefix) for run in criteria.RUNS})
+    for figure, parts in judged.items():
+        assert f"| {figure} | {'; '.join(map(str, parts))} |" in PAGE.read_text()
 
 
 def test_every_criterion_fails_for_one_of_the_changes() -> None:
