@@ -5,9 +5,10 @@ the mean of this law over the period T. F accelerates a mass M, which has the di
 velocity v at the start of the period. The mean of the velocities at the start and at the end of the
 period is exactly v_mean = v + T/(2 M) F. The mean of the displacements at the start and at the end
 is x_mean = x + T/2 v_mean. `mean_wrench` solves the equation F = -K x_mean - D v_mean in closed
-form. The work of F over the period has exactly two parts. One part is the work of a
-spring with the potential 1/2 x^T K x. The other part is the work -T v_mean^T D v_mean of a damper,
-which only dissipates energy. Therefore sampling does not generate energy, for any K, D and T.
+form. The work of F over the period has exactly two parts. One part is the work of a spring with the
+potential 1/2 x^T K x. The other part is the work -T v_mean^T D v_mean of a damper, which only
+dissipates energy. Therefore sampling does not generate energy for any K, D and T, if M is constant.
+In I, the inertia of a rotating body is not constant. There the law can generate energy.
 
 The law is not in the paper. docs/matched_gains.md derives the law and states its limits.
 """
