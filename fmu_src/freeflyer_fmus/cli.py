@@ -152,7 +152,7 @@ def chosen_robot(arguments: argparse.Namespace) -> Robot:
     if arguments.robot is None or arguments.robot.suffix == ".toml":
         if any(value is not None for value in given):
             raise RobotError(
-                "--base-link, --end-effector, --tool-link, --lock and --posture apply only to a URDF; name a URDF file with --robot"
+                "--base-link, --end-effector, --tool-link, --lock and --posture apply only to a URDF; select a URDF file with --robot"
             )
         return load_robot_file(arguments.robot) if arguments.robot else load_robot_file()
     return load_urdf(

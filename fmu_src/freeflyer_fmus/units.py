@@ -30,7 +30,10 @@ DISPLAY = {"rad": ("deg", 57.29577951308232), "rad/s": ("deg/s", 57.295779513082
 
 
 def rate(unit: str) -> str | None:
-    """Return the unit of the time derivative, or None if UNITS does not contain it."""
+    """Return the unit of the time derivative of a quantity in `unit`.
+
+    Returns None if UNITS does not contain the unit of the derivative.
+    """
     wanted = dict(UNITS[unit])
     wanted["s"] = wanted.get("s", 0) - 1
     wanted = {base: power for base, power in wanted.items() if power}

@@ -253,5 +253,7 @@ def test_a_wrong_reference_or_size_is_rejected_with_a_message(
             "is not the time, a real parameter, an input or a state of this FMU"
             in instance.messages[1]
         )
-        assert "the lengths of seed and sensitivity differ from these" in instance.messages[2]
+        assert (
+            "the lengths of seed and sensitivity differ from these numbers" in instance.messages[2]
+        )
     instance.close()

@@ -16,9 +16,9 @@ typedef void Sensitivity(const double *t, const double *p, const double *u, cons
 
 typedef enum { REAL, BOOLEAN, ENUMERATION } Kind;
 
-/* How a value can be set. READ_ONLY: cannot be set. FIXED: can be set until the end of
-   initialisation. TUNABLE: can also be set between steps. INPUT: is an input. START: is a start
-   value of a state. */
+/* When a value can be set. READ_ONLY: never. FIXED (a parameter) and START (the start value of a
+   state): until the end of initialisation. TUNABLE (a parameter): also between steps and in event
+   mode. INPUT: in every state except TERMINATED. */
 typedef enum { READ_ONLY, FIXED, TUNABLE, INPUT, START } Access;
 
 /* Description of one value. The value reference is the index in the value vector. The value
@@ -53,15 +53,15 @@ typedef struct {
     const double *start;
     const double *nominal; /* nominal values of the states */
     int period;            /* index of the sampling period, or -1 for a continuous block */
-    double step;           /* integration step of a continuous block [s] ... */
-    int step_parameter;    /* ... or index of the parameter that sets it; otherwise -1 */
+    double step;           /* integration step of a continuous block [s] if no parameter sets it */
+    int step_parameter;    /* index of the parameter that sets the integration step, or -1 */
     Equations *initial;    /* r0: states after initialisation */
     Equations *check;      /* r0: margins of the requirements on parameters */
     Equations *update;     /* sampled: r0 new states, r1 outputs, r2 margins */
     Equations *rates;      /* continuous: r0 derivatives */
     Equations *outputs_;   /* continuous: r0 outputs, r1 margins */
     /* continuous: r0 the linked outputs, r1 margins. The linked outputs are the first `linked`
-       outputs: all outputs up to and including the last one that is in a terminal. */
+       outputs: all outputs up to and including the last output that is in a terminal. */
     Equations *linked_outputs;
     int linked;
     /* Derivatives of initial, update, rates and outputs_. */

@@ -9,7 +9,7 @@
 #include "block.h"
 #include "message.h"
 
-/* The numbers are the same in FMI 2.0 and FMI 3.0. */
+/* Status of a call. The numbers are those of fmi2Status and fmi3Status. */
 typedef enum { OK, WARNING, DISCARD, ERROR, FATAL } Status;
 
 /* Bit flags. A sum of flags is a set of states, for example those in which a call is allowed. */

@@ -19,7 +19,7 @@
 #define DRIFT 100
 #define LARGEST_TIME 2e9 /* s; the sum of three such times in nanoseconds must fit into 64 bits */
 #define TIMES "a finite time below 2e9 s is expected"
-#define LARGEST_COUNT 1e7 /* inner steps per communication step; they take about 20 s */
+#define LARGEST_COUNT 1e7 /* inner steps per communication step; 1e7 inner steps take about 20 s */
 
 static inline double *at(Instance *c, Range range) { return c->memory->value + range.first; }
 

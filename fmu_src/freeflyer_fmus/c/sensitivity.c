@@ -128,7 +128,7 @@ Status instance_sensitivity(Instance *c, References unknowns, References knowns,
         message_add_number(&c->message, (double)nu);
         message_add(&c->message, " elements and the knowns ");
         message_add_number(&c->message, (double)nk);
-        message_add(&c->message, "; the lengths of seed and sensitivity differ from these");
+        message_add(&c->message, "; the lengths of seed and sensitivity differ from these numbers");
         return fail(c);
     }
     size_t size = (size_t)block.values * sizeof(double);

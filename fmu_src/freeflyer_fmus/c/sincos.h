@@ -1,4 +1,4 @@
-/* sin and cos, computed together with an error of less than 1 ulp. The code is plain C99. Unlike
+/* sin and cos, computed in one call. The error is less than 1 ulp. The code is plain C99. Unlike
    libm, it computes the same bits on every platform. */
 #ifndef SINCOS_H
 #define SINCOS_H
@@ -7,8 +7,8 @@
 
 /* Without `always_inline`, Clang does not inline the function. If the function is inlined, the
    processor executes its operations in parallel with the operations of the equations. With Clang, a
-   step of the plant takes 10 % less time if the function is inlined. With GCC, it would take 10 %
-   more time. */
+   step of the plant takes 10 % less time if the function is inlined. With GCC, the step would take
+   10 % more time. */
 #if defined(__clang__)
 #define INLINED inline __attribute__((always_inline))
 #else

@@ -58,8 +58,8 @@ Status instance_get(Instance *c, References list, int whole, Kind kind, double *
         } else if (m->state == INITIALIZATION && inside(reference, block.states)) {
             from = instance_present_states(c) + ((int)reference - block.states.first);
         }
-        /* The first element is copied before the loop. For a scalar, this is faster than a loop
-           with one iteration. */
+        /* The first element is copied before the loop. For a scalar, this copy is faster than a
+           loop with one iteration. */
         *value++ = from[0];
         for (int k = 1, n = extent(reference, whole); k < n; k++)
             *value++ = from[k];

@@ -1,8 +1,9 @@
 """Dynamics of the robot: equation (1) of the paper, and energy and momentum.
 
 The module computes the forward dynamics, the matrices H and C, and an inverse dynamics with two
-velocities. One of them is the actual velocity, the other one is a reference velocity.
-All recursions run in body coordinates. Wrenches and velocities in arguments and results are in I.
+velocities: the actual velocity and a reference velocity.
+All recursions run in body coordinates. Wrenches and velocities in arguments and results are in I,
+unless a docstring states another frame.
 """
 
 from __future__ import annotations
@@ -83,8 +84,8 @@ def without_joint(inertia: ArticulatedInertia, joint: Joint) -> ArticulatedInert
 def articulated_base_inertia(mechanism: Mechanism, q: SX) -> ArticulatedInertia:
     """Return M~ = ((M^-1)_bb)^-1 about B, in B's axes.
 
-    M~ is the inertia at the base if all joint torques are zero. (M^-1)_bb is the block of M^-1 for
-    the base.
+    M~ is the inertia at the base if all joint torques are zero. M is the inertia matrix of (6).
+    (M^-1)_bb is the block of M^-1 for the base.
     """
     inertia = mechanism.bodies[-1].articulated()
     for i in reversed(range(len(mechanism.joints))):
@@ -98,8 +99,8 @@ def articulated_base_inertia(mechanism: Mechanism, q: SX) -> ArticulatedInertia:
 def articulated_end_effector_inertia(mechanism: Mechanism, state: State) -> SX:
     """Return the end-effector inertia ((M^-1)_mm)^-1 (6, 6) at E, in I.
 
-    This is the inertia at E if the base wrench and all joint torques are zero. (M^-1)_mm is the
-    block of M^-1 for the end-effector.
+    This is the inertia at E if the base wrench and all joint torques are zero. M is the inertia
+    matrix of (6). (M^-1)_mm is the block of M^-1 for the end-effector.
     """
     inertia, R_I = mechanism.base.articulated(), rotation.matrix(state.orientation)
     for i, joint in enumerate(mechanism.joints):
@@ -118,6 +119,8 @@ class _Pass(NamedTuple):
     Both passes belong to the articulated-body algorithm. `base_bias` contains the bias force and
     the bias torque of the base. `saved` contains for each joint U / D, u / D, and the linear and
     the angular acceleration of the child if q'' = 0 and the parent does not accelerate.
+    `without_joint` defines U and D. u is the joint torque minus the component of the bias wrench in
+    the joint's direction.
     """
 
     transforms: list[tuple[SX, SX]]
@@ -237,8 +240,8 @@ def two_velocity_inverse_dynamics(
         R, r = transform(joint, state.q[i])
         transforms.append((R, r))
         w_parent, w = actual[i], actual[i + 1]
-        # `rate` is dr/dt in I. The offset r rotates with the parent. A prismatic joint also changes
-        # r along the joint axis, which is the z axis of the child.
+        # `rate` is dr/dt relative to I, in the parent's axes. The offset r rotates with the parent.
+        # A prismatic joint also changes r along the joint axis, which is the z axis of the child.
         rate = cross(w_parent, r) + (R[:, 2] * state.qd[i] if joint.kind == "prismatic" else 0)
         a_r = R.T @ (a_r + cross(alpha_r, r) + cross(w_r, rate))
         w_r, alpha_r = R.T @ w_r, R.T @ alpha_r
@@ -300,7 +303,7 @@ def kinetic_energy(mechanism: Mechanism, state: State) -> SX:
 
 
 def momentum(mechanism: Mechanism, position: SX, state: State) -> tuple[SX, SX]:
-    """Return linear momentum [N s] and angular momentum about I's origin [N m s], both (3) in I."""
+    """Return linear momentum (3) [N s] and angular momentum (3) [N m s] about I's origin, in I."""
     velocities = body_velocities(mechanism, state)
     p, L = mechanism.bodies[-1].momentum(*velocities[-1])
     for i in reversed(range(len(mechanism.joints))):

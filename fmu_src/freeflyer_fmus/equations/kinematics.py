@@ -76,9 +76,9 @@ def manipulator_jacobian_rate_times(
     """Return dJ_m/dt y (6) for any y (n).
 
     J_m changes along the motion of the robot: `v` and `w` (3 each) are the linear and angular
-    velocity of B, and `qd` (n) is q'. The derivative is taken relative to I. Only its elements are
-    expressed in B's axes, like all vectors here. Therefore the caller rotates the result to I, and
-    adds no term for the rotation of B.
+    velocity of B, and `qd` (n) is q'. The derivative is taken relative to I, but expressed in B's
+    axes, like all vectors in this function. Therefore the caller rotates the result to I and adds
+    no term for the rotation of B.
     """
     # Velocities of the joint frames, from base to tip.
     v_i, w_i, p_before = v, w, SX(3, 1)

@@ -1,4 +1,4 @@
-"""Robot model for the other equations: inertias and joint transforms.
+"""Robot model for the other modules of `equations`: inertias and joint transforms.
 
 The inertias of base and tool may be symbols.
 """

@@ -79,11 +79,11 @@ def accelerations(
 
 
 def disagreement(robot: Robot, states: int = 20, seed: int = 1) -> float:
-    """Return the largest relative difference between the two forward dynamics.
+    """Compare the forward dynamics of dynamics.py with Pinocchio's.
 
-    The two results are those of `dynamics` and of Pinocchio. They are compared at `states` random
-    states. `seed` is the seed of the random numbers. The export of FMUs for a user's robot calls
-    this function before it writes the first file.
+    Returns the largest relative difference of the accelerations at `states` random states. `seed`
+    is the seed of the random numbers. The export of FMUs for a user's robot calls this function
+    before it writes the first file.
     """
     n = robot.joint_count
     names = {"orientation": 4, "velocity": 6, "q": n, "qd": n, "wrench": 6, "torque": n}

@@ -11,7 +11,7 @@ split uses the inertia matrix H_q of the manipulator:
 
 The reference velocity of the joints is q_r' = J# x_md'. Its null-space part P^T q_r' is zero. tau_0
 is the torque before the projection P. It contains the complete feed-forward torque f_q of the
-trajectory. With this q_r' and this tau_0, V of (10) is still the energy of the error system. The
+trajectory. With this q_r' and this tau_0, V of (10) remains the energy of the error system. The
 rate of V is (15) minus the power that the null-space damper dissipates. docs/redundant_arms.md
 gives the derivation.
 """

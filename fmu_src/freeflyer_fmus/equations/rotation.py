@@ -42,11 +42,11 @@ def derivative(a: SX, w: SX) -> SX:
 def error(actual: SX, desired: SX) -> SX:
     """Return the orientation error 2 eps (3), expressed in I.
 
-    eps is the vector part of the error quaternion actual * desired^-1. Both signs of a quaternion
-    are the same orientation. The sign with a scalar part >= 0 is used, so that the angle is at most
-    180 degrees. 2 eps is the orientation part of Delta x in (7) and (8). For a stiffness k that is
-    equal about all axes, the torque -2 k eps has a potential energy. 2 eps differs from the
-    rotation vector only by terms of third order in the angle.
+    eps is the vector part of the error quaternion actual * desired^-1. A quaternion and its
+    negative describe the same orientation. The quaternion with a scalar part >= 0 is used, so that
+    the angle is at most 180 degrees. 2 eps is the orientation part of Delta x in (7) and (8). For a
+    stiffness k that is equal about all axes, the torque -2 k eps has a potential energy. 2 eps
+    differs from the rotation vector only by terms of third order in the angle.
     """
     e = normalised(product(actual, conjugate(desired)))
     return 2.0 * ca.if_else(e[3] < 0, -1.0, 1.0) * e[:3]
@@ -54,8 +54,8 @@ def error(actual: SX, desired: SX) -> SX:
 
 def about(vector: SX) -> SX:
     """Return the quaternion of a rotation vector (3) [rad]. The vector may be zero."""
-    # The derivative of a square root is infinite at zero. The addend 1e-300 keeps it finite, and
-    # does not change the result.
+    # The derivative of a square root is infinite at zero. The addend 1e-300 keeps the derivative
+    # finite. The addend does not change the result.
     half = 0.5 * ca.sqrt(ca.dot(vector, vector) + 1e-300)
     # `ratio` is sin(h) / h, where h is half of the angle. For h < 1e-4, the first two terms of the
     # power series are exact to the last bit, and they need no division by h.

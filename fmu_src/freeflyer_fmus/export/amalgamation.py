@@ -42,6 +42,6 @@ def amalgamated(name: str, block_c: str, version: int) -> bytes:
     )
     head = f"/* The FMU {name}, FMI {version}.0: equations and runtime in one C99 file. Generated; do not edit.\n"
     head += (
-        "   Without contraction of products and sums, every platform computes the same bits. */\n"
+        "   Without fused multiply-add instructions, every platform computes the same bits. */\n"
     )
     return f"{head}{NO_CONTRACTION}{renamed}\n{body}".encode("ascii")

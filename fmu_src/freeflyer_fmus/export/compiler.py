@@ -22,8 +22,8 @@ FLAGS: tuple[str, ...] = (
     "-pedantic",
     "-g0",
 )
-# This flag halves the compile time. It does not change the step time, because the code is
-# straight-line. Both effects were measured.
+# The next flag halves the compile time. A step of an FMU takes the same time with and without this
+# flag, because the code is straight-line. Both times were measured.
 FLAGS += ("-fno-slp-vectorize",)
 
 

@@ -12,7 +12,7 @@ HEAD = """# FMU variables
 
 Generated from the block declarations by `python -m freeflyer_fmus.export.documentation`. The start values are valid for the default robot.
 In FMI 2.0 the elements of an array are `name[1]` ... `name[n]`. "Assumed" marks values that the paper does not give.
-An input marked "delayed" gets the value that its source had before the present instant.
+An input marked "delayed" gets the value that its source had before the present [instant](scenarios.md#order-of-evaluation).
 """
 
 
