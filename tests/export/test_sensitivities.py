@@ -205,8 +205,14 @@ def test_declared_dependencies_are_correct(robot: Robot, instance: Instance) -> 
     for name in ("translation_amplitude", "rotation_amplitude", "displacement"):  # along every axis
         if name in instance.references:
             instance.set(name, random.uniform(0.1, 0.2, instance.sizes[name]))
+    if "waypoint_t" in instance.references:  # a motion through four waypoints
+        times = np.zeros(instance.sizes["waypoint_t"])
+        times[:4] = [0.0, 0.2, 0.5, 0.9]
+        instance.set("waypoint_t", times)
+        for column in ("x", "y", "z", "qx", "qy", "qz"):
+            instance.set(f"waypoint_{column}", random.uniform(0.1, 0.2, times.size))
     instance.initialise(0.37)
-    choices = [variable for variable in block.having("parameter") if variable.kind == "enumeration"]
+    choices = [v for v in block.having("parameter") if v.kind == "enumeration" and v.tunable]
     # Largest influence of each known on each unknown over random points and all enumeration values.
     influence: dict[tuple[int, int], float] = {}
     for repetition in range(4):
