@@ -162,7 +162,7 @@ def test_an_arm_that_stops_while_it_is_activated_ends_the_activation(state: Life
     made = activating()
     made.answer(START)
     made.report(state, made.number, START)
-    assert made.permit.lost == f"arm went to {state.name} while it was activated"
+    assert made.permit.lost == f"arm went to {state.name} during its activation"
     assert made.answer(START) is Mode.brake
 
 
@@ -173,7 +173,7 @@ def test_a_stop_that_comes_after_the_claim_ends_the_activation_and_is_not_reset(
     """The claim only resets a stop that came before the claim."""
     made = activating()
     made.report(state, made.number, START)
-    assert made.permit.lost == f"arm went to {state.name} before it was activated"
+    assert made.permit.lost == f"arm went to {state.name} before its activation"
     made.report(LifeCycle.inactive, made.number, START)
     assert made.answer(START) is Mode.brake
 
@@ -304,7 +304,7 @@ def test_a_stopped_implicit_arm_is_reset_before_the_first_torque_only(
     assert made.answer(START) is Mode.torque
     made.report(state, made.number, START)
     assert made.answer(START) is Mode.brake
-    assert made.permit.lost == f"arm went to {state.name} while it was activated"
+    assert made.permit.lost == f"arm went to {state.name} during its activation"
 
 
 def test_an_arm_without_echo_is_claimed_by_its_state() -> None:

@@ -337,7 +337,7 @@ def _(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(
         Permit,
         "lose",
-        lambda self, reason: None if "while it was activated" in reason else lose(self, reason),
+        lambda self, reason: None if "during its activation" in reason else lose(self, reason),
     )
 
 
@@ -353,7 +353,7 @@ def _(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(
         Permit,
         "lose",
-        lambda self, reason: None if "while it was activated" in reason else lose(self, reason),
+        lambda self, reason: None if "during its activation" in reason else lose(self, reason),
     )
 
 

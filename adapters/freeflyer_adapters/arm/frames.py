@@ -34,7 +34,7 @@ class Mode(IntEnum):
     torque = 1
     brake = 2
     reset = 3
-    """Claims the session number.
+    """Asks the arm to accept the session number, which identifies one activation by this host.
 
     An arm in the state safe_stop or fault also changes to the state inactive.
     """
@@ -47,7 +47,7 @@ class Role:
     """Name, signal and unit of a quantity in a frame.
 
     `signal`: name of the signal in the shipped DBC. `per_joint`: whether each joint has one signal.
-    Then `{}` in `signal` stands for the number of the joint. `required`: whether every DBC must
+    If True, `{}` in `signal` stands for the number of the joint. `required`: whether every DBC must
     contain this role.
     """
 

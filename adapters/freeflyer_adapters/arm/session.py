@@ -25,7 +25,8 @@ CLAIMS = 100
 """Number of claims without an echo after which the host uses a new session number.
 
 A session number expires when the arm leaves the state active. The arm neither accepts nor echoes an
-expired number. If the random number of this session has expired, the host needs a new number.
+expired number. The host draws its number at random. An earlier session may have used the same
+number, and then the host needs a new one.
 """
 REMEMBERED = 32
 """Number of command frames whose send times are stored.
@@ -131,14 +132,14 @@ class ArmSession:
         ):
             # The claim has already reset any earlier stop or fault. Therefore the reported stop or
             # fault is new.
-            self.permit.lose(f"{self.permit.subject} went to {state.name} before it was activated")
+            self.permit.lose(f"{self.permit.subject} went to {state.name} before its activation")
         self._was_claimed = self._was_claimed or (self.phase is Phase.claiming and self.is_claimed)
         if self.phase is Phase.activating:
             if state is LifeCycle.active and not self.has_other_controller:
                 self.phase = Phase.commanding
             elif self._activation_requested and state is not LifeCycle.inactive:
                 self.permit.lose(
-                    f"{self.permit.subject} went to {state.name} while it was activated"
+                    f"{self.permit.subject} went to {state.name} during its activation"
                 )
 
     def claim(self) -> None:

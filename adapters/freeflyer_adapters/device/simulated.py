@@ -107,7 +107,10 @@ class SimulatedDevice:
 
     cannot_refuse = remarks = ()
     may_have_power = False
-    """Always False, because a model has no actuator. A simulated device also has no permit."""
+    """Always False, because a model has no actuator.
+
+    A simulated device needs no permit, because no frame can give power to it.
+    """
 
     def prepare(self) -> None:
         pass

@@ -116,7 +116,10 @@ class LinkFaults(Generic[P]):
             one.move(since_active)
 
     def acts(self, kind: str) -> bool:
-        """Return whether a fault of kind `kind` is active now (for faults of the whole device)."""
+        """Return whether a fault of kind `kind` is active now.
+
+        A device calls this method for faults that do not act on single packets, for example `dead`.
+        """
         return any(one.acts and one.fault.kind == kind for one in self._all)
 
     def reset(self) -> None:

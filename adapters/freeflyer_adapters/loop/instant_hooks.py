@@ -65,8 +65,9 @@ class Observation:
     """Hook that updates the measured times, the recording and the live view.
 
     The hook runs after the commands are written. It sends nothing to the devices. `energies` are
-    the names of the observed energies. `errors` are functions that compute the present values
-    of the table [errors] of the scenario, by name. The live view shows energies and errors.
+    the names of the observed energies. `errors` maps the name of each error in the table [errors]
+    of the scenario to a function that computes its present value. The live view shows energies and
+    errors.
     """
 
     def __init__(

@@ -176,7 +176,7 @@ def fig_4(continuous: Measures, unstable: Measures, passive: Measures) -> list[C
             for error, (name, _) in ERRORS.items()
         ),
         Criterion(
-            what="end-effector error by that of Fig. 3",
+            what="maximum end-effector error / that of Fig. 3",
             value=quotient(unstable[largest], continuous[largest]),
             low=3.0,
         ),
@@ -268,7 +268,7 @@ def fig_10(continuous: Measures, unstable: Measures, passive: Measures) -> list[
 
 def _decay(run: Measures, error: str, limit: float) -> Criterion:
     return Criterion(
-        what=f"{ERRORS[error][0]}: end by maximum",
+        what=f"{ERRORS[error][0]}, end / maximum",
         value=quotient(run[f"{error}_end"], run[f"{error}_max"]),
         high=limit,
     )

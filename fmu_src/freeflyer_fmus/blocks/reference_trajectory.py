@@ -55,7 +55,7 @@ def reference_motion(block: Block, robot: Robot) -> Motion:
     )
     frequency = block.parameter("frequency", 0.1, "Hz", "Frequency of the sine (assumed)", minimum=0.0)
     ramp_time = block.parameter("ramp_time", 5.0, "s", "Duration of the quintic ramp of the amplitude (assumed)", above=0.0)
-    shape = block.choice("shape", Shape, Shape.sine, "Path: sine and circle repeat, hold rests, line ends after ramp_time", tunable=False)
+    shape = block.choice("shape", Shape, Shape.sine, "Path: `sine` and `circle` are periodic, `hold` stays at the start pose, `line` stops after ramp_time", tunable=False)
     second = block.parameter("second_amplitude", [0.0, 0.15, 0.0], "m", "Second axis of the circle, in I (only shape circle)")
     fade_start = block.parameter("fade_out_start", NEVER, "s", "Start of the fade-out of sine and circle (default: never)", minimum=0.0)
     fade_time = block.parameter("fade_out_time", 5.0, "s", "Duration of the fade-out", above=0.0)

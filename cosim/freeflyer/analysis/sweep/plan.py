@@ -248,7 +248,7 @@ class Plan:
 
         Also store the scenario's value, if the axis has factors (`relative`) or if the target is
         only some elements of a vector. `plain` is the scenario of the case, without the values of a
-        design. `system` has its components.
+        design. `system` has the loaded components of this scenario.
         Raises ScenarioError if the target cannot be varied.
         """
         needed = axis.relative or target.elements is not None

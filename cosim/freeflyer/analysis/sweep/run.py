@@ -127,8 +127,8 @@ class _Work:
             self._handle_killed(numbers, error)
             return
         if error is not None:
-            # The worker failed before the first run of the batch. The failure of a run would give a
-            # row and not an error.
+            # The worker failed before the first run of the batch. For a failed run, `run_batch`
+            # raises no error: it returns a row with the cause.
             self._keep(
                 [
                     {
