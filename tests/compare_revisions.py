@@ -65,7 +65,8 @@ def ran(binaries: Path, scenario: str, master: str, out: Path) -> dict[str, Any]
         "columns": table.column_names,
         "units": [field.metadata for field in table.schema],
         "metadata": metadata,
-        "values": [column.to_numpy().tobytes() for column in table.columns],
+        "values": [(column.to_numpy() + 0.0).tobytes() for column in table.columns],
+        "signs of zeros": [column.to_numpy().tobytes() for column in table.columns],
         "summary": {key: value for key, value in summary.items() if key not in DIFFER},
     }
 
