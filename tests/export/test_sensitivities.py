@@ -132,6 +132,8 @@ def test_in_initialization_mode_derivatives_by_parameters_and_start_values_are_e
     values = {
         name: block.start_of(name) + (0.01 if name == "joint_position" else 0.0) for name in knowns
     }
+    if "waypoint_t" in values:  # without waypoints, the times are at a kink
+        values["waypoint_t"] = np.arange(values["waypoint_t"].size) - 0.4
     seed = {
         name: random.uniform(0.0, 1.0, value.shape) * (1.0 + np.abs(value))
         for name, value in values.items()
@@ -206,7 +208,7 @@ def test_declared_dependencies_are_correct(robot: Robot, instance: Instance) -> 
         if name in instance.references:
             instance.set(name, random.uniform(0.1, 0.2, instance.sizes[name]))
     if "waypoint_t" in instance.references:  # a motion through four waypoints
-        times = np.zeros(instance.sizes["waypoint_t"])
+        times = np.full(instance.sizes["waypoint_t"], -1.0)
         times[:4] = [0.0, 0.2, 0.5, 0.9]
         instance.set("waypoint_t", times)
         for column in ("x", "y", "z", "qx", "qy", "qz"):

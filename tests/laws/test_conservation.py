@@ -72,9 +72,10 @@ def drift(
 
 
 def test_energy_and_momenta_are_conserved_for_100_s_without_inputs(fmus: Path) -> None:
-    found = drift(fmus / "fmi2" / "free_flyer.fmu", 100_000, 500)
-    for quantity, change in found.items():
-        assert change <= 1e-13, f"{quantity} drifts by {change:.1e}"
+    for seed in (7, 1, 2, 3, 4):
+        found = drift(fmus / "fmi2" / "free_flyer.fmu", 100_000, 500, seed=seed)
+        for quantity, change in found.items():
+            assert change <= 2.5e-14, f"{quantity} drifts by {change:.1e} with seed {seed}"
 
 
 def test_the_drift_depends_on_step_and_speed_only_by_their_product(fmus: Path) -> None:

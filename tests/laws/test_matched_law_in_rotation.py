@@ -5,11 +5,14 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 import rigid_body
+
+from freeflyer_fmus.equations.sampled_control import mean_wrench
 
 SATELLITE = np.array([[38.0, 20.0, 23.0]])
 """Principal moments of the paper's satellite [kg m2]."""
@@ -55,3 +58,19 @@ def test_with_a_larger_theta_all_of_200_random_bodies_end_below_their_start_ener
 def test_with_theta_one_half_some_of_200_random_bodies_end_above_their_start_energy() -> None:
     V = rigid_body.run(rigid_body.drawn(200, 5), 0.5)
     assert (V[-1] > V[0]).any()
+
+
+def test_the_law_of_these_bodies_is_that_of_the_controllers() -> None:
+    bodies = rigid_body.drawn(20, 3)
+    for theta in (0.5, 0.7):
+        torque = bodies.torque(theta)
+        for k, inertia in enumerate(bodies.inertia_in_I()):
+            quaternion = bodies.q[k] * (-1.0 if bodies.q[k, 3] < 0.0 else 1.0)
+            gains = (ca.SX(ca.DM(value * np.eye(3))) for value in (bodies.k[k], bodies.d[k]))
+            spring = ca.SX(ca.DM(-bodies.k[k] * 2.0 * quaternion[:3]))
+            wrench = mean_wrench(
+                ca.SX(ca.DM(inertia)), *gains, ca.SX(bodies.T[k]), spring, ca.SX(ca.DM(bodies.w[k])), theta
+            )  # fmt: skip
+            assert np.array(ca.evalf(wrench)).ravel() == pytest.approx(
+                torque[k], rel=1e-9, abs=1e-9
+            )

@@ -17,6 +17,7 @@ from freeflyer_fmus.blocks.reference_trajectory import reference_motion
 from freeflyer_fmus.blocks.shipped import BLOCKS
 from freeflyer_fmus.blocks.waypoint_trajectory import CAPACITY
 from freeflyer_fmus.equations.trajectory import Motion, Shape
+from freeflyer_fmus.equations.waypoints import UNUSED
 from freeflyer_fmus.in_process_block import InProcessBlock, RequirementError
 from freeflyer_fmus.robot.urdf import load_robot_file
 
@@ -171,7 +172,9 @@ def test_a_drift_moves_and_rotates_the_target() -> None:
 def waypoint_values(times: np.ndarray, points: np.ndarray) -> dict[str, object]:
     """Return the parameters for waypoints (n) [s] and (n, 7)."""
     names = ("x", "y", "z", "qx", "qy", "qz", "qw")
-    values: dict[str, object] = {"waypoint_t": np.pad(times, (0, CAPACITY - times.size))}
+    values: dict[str, object] = {
+        "waypoint_t": np.pad(times, (0, CAPACITY - times.size), constant_values=UNUSED)
+    }
     for name, column in zip(names, points.T, strict=True):
         fill = 1.0 if name == "qw" else 0.0
         values[f"waypoint_{name}"] = np.pad(
@@ -246,11 +249,27 @@ def test_velocity_and_acceleration_of_a_spline_are_its_derivatives(seed: int) ->
     assert a == pytest.approx(rate, abs=1e-5 * (1.0 + np.abs(a).max()))
 
 
-@pytest.mark.parametrize("times", [[0.0, 2.0, 1.0], [0.0, 1.0, 0.0, 2.0], [0.0, 1.0, 1.0]], ids=str)
+@pytest.mark.parametrize(
+    "times",
+    [
+        [0.0, 2.0, 1.0],
+        [0.0, 1.0, 0.0, 2.0],
+        [0.0, 1.0, 1.0],
+        [0.0, 0.0],
+        [0.0, -1.0, 1.0],
+        [0.0, 1.0, 0.0],
+    ],
+    ids=str,
+)
 def test_waypoints_that_are_not_sorted_by_time_are_rejected(times: list[float]) -> None:
     values = waypoint_values(np.array(times), np.tile([0, 0, 0, 0, 0, 0, 1.0], (len(times), 1)))
     with pytest.raises(RequirementError, match="sort the waypoints by time"):
         moved("waypoint_trajectory", values, np.zeros(1))
+
+
+def test_waypoints_without_times_are_rejected() -> None:
+    with pytest.raises(RequirementError, match=r"give each waypoint a time \(column t\)"):
+        moved("waypoint_trajectory", {"waypoint_x": np.ones(CAPACITY)}, np.zeros(1))
 
 
 def test_a_waypoint_without_a_direction_is_rejected() -> None:

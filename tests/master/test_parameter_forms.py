@@ -36,7 +36,7 @@ def values(path: str, *settings: str) -> dict[str, Any]:
 def test_a_csv_file_sets_one_parameter_for_each_column(tmp_path: Path) -> None:
     (tmp_path / "path.csv").write_text(WAYPOINTS)
     found = values(written(tmp_path, HEAD + 'waypoint = { csv = "path.csv" }'))
-    assert list(found["reference_trajectory.waypoint_t"][:4]) == [0.0, 1.5, 3.0, 0.0]
+    assert list(found["reference_trajectory.waypoint_t"][:4]) == [0.0, 1.5, 3.0, -1.0]
     assert list(found["reference_trajectory.waypoint_y"][:4]) == [0.0, 0.0, 0.05, 0.0]
     assert "reference_trajectory.waypoint_z" not in found
 
@@ -53,7 +53,8 @@ def test_a_path_is_relative_to_the_file_that_has_it(tmp_path: Path) -> None:
     path = written(tmp_path / "other", f'extends = "../base/mine.toml"\n{more}')
     found = values(path)
     assert list(found["reference_trajectory.waypoint_x"][:3]) == [0.0, 0.3, 0.0]
-    assert list(found["reference_trajectory.waypoint_t"][:3]) == [0.0, 2.0, 0.0]
+    assert list(found["reference_trajectory.waypoint_t"][:3]) == [0.0, 2.0, -1.0]
+    assert "reference_trajectory.waypoint_y" not in found
 
 
 def test_a_path_in_a_setting_is_relative_to_the_working_directory(
@@ -112,9 +113,12 @@ def test_both_controllers_get_the_bookkeeping_of_each_port(
         ("t,x\n", "has the first line 't,x'; different names of columns are expected"),
         ("0,1\n1,2\n", "different names of columns are expected there, and numbers"),
         ("t,t\n1,2\n", "has the first line 't,t'; different names"),
-        ("t,x\n1,two\n", "row 2 of "),
+        ("t,x\n1,two\n", "line 2 of "),
         ("t,x\n1,2\n3\n", "is '3'; 2 numbers are expected"),
         ("t,x\n1,nan\n", "is '1,nan'; 2 numbers are expected"),
+        ("t,x\n\n\n1,2\n3,1_0\n", "line 5 of "),
+        ("x,y\n0.1,0.1\n", "give each waypoint a time (column t)"),
+        ("t,x\n0,0\n0,0.1\n", "sort the waypoints by time"),
         ("t,roll\n0,1\n", "has no parameter 'waypoint_roll'"),
         ("t,x\n" + "1,2\n" * 33, "waypoint_t has 33 values in 'first'; at most 32 are expected"),
         ("t,x\n0,0\n2,1\n1,1\n", "sort the waypoints by time"),
@@ -145,7 +149,7 @@ def test_a_wrong_csv_file_gives_one_sentence(
         ("base_controller.stiffness={ first = 3 }", "in 'first'; at most 6 are expected"),
         ("base_controller.stiffness={ first = ['a'] }", "6 numbers in N/m are expected"),
         ("base_controller.stiffness={ one = [1] }", "{ value = ..., unit = ... } is expected"),
-        ('base_controller.discretisation={ base = "matched" }', "one of emulated, matched"),
+        ('base_controller.discretisation={ base = "matched" }', "one of emulated, matched is expected, or a table of the parts"),
         ('manipulator_controller.bookkeeping={ base = "applied" }', "one of as_printed, applied"),
         ('manipulator_controller.bookkeeping={ bass = "applied", manipulator = "applied" }', "one of"),
         ('manipulator_controller.bookkeeping={ base = "appl", manipulator = "applied" }', "one of"),

@@ -7,6 +7,8 @@ from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import casadi as ca
+import numpy as np
 import pytest
 from families import family
 from hypothesis import given
@@ -15,6 +17,9 @@ from hypothesis import strategies as st
 from freeflyer.paper import criteria, statements
 from freeflyer.paper.criteria import Criterion, Measures
 from freeflyer.scenario import experiment, scenario
+from freeflyer_fmus.equations.kinematics import end_effector_pose
+from freeflyer_fmus.equations.mechanism import constant_mechanism
+from freeflyer_fmus.robot.urdf import load_robot_file
 
 PC_RUNS = ("unstable", "passive")
 DEFAULT_GAINS = (
@@ -86,13 +91,13 @@ def failing(judged: dict[str, list[Criterion]]) -> list[str]:
 
 def changed(name: str) -> dict[str, list[Criterion]]:
     settings, runs, _ = CHANGES[name]
-    return criteria.judged(
+    return criteria.by_figure(
         {run: measured(run, settings if run in runs else ()) for run in criteria.RUNS}
     )
 
 
 def test_every_statement_holds_with_the_papers_observer_and_bookkeeping() -> None:
-    judged = criteria.judged({run: measured(run) for run in criteria.RUNS})
+    judged = criteria.by_figure({run: measured(run) for run in criteria.RUNS})
     assert failing(judged) == []
     assert list(judged) == list(statements.SIMULATION)
 
@@ -100,7 +105,7 @@ def test_every_statement_holds_with_the_papers_observer_and_bookkeeping() -> Non
 @pytest.mark.slow
 @pytest.mark.parametrize("prefix", others())
 def test_every_statement_holds_with_a_sustained_motion(prefix: str) -> None:
-    judged = criteria.judged({run: measured(run, (), prefix) for run in criteria.RUNS})
+    judged = criteria.by_figure({run: measured(run, (), prefix) for run in criteria.RUNS})
     assert failing(judged) == []
 
 
@@ -115,14 +120,48 @@ def test_a_start_drift_of_3e_4_m_s_fails_the_statement_on_fig_7(
 ) -> None:
     settings = (f"free_flyer.base_velocity=[{drift}, 0, 0, 0, 0, 0]",)
     runs = {run: measured(run, settings) for run in criteria.RUNS}
-    assert failing(criteria.judged(runs)) == figures
+    assert failing(criteria.by_figure(runs)) == figures
+
+
+def test_without_a_start_offset_four_statements_fail() -> None:
+    settings = ("reference_trajectory.start_offset=[0, 0, 0, 0, 0, 0]",)
+    runs = {run: measured(run, settings) for run in criteria.RUNS}
+    assert failing(criteria.by_figure(runs)) == ["3", "4", "9", "10"]
+
+
+# Start postures [rad], and the figures whose statement then fails.
+POSTURES = {
+    (-0.78, 0.09939, -1.51474, -0.65984, -1.69574, 0.89924): ["4", "7", "8", "9"],
+    (-0.90212, -0.21099, -1.2234, 0.17064, -1.51005, 0.02392): ["7", "8"],
+    (0.66515, 0.14122, -1.19603, -0.41369, -1.35487, -0.03439): ["7", "8"],
+    (0.36406, -0.15014, -1.2628, -0.39599, -1.79222, -0.62839): ["7"],
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("posture", POSTURES)
+def test_with_another_start_posture_not_all_statements_hold(posture: tuple[float, ...]) -> None:
+    pose = end_effector_pose(
+        constant_mechanism(load_robot_file()),
+        ca.SX(3, 1),
+        ca.SX([0, 0, 0, 1]),
+        ca.SX(ca.DM(list(posture))),
+    )
+    position, orientation = (np.array(ca.evalf(part)).ravel().tolist() for part in pose)
+    settings = (
+        f"free_flyer.joint_position={list(posture)}",
+        f"reference_trajectory.initial_position={position}",
+        f"reference_trajectory.initial_orientation={orientation}",
+    )
+    runs = {run: measured(run, settings) for run in criteria.RUNS}
+    assert failing(criteria.by_figure(runs)) == POSTURES[posture]
 
 
 @pytest.mark.parametrize(
     "prefix", ["paper", *(pytest.param(name, marks=pytest.mark.slow) for name in others())]
 )
 def test_the_page_has_the_criteria_and_values_of_each_figure(prefix: str) -> None:
-    judged = criteria.judged({run: measured(run, (), prefix) for run in criteria.RUNS})
+    judged = criteria.by_figure({run: measured(run, (), prefix) for run in criteria.RUNS})
     for figure, parts in judged.items():
         assert f"| {figure} | {'; '.join(map(str, parts))} |" in PAGE.read_text()
 

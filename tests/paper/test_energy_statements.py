@@ -9,6 +9,7 @@ import pytest
 
 from freeflyer.cli import main as command
 from freeflyer.master.record import Record
+from freeflyer.paper import criteria
 from freeflyer.scenario import experiment, scenario
 
 DATA = Path(__file__).parents[1] / "data"
@@ -42,6 +43,42 @@ def test_from_rest_with_no_initial_energy_both_energies_cannot_stay_positive() -
     )  # fmt: skip
     smaller = np.minimum(observed(record, "manipulator"), observed(record, "base"))
     assert smaller.min() < -1e-4
+
+
+@pytest.mark.parametrize("offset", ["[0, 0, 0, 0, 0, 0]", "[1e-4, 3e-4, -2e-4, 0, 0, 0]"])
+def test_a_start_offset_is_no_energy_that_the_controllers_absorb(offset: str) -> None:
+    """Its 2e-5 J are in the springs. At the true ports, nothing of it is absorbed."""
+    record = run(
+        "paper_passive",
+        f"{CONTROLLER}.observer=port",
+        f"{CONTROLLER}.bookkeeping=applied",
+        f"reference_trajectory.start_offset={offset}",
+    )
+    total = observed(record, "manipulator")[-1] + observed(record, "base")[-1]
+    assert abs(total) < 1e-6
+
+
+def test_a_start_drift_is_energy_that_the_controllers_absorb() -> None:
+    drift = "free_flyer.base_velocity=[1e-3, 0, 0, 0, 0, 0]"
+    record = run(
+        "paper_passive", f"{CONTROLLER}.observer=port", f"{CONTROLLER}.bookkeeping=applied", drift
+    )
+    kinetic = record["free_flyer.kinetic_energy"]
+    total = observed(record, "manipulator")[-1] + observed(record, "base")[-1]
+    assert kinetic[0] > 5e-5
+    assert total == pytest.approx(kinetic[0] - kinetic[-1], abs=2e-6)
+
+
+def test_with_sampling_energy_at_port_m_a_credit_of_1e_7_j_is_spent() -> None:
+    slopes = []
+    for credit in (0.0, 1e-7):
+        result = experiment.run(
+            scenario.load(
+                "sustained_passive", [f"{CONTROLLER}.manipulator_initial_energy={credit}"]
+            )
+        )
+        slopes.append(criteria.measure(result)["manipulator_energy_slope"])
+    assert slopes[0] > 0.0 > slopes[1]
 
 
 def held_spring(bookkeeping: str, damping: float) -> Record:
@@ -98,9 +135,10 @@ block = "{DATA / "late_wrench.py"}"
 step_s = "=period"
 """
     )
-    result = experiment.run(scenario.load(str(path)))
-    assert result.outcome.diverged
-    assert result.outcome.simulated == pytest.approx(18.0, abs=0.2)
+    for theta, time in ((0.5, 18.0), (0.75, 18.5)):
+        result = experiment.run(scenario.load(str(path), [f"base_controller.theta={theta}"]))
+        assert result.outcome.diverged
+        assert result.outcome.simulated == pytest.approx(time, abs=0.1)
 
 
 @pytest.mark.slow
@@ -130,6 +168,13 @@ step_s = 0.001
             [f"{CONTROLLER}.observer=tracking", f"{CONTROLLER}.manipulator_initial_energy=0"],
         )
     )
+    matched = [f"{name}_controller.discretisation=matched" for name in ("manipulator", "base")]
+    settings = [*matched, f"{CONTROLLER}.manipulator_passivity_control=false"]
+    stable = experiment.run(
+        scenario.load(str(path), [*settings, f"{CONTROLLER}.base_passivity_control=false"])
+    )
+    assert stable.summary["base_position_error_m"]["last_10_s"] < 1e-3
+    assert stable.summary["base_orientation_error_deg"]["last_10_s"] < 0.2
     assert not kept.outcome.diverged
     assert kept.summary["base_position_error_m"]["last_10_s"] == pytest.approx(4.4e-3, rel=0.1)
     assert kept.summary["base_orientation_error_deg"]["last_10_s"] == pytest.approx(1.15, rel=0.1)

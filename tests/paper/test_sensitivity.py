@@ -10,7 +10,7 @@ import pytest
 
 from freeflyer.analysis.sweep import file as sweep_file
 from freeflyer.cli import main as command
-from freeflyer.paper import criteria, sensitivity
+from freeflyer.paper import criteria, sensitivity, statements
 from freeflyer.scenario.scenario import literal
 
 SHIPPED = sweep_file.SHIPPED / "paper_sensitivity.toml"
@@ -40,6 +40,8 @@ def test_every_statement_holds_with_one_assumption_changed_by_5_or_10_per_cent(
     shown = " ".join(capsys.readouterr().out.split())
     assert "48 of 48 designs with one change of 5 or 10 % keep all statements." in shown
     assert "The smallest margin of these designs is 1.08: Fig. 9, manipulator minimum" in shown
+    assert "48 of 48 designs" in statements.FIRMNESS
+    assert "The smallest margin of these designs is 1.08." in statements.FIRMNESS
     table = (tmp_path / "out" / sensitivity.FILE).read_text()
     page = (Path(__file__).parents[2] / "docs" / "paper_statements.md").read_text()
     assert table.splitlines()[-1] in page

@@ -111,6 +111,10 @@ def test_an_evaluation_adds_columns_prints_and_writes_its_files(
             "math:tau2 cannot be used: AttributeError",
         ),
         ('[vary]\n"base_controller.perid" = [0.1]', "did you mean 'period'"),
+        (
+            'evaluation = "freeflyer.paper.sensitivity:evaluation"\nset = ["stop_s=0.1"]\n[vary]\n"stop_s" = [0.2]',
+            "the statements need the cases continuous, unstable, passive; [cases.continuous] is missing",
+        ),
     ],
     ids=str,
 )
@@ -122,6 +126,42 @@ def test_mistakes_are_rejected_with_one_sentence(
     code, error = run_command(capsys, "sweep", str(file), "--out", str(tmp_path / "out"))
     assert code == 2
     assert message in error
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (
+            '"largest_energy": float(',
+            '"largest_energi": float(',
+            "the evaluation measured largest_energi; its",
+        ),
+        ("float(result", "str(result", "the evaluation measured largest_energy = '"),
+    ],
+)
+def test_a_wrong_measurement_is_a_failed_row_with_its_cause(
+    tmp_path: Path, old: str, new: str, message: str
+) -> None:
+    (tmp_path / "some.toml").write_text(SWEEP.replace('"manipulator', '#"manipulator'))
+    text = EVALUATION.replace(old, new).replace(
+        "max(row['largest_energy'] for row in rows):.3g", "1"
+    )
+    (tmp_path / "evaluation.py").write_text(text)
+    out = str(tmp_path / "out")
+    assert command.call(["sweep", str(tmp_path / "some.toml"), "--workers", "1", "--out", out]) == 0
+    frame = pandas.read_parquet(tmp_path / "out" / "results.parquet")
+    assert frame["failed"].all()
+    assert frame["cause"].str.contains(message, regex=False).all()
+
+
+def test_a_column_of_the_results_cannot_be_measured_again(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (tmp_path / "some.toml").write_text(SWEEP)
+    (tmp_path / "evaluation.py").write_text(EVALUATION.replace("largest_energy", "stable"))
+    code, error = run_command(capsys, "sweep", str(tmp_path / "some.toml"), "--out", str(tmp_path))
+    assert code == 2
+    assert "the evaluation has a column 'stable', which the results have already" in error
 
 
 def test_errors_of_an_evaluation_are_rows_and_one_sentence(

@@ -25,12 +25,13 @@ ERRORS = {
     "base_orientation": ("base orientation", "deg"),
 }
 PORTS = ("manipulator", "base")
+JOINT_LIMIT_MARGIN = "manipulator_controller.joint_limit_margin"
 SIGNALS = (
     "manipulator_controller.manipulator_observed_energy",
     "manipulator_controller.base_observed_energy",
     "manipulator_controller.passivity_wrench",
     "base_controller.passivity_wrench",
-    "manipulator_controller.joint_limit_margin",
+    JOINT_LIMIT_MARGIN,
 )
 """Recorded signals that `measure` needs, in addition to those of the errors."""
 SMALL_ROTATION = 5.0
@@ -45,7 +46,7 @@ Measures = Mapping[str, float]
 
 def columns() -> dict[str, str]:
     """Return the unit of each number that `measure` returns, by name."""
-    found = {"completed": "1", "end_s": "s", "joint_limit_margin_min": ""}
+    found = {"completed": "1", "end_s": "s", "joint_limit_margin_min": "rad"}
     for error, (_, unit) in ERRORS.items():
         found |= {f"{error}_max": unit, f"{error}_end": unit, f"{error}_growth": "1/s"}
     for port in PORTS:
@@ -72,7 +73,7 @@ def measure(result: Result) -> dict[str, float]:
     found = {
         "completed": float(not result.outcome.diverged and not result.outcome.failed),
         "end_s": end,
-        "joint_limit_margin_min": float(record[SIGNALS[4]].min()),
+        "joint_limit_margin_min": float(record[JOINT_LIMIT_MARGIN].min()),
     }
     for error, (_, unit) in ERRORS.items():
         values = result.errors[f"{error}_error_{unit}"]
@@ -88,7 +89,7 @@ def measure(result: Result) -> dict[str, float]:
         total = energy.sum(axis=1)
         found[f"{port}_energy_least"] = float(energy.min())
         found[f"{port}_energy_slope"] = slope(time, total)
-        found[f"{port}_energy_sum_least"] = float(total[held].min())
+        found[f"{port}_energy_sum_least"] = float(total[held].min(initial=math.inf))
         found[f"{port}_energy_sum_early_slope"] = slope(time[early], total[early])
         wrench = record[f"{port}_controller.passivity_wrench"]
         found[f"{port}_correction_max"] = float(np.abs(wrench).max())
@@ -167,7 +168,10 @@ def fig_4(continuous: Measures, unstable: Measures, passive: Measures) -> list[C
         Criterion(what="run completed (1: yes)", value=unstable["completed"], high=1.0),
         Criterion(what="end of the run", value=unstable["end_s"], unit="s", high=100.0),
         Criterion(
-            what="distance from a joint limit", value=unstable["joint_limit_margin_min"], low=0.0
+            what="distance from a joint limit",
+            value=unstable["joint_limit_margin_min"],
+            unit="rad",
+            low=0.0,
         ),
         *(
             Criterion(
@@ -284,7 +288,7 @@ FIGURES: Mapping[str, Callable[[Measures, Measures, Measures], list[Criterion]]]
 }
 
 
-def judged(runs: Mapping[str, Measures]) -> dict[str, list[Criterion]]:
+def by_figure(runs: Mapping[str, Measures]) -> dict[str, list[Criterion]]:
     """Return the criteria of each figure. `runs` has the measures of each run in RUNS."""
     three = [runs[name] for name in RUNS]
     return {figure: criteria(*three) for figure, criteria in FIGURES.items()}

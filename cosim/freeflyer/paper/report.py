@@ -52,14 +52,14 @@ def write(
     path: Path,
     statements: Sequence[Statement],
     sections: Mapping[str, Sequence[Statement]],
-    remarks: Sequence[str],
+    remarks: tuple[str, Sequence[str]],
     figures: Sequence[Figure],
     results: Mapping[str, Result],
 ) -> None:
     """Write the page. Raises OutputError.
 
-    `sections` are further tables of statements, by title. `remarks` state what cannot be had
-    together.
+    `sections` are further tables of statements, by title. `remarks` state how firmly the
+    statements hold, and what cannot be had together.
     """
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(Path(__file__).parent),
@@ -69,7 +69,8 @@ def write(
     )
     page = environment.get_template("report.html.jinja").render(
         sections={"The paper's statements and the measured results": statements, **sections},
-        remarks=remarks,
+        firmness=remarks[0],
+        remarks=remarks[1],
         figures=[(figure, *_embedded(figure.path)) for figure in figures],
         results=results,
         versions=next(iter(results.values())).summary["versions"],

@@ -21,6 +21,7 @@ from freeflyer.paper.report import ASSUMPTIONS, Figure, Statement
 from freeflyer.paper.statements import (
     CASES,
     DEFAULT_GAINS,
+    FIRMNESS,
     SETS,
     TOGETHER,
     default_statements,
@@ -72,10 +73,18 @@ def reproduce(directory: Path, fmi: int, console: Console, *, in_real_time: bool
         for name, text in list(SETS.items())[1:]
     } | {"This project's default gains": default_statements(results)}
     drawn = draw(results, directory) + draw_real_time(loops, directory)
-    report.write(directory / "report.html", stated, sections, TOGETHER, drawn, {**results, **loops})
+    report.write(
+        directory / "report.html",
+        stated,
+        sections,
+        (FIRMNESS, TOGETHER),
+        drawn,
+        {**results, **loops},
+    )
     console.print(table(stated))
     for title, others in sections.items():
         console.print(f"{title}: {counted(others)}", soft_wrap=True)
+    console.print(FIRMNESS, style="dim")
     console.print(ASSUMPTIONS, style="dim")
     console.print(
         f"Report: {directory / 'report.html'}; figures, records and summary.json are in the same directory",

@@ -15,6 +15,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from freeflyer.foundation.errors import ScenarioError
 from freeflyer.foundation.output_file import write_text
 from freeflyer.paper import criteria
 from freeflyer.paper.criteria import Criterion
@@ -44,7 +45,9 @@ class Sensitivity:
             folder / FILE,
             "\n".join(f"| {' | '.join(line)} |" for line in markdown) + f"\n\n{closing}\n",
         )
-        table = Table("assumption", "factors at which statements fail (their figures)")
+        table = Table()
+        table.add_column("assumption", overflow="fold", ratio=1)
+        table.add_column("factors at which statements fail (their figures)", ratio=1)
         for name, *cells in lines:
             failed = [
                 f"{factor} ({cell})"
@@ -52,7 +55,7 @@ class Sensitivity:
                 if cell not in ("", "-")
             ]
             table.add_row(name.strip("`"), ", ".join(failed) or "none")
-        return Group(table, Text(closing))
+        return Group(table, Text(closing), Text(f"Table: {folder / FILE}"))
 
 
 evaluation = Sensitivity()
@@ -66,6 +69,11 @@ def judged_designs(rows: Sequence[Row]) -> list[tuple[Row, dict[str, list[Criter
     grouped: dict[int, dict[str, Row]] = {}
     for row in rows:
         grouped.setdefault(row["design"], {})[row["case"]] = row
+    for name in criteria.RUNS:
+        if any(name not in cases for cases in grouped.values()):
+            raise ScenarioError(
+                f"the statements need the cases {', '.join(criteria.RUNS)}; [cases.{name}] is missing"
+            )
     found = []
     for cases in grouped.values():
         measures = {
@@ -75,7 +83,7 @@ def judged_designs(rows: Sequence[Row]) -> list[tuple[Row, dict[str, list[Criter
             }
             for name in criteria.RUNS
         }
-        found.append((cases[criteria.RUNS[0]], criteria.judged(measures)))
+        found.append((cases[criteria.RUNS[0]], criteria.by_figure(measures)))
     return found
 
 
@@ -120,7 +128,7 @@ def summary(
         for row, judged in near
         for figure, parts in judged.items()
         for part in parts
-        if part.margin is not None
+        if part.margin is not None and not math.isnan(part.margin)
     ]
     if not margins:
         return f"{hold} of {len(near)} designs with one change of 5 or 10 % keep all statements."

@@ -19,6 +19,19 @@ LARGEST = 1 << 20
 """Largest size [bytes] of a file."""
 
 
+def located(parameters: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Return `parameters` with an absolute path in each `{ csv = ... }`.
+
+    A relative path is relative to `folder`.
+    """
+    return {
+        name: {**value, "csv": str((folder / value["csv"]).absolute())}
+        if isinstance(value, dict) and isinstance(value.get("csv"), str)
+        else value
+        for name, value in parameters.items()
+    }
+
+
 def expanded(parameters: Mapping[str, Any], folder: Path, where: str) -> dict[str, Any]:
     """Return `parameters` with the columns of each CSV file in place of `{ csv = ... }`.
 
@@ -45,12 +58,13 @@ def _columns(path: Path, subject: str) -> dict[str, list[float]]:
             raise ScenarioError(
                 f"{subject}: {path} is not a regular file of at most {LARGEST} bytes"
             )
-        lines = list(csv.reader(path.read_text(encoding="utf-8-sig").splitlines()))
+        reader = csv.reader(path.read_text(encoding="utf-8-sig").splitlines())
+        lines = [([field.strip() for field in line], reader.line_num) for line in reader]
     except (OSError, ValueError, csv.Error) as error:
         reason = getattr(error, "strerror", None) or error
         raise ScenarioError(f"{subject}: {path} cannot be read: {reason}") from error
-    rows = [[field.strip() for field in line] for line in lines if any(map(str.strip, line))]
-    header = rows[0] if rows else []
+    rows = [(line, number) for line, number in lines if any(line)]
+    header = rows[0][0] if rows else []
     if (
         len(rows) < 2
         or len(set(header)) < len(header)
@@ -60,19 +74,21 @@ def _columns(path: Path, subject: str) -> dict[str, list[float]]:
             f"{subject}: {path} has the first line {','.join(header)!r}; "
             "different names of columns are expected there, and numbers in the lines below"
         )
-    for number, row in enumerate(rows[1:], 2):
+    for row, number in rows[1:]:
         if len(row) != len(header) or not all(map(_is_number, row)):
             raise ScenarioError(
-                f"{subject}: row {number} of {path} is {','.join(row)!r}; {len(header)} numbers are expected"
+                f"{subject}: line {number} of {path} is {','.join(row)!r}; {len(header)} numbers are expected"
             )
     return {
         name: [float(field) for field in column]
-        for name, column in zip(header, zip(*rows[1:], strict=True), strict=True)
+        for name, column in zip(
+            header, zip(*(row for row, _ in rows[1:]), strict=True), strict=True
+        )
     }
 
 
 def _is_number(text: str) -> bool:
     try:
-        return abs(float(text)) <= 1e300
+        return "_" not in text and abs(float(text)) <= 1e300
     except ValueError:
         return False

@@ -36,6 +36,11 @@ def merged(base: Raw, change: Raw) -> Raw:
         ):
             result[key] = [*result[key], *value]
             continue
+        if isinstance(value, dict) and value.get("inherited_parameters") is False:
+            # The file replaces all parameters of the component, for example with another FMU.
+            value = {name: item for name, item in value.items() if name != "inherited_parameters"}
+            kept = result.get(key, {}) if isinstance(result.get(key), dict) else {}
+            result[key] = {name: item for name, item in kept.items() if name != "parameters"}
         if key == "devices" and isinstance(value, dict) and isinstance(result.get(key), dict):
             # If the file changes the kind of a device, no key of the old device is kept.
             kept = {
@@ -49,7 +54,7 @@ def merged(base: Raw, change: Raw) -> Raw:
         both_tables = (
             isinstance(value, dict)
             and isinstance(result.get(key), dict)
-            and not {"value", "first"} & value.keys()
+            and not {"value", "first", "csv"} & value.keys()
         )
         result[key] = merged(result[key], value) if both_tables else value
     return result

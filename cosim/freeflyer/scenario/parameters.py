@@ -101,6 +101,7 @@ def _value(
     if name not in ports:
         raise ScenarioError(
             f"component {component!r} has no parameter {name!r}{did_you_mean(name, [n for n, p in ports.items() if p.settable])}"
+            "; to leave out the parameters of an extended scenario, set inherited_parameters = false"
         )
 
     # Inputs can be set, too. `assemble` rejects the value if a connection drives the input.
@@ -180,7 +181,9 @@ def _combined(value: dict[str, Any], port: Port, subject: str) -> str:
         if name in port.choices:
             return name
         break
-    raise ScenarioError(f"{subject} is {value!r}; {_expected(port)}")
+    raise ScenarioError(
+        f"{subject} is {value!r}; {_expected(port)}, or a table of the parts of such a name"
+    )
 
 
 def _first(value: Any, port: Port, subject: str) -> Array:

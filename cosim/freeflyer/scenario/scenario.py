@@ -144,12 +144,13 @@ def tables(
     raw = _read(path, ())
     for text in overrides:
         override(raw, text)
-    _expand(raw, Path())
+    _expand(raw)
     return raw, path
 
 
 def from_tables(raw: Raw, path: Path) -> Scenario:
     """Convert the tables `raw` of the file `path` to a scenario. Raises ScenarioError."""
+    _expand(raw)
     return _Reader(path).scenario(raw)
 
 
@@ -193,7 +194,8 @@ def _read(path: Path, seen: tuple[Path, ...]) -> Raw:
         raise ScenarioError(f"scenario {path} cannot be read: {error.strerror}") from error
     except ValueError as error:
         raise ScenarioError(f"scenario {path} is not valid TOML: {error}") from error
-    _expand(raw, path.parent)
+    for _, table in _parameter_tables(raw):
+        table["parameters"] = csv_parameters.located(table["parameters"], path.parent)
     parent = raw.pop("extends", None)
     if parent is None:
         return raw
@@ -204,15 +206,23 @@ def _read(path: Path, seen: tuple[Path, ...]) -> Raw:
     return merged(_read(find(parent, path.parent), (*seen, path)), raw)
 
 
-def _expand(raw: Raw, folder: Path) -> None:
+def _parameter_tables(raw: Raw) -> list[tuple[str, Raw]]:
+    """Return the names and the tables of the components that have a table of parameters."""
+    components = raw.get("components")
+    return [
+        (name, table)
+        for name, table in (components.items() if isinstance(components, dict) else ())
+        if isinstance(table, dict) and isinstance(table.get("parameters"), dict)
+    ]
+
+
+def _expand(raw: Raw) -> None:
     """Replace each `{ csv = "FILE" }` among the parameters of the components in the tables `raw`.
 
-    A relative FILE is relative to `folder`. Raises ScenarioError.
+    A relative FILE is relative to the working directory. Raises ScenarioError.
     """
-    components = raw.get("components")
-    for name, table in components.items() if isinstance(components, dict) else ():
-        if isinstance(table, dict) and isinstance(table.get("parameters"), dict):
-            table["parameters"] = csv_parameters.expanded(table["parameters"], folder, f"{name}.")
+    for name, table in _parameter_tables(raw):
+        table["parameters"] = csv_parameters.expanded(table["parameters"], Path(), f"{name}.")
 
 
 class _Reader:

@@ -57,7 +57,7 @@ def mean_weight(block: Block) -> SX:
     description = "theta of the matched law: 0.5 is the mean over the period; up to 1 adds numerical damping"
     theta = block.parameter("theta", 0.5, "1", description, tunable=True, minimum=0.5)
     # fmt: on
-    block.require(-theta, -1.0, "minus the parameter theta", "choose theta from 0.5 to 1")
+    block.require(1.0 - theta, 0.0, "1 minus the parameter theta", "choose theta from 0.5 to 1")
     return theta
 
 

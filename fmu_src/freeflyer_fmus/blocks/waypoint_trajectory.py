@@ -21,7 +21,7 @@ def waypoint_trajectory(robot: Robot) -> Block:
     )
     p_0, R_0 = start(block, robot)
     # fmt: off
-    times = block.parameter("waypoint_t", np.zeros(CAPACITY), "s", "Times of the waypoints; they increase, and unused ones at the end are 0", minimum=0.0)
+    times = block.parameter("waypoint_t", np.full(CAPACITY, waypoints.UNUSED), "s", "Times of the waypoints; they increase, and unused ones at the end are -1")
     columns = [
         block.parameter(f"waypoint_{axis}", np.zeros(CAPACITY), "m", f"Displacements along {axis} of I, from the start pose")
         for axis in "xyz"
@@ -31,14 +31,14 @@ def waypoint_trajectory(robot: Robot) -> Block:
         for part in "xyzw"
     ]
     # fmt: on
+    points = ca.horzcat(*columns)
     block.require(
-        waypoints.order_margin(times),
+        waypoints.order_margin(times, points),
         0.0,
         "the smallest difference between the times of two consecutive waypoints [s]",
-        "sort the waypoints by time; only unused waypoints at the end may have the time 0",
+        "give each waypoint a time (column t) and sort the waypoints by time; unused ones at the end have the time -1",
         strict=True,
     )
-    points = ca.horzcat(*columns)
     block.require(
         ca.mmin(ca.sum2(points[:, 3:] ** 2)),
         0.25,

@@ -16,11 +16,15 @@ from freeflyer_fmus.equations.trajectory import Motion
 SX = ca.SX
 
 
+UNUSED = -1.0
+"""Time of an unused waypoint."""
+
+
 def used(times: SX) -> list[SX]:
     """Return for each waypoint whether it is used (1 or 0).
 
     `times` (n) [s] are the times of the waypoints. They increase. The unused waypoints at the end
-    have the time 0.
+    have the time UNUSED. The first waypoint always counts as used.
     """
     flags = [SX(1)]
     for before, after in zip(ca.vertsplit(times)[:-1], ca.vertsplit(times)[1:], strict=True):
@@ -28,13 +32,18 @@ def used(times: SX) -> list[SX]:
     return flags
 
 
-def order_margin(times: SX) -> SX:
-    """Return a number that is positive if the used times increase and all other times are 0."""
+def order_margin(times: SX, points: SX) -> SX:
+    """Return a number that is positive if the times of the waypoints are valid.
+
+    The used times must increase, and all other times must be UNUSED. If no time is given, all
+    displacements in `points` (n, 7) must be 0.
+    """
     flags, parts = used(times), ca.vertsplit(times)
-    margin = SX(1)
+    margin = ca.if_else(parts[0] == UNUSED, -ca.sumsqr(points[:, :3]) + 1e-300, 1.0)
     for k in range(1, len(parts)):
-        step = ca.if_else(flags[k - 1] > 0, parts[k] - parts[k - 1], -1.0)
-        margin = ca.fmin(margin, ca.if_else(parts[k] == 0.0, 1.0, step))
+        step = ca.if_else(flags[k - 1] > 0, parts[k] - ca.fmax(parts[k - 1], 0.0), -1.0)
+        step = ca.if_else(parts[k - 1] == UNUSED, -1.0, step)
+        margin = ca.fmin(margin, ca.if_else(parts[k] == UNUSED, 1.0, step))
     return margin
 
 

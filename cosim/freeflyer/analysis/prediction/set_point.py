@@ -113,7 +113,7 @@ def set_point(model: LoopModel) -> Point:
         elements = [name for name in plant.states for _ in range(plant.ports[name].size)]
         raise ScenarioError(
             f"the start is not a set point: {model.roles.plant}.{elements[int(rates.argmax())]} changes by {rates.max():.3g} per second "
-            f"(SI units); the robot must start at rest, with its base at the set point of {model.roles.scanned}"
+            f"(SI units); the robot must start at rest, with its base at the set point of {model.roles.scanned} and its end-effector on the reference"
         )
     return point
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Mapping, Sequence
+from numbers import Real
 from pathlib import Path
 from typing import Any, Protocol, cast
 
@@ -50,6 +52,10 @@ def load(text: str) -> Evaluation:
         raise CosimError(
             f"evaluation {text} has no {missing[0]!r}; signals, columns, measure and report are expected"
         )
+    if not isinstance(found.columns, Mapping) or not all(
+        isinstance(name, str) and isinstance(unit, str) for name, unit in found.columns.items()
+    ):
+        raise CosimError(f"evaluation {text}: columns must map names to units")
     return cast(Evaluation, found)
 
 
@@ -70,7 +76,23 @@ def reported(
         ) from error
 
 
+def measured(by: Evaluation, result: Result) -> dict[str, float]:
+    """Return the numbers of all columns for one run. Raises CosimError if they are not numbers."""
+    found = dict(by.measure(result))
+    if found.keys() != by.columns.keys():
+        raise CosimError(
+            f"the evaluation measured {', '.join(sorted(map(str, found)))}; its columns are {', '.join(by.columns)}"
+        )
+    for name, value in found.items():
+        if isinstance(value, bool) or not isinstance(value, Real):
+            raise CosimError(f"the evaluation measured {name} = {value!r}; a number is expected")
+    return {name: float(value) for name, value in found.items()}
+
+
 def source(text: str | None) -> Path | None:
-    """Return the file of an evaluation, or None if it is in a module."""
-    path = Path((text or "").rpartition(":")[0])
-    return path if path.suffix == ".py" else None
+    """Return the file of an evaluation, if it can be found."""
+    where = (text or "").rpartition(":")[0]
+    if where.endswith(".py"):
+        return Path(where)
+    spec = importlib.util.find_spec(where) if where else None
+    return Path(spec.origin) if spec is not None and spec.origin is not None else None

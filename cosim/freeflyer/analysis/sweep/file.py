@@ -47,7 +47,7 @@ AXIS = (
     "also",
     "not_in",
 )
-"""Keys of the table of an axis. The last five keys are allowed for every axis with an interval."""
+"""Keys of the table of an axis. An axis with an interval may have those from `logarithmic` on."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -204,7 +204,7 @@ def _case(name: str, table: object) -> Mapping[str, Any]:
     for target in found:
         if target.elements is not None:
             raise ScenarioError(
-                f"[cases.{name}] {target}: a whole parameter is expected; elements are possible only in [grid] and [sample]"
+                f"[cases.{name}] {target}: a whole parameter is expected; elements are possible only in [grid], [sample] and [vary]"
             )
     return {target.name: _value(value) for target, value in found.items()}
 
@@ -295,7 +295,7 @@ def _interval(value: Raw, low: str, high: str, where: str) -> Interval:
 
 
 def _rest(value: Raw, where: str, values: Sequence[Any] = ()) -> dict[str, Any]:
-    """Return the options that all axes have: unit, relative, also.
+    """Return the options that all axes have: unit, relative, also, not_in.
 
     `value` is the table of the axis. `values` is its list of values; it is empty for an interval.
     `where` is the prefix of error messages.

@@ -160,6 +160,12 @@ def schema(plan: Plan) -> pa.Schema:
     if plan.evaluation is not None:
         fields += [(name, pa.float64(), unit) for name, unit in plan.evaluation.columns.items()]
     fields += [(name, pa.float64(), "s") for name in ("wall_s", "run_s")]
+    names = [name for name, _, _ in fields]
+    for name in names:
+        if names.count(name) > 1:
+            raise ScenarioError(
+                f"the evaluation has a column {name!r}, which the results have already; choose another name"
+            )
     units = {name: unit for name, _, unit in fields}
     return pa.schema(
         [pa.field(name, kind, metadata={"unit": unit}) for name, kind, unit in fields],

@@ -60,7 +60,7 @@ def row(setup: Setup, run: Run) -> Row:
             record_signals=tuple(by.signals) if by else (),
         )
         result = experiment.run(scenario, fmi=setup.fmi)
-        found = {**measured(result), **(by.measure(result) if by else {})}
+        found = {**measured(result), **(evaluation.measured(by, result) if by else {})}
     # The cause can be a rejected value, a lack of memory, or any exception of a third-party
     # component.
     except Exception as error:
