@@ -103,6 +103,35 @@ def test_the_printed_bookkeeping_does_not_see_the_sampling_energy_of_port_m() ->
     assert printed[-1] - applied[-1] > 0.5 * -applied.min()
 
 
+def test_the_printed_bookkeeping_does_not_see_a_sampled_damper_of_port_m() -> None:
+    """K_Dm T_m > 2 m at the wrist: port M generates energy, and (20) as printed absorbs some."""
+    applied, printed = (
+        observed(
+            run(
+                "multirate_unstable",
+                f"{CONTROLLER}.bookkeeping={bookkeeping}",
+                f"{CONTROLLER}.damping=[80, 80, 80, 9, 9, 9]",
+                "base_controller.period=0.001",
+                "record.every_s=0.001",
+            ),
+            "manipulator",
+        )
+        for bookkeeping in ("applied", "as_printed")
+    )
+    assert applied.min() < -0.1
+    assert printed.min() > -0.01
+
+
+@pytest.mark.parametrize(("bound", "completes"), [(0.5, False), (0.15, True)])
+def test_the_default_bound_of_the_damper_at_port_m_is_too_large(
+    bound: float, completes: bool
+) -> None:
+    """With E_m(0) = 0 it acts at its bound. A single axis of the wrist moves less inertia."""
+    settings = [f"{CONTROLLER}.manipulator_initial_energy=0", f"{CONTROLLER}.damper_bound={bound}"]
+    result = experiment.run(scenario.load("multirate_passive", settings))
+    assert result.outcome.diverged != completes
+
+
 def test_a_run_and_an_audit_note_what_the_printed_bookkeeping_cannot_see(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

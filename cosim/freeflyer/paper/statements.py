@@ -47,7 +47,7 @@ REMARKS = {
     "Fig. 7": "Port M falls below zero by the work of feed-forward and coupling. The paper's observer does not see the energy that "
     "the sampled spring-damper of the end-effector generates",
     "Fig. 9": "A passivity controller acts after the energy has become negative, and bookkeeping `as_printed` counts its work one "
-    "sample later. Therefore the minimum is not 0: it is minus the power at the port times T_m. E_m falls while the "
+    "sample later. Therefore the minimum is not 0. At port M it is minus the power at the port times T_m. E_m falls while the "
     "end-effector accelerates, is slightly negative for 20 s, and returns to its start value: there is no net gain. The trend is the "
     "slope of a straight line through the whole run",
     "Fig. 10": "The passivity controller of port M brakes the feed-forward from 18 to 38 s. The end-effector then lags by 6 mm, 17 times its "
