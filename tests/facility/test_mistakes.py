@@ -235,7 +235,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Rig, Proce
             ),
             (
                 "satellite.base_orientation=[0.0, 0.0, 0.0, 1.0]",
-                r"is at .*roll (10.00|9.99)\d, .*starts at .*roll 0.000, the distance is .* 1?\d.\d+ deg,",
+                r"is at .*roll (10.00|9.99)\d, .*starts at .*roll 0.000, .*: the distance is .* and 1?\d.\d+ deg,",
             ),
             (
                 "reference_trajectory.start_joint_position=[0.1, -0.5, 1.4, 0.9, 0.0, 0.0]",

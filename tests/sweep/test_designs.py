@@ -162,4 +162,4 @@ def test_units_of_elements_are_converted(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", family(sweep_file.shipped(), 2))
 def test_shipped_sweeps_can_be_planned(name: str) -> None:
     plan = Plan(sweep_file.read(name))
-    assert len(plan) == len(plan.designs) * len(plan.sweep.cases) >= 500
+    assert len(plan) == len(plan.designs) * len(plan.sweep.cases) >= 400
