@@ -43,7 +43,7 @@ def error_of(capsys: pytest.CaptureFixture[str], directory: Path, text: str, *op
         ),
         (
             "[grid]",
-            "varies no parameter; a [grid], a [sample] or a [vary] with parameters is expected",
+            "varies no parameter; a [grid], a [sample], a [vary] with parameters, or [designs.NAME] is expected",
         ),
         ("", "varies no parameter"),
         ('[grid]\n"base_controller.perod" = [0.1]', "no parameter 'perod'; did you mean 'period'"),

@@ -1,4 +1,4 @@
-"""Sweeps that change one axis at a time, and evaluations by an object of the user."""
+"""Sweeps with one change at a time or with named designs, and evaluations of the user."""
 
 from __future__ import annotations
 
@@ -70,6 +70,20 @@ def test_an_axis_does_not_change_the_cases_in_not_in(swept: Path) -> None:
     assert slow.loc[0, columns[1]] != slow.loc[2, columns[1]]
 
 
+def test_named_designs_are_run_in_every_case_and_do_not_change_what_a_case_sets(
+    tmp_path: Path,
+) -> None:
+    text = SWEEP[: SWEEP.index("[vary]")].replace('evaluation = "evaluation.py:mine"\n', "")
+    designs = '[designs.slow]\n"base_controller.period" = 0.5\n[designs."one push"]\nstop_s = 2\n'
+    (tmp_path / "some.toml").write_text(text + designs)
+    out = str(tmp_path / "out")
+    assert command.call(["sweep", str(tmp_path / "some.toml"), "--workers", "1", "--out", out]) == 0
+    frame = pandas.read_parquet(tmp_path / "out" / "results.parquet")
+    assert list(frame["design_name"]) == ["slow", "slow", "one push", "one push"]
+    assert list(frame["simulated_s"]) == [1.0, 1.0, 2.0, 2.0]
+    assert not frame["failed"].any()
+
+
 def test_an_evaluation_adds_columns_prints_and_writes_its_files(
     swept: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -111,6 +125,13 @@ def test_an_evaluation_adds_columns_prints_and_writes_its_files(
             "math:tau2 cannot be used: AttributeError",
         ),
         ('[vary]\n"base_controller.perid" = [0.1]', "did you mean 'period'"),
+        (
+            '[designs.a]\n"stop_s" = 1\n[grid]\n"stop_s" = [1]',
+            "[designs.NAME] lists all designs; remove these tables, or remove [grid], [sample], [vary]",
+        ),
+        ('[designs."a b"]\n"base_controller.perid" = 1', "did you mean 'period'"),
+        ("[designs]\na = 1", "designs.a: a table of targets and values is expected"),
+        ("designs = 3", "'designs' is 3; a table is expected"),
         (
             'evaluation = "freeflyer.paper.sensitivity:evaluation"\nset = ["stop_s=0.1"]\n[vary]\n"stop_s" = [0.2]',
             "the statements need the cases continuous, unstable, passive; [cases.continuous] is missing",

@@ -8,7 +8,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from freeflyer_fmus.blocks.block import WRENCH, Block
+from freeflyer_fmus.blocks.block import POSE_ERROR, TWIST, WRENCH, Block
 from freeflyer_fmus.blocks.gains import BASE, DAMPING, MANIPULATOR, gains, mean_weight
 from freeflyer_fmus.blocks.robot_parameters import (
     IDENTITY,
@@ -30,7 +30,13 @@ from freeflyer_fmus.equations.kinematics import (
     end_effector_velocity,
 )
 from freeflyer_fmus.equations.passivity import Bookkeeping
-from freeflyer_fmus.equations.sampled_control import Discretisation, mean_wrench, sampled_damping
+from freeflyer_fmus.equations.sampled_control import (
+    Discretisation,
+    mean_step,
+    mean_wrench,
+    sampled_damping,
+)
+from freeflyer_fmus.equations.spatial import solve_positive_definite
 from freeflyer_fmus.equations.tracking_control import feed_forward, pose_error, spring_damper
 from freeflyer_fmus.robot.robot import Robot
 
@@ -61,6 +67,10 @@ def base_controller(robot: Robot) -> Block:
     R_bd = block.parameter(
         "orientation_setpoint", IDENTITY, "1", "Base orientation to hold, quaternion x, y, z, w", tunable=True
     )
+    preview = block.switch("preview", False, "Take the feed-forward from the preview inputs: the middle of the time in which the wrench acts")
+    use_filtered = block.switch("filtered", False, "Use the filtered errors and velocities of the manipulator controller")
+    T_m = block.parameter("manipulator_period", 1e-3, "s", "T_m: sampling time of the manipulator controller", above=0.0)
+    delay = block.parameter("command_delay", 0.0, "s", "Known time from a sample until its wrench acts; errors are predicted over it", minimum=0.0)
 
     # Inputs: measurements, reference, and the values that the manipulator controller computes at
     # the same instant.
@@ -69,6 +79,14 @@ def base_controller(robot: Robot) -> Block:
     v_d, a_d = desired_motion(block)
     F_m = block.input("end_effector_wrench", np.zeros(6), WRENCH, "F'_m of the same instant, in I")
     beta_b = block.input("base_damping", np.zeros(6), DAMPING, "beta_b from the passivity observer")
+    v_p, a_p = desired_motion(block, "preview")
+    preview_time = block.input("preview_time", 0.0, "s", "Time by which the preview inputs are ahead")
+    filter_time = block.input("filter_time_constant", 0.0, "s", "Time constant of the filtered inputs")
+    e_bf = block.input("filtered_base_error", np.zeros(6), POSE_ERROR, "Filtered pose error of the base, in I")
+    v_bf = block.input("filtered_base_velocity", np.zeros(6), TWIST, "Filtered x_b', in I")
+    e_mf = block.input("filtered_end_effector_error", np.zeros(6), POSE_ERROR, "Filtered pose error of E, in I")
+    dv_mf = block.input("filtered_end_effector_velocity_error", np.zeros(6), TWIST, "Filtered x_m' - x_md', in I")
+    queued = block.state("queued_law", np.zeros(6), WRENCH, "Spring, damper and PC of the last sample: they act during command_delay", local=True)
     # fmt: on
 
     # M~ in I: the inertia at B if no wrench acts at the end-effector.
@@ -79,19 +97,40 @@ def base_controller(robot: Robot) -> Block:
     )
     is_matched = discretisation == int(Discretisation.matched)
 
-    # Eq. (17) without its last term, J_b^T F'_m.
+    # Feed-forward of this sample, and at the time of the preview inputs.
     star = feed_forward(mechanism, state, v_d, a_d)
-    v_b = ca.vertcat(state.v, state.w)
-    dx_b = pose_error(p_b, state.orientation, p_bd, R_bd)
+    ahead = feed_forward(mechanism, state, v_p, a_p)
+    F_m_star, F_b_star = (
+        ca.if_else(preview, later, now)
+        for later, now in ((ahead.F_m, star.F_m), (ahead.F_b, star.F_b))
+    )
+    # Errors and velocities of base and end-effector. `spring_m` is -K_Pm times the pose error.
+    dx_b = ca.if_else(use_filtered, e_bf, pose_error(p_b, state.orientation, p_bd, R_bd))
+    v_b = ca.if_else(use_filtered, v_bf, ca.vertcat(state.v, state.w))
+    dv_m = end_effector_velocity(mechanism, state) - v_d
+    spring_m = ca.if_else(use_filtered, -K_Pm * e_mf, F_m - star.F_m + K_Dm * dv_m)
+    dv_m = ca.if_else(use_filtered, dv_mf, dv_m)
+    # Prediction over the delay: the queued wrench acts on the base, and the mean law of the
+    # manipulator controller acts on the end-effector.
+    M_e = articulated_end_effector_inertia(mechanism, state)
+    late = delay > 0
+    v_later = v_b + delay * solve_positive_definite(M, queued)
+    dx_later = dx_b + 0.5 * delay * (v_b + v_later)
+    moved_m, faster_m = mean_step(M_e, ca.diag(K_Pm), ca.diag(K_Dm), delay, spring_m, dv_m)
+    dx_b, v_b = ca.if_else(late, dx_later, dx_b), ca.if_else(late, v_later, v_b)
+    spring_m -= ca.if_else(late, K_Pm * moved_m, 0)
+    dv_m += ca.if_else(late, faster_m, 0)
+
+    # Eq. (17) without its last term, J_b^T F'_m.
     held_law = mean_wrench(M, ca.diag(K_P), ca.diag(K_D), T_b, -K_P * dx_b, v_b, theta)
-    F_b = star.F_b + ca.if_else(is_matched, held_law, spring_damper(K_P, K_D, dx_b, v_b))
+    law = ca.if_else(is_matched, held_law, spring_damper(K_P, K_D, dx_b, v_b))
     # Last term of (17), J_b^T F'_m. The matched law uses the wrench of the end-effector's spring
     # and damper, averaged over T_b.
-    dv_m = end_effector_velocity(mechanism, state) - v_d
-    spring_m = F_m - star.F_m + K_Dm * dv_m
-    M_e = articulated_end_effector_inertia(mechanism, state)
     mean_m = mean_wrench(M_e, ca.diag(K_Pm), ca.diag(K_Dm), T_b, spring_m, dv_m)
-    Jb_F = base_jacobian_transposed_times(star.p_be, ca.if_else(is_matched, star.F_m + mean_m, F_m))
+    held_m = ca.if_else(preview, F_m_star + (F_m - star.F_m), F_m)
+    Jb_F = base_jacobian_transposed_times(
+        star.p_be, ca.if_else(is_matched, F_m_star + mean_m, held_m)
+    )
     # Eqs. (25) and (26). The paper prints beta_m in (25). The code uses beta_b. The force of the
     # damper is constant between two samples. Therefore the damper generates energy if beta is too
     # large. With bookkeeping `applied`, beta has an upper bound for this reason. With bookkeeping
@@ -103,7 +142,8 @@ def base_controller(robot: Robot) -> Block:
         is_bounded, passivity.bounded(beta_b, share, ca.diag(M), own_damping, T_b), beta_b
     )
     F_pcb = -beta * v_b
-    wrench = F_b + F_pcb + Jb_F
+    wrench = F_b_star + law + F_pcb + Jb_F
+    block.update("queued_law", law + F_pcb)
 
     block.output(
         "base_wrench",
@@ -117,6 +157,21 @@ def base_controller(robot: Robot) -> Block:
     block.output("passivity_wrench", F_pcb, WRENCH, "F_pcb: wrench of the passivity controller, (25), in I")
     require_quaternions(block, {"base_orientation": state.orientation, "orientation_setpoint": R_bd})
     require_regular_jacobian(block, star.sigma_min, least_sigma)
+    block.require(
+        ca.if_else(preview, preview_time, 1), 0, "preview_time with the switch preview [s]",
+        "connect the preview outputs of the reference, or switch off preview", strict=True,
+    )
+    block.require(
+        ca.if_else(use_filtered, filter_time, 1), 0, "filter_time_constant with the switch filtered [s]",
+        "connect the filtered outputs of the manipulator controller and set its filter_time, or switch off filtered", strict=True,
+    )
+    block.require(
+        ca.if_else(use_filtered, T_b - filter_time, 0), 0, "period minus filter_time_constant [s]",
+        "choose a filter that is faster than the period of the base controller",
+    )
+    block.require(T_b - delay, -1e-9, "period minus command_delay [s]", "choose a command_delay of at most one period")
+    whole = ca.fabs(delay - T_m * ca.floor(delay / T_m + 0.5))
+    block.require(1e-9 - whole, 0, "1 ns minus the distance of command_delay from a multiple of T_m [s]", "choose a multiple of manipulator_period")
     block.terminal("base", "base_position", "base_orientation", "base_velocity", "base_wrench")
     block.terminal("arm", "joint_position", "joint_velocity")
     block.terminal("reference", velocity="desired_velocity", acceleration="desired_acceleration")

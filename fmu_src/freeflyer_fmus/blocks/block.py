@@ -27,6 +27,7 @@ SX = ca.SX
 Units = tuple[str, ...]
 
 WRENCH: Units = ("N",) * 3 + ("N.m",) * 3
+POSE_ERROR: Units = ("m",) * 3 + ("rad",) * 3
 TWIST: Units = ("m/s",) * 3 + ("rad/s",) * 3
 ACCELERATION: Units = ("m/s2",) * 3 + ("rad/s2",) * 3
 

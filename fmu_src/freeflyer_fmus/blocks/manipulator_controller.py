@@ -9,8 +9,9 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from freeflyer_fmus.blocks.block import TWIST, WRENCH, Block
+from freeflyer_fmus.blocks.block import POSE_ERROR, TWIST, WRENCH, Block
 from freeflyer_fmus.blocks.gains import (
+    BASE,
     DAMPING,
     MANIPULATOR,
     gains,
@@ -19,6 +20,7 @@ from freeflyer_fmus.blocks.gains import (
     null_space_spring,
 )
 from freeflyer_fmus.blocks.robot_parameters import (
+    IDENTITY,
     SINGULARITY_THRESHOLD,
     desired_motion,
     joint_limits,
@@ -42,6 +44,7 @@ from freeflyer_fmus.equations.tracking_control import (
     null_space_torque,
     pose_error,
     spring_damper,
+    spring_energies,
 )
 from freeflyer_fmus.robot.robot import Robot
 
@@ -77,11 +80,20 @@ def manipulator_controller(robot: Robot) -> Block:
         "singularity_threshold", SINGULARITY_THRESHOLD, "1", "Smallest allowed singular value of J_m", tunable=True, minimum=0.0
     )
     theta = mean_weight(block)
+    # The reference energy needs the base's spring-damper. The filter serves the base controller.
+    K_Pb, K_Db = gains(block, BASE, "base_law_")
+    p_bd = block.parameter("position_setpoint", np.zeros(3), "m", "x_bd: base position to hold, in I", tunable=True)
+    R_bd = block.parameter("orientation_setpoint", IDENTITY, "1", "Base orientation to hold, quaternion x, y, z, w", tunable=True)
+    weight = block.parameter(
+        "angular_velocity_weight", 1.0, "m/rad", "Weight of w in |v|^2 of observer `reference`", tunable=True, above=0.0
+    )
+    tau_f = block.parameter("filter_time", 0.0, "s", "Time constant of the filtered outputs (0: no filter)", minimum=0.0)
     null_damping = null_space_damping(block, robot)
     null_stiffness, null_posture = null_space_spring(block, robot)
     limits = joint_limits(block, robot)
 
     # Inputs: measurements and reference.
+    p_b = block.input("base_position", np.zeros(3), "m", "Measured position of B in I (observer `reference` and filter)")
     state = measured_state(block, robot)
     # fmt: on
     p_start, R_start = start_pose(robot)
@@ -118,6 +130,18 @@ def manipulator_controller(robot: Robot) -> Block:
     u_m_1, u_b_1 = previous("manipulator_port_velocity", TWIST), previous("base_velocity", TWIST)
     S_m_1, S_b_1 = previous("manipulator_port_wrench", WRENCH), previous("base_port_share", WRENCH)
 
+    # Energies of the springs at the last sample, for the observer `reference`.
+    U_m_1, U_b_1 = (
+        block.state(
+            f"previous_{port}_spring_energy",
+            np.zeros(6),
+            "J",
+            f"Energy of the spring at port {port[0].upper()} at sample k-1",
+            local=True,
+        )
+        for port in ("manipulator", "base")
+    )
+
     # No wrench is applied before the first sample. Therefore the observers ignore the delayed
     # inputs at the first sample.
     begun = block.state("begun", 0.0, "1", "1 after the first sample", local=True)
@@ -132,7 +156,7 @@ def manipulator_controller(robot: Robot) -> Block:
 
     # Port M: `u_m` is the velocity that the observer uses. `excluded_m` is the part of F_m that the
     # observer does not count.
-    tracking = observer == int(Observer.tracking)
+    tracking = passivity.excludes_feed_forward(observer)
     u_m = v_m - ca.if_else(tracking, v_d, 0)
     excluded_m = ca.if_else(tracking, star.F_m, 0)
     # Eq. (20) with corrected sign, with the selected bookkeeping.
@@ -142,8 +166,17 @@ def manipulator_controller(robot: Robot) -> Block:
         passivity.observed_as_applied(E_m, S_m_1, u_m_1, u_m, T_m),
         passivity.observed_as_printed(E_m, F_m - excluded_m, u_m, beta_m_1, u_m_1, T_m),
     )
+    # Observer `reference`: the energy beyond that of a continuous spring. The damper of the law is
+    # not counted here: with it, the loop diverges.
+    follows = observer == int(Observer.reference)
+    U_m = spring_energies(K_P, dx_m)
+    E_m -= ca.if_else(follows, begun * passivity.reference_energy(U_m, U_m_1, 0, u_m, T_m), 0)
     own_damping = ca.if_else(is_matched, sampled_damping(ca.diag(M_e), K_P, K_D, T_m, theta), K_D)
-    beta_m = passivity.damper(E_m, u_m, T_m, floor)
+    beta_m = ca.if_else(
+        follows,
+        passivity.common_damper(E_m, u_m, weight, T_m, floor),
+        passivity.damper(E_m, u_m, T_m, floor),
+    )
     beta_m = ca.if_else(
         ca.logic_and(applied_m, share > 0),
         passivity.bounded(beta_m, share, ca.diag(M_e), own_damping, T_m),
@@ -160,7 +193,12 @@ def manipulator_controller(robot: Robot) -> Block:
     Jb_F = base_jacobian_transposed_times(star.p_be, F_m_total)
     share_b = passivity.choose(
         observer,
-        {Observer.paper: SX(6, 1), Observer.port: -Jb_F, Observer.tracking: -Jb_F - star.F_b},
+        {
+            Observer.paper: SX(6, 1),
+            Observer.port: -Jb_F,
+            Observer.tracking: -Jb_F - star.F_b,
+            Observer.reference: -Jb_F - star.F_b,
+        },
     )
     held = begun * ca.if_else(observer == int(Observer.paper), F_B_held, F_b_applied)
     # Eq. (23) with corrected sign.
@@ -172,9 +210,30 @@ def manipulator_controller(robot: Robot) -> Block:
             E_b, held - begun * F_pcb_held + share_b, v_b, beta_b_1, u_b_1, T_m
         ),
     )
+    # First-order filter of the errors and velocities, for the base controller and its damper.
+    dx_b = pose_error(p_b, state.orientation, p_bd, R_bd)
+    share_f = ca.if_else(begun > 0, T_m / (tau_f + T_m), 1.0)
+    filtered = {}
+    for name, value, unit in (
+        ("base_error", dx_b, POSE_ERROR),
+        ("base_velocity", v_b, TWIST),
+        ("end_effector_error", dx_m, POSE_ERROR),
+        ("end_effector_velocity_error", v_m - v_d, TWIST),
+    ):
+        before = block.state(f"filtered_{name}", np.zeros(6), unit, f"Filtered {name}, in I")
+        filtered[f"filtered_{name}"] = before + share_f * (value - before)
+    v_bf = ca.if_else(tau_f > 0, filtered["filtered_base_velocity"], v_b)
+    # Observer `reference`: the energy beyond that of a continuous spring-damper.
+    U_b = spring_energies(K_Pb, dx_b)
+    E_b -= ca.if_else(follows, begun * passivity.reference_energy(U_b, U_b_1, K_Db, v_bf, T_m), 0)
     # Eq. (24). The paper prints T_m. The bookkeeping `applied` uses T_b, because the force of the
     # damper is constant for T_b. During this time, the damper dissipates the missing energy.
-    beta_b = passivity.damper(E_b, v_b, ca.if_else(applied_b, T_b, T_m), floor)
+    T_damper = ca.if_else(applied_b, T_b, T_m)
+    beta_b = ca.if_else(
+        follows,
+        passivity.common_damper(E_b, v_bf, weight, T_damper, floor),
+        passivity.damper(E_b, v_b, T_damper, floor),
+    )
     beta_b = ca.if_else(base_on, beta_b, 0)
 
     # New states and outputs.
@@ -187,6 +246,9 @@ def manipulator_controller(robot: Robot) -> Block:
         "previous_base_velocity": v_b,
         "previous_manipulator_port_wrench": F_m_total - excluded_m,
         "previous_base_port_share": share_b,
+        "previous_manipulator_spring_energy": U_m,
+        "previous_base_spring_energy": U_b,
+        **filtered,
         "begun": SX(1),
     }.items():
         block.update(name, value)
@@ -198,6 +260,7 @@ def manipulator_controller(robot: Robot) -> Block:
     block.output("joint_torque", tau, joint_units(robot, "N.m", "N"), meaning)
     block.output("end_effector_wrench", F_m_total, WRENCH, "F'_m: Cartesian wrench at the end-effector, (22), in I")
     block.output("passivity_wrench", F_pcm, WRENCH, "F_pcm: wrench of the passivity controller, (21), in I")
+    block.output("filter_time_constant", tau_f, "s", "Time constant of the filtered outputs")
     block.output("jacobian_sigma_min", star.sigma_min, "1", "Lower bound of the smallest singular value of J_m")
     # fmt: on
     margin = ca.fmin(state.q - limits.lower, limits.upper - state.q)
@@ -211,8 +274,15 @@ def manipulator_controller(robot: Robot) -> Block:
         "base_orientation": state.orientation,
         "end_effector_orientation": R_e,
         "desired_orientation": R_d,
+        "orientation_setpoint": R_bd,
     }
     require_quaternions(block, quaternions)
+    block.require(
+        ca.if_else(ca.logic_and(follows, ca.logic_or(applied_m == 0, applied_b == 0)), -1, 0),
+        0,
+        "0 if observer and bookkeeping fit",
+        "observer `reference` needs the bookkeeping `applied` at both ports",
+    )
     require_regular_jacobian(block, star.sigma_min, least_sigma)
     block.terminal("base", "base_orientation", "base_velocity")
     block.terminal("arm", "joint_position", "joint_velocity", "joint_torque")

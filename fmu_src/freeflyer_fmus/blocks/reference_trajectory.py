@@ -69,12 +69,24 @@ def reference_motion(block: Block, robot: Robot) -> Motion:
 
 
 def reference_outputs(block: Block, motion: Motion) -> None:
-    """Declare the outputs and the terminal of a desired motion."""
+    """Declare the outputs and the terminal of a desired motion, and the preview of the motion.
+
+    The preview is the motion at a later time. A wrench that is held for a period is right on
+    average if its feed-forward belongs to the middle of the time in which it acts.
+    """
     # fmt: off
+    held = block.parameter("preview_period", 0.0, "s", "Period for which a wrench is held that uses the preview", minimum=0.0)
+    share = block.parameter("preview_share", 0.5, "1", "Part of preview_period by which the preview is ahead", minimum=0.0)
+    delay = block.parameter("preview_delay", 0.0, "s", "Known time until the wrench acts: the preview is ahead by this, too", minimum=0.0)
     block.output("position", motion.position, "m", "x_md: desired position of E in I")
     block.output("orientation", motion.orientation, "1", "Desired orientation of E in I, quaternion x, y, z, w")
     block.output("velocity", motion.velocity, TWIST, "x_md': desired velocity of E, in I")
     block.output("acceleration", motion.acceleration, ACCELERATION, "x_md'': desired acceleration of E, in I")
+    later = delay + share * held
+    ahead = ca.substitute(ca.vertcat(motion.velocity, motion.acceleration), block.time, block.time + later)
+    block.output("preview_velocity", ahead[:6], TWIST, "x_md', preview_time ahead")
+    block.output("preview_acceleration", ahead[6:], ACCELERATION, "x_md'', preview_time ahead")
+    block.output("preview_time", later, "s", "Time by which the preview is ahead")
     # fmt: on
     block.terminal("reference", *REFERENCE)
 

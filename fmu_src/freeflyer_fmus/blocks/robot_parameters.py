@@ -66,9 +66,18 @@ def mass_parameters(block: Block, robot: Robot) -> Mechanism:
         "kg.m2",
         "Inertia of the tool about its centre of mass, in E: xx, yy, zz, xy, xz, yz",
     )
+    arm_factor = block.parameter(
+        "arm_mass_factor",
+        1.0,
+        "1",
+        "Factor of all masses and inertias of the arm without tool",
+        above=0.0,
+    )
     _require_physical(block, "base_inertia", base_inertia, strict=True)
     _require_physical(block, "tool_inertia", tool_inertia, strict=False)
-    return mechanism(robot, base_mass, base_inertia, tool_mass, tool_centre, tool_inertia)
+    return mechanism(
+        robot, base_mass, base_inertia, tool_mass, tool_centre, tool_inertia, arm_factor
+    )
 
 
 def _require_physical(block: Block, name: str, entries: SX, *, strict: bool) -> None:
@@ -163,19 +172,18 @@ def joint_limits(block: Block, robot: Robot) -> JointLimits:
     )
 
 
-def desired_motion(block: Block) -> tuple[SX, SX]:
-    """Declare the reference velocity and acceleration as inputs."""
+def desired_motion(block: Block, kind: str = "desired") -> tuple[SX, SX]:
+    """Declare the reference velocity and acceleration as inputs.
+
+    `kind` is the first part of their names: "desired", or "preview" for those of a later time.
+    """
+    later = ", preview_time ahead" if kind == "preview" else ""
+    # fmt: off
     return (
-        block.input(
-            "desired_velocity", np.zeros(6), TWIST, "Desired end-effector velocity x_md', in I"
-        ),
-        block.input(
-            "desired_acceleration",
-            np.zeros(6),
-            ACCELERATION,
-            "Desired end-effector acceleration x_md'', in I",
-        ),
+        block.input(f"{kind}_velocity", np.zeros(6), TWIST, f"Desired end-effector velocity x_md', in I{later}"),
+        block.input(f"{kind}_acceleration", np.zeros(6), ACCELERATION, f"Desired end-effector acceleration x_md'', in I{later}"),
     )
+    # fmt: on
 
 
 def require_quaternions(

@@ -66,20 +66,23 @@ def mechanism(
     tool_mass: SX,
     tool_centre_of_mass: SX,
     tool_inertia: SX,
+    arm_factor: SX,
 ) -> Mechanism:
     """Return the mechanism with these inertias of base and tool.
 
-    The inertias of all other bodies are the constants in `robot`. Masses are in kg. `base_inertia`
-    and `tool_inertia` are [xx, yy, zz, xy, xz, yz] in kg m2, about the centre of mass. The axes are
-    those of B for the base and those of E for the tool. `tool_centre_of_mass` (3) [m] is in E.
+    The inertias of all other bodies are the constants in `robot`, multiplied by `arm_factor`.
+    Masses are in kg. `base_inertia` and `tool_inertia` are [xx, yy, zz, xy, xz, yz] in kg m2, about
+    the centre of mass. The axes are those of B for the base and those of E for the tool.
+    `tool_centre_of_mass` (3) [m] is in E.
     """
     base = RigidInertia.of(base_mass, SX(3, 1), symmetric_matrix(base_inertia))
     tool = RigidInertia.of(tool_mass, tool_centre_of_mass, symmetric_matrix(tool_inertia))
-    bodies = [RigidInertia.constant(body) for body in robot.bodies]
+    bodies = [RigidInertia.constant(body).scaled(arm_factor) for body in robot.bodies]
     bodies[-1] += tool.seen_from(
         sparse(robot.end_effector_rotation), sparse(robot.end_effector_translation)
     )
-    return Mechanism(robot, base + RigidInertia.constant(robot.base_attachment), tuple(bodies))
+    attachment = RigidInertia.constant(robot.base_attachment).scaled(arm_factor)
+    return Mechanism(robot, base + attachment, tuple(bodies))
 
 
 def constant_mechanism(robot: Robot) -> Mechanism:
@@ -91,6 +94,7 @@ def constant_mechanism(robot: Robot) -> Mechanism:
         SX(robot.tool.mass),
         SX(ca.DM(robot.tool.centre_of_mass)),
         SX(ca.DM(inertia_entries(robot.tool.inertia))),
+        SX(1),
     )
 
 

@@ -40,6 +40,14 @@ class Observer(IntEnum):
     # The powers are (F_m - F_m*) dx_m' and (F_B - F_b*) x_b'. The work of the feed-forward is not
     # counted. The damper acts on dx_m'.
     tracking = 3
+    # As `tracking`. In addition, each port must absorb what a continuous spring-damper would have
+    # absorbed (`reference_energy`). Energy that a disturbance brings in is then no credit.
+    reference = 4
+
+
+def excludes_feed_forward(observer: SX) -> SX:
+    """Return whether `observer`, the number of an `Observer`, does not count feed-forward work."""
+    return ca.logic_or(observer == int(Observer.tracking), observer == int(Observer.reference))
 
 
 class Bookkeeping(IntEnum):
@@ -82,6 +90,27 @@ def observed_as_applied(E: SX, F_acted: SX, v_before: SX, v: SX, T: SX) -> SX:
     translation and for rotation.
     """
     return E - F_acted * (0.5 * T) * (v_before + v)
+
+
+def reference_energy(stored: SX, stored_before: SX, damping: SX | float, v: SX, T: SX) -> SX:
+    """Return the energy that a continuous spring-damper absorbs in one period T.
+
+    This is the change of the potential, `stored` - `stored_before`, and the dissipation D v^2 T.
+    The idea is after Ryu, Preusche, Hannaford and Hirzinger (time domain passivity control with
+    reference energy following).
+    """
+    return stored - stored_before + damping * v**2 * T
+
+
+def common_damper(E: SX, v: SX, weight: SX, T: SX, floor: SX) -> SX:
+    """Return one beta for all degrees of freedom of a port: 0 if the sum of E is not negative.
+
+    At the velocity v (6), dampers with this beta dissipate the missing energy in one period T.
+    `weight` [m/rad] multiplies angular velocities. It makes the sum of squares one unit.
+    """
+    speed = ca.sumsqr(v[:3]) + weight**2 * ca.sumsqr(v[3:])
+    missing = -ca.sum1(E)
+    return ca.if_else(missing > 0, missing / ca.fmax(speed * T, floor), 0.0)
 
 
 def damper(E: SX, v: SX, T: SX, floor: SX) -> SX:

@@ -60,6 +60,20 @@ def mean_wrench(
     return spring - (half * stiffness + damping) @ mean_velocity
 
 
+def mean_step(
+    inertia: SX, stiffness: SX, damping: SX, period: SX, spring: SX, velocity_error: SX
+) -> tuple[SX, SX]:
+    """Return the changes of pose error and velocity error (6 each) over one period of the mean law.
+
+    The arguments are those of `mean_wrench` with theta = 1/2. dx+ = dx + T dx'_mean and dx'+ = dx'
+    + 2 (dx'_mean - dx').
+    """
+    half = 0.5 * period
+    implicit = inertia + half * damping + half**2 * stiffness
+    mean_velocity = solve_positive_definite(implicit, inertia @ velocity_error + half * spring)
+    return period * mean_velocity, 2.0 * (mean_velocity - velocity_error)
+
+
 def sampled_damping(
     inertia: SX, stiffness: SX, damping: SX, period: SX, theta: SX | float = 0.5
 ) -> SX:

@@ -67,6 +67,10 @@ class RigidInertia(NamedTuple):
         )
         return RigidInertia(*(ca.sparsify(part) for part in whole))
 
+    def scaled(self, factor: SX) -> RigidInertia:
+        """Return the inertia of a body of the same shape with `factor` times the density."""
+        return RigidInertia(*(factor * part for part in self))
+
     def seen_from(self, rotation: SX, translation: SX) -> RigidInertia:
         """Return the inertia in a new frame.
 

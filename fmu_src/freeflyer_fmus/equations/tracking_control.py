@@ -150,6 +150,14 @@ def spring_damper(stiffness: SX, damping: SX, pose_error: SX, velocity_error: SX
     return -stiffness * pose_error - damping * velocity_error
 
 
+def spring_energies(stiffness: SX, pose_error: SX) -> SX:
+    """Return 1/2 K_P Delta x^2 (6), the energy of each spring of `spring_damper`.
+
+    For rotation this is the potential up to the fourth power of the angle: 7 % less at 60 deg.
+    """
+    return 0.5 * stiffness * pose_error**2
+
+
 def spring_energy(stiffness: SX, pose_error: SX) -> SX:
     """Return the potential energy of the spring in `spring_damper`. It is a part of V of (10).
 

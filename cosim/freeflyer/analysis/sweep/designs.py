@@ -1,4 +1,5 @@
-"""Designs of experiments: grids, Latin hypercubes, random samples, and one change at a time.
+"""Designs of experiments: grids, Latin hypercubes, random samples, one change at a time,
+and named designs.
 
 An axis varies one target of `--set`, or some elements of a vector parameter. A design has one value
 of each axis.
@@ -8,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from functools import cached_property
@@ -218,6 +219,34 @@ class OneAtATime:
             place, value = self._changes[number - 1]
             point[place] = value
         return tuple(point)
+
+
+DESIGN = "design_name"
+"""Name of the column with the names of named designs."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class NamedDesigns:
+    """Designs with a name. Each design sets its own targets to fixed values."""
+
+    settings: Mapping[str, Mapping[str, Any]]
+    sample: None = None
+    grid: tuple[Axis, ...] = ()
+
+    @property
+    def axes(self) -> tuple[Axis, ...]:
+        return (Axis(target=Target(name=DESIGN), source=Levels(values=tuple(self.settings))),)
+
+    @property
+    def levels(self) -> list[tuple[Any, ...]]:
+        return []
+
+    def __len__(self) -> int:
+        return len(self.settings)
+
+    def __getitem__(self, number: int) -> tuple[Any, ...]:
+        """Return the name of design `number` >= 0. Raises IndexError."""
+        return (list(self.settings)[number],)
 
 
 @dataclass(frozen=True, kw_only=True)

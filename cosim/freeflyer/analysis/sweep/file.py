@@ -20,6 +20,7 @@ from freeflyer.analysis.sweep.designs import (
     Interval,
     Levels,
     Method,
+    NamedDesigns,
     OneAtATime,
     Sample,
     Target,
@@ -77,7 +78,7 @@ class Sweep:
     scenario: str
     settings: tuple[str, ...]
     cases: Mapping[str, Mapping[str, Any]]
-    designs: Designs | OneAtATime
+    designs: Designs | OneAtATime | NamedDesigns
     map: Map | None
     evaluation: str | None
     """FILE.py:OBJECT or MODULE:OBJECT, see `evaluation.Evaluation`."""
@@ -122,7 +123,18 @@ def _find(name: str) -> Path:
 
 
 def _sweep(raw: Raw, path: Path, settings: Sequence[str]) -> Sweep:
-    known = ("title", "scenario", "set", "cases", "grid", "sample", "vary", "map", "evaluation")
+    known = (
+        "title",
+        "scenario",
+        "set",
+        "cases",
+        "grid",
+        "sample",
+        "vary",
+        "designs",
+        "map",
+        "evaluation",
+    )
     _known(raw, known, "the sweep")
     if not isinstance(raw.get("scenario"), str):
         raise ScenarioError(
@@ -146,14 +158,21 @@ def _sweep(raw: Raw, path: Path, settings: Sequence[str]) -> Sweep:
         raise ScenarioError(
             "[vary] changes one parameter at a time; remove [vary], or remove [grid], [sample] and [map]"
         )
-    designs = (
-        OneAtATime(axes=varied_alone)
+    named = {name: _case("designs", name, table) for name, table in _table(raw, "designs").items()}
+    if named and (grid or varied_alone or "sample" in raw or "map" in raw):
+        raise ScenarioError(
+            "[designs.NAME] lists all designs; remove these tables, or remove [grid], [sample], [vary] and [map]"
+        )
+    designs: Designs | OneAtATime | NamedDesigns = (
+        NamedDesigns(settings=named)
+        if named
+        else OneAtATime(axes=varied_alone)
         if varied_alone
         else Designs(grid=grid, sample=_sample(_table(raw, "sample")) if "sample" in raw else None)
     )
     if not designs.axes:
         raise ScenarioError(
-            "the sweep varies no parameter; a [grid], a [sample] or a [vary] with parameters is expected"
+            "the sweep varies no parameter; a [grid], a [sample], a [vary] with parameters, or [designs.NAME] is expected"
         )
     evaluation = raw.get("evaluation")
     if evaluation is not None and not (isinstance(evaluation, str) and ":" in evaluation):
@@ -161,7 +180,7 @@ def _sweep(raw: Raw, path: Path, settings: Sequence[str]) -> Sweep:
             f"evaluation is {evaluation!r}; 'FILE.py:OBJECT' or 'MODULE:OBJECT' is expected"
         )
     # A parameter may be set in only one place: an axis, a case, or `--set`.
-    cases = {name: _case(name, table) for name, table in _table(raw, "cases").items()} or {
+    cases = {name: _case("cases", name, table) for name, table in _table(raw, "cases").items()} or {
         ONE_CASE: {}
     }
     for axis in designs.axes:
@@ -195,16 +214,17 @@ def _sweep(raw: Raw, path: Path, settings: Sequence[str]) -> Sweep:
     )
 
 
-def _case(name: str, table: object) -> Mapping[str, Any]:
-    if not name.isidentifier() or not isinstance(table, dict):
+def _case(kind: str, name: str, table: object) -> Mapping[str, Any]:
+    """Return the targets and values of a case or of a named design. `kind` is the table's key."""
+    if not isinstance(table, dict) or (kind == "cases" and not name.isidentifier()):
         raise ScenarioError(
-            f"cases.{name}: a table of targets and values is expected; its name may contain letters, digits and underscores"
+            f"{kind}.{name}: a table of targets and values is expected; the name of a case may contain letters, digits and underscores"
         )
-    found = dict(_targets(table, f"[cases.{name}]"))
+    found = dict(_targets(table, f"[{kind}.{name}]"))
     for target in found:
         if target.elements is not None:
             raise ScenarioError(
-                f"[cases.{name}] {target}: a whole parameter is expected; elements are possible only in [grid], [sample] and [vary]"
+                f"[{kind}.{name}] {target}: a whole parameter is expected; elements are possible only in [grid], [sample] and [vary]"
             )
     return {target.name: _value(value) for target, value in found.items()}
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from freeflyer.analysis.sweep import evaluation, stability
-from freeflyer.analysis.sweep.designs import UNCHANGED, Axis, Levels, Target
+from freeflyer.analysis.sweep.designs import UNCHANGED, Axis, Levels, NamedDesigns, Target
 from freeflyer.analysis.sweep.file import ONE_CASE, Sweep
 from freeflyer.fmi.component import Array, Port
 from freeflyer.foundation.errors import CosimError, ScenarioError
@@ -134,6 +134,11 @@ class Plan:
                 for axis in self.axes
             },
             "designs": {"count": len(self.designs), "sha256": values.hexdigest()},
+            **(
+                {"named_designs": self.designs.settings}
+                if isinstance(self.designs, NamedDesigns)
+                else {}
+            ),
             "fmi": self.setup.fmi,
             "files": dict(self.setup.files),
             "criterion": stability.criterion(),
@@ -161,6 +166,11 @@ class Plan:
 
         `values` is the design: one value for each axis.
         """
+        if isinstance(self.designs, NamedDesigns):
+            # A case is a strategy: what it sets is not changed by a design.
+            fixed = self.sweep.cases[case]
+            given = self.designs.settings[values[0]].items()
+            return tuple((target, value) for target, value in given if target not in fixed)
         found: dict[str, Any] = {}
         vectors: dict[str, Array] = {}
         pairs = [
@@ -205,7 +215,7 @@ class Plan:
     def _check(self, case: str) -> None:
         plain = self.setup.scenario(case)
         with assemble.loaded(plain, self.setup.fmi) as system:
-            for axis in self.axes:
+            for axis in () if isinstance(self.designs, NamedDesigns) else self.axes:
                 for target in axis.targets if case not in axis.not_in else ():
                     self._look_up(case, axis, target, plain, system)
             for values in self._tried():
