@@ -53,9 +53,9 @@ def scenario_file(directory: Path, text: str, base: str | None = "multirate_pass
         ("base_controller.stiffness=true", "6 numbers"),
         (
             "manipulator_controller.observer=prot",
-            "one of paper, port, tracking is expected; did you mean 'port'",
+            "one of paper, port, tracking, reference is expected; did you mean 'port'",
         ),
-        ("manipulator_controller.observer=7", "one of paper, port, tracking is expected"),
+        ("manipulator_controller.observer=7", "one of paper, port, tracking, reference is expected"),
         ("manipulator_controller.base_passivity_control=1", "true or false is expected"),
         ("base_controller.base_wrench=1", "cannot be set: it is a computed output"),
         ("free_flyer.base_mass=-3", "base_mass is -3; more than 0 is expected"),
@@ -444,7 +444,7 @@ def test_an_output_directory_that_cannot_be_created_is_rejected(
 
 @pytest.mark.parametrize(
     ("limit", "code", "message"),
-    [(700_000, 3, "record.parquet cannot be written"), (20_000, 2, "cannot be unpacked into")],
+    [(900_000, 3, "record.parquet cannot be written"), (20_000, 2, "cannot be unpacked into")],
 )
 def test_a_full_disk_leaves_no_partial_file(
     tmp_path: Path, limit: int, code: int, message: str

@@ -161,7 +161,7 @@ def test_passivity_control_and_observer_can_change_during_a_run(fmus: Path, vers
     controller.step(6 * MS, MS)
     assert controller.get("manipulator_observed_energy")[0] != before[0]
     with pytest.raises(FMICallException):
-        controller.choose("observer", 4)
+        controller.choose("observer", 5)
     controller.close()
 
 

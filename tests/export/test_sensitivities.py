@@ -124,7 +124,8 @@ def test_in_initialization_mode_derivatives_by_parameters_and_start_values_are_e
     knowns = [
         name
         for name in knowns
-        if not name.endswith(("inertia", "period", "seed", "velocity_floor"))
+        if not name.endswith(("inertia", "period", "seed", "velocity_floor", "delay"))
+        and not name.startswith("preview")  # at t = 0 the preview is at a kink of the motion
     ]
     instance.enter()
     # Some joints start in the middle of their range. There, the distance to the nearer limit has no
@@ -165,7 +166,11 @@ BRANCHES = {
         "base_damping",
     }
     | {"passivity_wrench"},
-    "base_controller": {"passivity_wrench"},
+    "base_controller": {"passivity_wrench", "base_wrench", "port_wrench"},
+    "disturbance": {"joint_torque", "base_wrench"},
+    "base_command_delay": {"base_wrench"},
+    "arm_command_delay": {"joint_torque"},
+    "base_actuators": {"base_wrench"},
     "arm_drive": {
         "true_joint_position",
         "true_joint_velocity",
@@ -175,7 +180,10 @@ BRANCHES = {
     },
     "base_robot": {"base_acceleration"},
 }
-"""Outputs with dependencies that exist only if a damper, brake, quantiser or delay is active."""
+"""Outputs with dependencies that exist only if a part of the block is active.
+
+Such a part is a damper, a brake, a quantiser, a delay, a preview, a filter or a disturbance.
+"""
 
 
 @pytest.mark.parametrize("instance", EVERY, indirect=True)
