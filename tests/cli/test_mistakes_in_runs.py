@@ -55,7 +55,10 @@ def scenario_file(directory: Path, text: str, base: str | None = "multirate_pass
             "manipulator_controller.observer=prot",
             "one of paper, port, tracking, reference is expected; did you mean 'port'",
         ),
-        ("manipulator_controller.observer=7", "one of paper, port, tracking, reference is expected"),
+        (
+            "manipulator_controller.observer=7",
+            "one of paper, port, tracking, reference is expected",
+        ),
         ("manipulator_controller.base_passivity_control=1", "true or false is expected"),
         ("base_controller.base_wrench=1", "cannot be set: it is a computed output"),
         ("free_flyer.base_mass=-3", "base_mass is -3; more than 0 is expected"),
