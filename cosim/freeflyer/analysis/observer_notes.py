@@ -23,11 +23,17 @@ def notes(provenance: Provenance | None) -> list[str]:
     for name, parameters in (provenance.parameters if provenance else {}).items():
         if "manipulator_initial_energy" not in parameters or not parameters.keys() >= set(NEEDED):
             continue
-        stiffness, damping, period, discretisation, bookkeeping = (
-            parameters[key] for key in NEEDED
-        )
-        spring = 0.5 * float(period) * np.array(stiffness)
-        too_stiff = spring > np.array(damping)
+        discretisation, bookkeeping = parameters["discretisation"], parameters["bookkeeping"]
+        try:
+            period = float(parameters["period"])
+            stiffness, damping = (
+                np.array(parameters[key], dtype=float).reshape(6)
+                for key in ("stiffness", "damping")
+            )
+        except (TypeError, ValueError, OverflowError):
+            continue  # a record from elsewhere: the parameters are not those of this controller
+        spring = 0.5 * period * stiffness
+        too_stiff = spring > damping
         if too_stiff.any() and discretisation == "emulated" and _is_printed(bookkeeping):
             axis = int(np.argmax(too_stiff))
             found.append(

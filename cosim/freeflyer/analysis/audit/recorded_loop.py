@@ -218,6 +218,8 @@ class _Finder:
             self.parameter(base, "position_setpoint", 3),
             self.parameter(base, "orientation_setpoint", 4),
         )
+        if not 0.5 < np.linalg.norm(orientation) < np.inf:
+            self.missing.append(f"a quaternion of norm 1 in parameter {base}.orientation_setpoint")
         setpoint = Motion(
             position=np.tile(position, (self.record.rows, 1)),
             orientation=np.tile(orientation, (self.record.rows, 1)),
