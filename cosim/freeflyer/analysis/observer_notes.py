@@ -15,9 +15,9 @@ def notes(provenance: Provenance | None) -> list[str]:
     """Return a sentence for each manipulator controller whose observer misses sampling energy.
 
     Equation (20) pairs F(k) with v(k), and not with the displacement that F(k) causes. Therefore
-    the bookkeeping `as_printed` does not count the energy F^2 T^2 / (2 M) that sampling generates
-    per period T. For a sampled spring-damper, this energy is more than the damper dissipates if
-    K_P T / 2 > K_D.
+    the bookkeeping `as_printed` does not count the energy F^2 T^2 / (2 m) that sampling generates
+    per period T on the inertia m. For a sampled spring-damper, this energy is more than the damper
+    dissipates if K_P T / 2 > K_D.
     """
     found = []
     for name, parameters in (provenance.parameters if provenance else {}).items():

@@ -49,7 +49,7 @@ class Battery:
             "named: convergent",
             "drawn: stable",
             "drawn: convergent",
-            "drawn: of those that the ceiling wins",
+            "drawn: of those convergent with the ceiling",
         )
         table = Table(*header)
         lines = [header, ["---"] * len(header)]
