@@ -8,6 +8,8 @@ import pandas
 import pytest
 from commands import run_command
 
+from freeflyer.analysis.sweep import file as sweep_file
+from freeflyer.analysis.sweep.designs import NamedDesigns
 from freeflyer.cli import main as command
 
 EVALUATION = """
@@ -82,6 +84,22 @@ def test_named_designs_are_run_in_every_case_and_do_not_change_what_a_case_sets(
     assert list(frame["design_name"]) == ["slow", "slow", "one push", "one push"]
     assert list(frame["simulated_s"]) == [1.0, 1.0, 2.0, 2.0]
     assert not frame["failed"].any()
+
+
+def test_a_csv_file_of_a_design_is_beside_the_sweep_and_its_numbers_are_in_the_plan(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "path.csv").write_text("t,x\n0,0\n2,0.1\n")
+    (tmp_path / "some.toml").write_text(
+        'scenario = "multirate_passive"\n'
+        '[designs.a]\n"reference_trajectory.waypoint" = { csv = "path.csv" }\n'
+    )
+    found = sweep_file.read(str(tmp_path / "some.toml")).designs
+    assert isinstance(found, NamedDesigns)
+    assert found.settings["a"] == {
+        "reference_trajectory.waypoint_t": {"first": [0.0, 2.0]},
+        "reference_trajectory.waypoint_x": {"first": [0.0, 0.1]},
+    }
 
 
 def test_an_evaluation_adds_columns_prints_and_writes_its_files(

@@ -42,6 +42,8 @@ GROWTH = (0.3, 0.9)
 """Part of a run in which the growth of an error is fitted, as fractions of the simulated time."""
 
 Measures = Mapping[str, float]
+Runs = Mapping[str, Measures]
+"""The measures of each run in RUNS."""
 
 
 def columns() -> dict[str, str]:
@@ -149,60 +151,60 @@ class Criterion:
         return f"{self.what} {self.value:.2g}{unit} ({' and '.join(bounds)}{factor}){failed}"
 
 
-def fig_3(continuous: Measures, unstable: Measures, passive: Measures) -> list[Criterion]:
+def fig_3(runs: Runs) -> list[Criterion]:
     """In continuous time both errors converge. The tracking error is in the order of 1e-4 m."""
-    del unstable, passive
-    largest = continuous["end_effector_position_max"]
+    largest = runs["continuous"]["end_effector_position_max"]
     limits = dict.fromkeys(ERRORS, 0.1) | {"base_orientation": 0.2}
     return [
         Criterion(what="end-effector maximum", value=largest, unit="m", low=2e-5, high=9e-4),
-        *(_decay(continuous, error, limit) for error, limit in limits.items()),
+        *(_decay(runs["continuous"], error, limit) for error, limit in limits.items()),
     ]
 
 
-def fig_4(continuous: Measures, unstable: Measures, passive: Measures) -> list[Criterion]:
+def fig_4(runs: Runs) -> list[Criterion]:
     """With T_b = 0.3 s and without PC, the errors of end-effector and base increase."""
-    del passive
     largest = "end_effector_position_max"
     return [
-        Criterion(what="run completed (1: yes)", value=unstable["completed"], high=1.0),
-        Criterion(what="end of the run", value=unstable["end_s"], unit="s", high=100.0),
+        Criterion(what="run completed (1: yes)", value=runs["unstable"]["completed"], high=1.0),
+        Criterion(what="end of the run", value=runs["unstable"]["end_s"], unit="s", high=100.0),
         Criterion(
             what="distance from a joint limit",
-            value=unstable["joint_limit_margin_min"],
+            value=runs["unstable"]["joint_limit_margin_min"],
             unit="rad",
             low=0.0,
         ),
         *(
             Criterion(
-                what=f"growth, {name}", value=unstable[f"{error}_growth"], unit="1/s", low=0.0
+                what=f"growth, {name}",
+                value=runs["unstable"][f"{error}_growth"],
+                unit="1/s",
+                low=0.0,
             )
             for error, (name, _) in ERRORS.items()
         ),
         Criterion(
             what="maximum end-effector error / that of Fig. 3",
-            value=quotient(unstable[largest], continuous[largest]),
+            value=quotient(runs["unstable"][largest], runs["continuous"][largest]),
             low=3.0,
         ),
     ]
 
 
-def fig_7(continuous: Measures, unstable: Measures, passive: Measures) -> list[Criterion]:
+def fig_7(runs: Runs) -> list[Criterion]:
     """Without PC the observed energies of both ports have a negative trend."""
-    del continuous, passive
     return [
         criterion
         for port in PORTS
         for criterion in (
             Criterion(
                 what=f"{port} minimum",
-                value=unstable[f"{port}_energy_sum_least"],
+                value=runs["unstable"][f"{port}_energy_sum_least"],
                 unit="J",
                 high=0.0,
             ),
             Criterion(
                 what=f"{port} trend",
-                value=unstable[f"{port}_energy_sum_early_slope"],
+                value=runs["unstable"][f"{port}_energy_sum_early_slope"],
                 unit="J/s",
                 high=0.0,
             ),
@@ -210,13 +212,12 @@ def fig_7(continuous: Measures, unstable: Measures, passive: Measures) -> list[C
     ]
 
 
-def fig_8(continuous: Measures, unstable: Measures, passive: Measures) -> list[Criterion]:
+def fig_8(runs: Runs) -> list[Criterion]:
     """The passivity controllers correct both ports."""
-    del continuous, unstable
     return [
         Criterion(
             what=f"{port} correction",
-            value=passive[f"{port}_correction_max"],
+            value=runs["passive"][f"{port}_correction_max"],
             unit="N or N m",
             low=low,
         )
@@ -224,30 +225,34 @@ def fig_8(continuous: Measures, unstable: Measures, passive: Measures) -> list[C
     ]
 
 
-def fig_9(continuous: Measures, unstable: Measures, passive: Measures) -> list[Criterion]:
+def fig_9(runs: Runs) -> list[Criterion]:
     """With PC the observed energies stay positive and have a positive trend.
 
     A PC acts after the energy has become negative. Therefore the minimum is not exactly 0: it is
     about one sample of the port's power.
     """
-    del continuous, unstable
     return [
         criterion
         for port in PORTS
         for criterion in (
             Criterion(
-                what=f"{port} minimum", value=passive[f"{port}_energy_least"], unit="J", low=-2e-5
+                what=f"{port} minimum",
+                value=runs["passive"][f"{port}_energy_least"],
+                unit="J",
+                low=-2e-5,
             ),
             Criterion(
-                what=f"{port} trend", value=passive[f"{port}_energy_slope"], unit="J/s", low=0.0
+                what=f"{port} trend",
+                value=runs["passive"][f"{port}_energy_slope"],
+                unit="J/s",
+                low=0.0,
             ),
         )
     ]
 
 
-def fig_10(continuous: Measures, unstable: Measures, passive: Measures) -> list[Criterion]:
+def fig_10(runs: Runs) -> list[Criterion]:
     """With PC all activity is removed, and the errors converge."""
-    del continuous, unstable
     limits = {
         "end_effector_position": 0.5,
         "end_effector_orientation": 0.5,
@@ -256,17 +261,17 @@ def fig_10(continuous: Measures, unstable: Measures, passive: Measures) -> list[
     }
     largest = {"end_effector_position": 1e-4, "base_position": 3e-4, "base_orientation": 0.06}
     return [
-        Criterion(what="run completed (1: yes)", value=passive["completed"], low=0.0),
+        Criterion(what="run completed (1: yes)", value=runs["passive"]["completed"], low=0.0),
         *(
             Criterion(
                 what=f"{ERRORS[error][0]} at the end",
-                value=passive[f"{error}_end"],
+                value=runs["passive"][f"{error}_end"],
                 unit=ERRORS[error][1],
                 high=high,
             )
             for error, high in largest.items()
         ),
-        *(_decay(passive, error, limit) for error, limit in limits.items()),
+        *(_decay(runs["passive"], error, limit) for error, limit in limits.items()),
     ]
 
 
@@ -278,7 +283,7 @@ def _decay(run: Measures, error: str, limit: float) -> Criterion:
     )
 
 
-FIGURES: Mapping[str, Callable[[Measures, Measures, Measures], list[Criterion]]] = {
+FIGURES: Mapping[str, Callable[[Runs], list[Criterion]]] = {
     "Fig. 3": fig_3,
     "Fig. 4": fig_4,
     "Fig. 7": fig_7,
@@ -288,7 +293,6 @@ FIGURES: Mapping[str, Callable[[Measures, Measures, Measures], list[Criterion]]]
 }
 
 
-def by_figure(runs: Mapping[str, Measures]) -> dict[str, list[Criterion]]:
+def by_figure(runs: Runs) -> dict[str, list[Criterion]]:
     """Return the criteria of each figure. `runs` has the measures of each run in RUNS."""
-    three = [runs[name] for name in RUNS]
-    return {figure: criteria(*three) for figure, criteria in FIGURES.items()}
+    return {figure: criteria(runs) for figure, criteria in FIGURES.items()}

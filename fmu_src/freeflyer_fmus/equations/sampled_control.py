@@ -55,9 +55,8 @@ def mean_wrench(
     As T -> 0 the result tends to the continuous law.
     """
     half = theta * period
-    implicit = inertia + half * damping + half**2 * stiffness
-    mean_velocity = solve_positive_definite(implicit, inertia @ velocity_error + half * spring)
-    return spring - (half * stiffness + damping) @ mean_velocity
+    mean = _mean_velocity(inertia, stiffness, damping, half, spring, velocity_error)
+    return spring - (half * stiffness + damping) @ mean
 
 
 def mean_step(
@@ -68,10 +67,16 @@ def mean_step(
     The arguments are those of `mean_wrench` with theta = 1/2. dx+ = dx + T dx'_mean and dx'+ = dx'
     + 2 (dx'_mean - dx').
     """
-    half = 0.5 * period
+    mean = _mean_velocity(inertia, stiffness, damping, 0.5 * period, spring, velocity_error)
+    return period * mean, 2.0 * (mean - velocity_error)
+
+
+def _mean_velocity(
+    inertia: SX, stiffness: SX, damping: SX, half: SX, spring: SX, velocity_error: SX
+) -> SX:
+    """Return dx'_mean of `mean_wrench`. `half` is T' = theta T."""
     implicit = inertia + half * damping + half**2 * stiffness
-    mean_velocity = solve_positive_definite(implicit, inertia @ velocity_error + half * spring)
-    return period * mean_velocity, 2.0 * (mean_velocity - velocity_error)
+    return solve_positive_definite(implicit, inertia @ velocity_error + half * spring)
 
 
 def sampled_damping(

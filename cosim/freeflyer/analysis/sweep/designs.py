@@ -194,7 +194,6 @@ class OneAtATime:
     """Designs that change one axis. The first design changes no axis. All axes have levels."""
 
     axes: tuple[Axis, ...]
-    sample: None = None
 
     @property
     def grid(self) -> tuple[Axis, ...]:
@@ -230,7 +229,6 @@ class NamedDesigns:
     """Designs with a name. Each design sets its own targets to fixed values."""
 
     settings: Mapping[str, Mapping[str, Any]]
-    sample: None = None
     grid: tuple[Axis, ...] = ()
 
     @property

@@ -28,6 +28,7 @@ from freeflyer.analysis.sweep.designs import (
 from freeflyer.foundation import toml_file
 from freeflyer.foundation.errors import ScenarioError
 from freeflyer.foundation.suggestions import did_you_mean
+from freeflyer.scenario import csv_parameters
 from freeflyer.scenario.inheritance import Raw
 from freeflyer.scenario.overrides import parse_value
 
@@ -158,7 +159,10 @@ def _sweep(raw: Raw, path: Path, settings: Sequence[str]) -> Sweep:
         raise ScenarioError(
             "[vary] changes one parameter at a time; remove [vary], or remove [grid], [sample] and [map]"
         )
-    named = {name: _case("designs", name, table) for name, table in _table(raw, "designs").items()}
+    named = {
+        name: _case("designs", name, table, path.parent)
+        for name, table in _table(raw, "designs").items()
+    }
     if named and (grid or varied_alone or "sample" in raw or "map" in raw):
         raise ScenarioError(
             "[designs.NAME] lists all designs; remove these tables, or remove [grid], [sample], [vary] and [map]"
@@ -180,9 +184,10 @@ def _sweep(raw: Raw, path: Path, settings: Sequence[str]) -> Sweep:
             f"evaluation is {evaluation!r}; 'FILE.py:OBJECT' or 'MODULE:OBJECT' is expected"
         )
     # A parameter may be set in only one place: an axis, a case, or `--set`.
-    cases = {name: _case("cases", name, table) for name, table in _table(raw, "cases").items()} or {
-        ONE_CASE: {}
-    }
+    cases = {
+        name: _case("cases", name, table, path.parent)
+        for name, table in _table(raw, "cases").items()
+    } or {ONE_CASE: {}}
     for axis in designs.axes:
         for name in axis.not_in:
             if name not in cases:
@@ -214,8 +219,11 @@ def _sweep(raw: Raw, path: Path, settings: Sequence[str]) -> Sweep:
     )
 
 
-def _case(kind: str, name: str, table: object) -> Mapping[str, Any]:
-    """Return the targets and values of a case or of a named design. `kind` is the table's key."""
+def _case(kind: str, name: str, table: object, folder: Path) -> Mapping[str, Any]:
+    """Return the targets and values of a case or of a named design.
+
+    `kind` is the key of the table. The path of a CSV file is relative to `folder`.
+    """
     if not isinstance(table, dict) or (kind == "cases" and not name.isidentifier()):
         raise ScenarioError(
             f"{kind}.{name}: a table of targets and values is expected; the name of a case may contain letters, digits and underscores"
@@ -226,7 +234,8 @@ def _case(kind: str, name: str, table: object) -> Mapping[str, Any]:
             raise ScenarioError(
                 f"[{kind}.{name}] {target}: a whole parameter is expected; elements are possible only in [grid], [sample] and [vary]"
             )
-    return {target.name: _value(value) for target, value in found.items()}
+    values = {target.name: _value(value) for target, value in found.items()}
+    return csv_parameters.expanded(values, folder, f"[{kind}.{name}] ")
 
 
 def _grid_axis(target: Target, value: Any, table: str) -> Axis:
