@@ -121,6 +121,8 @@ def test_the_arm_is_in_safe_stop_within_five_cycles_after_sigkill_of_the_control
             flight.unlink(missing_ok=True)
             killed = time.time()
             loop.send(signal.SIGKILL)
+            loop.popen.wait(10.0)  # until here the loop may still write rows
+            gone = time.time()
             line = facility.wait_for("arm_drive, cycle")
             end = time.monotonic() + 2.0
             states.clear()
@@ -155,7 +157,7 @@ def test_the_arm_is_in_safe_stop_within_five_cycles_after_sigkill_of_the_control
     assert any("no set point" in event for event in events(report, "base_robot"))
     assert flight.stat().st_mtime - killed < WITHIN
     rows = flight_of(flight.parent, "^the controllers' process ended without a reported reason$")
-    assert 0.0 <= killed - rows["wall_ns"].iloc[-1] * 1e-9 < 0.2
+    assert killed - 0.2 < rows["wall_ns"].iloc[-1] * 1e-9 <= gone
 
 
 @pytest.mark.slow
