@@ -52,10 +52,10 @@ def test_the_lifted_map_is_the_derivative_of_the_simulated_period_in_parallel_ex
     signals = np.zeros((loop.width, 24))
     signals[: loop.plant.C.shape[0]] = loop.plant.C
     for law in loop.laws:
-        signals[law.first : law.last] = law.gain @ (
+        signals[law.first : law.last] = law.sample.D @ (
             signals[law.inputs.sources] * ~law.inputs.delayed[:, None]
         )
-    rows[-loop.width :] = signals
+    rows[instants.pending : instants.pending + loop.width] = signals
     for k in range(2 * n):
         instants.apply(rows, slow=k % n == 0)
     assert np.abs(rows[:24] - jacobian(NAME, overrides, 2 * n / 1000)).max() < ROUNDING
@@ -72,9 +72,11 @@ def one_axis(
         Inputs(sources=np.array([2]), delayed=np.array([delayed])),
         tick,
     )
+    spring_damper = lifting.sample(np.array([[-k, -d]]))
     law = Law(
         name="law",
-        gain=np.array([[-k, -d]]),
+        sample=spring_damper,
+        between=spring_damper,
         inputs=Inputs(sources=np.array([0, 1]), delayed=np.zeros(2, dtype=bool)),
         first=2,
         last=3,

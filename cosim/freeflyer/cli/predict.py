@@ -78,16 +78,18 @@ def _print_set_point(prediction: Prediction, console: Console) -> None:
         console.print(text, soft_wrap=True)
 
     print_line(
-        f"{prediction.scenario}: period T_b of {prediction.component}, from {milliseconds(prediction.tick_s)} to "
+        f"{prediction.scenario}: period T_b of {prediction.component}, from {milliseconds(prediction.shortest_s)} to "
         f"{milliseconds(prediction.longest_s)}; at the set point, with passivity controllers off"
     )
+    if prediction.shortest_s > prediction.tick_s:
+        print_line(f"The controllers accept no period below {milliseconds(prediction.shortest_s)}.")
     if prediction.boundary is None:
         print_line(
             f"Largest stable T_b: {milliseconds(prediction.largest_stable_s)} or more (all scanned periods are stable)"
         )
     elif prediction.largest_stable_s == 0.0:
         print_line(
-            "Largest stable T_b: none (the loop is unstable even at the period of the fast controllers)"
+            f"Largest stable T_b: none (the loop is unstable even at {milliseconds(prediction.shortest_s)})"
         )
     else:
         print_line(f"Largest stable T_b: {milliseconds(prediction.largest_stable_s)}")

@@ -32,12 +32,16 @@ wrenches are in the inertial frame I.
 SEVERAL: Mapping[str, tuple[str, ...]] = {
     "orientations": (),
     "passivity_control": ("manipulator_passivity_control", "base_passivity_control"),
+    "preview": ("preview",),
 }
 """Roles that any number of signals can have. The values are the default names of the signals.
 
 The role `orientations` is for quaternions of the plant that have no role in `SINGLE`. The role
-`passivity_control` is for the Boolean parameters that enable the passivity controllers.
+`passivity_control` is for the Boolean parameters that enable the passivity controllers. The role
+`preview` is for the Boolean parameters that select the reference of a later time.
 """
+SWITCHES = ("passivity_control", "preview")
+"""Roles of Boolean parameters. The prediction switches them off (`analysis.prediction`)."""
 ROLES = (*SINGLE, *SEVERAL)
 
 

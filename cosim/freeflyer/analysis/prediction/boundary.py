@@ -44,8 +44,9 @@ class Prediction:
     scanned period, `radius` is the spectral radius of the map over one period, without the neutral
     directions. `neutral` is the number of neutral directions. In a neutral direction, no force
     returns the plant to the set point: it can rest at any position.
-    `largest_stable_s`: all periods up to this period are stable. It is 0 if the loop is unstable
-    with T_b = T_m. It is the longest scanned period if all periods are stable. `stable_s` contains
+    The scan starts at the shortest period that the controllers accept, which is usually T_m.
+    `largest_stable_s`: all scanned periods up to this period are stable. It is 0 if the loop is
+    unstable with the shortest period. It is the longest scanned period if all periods are stable. `stable_s` contains
     the first and the last period of each stable interval.
     `boundary` is the least stable mode at the first unstable period. `limit` is the cause of this
     instability. `boundary` and `limit` are None if all periods are stable. `own` is the least
@@ -68,6 +69,10 @@ class Prediction:
     neutral: int
 
     @property
+    def shortest_s(self) -> float:
+        return float(self.periods[0])
+
+    @property
     def longest_s(self) -> float:
         return float(self.periods[-1])
 
@@ -78,6 +83,7 @@ class Prediction:
             "component": self.component,
             "fast_period_s": self.tick_s,
             "largest_stable_s": self.largest_stable_s,
+            "shortest_scanned_s": self.shortest_s,
             "longest_scanned_s": self.longest_s,
             "stable_s": [list(interval) for interval in self.stable_s],
             "neutral_directions": self.neutral,
@@ -135,17 +141,24 @@ def scan(here: SetPoint, longest: float | None, *, beyond: bool = True) -> Predi
     # periods.
     roles = here.model.roles
     own, count = roles.period // roles.tick, _count(longest, roles.tick, roles.period)
-    maps, found = lifting.lifted_maps(here.loop(n) for n in range(1, count + 1)), list[float]()
+    shortest = here.model.shortest
+    if count < shortest:
+        raise ScenarioError(
+            f"--longest {longest:g}: {shown(shortest * roles.tick)} or more is expected, the shortest period that the controllers accept"
+        )
+    scanned = range(shortest, count + 1)
+    maps, found = lifting.lifted_maps(map(here.loop, scanned), shortest), list[float]()
     while part := list(islice(maps, BATCH)):
         found += [here.radius(multipliers) for multipliers in lifting.multipliers(part)]
         if not beyond and max(found) >= 1.0:
             break
     # Find the stable intervals and the first unstable mode.
     radius = np.array(found)
-    periods = np.array([seconds(n * roles.tick) for n in range(1, radius.size + 1)])
+    periods = np.array([seconds(n * roles.tick) for n in scanned[: radius.size]])
     stable = radius < 1.0
     unstable = np.flatnonzero(~stable)
-    first = int(unstable[0]) + 1 if unstable.size else None
+    first = scanned[int(unstable[0])] if unstable.size else None
+    last = count if first is None else first - 1
     boundary = here.modes(first)[0] if first else None
     coordinates = here.coordinates(first or own)
     return Prediction(
@@ -155,7 +168,7 @@ def scan(here: SetPoint, longest: float | None, *, beyond: bool = True) -> Predi
         period_s=seconds(roles.period),
         periods=periods,
         radius=radius,
-        largest_stable_s=seconds(((first or count + 1) - 1) * roles.tick),
+        largest_stable_s=seconds(last * roles.tick) if last >= shortest else 0.0,
         stable_s=_intervals(periods, stable),
         own=here.modes(own)[0],
         boundary=boundary,

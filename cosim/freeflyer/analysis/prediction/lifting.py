@@ -2,15 +2,16 @@
 
 A law is a linearised controller. The fast laws are sampled every T_m, the slow laws every n T_m. An
 instant is a point in time at which laws are sampled. The state of the loop at an instant is
-[x; signals; signals before the instant; pending outputs]. x is the state of the plant. A signal is
-an element of an output of the plant or of a law. In parallel exchange, an output of a law is
-pending until the next sample of the law. The actions of the master at an instant are linear
-assignments to elements of this state. An element is removed if no later action reads it.
+[x; signals; signals before the instant; pending outputs; memories]. x is the state of the plant. A
+signal is an element of an output of the plant or of a law. In parallel exchange, an output of a law
+is pending until the next sample of the law. A memory is the state of a law between two samples, for
+example of a filter or a delay. The actions of the master at an instant are linear assignments to
+elements of this state. An element is removed if no later action reads it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -63,19 +64,63 @@ def plant(A: Array, B: Array, C: Array, inputs: Inputs, tick: float) -> Plant:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Sample:
+    """One sample of a linearised controller: z(k) = A z(k-1) + B u(k), y(k) = C z(k-1) + D u(k).
+
+    u are the inputs, y the outputs, and z the memory. A controller without memory has only D.
+    """
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+
+    def each(self, function: Callable[[Array], Array]) -> Sample:
+        """Return a sample with `function` applied to each matrix."""
+        A, B, C, D = map(function, self.matrices)
+        return Sample(A=A, B=B, C=C, D=D)
+
+    @property
+    def matrices(self) -> tuple[Array, Array, Array, Array]:
+        return self.A, self.B, self.C, self.D
+
+    @property
+    def gain(self) -> Array:
+        """Gain from constant inputs to the outputs, after the memory has come to rest."""
+        rest = np.linalg.lstsq(np.eye(len(self.A)) - self.A, self.B, rcond=None)[0]
+        return np.asarray(self.D + self.C @ rest)
+
+
+def sample(D: Array) -> Sample:
+    """Return the sample of a controller without memory: y = D u."""
+    outputs, inputs = D.shape
+    return Sample(
+        A=np.zeros((0, 0)), B=np.zeros((0, inputs)), C=np.zeros((outputs, 0)), D=D
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
 class Law:
-    """Controller without memory, linearised at an operating point: outputs = gain @ inputs.
+    """Controller, linearised at an operating point.
 
     The outputs of the controller are the signals `first` to `last` - 1 of the loop. `slow` is true
-    if the controller is sampled every n T_m, and false if it is sampled every T_m.
+    if the controller is sampled every n T_m, and false if it is sampled every T_m. `sample` is its
+    sample at an instant at which all laws are sampled. `between` is its sample at another instant.
+    They differ if the controller depends on the time since the last sample of the slow laws, for
+    example if it delays a command by n T_m.
     """
 
     name: str
-    gain: Array
+    sample: Sample
+    between: Sample
     inputs: Inputs
     first: int
     last: int
     slow: bool
+
+    def each(self, function: Callable[[Array], Array]) -> Law:
+        """Return a law with `function` applied to each matrix."""
+        return replace(self, sample=self.sample.each(function), between=self.between.each(function))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,8 +148,12 @@ class Instants:
     def __init__(self, loop: Loop) -> None:
         self.loop = loop
         n, w = loop.plant.A.shape[0], loop.width
-        self._x, self._now, self._before, self._pending = slice(0, n), n, n + w, n + 2 * w
-        self.size = n + 3 * w
+        self._x, self._now, self._before, self.pending = slice(0, n), n, n + w, n + 2 * w
+        ends = n + 3 * w + np.cumsum([len(law.sample.A) for law in loop.laws], dtype=int)
+        self._memories = [
+            slice(end - len(law.sample.A), end) for law, end in zip(loop.laws, ends, strict=True)
+        ]
+        self.size = int(ends[-1]) if ends.size else n + 3 * w
         self._delays = any(
             inputs.delayed.any()
             for inputs in (loop.plant.inputs, *(law.inputs for law in loop.laws))
@@ -124,19 +173,21 @@ class Instants:
         if self._delays:
             rows[self._before : self._before + w] = rows[now : now + w]
         rows[now : now + plant.C.shape[0]] = plant.C @ rows[self._x]
-        due = [law for law in loop.laws if slow or not law.slow]
+        due = [
+            (law, law.sample if slow else law.between, memory)
+            for law, memory in zip(loop.laws, self._memories, strict=True)
+            if slow or not law.slow
+        ]
         if loop.parallel:
-            for law in due:  # the outputs of the last step become visible
+            for law, _, _ in due:  # the outputs of the last step become visible
                 rows[now + law.first : now + law.last] = rows[
-                    self._pending + law.first : self._pending + law.last
+                    self.pending + law.first : self.pending + law.last
                 ]
-            for law in due:
-                rows[self._pending + law.first : self._pending + law.last] = law.gain @ self._read(
-                    rows, law.inputs
-                )
-        else:
-            for law in due:
-                rows[now + law.first : now + law.last] = law.gain @ self._read(rows, law.inputs)
+        written = self.pending if loop.parallel else now
+        for law, one, memory in due:
+            u, z = self._read(rows, law.inputs), rows[memory].copy()
+            rows[written + law.first : written + law.last] = one.C @ z + one.D @ u
+            rows[memory] = one.A @ z + one.B @ u
         rows[self._x] = plant.step @ rows[self._x] + plant.step_input @ self._read(
             rows, plant.inputs
         )
@@ -154,16 +205,22 @@ class Instants:
     def feedback(self) -> Array:
         """Return the gain from the plant's states to the plant's inputs through all laws.
 
-        Its shape is (plant inputs, plant states). The gain is for a constant state of the plant. In
-        parallel exchange, an output can need several instants to reach the plant. Therefore several
-        instants are computed, and the state of the plant is kept constant.
+        Its shape is (plant inputs, plant states). The gain is for a constant state of the plant, and
+        for memories that have come to rest. In parallel exchange, an output can need several
+        instants to reach the plant. Therefore several instants are computed, and the state of the
+        plant is kept constant.
         """
-        rows = np.eye(self.size)[:, self._x]
-        for _ in range(len(self.loop.laws) + 1 if self.loop.parallel else 1):
+        laws = tuple(
+            replace(law, sample=(rest := sample(law.sample.gain)), between=rest)
+            for law in self.loop.laws
+        )
+        instants = Instants(replace(self.loop, laws=laws))
+        rows = np.eye(instants.size)[:, self._x]
+        for _ in range(len(laws) + 1 if self.loop.parallel else 1):
             state = rows[self._x].copy()
-            self.apply(rows, slow=True)
+            instants.apply(rows, slow=True)
             rows[self._x] = state
-        return self._read(rows, self.loop.plant.inputs)
+        return instants._read(rows, self.loop.plant.inputs)
 
 
 def relevant(loop: Loop) -> Indices:
@@ -173,9 +230,7 @@ def relevant(loop: Loop) -> Indices:
     result does not depend on the gains of slow laws.
     """
     # All gains of slow laws are set to 1 here, because a gain can be zero by chance.
-    laws = tuple(
-        replace(law, gain=np.ones_like(law.gain)) if law.slow else law for law in loop.laws
-    )
+    laws = tuple(law.each(np.ones_like) if law.slow else law for law in loop.laws)
     instants = Instants(replace(loop, laws=laws))
     return _ancestors(
         loop.plant.A.shape[0], *(instants.matrix(slow=slow) for slow in (False, True))
@@ -218,15 +273,15 @@ def _without_irrelevant(period_map: Array, states: int) -> Array:
     return period_map[np.ix_(kept, kept)]
 
 
-def lifted_maps(loops: Iterable[Loop]) -> Iterator[Array]:
-    """Yield the map over n T_m for the n-th loop, n = 1, 2, ....
+def lifted_maps(loops: Iterable[Loop], first: int = 1) -> Iterator[Array]:
+    """Yield the maps of the loops over n T_m, for n = `first`, `first` + 1, ....
 
     The laws of a loop may depend on n. The map over n T_m contains the power n - 1 of the map in
     which only fast laws are sampled. As long as the fast laws of two successive loops are bitwise
     equal, this power is updated by one multiplication.
     """
     before: Loop | None = None
-    for n, loop in enumerate(loops, start=1):
+    for n, loop in enumerate(loops, start=first):
         states = loop.plant.A.shape[0]
         if before is None or not _same_fast_laws(before, loop):
             kept = relevant(loop)
@@ -242,7 +297,15 @@ def _same_fast_laws(one: Loop, other: Loop) -> bool:
     if one.plant is not other.plant:
         return False
     return all(
-        a.slow or np.array_equal(a.gain, b.gain) for a, b in zip(one.laws, other.laws, strict=True)
+        a.slow
+        or all(
+            map(
+                np.array_equal,
+                (*a.sample.matrices, *a.between.matrices),
+                (*b.sample.matrices, *b.between.matrices),
+            )
+        )
+        for a, b in zip(one.laws, other.laws, strict=True)
     )
 
 

@@ -1,8 +1,9 @@
 """Linearise the loop of a scenario around an operating point, with directional derivatives of FMUs.
 
 The passivity controllers are disabled, because they are nonlinear. As long as the loop is passive,
-they have no effect anyway. The signal roles of the scenario name two things: the variables that are
-quaternions, and the parameters that switch the passivity controllers on and off.
+they have no effect anyway. A preview is disabled, too: the set point is at rest, but a later
+reference may move. The signal roles of the scenario name two things: the variables that are
+quaternions, and the parameters that switch passivity controllers and previews on and off.
 
 The prediction varies the period of one controller. This controller is called the scanned
 controller. All other controllers have the step T_m (`Roles.tick`).
@@ -17,6 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from freeflyer.analysis.prediction import lifting, tangent
+from freeflyer.analysis.prediction.controller import LinearisedController
 from freeflyer.analysis.prediction.lifting import Indices, Inputs, Law, Loop, Plant
 from freeflyer.analysis.prediction.loop_roles import Roles, check_signals, roles_of
 from freeflyer.analysis.prediction.sensitivity import DifferentiableFmu
@@ -31,7 +33,7 @@ from freeflyer.scenario import parameters
 from freeflyer.scenario.assemble import System, find_fmu
 from freeflyer.scenario.parameters import Values
 from freeflyer.scenario.scenario import ComponentSpec, Scenario
-from freeflyer.scenario.signal_roles import SignalRoles
+from freeflyer.scenario.signal_roles import SWITCHES, SignalRoles
 from freeflyer.scenario.steps import communication_steps
 
 Point = Mapping[str, Array]
@@ -44,8 +46,10 @@ Point = Mapping[str, Array]
 class LoopModel:
     """The loop of a loaded scenario. `opened` creates this object.
 
-    `plant_at` linearises the plant. `loop` linearises the controllers, and combines them with the
-    linearised plant.
+    `plant_at` linearises the plant. After `prepare`, `loop` linearises the controllers, and
+    combines them with the linearised plant. `shortest` is the shortest period of the scanned
+    controller that all controllers accept, in units of T_m. A controller can reject a period, for
+    example if its filter is slower. `shortest` is at most the period of the scenario.
     """
 
     def __init__(
@@ -64,6 +68,7 @@ class LoopModel:
         check_signals(scenario.roles, self.roles.plant, fmus)
         self.quaternions = scenario.roles.quaternions(self.roles.plant)
         self._linked = self._linked_parameters()
+        self.shortest = 1
 
         # The signals of the loop are the connected outputs. The outputs of the plant come first,
         # then the outputs of the controllers.
@@ -91,9 +96,12 @@ class LoopModel:
             fmu.bind_derivative(rates, k) for k in (states, self.driven(plant))
         )
         self._outputs_by_state = fmu.bind_derivative(self._outputs, states)
-        self._gains = {
-            name: fmus[name].bind_derivative(
-                [split(s)[1] for s in self.signals if split(s)[0] == name], self.driven(name)
+        self.controllers = {
+            name: LinearisedController(
+                fmus[name],
+                self.driven(name),
+                [split(s)[1] for s in self.signals if split(s)[0] == name],
+                self.roles.tick,
             )
             for name in self.roles.laws
         }
@@ -105,21 +113,20 @@ class LoopModel:
             values[name][parameter] = np.array([seconds(period)])
         return values
 
-    def started(self, stop: int, record_every: int) -> Master:
+    def started(self, period: int, stop: int, record_every: int) -> Master:
         """Return an initialised master.
 
-        The scanned controller has the step T_m, like all other controllers. With this step, the
-        motion is closest to the desired motion. `stop` is the end of the run, and `record_every` is
-        the time between two rows of the record. Both are in ns. Raises CosimError.
+        `period` is the period of the scanned controller, `stop` the end of the run, and
+        `record_every` the time between two rows of the record. All are in ns. Raises CosimError.
         """
-        tick, steps = self.roles.tick, dict(self.system.steps)
-        steps[self.roles.scanned] = tick
+        steps = dict(self.system.steps)
+        steps[self.roles.scanned] = period
         variable_step = {name: component.variable_step for name, component in self.fmus.items()}
         limits = [limit for limit in self.scenario.limits if split(limit.signal)[0] in self.fmus]
         master = Master(
             self.system.wiring, schedule.build(steps, stop, record_every, variable_step), limits
         )
-        master.initialise(self.values(tick))
+        master.initialise(self.values(period))
         return master
 
     def recorded(self) -> list[str]:
@@ -223,11 +230,14 @@ class LoopModel:
         """
         values, laws = self.values(period), []
         for name in self.roles.laws:
-            self.fmus[name].restart({**values[name], **self._inputs_at(name, point)})
             places = [place for signal, place in self.signals.items() if split(signal)[0] == name]
+            sample, between = self.controllers[name].samples(
+                self._start(name, values, point), self.period_of(name, period), period
+            )
             law = Law(
                 name=name,
-                gain=self._gains[name](),
+                sample=sample,
+                between=between,
                 inputs=self._inputs[name],
                 first=places[0].start if places else 0,
                 last=places[-1].stop if places else 0,
@@ -236,6 +246,47 @@ class LoopModel:
             laws.append(law)
         tick, parallel = seconds(self.roles.tick), self.scenario.exchange == "parallel"
         return Loop(plant=plant, laws=tuple(laws), width=self._width, tick=tick, parallel=parallel)
+
+    def prepare(self, point: Point) -> None:
+        """Find the memories of the controllers and the shortest period, near a point.
+
+        Raises CosimError.
+        """
+        period = self.roles.period
+        values = self.values(period)
+        for name, controller in self.controllers.items():
+            controller.find_memory(
+                self._start(name, values, point), self.period_of(name, period), period
+            )
+        self.shortest = self._shortest_period(point) // self.roles.tick
+
+    def _shortest_period(self, point: Point) -> int:
+        tick, own = self.roles.tick, self.roles.period
+        concerned = {self.roles.scanned, *(name for name, _ in self._linked)} & set(self.roles.laws)
+        for period in range(tick, own, tick):
+            values = self.values(period)
+            if all(
+                self.controllers[name].accepts(
+                    self._start(name, values, point), self.period_of(name, period)
+                )
+                for name in concerned
+            ):
+                return period
+        return own
+
+    def responses(self, name: str, point: Point, count: int) -> tuple[Array, Array]:
+        """Return the simulated response of a controller (`LinearisedController.responses`)."""
+        period = self.roles.period
+        return self.controllers[name].responses(
+            self._start(name, self.values(period), point), self.period_of(name, period), count
+        )
+
+    def period_of(self, name: str, period: int) -> int:
+        """Return the period [ns] of a controller, if the scanned controller has the `period`."""
+        return period if name == self.roles.scanned else self.roles.tick
+
+    def _start(self, name: str, values: Values, point: Point) -> dict[str, Array]:
+        return {**values[name], **self._inputs_at(name, point)}
 
     # Inputs
 
@@ -314,7 +365,7 @@ def opened(scenario: Scenario, scanned: str | None = None) -> Iterator[LoopModel
         quiet = replace(
             scenario,
             components=tuple(
-                _without_passivity_control(spec, fmus[spec.name], scenario.roles) for spec in specs
+                _switched_off(spec, fmus[spec.name], scenario.roles) for spec in specs
             ),
         )
         samples = {spec.name: spec.samples for spec in specs if spec.samples is not None}
@@ -347,15 +398,15 @@ def _differentiable(spec: ComponentSpec, scenario: Scenario) -> DifferentiableFm
     return DifferentiableFmu(spec.name, find_fmu(spec.name, spec.options, scenario.directory))
 
 
-def _without_passivity_control(
+def _switched_off(
     spec: ComponentSpec, fmu: DifferentiableFmu, roles: SignalRoles
 ) -> ComponentSpec:
-    switches = [n for n in roles.variables("passivity_control", spec.name) if n in fmu.ports]
-    for name in switches:
-        if not (fmu.ports[name].boolean and fmu.ports[name].settable):
-            raise ScenarioError(
-                f"roles.passivity_control: {spec.name}.{name} is not a Boolean parameter"
-            )
+    switches = []
+    for role in SWITCHES:
+        for name in (n for n in roles.variables(role, spec.name) if n in fmu.ports):
+            if not (fmu.ports[name].boolean and fmu.ports[name].settable):
+                raise ScenarioError(f"roles.{role}: {spec.name}.{name} is not a Boolean parameter")
+            switches.append(name)
     return replace(spec, parameters={**spec.parameters, **dict.fromkeys(switches, False)})
 
 

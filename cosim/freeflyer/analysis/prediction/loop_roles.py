@@ -17,7 +17,7 @@ from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer.master.graph import port
 from freeflyer.scenario.assemble import System
 from freeflyer.scenario.scenario import Scenario
-from freeflyer.scenario.signal_roles import SINGLE, SignalRoles
+from freeflyer.scenario.signal_roles import SINGLE, SWITCHES, SignalRoles
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +51,7 @@ def roles_of(
     if len(plants) != 1:
         raise ScenarioError(
             f"scenario {scenario.name}: {len(plants)} connected components have continuous states"
-            f"{' (' + ', '.join(plants) + ')' if plants else ''}; the prediction needs exactly one plant, and controllers without memory"
+            f"{' (' + ', '.join(plants) + ')' if plants else ''}; the prediction needs exactly one plant, and sampled controllers"
         )
 
     # Only a period that is a parameter can be scanned.
@@ -118,13 +118,12 @@ def check_signals(
     """Check the signals that a scenario declares in `[roles]`.
 
     Raises ScenarioError in these cases: a signal does not exist, its size does not fit the role, it
-    is not a variable of the plant, or it has two roles. The switches of the passivity controllers
-    may belong to any component.
+    is not a variable of the plant, or it has two roles. The switches may belong to any component.
     """
     used: dict[str, str] = {}
     for role, signals in roles.declared.items():
         for signal in signals:
-            if role != "passivity_control" and component_of(signal) != plant:
+            if role not in SWITCHES and component_of(signal) != plant:
                 raise ScenarioError(f"roles.{role} is {signal}; a variable of {plant} is expected")
             found = port(components, signal, f"roles.{role}")
             size = 4 if role == "orientations" else SINGLE.get(role)

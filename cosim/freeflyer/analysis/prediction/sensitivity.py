@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -15,6 +16,7 @@ from fmpy.model_description import ModelVariable
 
 from freeflyer.fmi.component import Array
 from freeflyer.fmi.fmu import FmuComponent
+from freeflyer.fmi.fmu_description import OWN_TOOL
 from freeflyer.foundation.errors import ComponentError
 
 
@@ -63,13 +65,31 @@ class DifferentiableFmu(FmuComponent):
         """
         return tuple(self._rates)
 
+    @property
+    def discrete_states(self) -> Sequence[str]:
+        """Ports that are the memory of a sampled FMU of this project.
+
+        FMI has no derivatives by discrete states. Therefore FMUs of other tools are not asked.
+        """
+        if self.description.generationTool != OWN_TOOL or self._rates:
+            return ()
+        states = []
+        for name in self.ports:
+            first = self.variables_of(name)[0]
+            if first.causality in ("local", "output") and first.variability == "discrete":
+                with suppress(ComponentError):  # an output that is not a state is rejected
+                    self.bind_derivative([name], [name])()
+                    states.append(name)
+        return tuple(states)
+
     def bind_derivative(
         self, unknowns: Sequence[str], knowns: Sequence[str]
     ) -> Callable[[], Array]:
         """Return a function that computes the derivatives of `unknowns` with respect to `knowns`.
 
         An unknown is an output, a state, or a state derivative `der(STATE)`. A known is an input or
-        a state. The function returns a Jacobian with one row for each element of the unknowns, and
+        a state. A discrete state is the value before a sample as a known, and the value after it as
+        an unknown. The function returns a Jacobian with one row for each element of the unknowns, and
         one column for each element of the knowns. It raises ComponentError if the FMU returns an
         error.
         """

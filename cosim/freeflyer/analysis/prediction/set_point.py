@@ -1,8 +1,8 @@
 """Set point: the start of a scenario as the operating point of the linearised loop.
 
-The start must be an equilibrium. The controllers must have no memory: their outputs must depend
-only on their inputs at the same sample. This module checks both conditions. T_m is the step of the
-fast controllers (`loop_roles`).
+The start must be an equilibrium. The outputs of a controller must depend only on its inputs, and on
+a memory whose derivatives its FMU provides (`controller`). This module checks both conditions. T_m
+is the step of the fast controllers (`loop_roles`).
 """
 
 from __future__ import annotations
@@ -14,24 +14,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from freeflyer.analysis.prediction import lifting, linearisation
-from freeflyer.analysis.prediction.lifting import Loop, Plant
+from freeflyer.analysis.prediction.lifting import Law, Loop, Plant
 from freeflyer.analysis.prediction.linearisation import LoopModel, Point
 from freeflyer.analysis.prediction.modes import Mode, modes
 from freeflyer.analysis.prediction.task_coordinates import TaskCoordinates, task_coordinates
-from freeflyer.foundation.clock import seconds
-from freeflyer.foundation.errors import ComponentError, ScenarioError, StepFailed
-from freeflyer.foundation.signal_name import split
+from freeflyer.foundation.clock import seconds, shown
+from freeflyer.foundation.errors import ComponentError, ScenarioError
 from freeflyer.scenario.scenario import Scenario
 
 REST = 1e-6
 """The plant is at rest if no state changes faster than this rate [SI unit of the state per s]."""
 MEMORY = 1e-9
-"""Limit for the ratio of two deviations of a controller's outputs.
+"""Limit for the effect of an unknown memory of a controller.
 
-The first deviation is measured one sample after a disturbance of the inputs. It is divided by the
-second deviation, which is measured during the disturbance. A controller with a larger ratio has
-memory.
+The inputs are disturbed for one sample. The effect is the difference of the simulated and the
+linearised outputs at later samples, divided by the change of the outputs during the disturbance.
 """
+NONLINEAR = 1e-3
+"""Largest relative error of the linearised outputs at later samples, for a known memory."""
+SAMPLES = 6
+"""Number of samples of a simulated response."""
 NEUTRAL = 1e-12
 """Limit for singular values of P - 1. P is the map over one period, 1 is the identity matrix.
 
@@ -51,8 +53,17 @@ class SetPoint:
         self.neutral = self._neutral()
 
     def loop(self, n: int) -> Loop:
-        """Return the linearised loop with a base period of n T_m."""
-        return self.model.loop(self.plant, self.point, n * self.model.roles.tick)
+        """Return the linearised loop with a base period of n T_m.
+
+        Raises ScenarioError if a controller does not accept this period.
+        """
+        period = n * self.model.roles.tick
+        try:
+            return self.model.loop(self.plant, self.point, period)
+        except ComponentError as error:
+            raise ScenarioError(
+                f"with the period {shown(period)} of {self.model.roles.scanned}: {error}"
+            ) from error
 
     def coordinates(self, n: int) -> TaskCoordinates:
         """Return the task coordinates of the loop with a base period of n T_m."""
@@ -81,8 +92,8 @@ class SetPoint:
         return [mode for mode in found if all(mode is not other for other in neutral)]
 
     def _neutral(self) -> int:
-        loop = self.loop(1)
-        period_map = lifting.lifted(loop, 1)
+        n = self.model.shortest
+        period_map = lifting.lifted(self.loop(n), n)
         gaps = np.linalg.svd(period_map - np.eye(len(period_map)), compute_uv=False)
         return int(np.count_nonzero(gaps < NEUTRAL))
 
@@ -100,13 +111,17 @@ def at_set_point(scenario: Scenario, component: str | None = None) -> Iterator[S
 def set_point(model: LoopModel) -> Point:
     """Return the start of the scenario as operating point.
 
-    Raises ScenarioError if the start is not an equilibrium, or if a controller has memory.
+    Raises ScenarioError if the start is not an equilibrium, or if a controller has a memory that is
+    not known.
     """
-    master = model.started(max(model.system.steps.values()), model.roles.tick)
+    master = model.started(
+        model.roles.period, max(model.system.steps.values()), model.roles.tick
+    )
     point = {signal: master.value(signal).copy() for signal in model.recorded()}
     plant = model.fmus[model.roles.plant]
-    for name in model.roles.laws:
-        _check_memory(model, name, point)
+    model.prepare(point)
+    for law in model.loop(model.plant_at(point), point, model.roles.period).laws:
+        _check_memory(model, law, point)
     master.write_inputs_now(model.roles.plant)
     rates = np.abs(plant.rates())
     if rates.max() > REST:
@@ -118,34 +133,28 @@ def set_point(model: LoopModel) -> Point:
     return point
 
 
-def _check_memory(model: LoopModel, name: str, point: Point) -> None:
-    """Disturb the inputs of a controller for one sample, and check the outputs at the next sample.
+def _check_memory(model: LoopModel, law: Law, point: Point) -> None:
+    """Disturb the inputs of a controller for one sample, and check the outputs at later samples.
 
-    Raises ScenarioError if the disturbance still affects these outputs.
+    Raises ScenarioError if these outputs differ from those of the linearised controller.
     """
-    fmu, roles = model.fmus[name], model.roles
-    names, outputs = model.driven(name), [split(s)[1] for s in model.signals if split(s)[0] == name]
-    if not names or not outputs:
+    if not (law.sample.B.shape[1] and law.sample.C.shape[0]):
         return
-    u = np.zeros(sum(fmu.ports[n].size for n in names))
-    y = np.zeros(sum(fmu.ports[n].size for n in outputs))
-    write, read = fmu.bind_inputs(names, u), fmu.bind_outputs(outputs, y)
-    rest = np.concatenate([point[c.source] for c in model.connections_of(name)])
-    disturbance = 1e-4 * np.random.default_rng(0).uniform(-1.0, 1.0, u.size)
-    sampled = []
-    for k, inputs in enumerate((rest, rest + disturbance, rest)):
-        u[:] = inputs
-        write()
-        try:
-            fmu.step(seconds(k * roles.tick), seconds(roles.tick))
-        except StepFailed as error:
-            raise ComponentError(f"component {error}") from error
-        read()
-        sampled.append(y.copy())
-    during, after = np.abs(sampled[1] - sampled[0]), np.abs(sampled[2] - sampled[0])
-    if after.max() > MEMORY * during.max():
-        worst = [n for n in outputs for _ in range(fmu.ports[n].size)][int(after.argmax())]
+    disturbance, simulated = model.responses(law.name, point, SAMPLES)
+    period, n = model.roles.period, model.roles.period // model.roles.tick
+    own = model.period_of(law.name, period)
+    z, expected = np.zeros(len(law.sample.A)), []
+    for k in range(SAMPLES):  # the disturbed sample is the second of the controller
+        one = law.sample if own == period or (k + 1) % n == 0 else law.between
+        u = disturbance * (k == 0)
+        expected.append(one.C @ z + one.D @ u)
+        z = one.A @ z + one.B @ u
+    scale = MEMORY * np.abs(simulated[0]).max() + NONLINEAR * np.abs(expected[1:]).max()
+    unknown = np.abs(simulated - expected)[1:].max(axis=0)
+    if unknown.max() > scale:
+        outputs = model.controllers[law.name].outputs
+        worst = [n for n in outputs for _ in range(model.fmus[law.name].ports[n].size)]
         raise ScenarioError(
-            f"component {name} has memory: a disturbance of its inputs still affects its output {worst} one sample later; the "
-            f"prediction needs controllers without memory, with all passivity controllers switched off"
+            f"component {law.name} has memory: a disturbance of its inputs still affects its output {worst[int(unknown.argmax())]} at later "
+            f"samples; the prediction needs controllers without memory, or FMUs of this project with a linear memory, and all passivity controllers switched off"
         )

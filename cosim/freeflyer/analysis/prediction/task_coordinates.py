@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from freeflyer.analysis.prediction.lifting import Indices, Instants, Loop
+from freeflyer.analysis.prediction.lifting import Instants, Loop
 from freeflyer.analysis.prediction.linearisation import LoopModel, Point
 from freeflyer.fmi.component import Array
 from freeflyer.foundation.errors import ScenarioError
@@ -101,36 +101,12 @@ def task_coordinates(model: LoopModel, loop: Loop, point: Point) -> TaskCoordina
     # Describe the laws by a wrench F = -K_P x - K_D x' at the ports. F causes the same acceleration
     # x'' as the wrenches and torques of the laws. In a redundant manipulator, a part of the torques
     # acts only in the null space. F does not contain this part.
-    F = (
-        np.linalg.solve(inverse, acceleration)
-        @ Instants(loop).feedback()[inputs]
-        @ np.linalg.pinv(np.vstack([pose, velocity]))
-    )
+    feedback = Instants(loop).feedback()[inputs] @ np.linalg.pinv(np.vstack([pose, velocity]))
+    F = np.linalg.solve(inverse, acceleration) @ feedback
+    # For the base, use the base wrench itself: its part J_b^T F_m does not depend on x_b.
+    F[:6] = feedback[:6]
     stiffness, damping = -np.diag(F[:, :12]), -np.diag(F[:, 12:])
-    # For the base, use only the law of the base controller (`_own_law`).
-    own = _own_law(loop, inputs[:6])
-    stiffness[:6] = -np.diag(own @ np.linalg.pinv(pose[:6]))
-    damping[:6] = -np.diag(own[:, model.states_of_plant([variables["base_velocity"]], point)])
     return TaskCoordinates(
         pose=pose, velocity=velocity, inertia=inertia, stiffness=stiffness, damping=damping
     )
 
-
-def _own_law(loop: Loop, inputs: Indices) -> Array:
-    """Return the gain (6, n) from the plant's states to the base wrench.
-
-    `inputs` are the indices of the base wrench in the plant's inputs. The gain contains only the
-    feedback of those inputs of the base controller that are outputs of the plant. The base
-    controller also receives the end-effector wrench F_m, and adds the compensation J_b^T F_m. This
-    compensation is omitted, because it is not a spring or a damper of the base.
-    """
-    sources = loop.plant.inputs.sources[inputs]
-    law = next(
-        (law for law in loop.laws if law.first <= sources[0] and sources[-1] < law.last), None
-    )
-    if law is None:
-        return np.zeros((6, loop.plant.A.shape[0]))
-    measured = law.inputs.sources < loop.plant.C.shape[0]
-    return np.asarray(
-        law.gain[np.ix_(sources - law.first, measured)] @ loop.plant.C[law.inputs.sources[measured]]
-    )

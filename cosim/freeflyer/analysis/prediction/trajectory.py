@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from freeflyer.analysis.prediction import lifting
-from freeflyer.analysis.prediction.lifting import Loop
+from freeflyer.analysis.prediction.lifting import Loop, Sample
 from freeflyer.analysis.prediction.linearisation import LoopModel, Point
 from freeflyer.analysis.prediction.task_coordinates import TaskCoordinates
 from freeflyer.fmi.component import Array
@@ -81,7 +81,10 @@ class AlongTrajectory:
 
 
 class Trajectory:
-    """Linearisations of the plant along a run in which all controllers have the step T_m."""
+    """Linearisations of the plant along a run with the shortest period of the scanned controller.
+
+    With this period (`LoopModel.shortest`), the motion is closest to the desired motion.
+    """
 
     def __init__(self, model: LoopModel, coordinates: TaskCoordinates, cell: float = CELL) -> None:
         """Run the scenario, and linearise the plant every `cell` [s].
@@ -93,13 +96,13 @@ class Trajectory:
         self.cell = max(nanoseconds(cell, "the cell") // tick, 1)  # in units of T_m
         cells = model.scenario.stop // tick // self.cell
         self.ticks = cells * self.cell
-        outcome = model.started(self.ticks * tick, self.cell * tick).run()
+        outcome = model.started(model.shortest * tick, self.ticks * tick, self.cell * tick).run()
         if outcome.interrupted:
             raise KeyboardInterrupt
         if outcome.cause:
             raise ScenarioError(
-                f"scenario {model.scenario.name}: the run stops at {outcome.simulated:g} s ({outcome.cause}), even if the step of all controllers "
-                f"is {seconds(tick):g} s; therefore there is no trajectory for the prediction"
+                f"scenario {model.scenario.name}: the run stops at {outcome.simulated:g} s ({outcome.cause}), even with a base period of "
+                f"{seconds(model.shortest * tick):g} s; therefore there is no trajectory for the prediction"
             )
         record = outcome.record
         self.points: list[Point] = [
@@ -209,18 +212,19 @@ class Trajectory:
         The base period is n T_m. The result is 0 if no stable period is found. The error of the
         result is at most 1 % or one T_m, whichever is larger.
         """
-        below, above, n = 0, longest + 1, min(max(first, 1), longest)
+        none, above = self.model.shortest - 1, longest + 1
+        below, n = none, min(max(first, none + 1), longest)
         step, count = max(n // 10, 1), 0
         while above - below > max(1, below // 100):
             if self.growth_rate(n) < 0.0:
                 below, n = n, n + step if above > longest else (n + above) // 2
             else:
-                above, n = n, n - step if below == 0 else (n + below) // 2
+                above, n = n, n - step if below == none else (n + below) // 2
             n, step = min(max(n, below + 1), above - 1), 2 * step
             count += 1
             if progress:
                 progress(1.0 - 1.0 / (1.0 + 0.3 * count))
-        return below
+        return below if below > none else 0
 
 
 def _relevant(loops: Sequence[Loop]) -> lifting.Indices:
@@ -231,7 +235,11 @@ def _relevant(loops: Sequence[Loop]) -> lifting.Indices:
     """
     first = loops[0]
     laws = [
-        replace(law, gain=_magnitude([loop.laws[k].gain for loop in loops]))
+        replace(
+            law,
+            sample=_largest([loop.laws[k].sample for loop in loops]),
+            between=_largest([loop.laws[k].between for loop in loops]),
+        )
         for k, law in enumerate(first.laws)
     ]
     C, step, step_input = (
@@ -240,6 +248,11 @@ def _relevant(loops: Sequence[Loop]) -> lifting.Indices:
     )
     plant = replace(first.plant, C=C, step=step, step_input=step_input)
     return lifting.relevant(replace(first, plant=plant, laws=tuple(laws)))
+
+
+def _largest(samples: Sequence[Sample]) -> Sample:
+    A, B, C, D = (_magnitude(part) for part in zip(*(s.matrices for s in samples), strict=True))
+    return Sample(A=A, B=B, C=C, D=D)
 
 
 def _magnitude(matrices: Sequence[Array]) -> Array:
@@ -267,7 +280,8 @@ def along_trajectory(
 ) -> AlongTrajectory:
     """Analyse the loop with the period of the scenario, and search the stability boundary.
 
-    The boundary is searched between T_m and `longest` [s]. The search starts at `guess` [s].
+    The boundary is searched between the shortest period and `longest` [s]. The search starts at
+    `guess` [s].
     Raises CosimError.
     """
     check_length(model)
