@@ -221,10 +221,11 @@ def test_an_invalid_log_is_rejected_before_a_device_is_opened(
 def test_a_second_signal_does_not_interrupt_the_stop() -> None:
     with interrupts() as asked:
         with no_interrupts():
+            # A signal of `os.kill` can arrive later, if the kernel gives it to another thread.
             for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-                os.kill(os.getpid(), number)
+                signal.raise_signal(number)
         assert not asked
-        os.kill(os.getpid(), signal.SIGHUP)  # the terminal was closed
+        signal.raise_signal(signal.SIGHUP)  # the terminal was closed
         assert len(asked) == 1
 
 

@@ -6,7 +6,7 @@ The simulated growth rate is fitted to the growth of a small perturbation.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +19,8 @@ from freeflyer.analysis.prediction.task_coordinates import TaskCoordinates
 from freeflyer.scenario import scenario
 from freeflyer.scenario.assemble import assembled
 
-NAME = "multirate_unstable"
+Overrides = Callable[[int], tuple[str, list[str]]]
+"""Function of a seed: the name of a scenario, and its overrides."""
 PERTURBATION = 1e-6
 DURATION = 80.0
 LONGEST = 1.0
@@ -58,8 +59,34 @@ class Comparison:
         return f"{self.seed:3d}  {self.predicted:4d} ms  {sides}  {self.limit}"
 
 
-def random_gains(seed: int) -> list[str]:
+def random_gains(seed: int) -> tuple[str, list[str]]:
     """Return overrides with random gains per axis; those of the base vary by more than a decade."""
+    return "multirate_unstable", gains(seed)
+
+
+def random_memories(seed: int) -> tuple[str, list[str]]:
+    """Return overrides with random gains, laws, masses, filter and delays of the robust loop."""
+    random = np.random.default_rng([seed, 18])
+    late = random.choice(["on time", "late", "late, predicted"], p=[0.2, 0.2, 0.6])
+    delay = 0.0 if late == "on time" else "=base_controller.period"
+    law = random.choice(["emulated", "matched"])
+    factor = random.uniform(0.4, 1.6)
+    chosen = {
+        "base_controller.discretisation": law,
+        "manipulator_controller.discretisation": law,
+        "manipulator_controller.filter_time": round(random.uniform(0.005, 0.03), 4),
+        "base_command_delay.delay": delay,
+        "base_controller.command_delay": delay if late == "late, predicted" else 0.0,
+        "arm_command_delay.delay": random.choice([0.0, 0.001]),
+        "base_controller.base_mass": round(150.0 * factor, 1),
+        "base_controller.base_inertia": [
+            round(factor * own, 2) for own in (38.0, 20.0, 23.0, 0.0, 0.0, 0.0)
+        ],
+    }
+    return "disturbed", [*gains(seed), *(f"{name}={value}" for name, value in chosen.items())]
+
+
+def gains(seed: int) -> list[str]:
     random = np.random.default_rng(seed)
 
     def drawn(least: tuple[float, float], most: tuple[float, float]) -> list[float]:
@@ -77,26 +104,30 @@ def random_gains(seed: int) -> list[str]:
     ]
 
 
-def comparisons() -> Iterator[Comparison]:
+def comparisons(drawn: Overrides) -> Iterator[Comparison]:
     """Yield the comparisons of all seeds whose predicted boundary lies within the scan."""
     seed = 0
     while True:
-        found = compared(seed)
+        found = compared(seed, drawn)
         if found:
             yield found
         seed += 1
 
 
-def compared(seed: int) -> Comparison | None:
-    """Return a comparison, or None if the loop is stable, or unstable, at all scanned periods."""
-    overrides = [*QUIET, *random_gains(seed)]
-    with at_set_point(scenario.load(NAME, overrides)) as here:
-        prediction = scan(here, LONGEST)
+def compared(seed: int, drawn: Overrides, tolerance: float = 0.02) -> Comparison | None:
+    """Return a comparison, or None if the loop is stable, or unstable, at all scanned periods.
+
+    The periods are compared at `tolerance` times the boundary, or at one T_m if this is larger.
+    """
+    name, own = drawn(seed)
+    overrides = [*QUIET, *own]
+    with at_set_point(scenario.load(name, overrides)) as here:
+        prediction = scan(here, LONGEST, beyond=False)
         n = round(prediction.largest_stable_s / prediction.tick_s)
-        if not prediction.boundary or not prediction.limit or n < 2:
+        off = max(int(tolerance * n), 1)
+        if not prediction.boundary or not prediction.limit or n - off < here.model.shortest:
             return None
-        # Tolerance: 2 % or one T_m, whichever is larger. The first unstable period is n + 1.
-        off = max(int(0.02 * n), 1)
+        # The first unstable period is n + 1.
         below, above = (
             side(here, prediction.coordinates, overrides, k, seed) for k in (n - off, n + off + 1)
         )
@@ -113,12 +144,13 @@ def side(
     # direction.
     start, rest = vectors[:24, worst].real, np.random.default_rng(seed).normal(size=24)
     start = start / np.linalg.norm(start) + 0.01 * rest / np.linalg.norm(rest)
-    rate = fitted_growth(overrides, PERTURBATION * start, n, coordinates)
+    name = here.model.scenario.name
+    rate = fitted_growth(name, overrides, PERTURBATION * start, n, coordinates)
     return Side(n=n, predicted=math.log(abs(values[worst])) / (1e-3 * n), simulated=rate)
 
 
 def fitted_growth(
-    overrides: list[str], start: Array, n: int, coordinates: TaskCoordinates
+    name: str, overrides: list[str], start: Array, n: int, coordinates: TaskCoordinates
 ) -> float:
     """Return the growth rate [1/s]: the slope of ln sqrt(energy) at the base's samples.
 
@@ -132,7 +164,7 @@ def fitted_growth(
         f"record.every_s={n / 1000!r}",
         f"stop_s={stop!r}",
     ]
-    chosen = scenario.load(NAME, [*overrides, *starting_at(start), *times])
+    chosen = scenario.load(name, [*overrides, *starting_at(start), *times])
     with assembled(chosen) as (master, _):
         record = master.run().record
     rest = (np.zeros(3), np.array([0.0, 0.0, 0.0]), np.zeros(6), POSTURE, np.zeros(6))

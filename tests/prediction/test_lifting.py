@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,7 +12,7 @@ from scipy.linalg import expm
 from simulated_period import QUIET, Array, jacobian
 
 from freeflyer.analysis.prediction import lifting
-from freeflyer.analysis.prediction.lifting import Inputs, Instants, Law, Loop
+from freeflyer.analysis.prediction.lifting import Inputs, Instants, Law, Loop, Sample
 from freeflyer.analysis.prediction.set_point import at_set_point
 from freeflyer.scenario import scenario
 
@@ -59,6 +61,52 @@ def test_the_lifted_map_is_the_derivative_of_the_simulated_period_in_parallel_ex
     for k in range(2 * n):
         instants.apply(rows, slow=k % n == 0)
     assert np.abs(rows[:24] - jacobian(NAME, overrides, 2 * n / 1000)).max() < ROUNDING
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ["base_controller.period=0.05"],
+        [
+            "base_controller.period=0.05",
+            "base_command_delay.delay==base_controller.period",
+            "arm_command_delay.delay=0.001",
+        ],
+        [
+            "base_controller.period=0.04",
+            "base_command_delay.delay==base_controller.period",
+            "base_controller.command_delay=0.02",
+            "base_controller.base_mass=200",
+            "manipulator_controller.discretisation=emulated",
+        ],
+    ],
+    ids=[
+        "filter",
+        "late commands, predicted",
+        "late command, prediction of half of it, wrong mass",
+    ],
+)
+def test_the_lifted_map_of_controllers_with_memory_is_the_derivative_of_two_simulated_periods(
+    overrides: list[str],
+) -> None:
+    with at_set_point(scenario.load("disturbed", [*QUIET, *overrides])) as here:
+        n = here.model.roles.period // here.model.roles.tick
+        loop = here.loop(n)
+    # The memories are zero at the start. Only the filter starts at its first input u: with
+    # z+ = (1 - s) z + s u, its memory before the first sample is u.
+    instants = Instants(loop)
+    rows = np.zeros((instants.size, 24))
+    rows[:24] = np.eye(24)
+    instants.apply(started := rows.copy(), slow=True)
+    law = next(law for law in loop.laws if law.name == "manipulator_controller")
+    filters = instants.memories[loop.laws.index(law)]
+    share = 1.0 - np.diag(law.sample.A)
+    assert share == pytest.approx(np.full(24, 1.0 / 31.0))
+    rows[filters] = started[filters] / share[:, None]
+    for k in range(2 * n):
+        instants.apply(rows, slow=k % n == 0)
+    simulated = jacobian("disturbed", overrides, 2 * n / 1000)
+    assert np.abs(rows[:24] - simulated).max() < ROUNDING
 
 
 def one_axis(
@@ -129,6 +177,21 @@ def test_a_delayed_connection_delays_the_output_by_one_step(k: float, d: float, 
     assert np.poly(np.linalg.eigvals(found)) == pytest.approx(
         np.poly(np.linalg.eigvals(exact)), abs=1e-8
     )
+
+
+@given(k=st.floats(1.0, 500.0), d=st.floats(1.0, 500.0), n=st.integers(1, 60))
+def test_a_law_with_a_memory_of_one_command_is_late_by_one_period(
+    k: float, d: float, n: int
+) -> None:
+    """The memory is the command of the last sample. The loop equals that of parallel exchange."""
+    gain, one, zero = np.array([[-k, -d]]), np.eye(1), np.zeros((1, 1))
+    late = Sample(A=zero, B=gain, C=one, D=np.zeros((1, 2)))
+    loop = one_axis(20.0, k, d, 1e-3)
+    loop = replace(loop, laws=(replace(loop.laws[0], sample=late, between=late),))
+    found = np.linalg.eigvals(lifting.lifted(loop, n))
+    parallel = np.linalg.eigvals(lifting.lifted(one_axis(20.0, k, d, 1e-3, parallel=True), n))
+    assert np.poly(found) == pytest.approx(np.poly(parallel), abs=1e-8)
+    assert late.gain == pytest.approx(gain)
 
 
 @pytest.mark.parametrize("discretisation", ["emulated", "matched"])

@@ -76,7 +76,18 @@ MISTAKES = {
         ],
         "there is no trajectory for the prediction",
     ),
-    "controllers with memory": (["facility"], "the prediction needs controllers without memory"),
+    "controllers with a nonlinear memory": (
+        ["facility"],
+        "the prediction needs controllers without memory",
+    ),
+    "longest period that the controllers reject": (
+        ["robust", "--longest", "0.02"],
+        "--longest 0.02: 0.03 s or more is expected",
+    ),
+    "delay that fits only one period": (
+        ["disturbed", "--set", "base_command_delay.delay=0.3"],
+        "with the period 0.301 s of base_controller: component base_command_delay",
+    ),
 }
 
 

@@ -7,7 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from families import family
-from simulated_boundary import compared, comparisons, side
+from simulated_boundary import (
+    Overrides,
+    compared,
+    comparisons,
+    random_gains,
+    random_memories,
+    side,
+)
 from simulated_period import QUIET
 
 from freeflyer.analysis.prediction import linearisation
@@ -161,9 +168,35 @@ def test_components_without_connections_are_not_part_of_the_loop() -> None:
 @pytest.mark.parametrize("seed", family([0, 5, 16]))
 def test_the_simulated_boundary_is_the_predicted_one(seed: int) -> None:
     """Three of the fifty sets below: one sampled damper and two sampled springs."""
-    found = compared(seed)
+    found = compared(seed, random_gains)
     assert found is not None
     assert found.agrees, found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", family([2, 7]))
+def test_the_simulated_boundary_of_controllers_with_memory_is_the_predicted_one(seed: int) -> None:
+    """Within one T_m: a filter and a predicted delay."""
+    found = compared(seed, random_memories, tolerance=0.0)
+    assert found is not None
+    assert found.agrees, found
+
+
+def test_the_robust_loop_is_predicted_from_the_shortest_period_of_its_filter() -> None:
+    found = predict(scenario.load("robust"))
+    assert found.shortest_s == 0.03
+    assert found.boundary is None
+    assert found.coordinates.stiffness[:6] == pytest.approx([150.0] * 3 + [40.0] * 3, rel=0.15)
+
+
+def test_a_late_command_is_unstable_unless_the_controller_predicts_over_it() -> None:
+    late = ["base_command_delay.delay==base_controller.period"]
+    assert predict(scenario.load("disturbed", late), longest=0.35).boundary is None
+    unaware = predict(
+        scenario.load("disturbed", [*late, "base_controller.command_delay=0"]), longest=0.35
+    )
+    assert unaware.largest_stable_s == 0.0
+    assert unaware.own.growth_rate == pytest.approx(0.233, rel=0.01)
 
 
 @pytest.mark.slow
@@ -192,13 +225,14 @@ def test_the_simulation_confirms_a_stable_interval_above_the_first_boundary() ->
 
 
 @pytest.mark.benchmark
-def test_the_simulated_boundary_is_the_predicted_one_in_fifty_random_gain_sets() -> None:
+@pytest.mark.parametrize("drawn", [random_gains, random_memories])
+def test_the_simulated_boundary_is_the_predicted_one_in_fifty_random_sets(drawn: Overrides) -> None:
     """Compares boundaries within max(2 %, one T_m), and the growth rates of a 1e-6 perturbation."""
     agreeing = 0
     print(
         "\nset  predicted  n: simulated (predicted) growth rate [1/s] below and above  limited by"
     )
-    for found, _ in zip(comparisons(), range(50), strict=False):
+    for found, _ in zip(comparisons(drawn), range(50), strict=False):
         print(found, "" if found.agrees else "DIFFERS", flush=True)
         agreeing += found.agrees
         for each in (found.below, found.above):

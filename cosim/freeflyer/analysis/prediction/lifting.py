@@ -94,9 +94,7 @@ class Sample:
 def sample(D: Array) -> Sample:
     """Return the sample of a controller without memory: y = D u."""
     outputs, inputs = D.shape
-    return Sample(
-        A=np.zeros((0, 0)), B=np.zeros((0, inputs)), C=np.zeros((outputs, 0)), D=D
-    )
+    return Sample(A=np.zeros((0, 0)), B=np.zeros((0, inputs)), C=np.zeros((outputs, 0)), D=D)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,7 +148,7 @@ class Instants:
         n, w = loop.plant.A.shape[0], loop.width
         self._x, self._now, self._before, self.pending = slice(0, n), n, n + w, n + 2 * w
         ends = n + 3 * w + np.cumsum([len(law.sample.A) for law in loop.laws], dtype=int)
-        self._memories = [
+        self.memories = [
             slice(end - len(law.sample.A), end) for law, end in zip(loop.laws, ends, strict=True)
         ]
         self.size = int(ends[-1]) if ends.size else n + 3 * w
@@ -175,7 +173,7 @@ class Instants:
         rows[now : now + plant.C.shape[0]] = plant.C @ rows[self._x]
         due = [
             (law, law.sample if slow else law.between, memory)
-            for law, memory in zip(loop.laws, self._memories, strict=True)
+            for law, memory in zip(loop.laws, self.memories, strict=True)
             if slow or not law.slow
         ]
         if loop.parallel:

@@ -398,9 +398,7 @@ def _differentiable(spec: ComponentSpec, scenario: Scenario) -> DifferentiableFm
     return DifferentiableFmu(spec.name, find_fmu(spec.name, spec.options, scenario.directory))
 
 
-def _switched_off(
-    spec: ComponentSpec, fmu: DifferentiableFmu, roles: SignalRoles
-) -> ComponentSpec:
+def _switched_off(spec: ComponentSpec, fmu: DifferentiableFmu, roles: SignalRoles) -> ComponentSpec:
     switches = []
     for role in SWITCHES:
         for name in (n for n in roles.variables(role, spec.name) if n in fmu.ports):

@@ -114,9 +114,7 @@ def set_point(model: LoopModel) -> Point:
     Raises ScenarioError if the start is not an equilibrium, or if a controller has a memory that is
     not known.
     """
-    master = model.started(
-        model.roles.period, max(model.system.steps.values()), model.roles.tick
-    )
+    master = model.started(model.roles.period, max(model.system.steps.values()), model.roles.tick)
     point = {signal: master.value(signal).copy() for signal in model.recorded()}
     plant = model.fmus[model.roles.plant]
     model.prepare(point)

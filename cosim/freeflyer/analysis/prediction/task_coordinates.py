@@ -109,4 +109,3 @@ def task_coordinates(model: LoopModel, loop: Loop, point: Point) -> TaskCoordina
     return TaskCoordinates(
         pose=pose, velocity=velocity, inertia=inertia, stiffness=stiffness, damping=damping
     )
-
