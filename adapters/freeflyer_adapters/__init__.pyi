@@ -1,5 +1,9 @@
 from .device.component import DeviceComponent as DeviceComponent
 from .device.device import Device as Device
+from .facility.process import VirtualFacility as VirtualFacility
 from .facility.settings import FacilitySettings as FacilitySettings
 from .facility.virtual_device import VirtualDevice as VirtualDevice
+from .foundation.errors import DeviceError as DeviceError
 from .recording.data_frame import read_recording as read_recording
+from .session import LoopResult as LoopResult
+from .session import run_loop as run_loop

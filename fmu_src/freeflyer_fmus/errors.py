@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from freeflyer.foundation.errors import CosimError
 
-class FmuSourceError(Exception):
+
+class FmuSourceError(CosimError):
     """Base class of this package's exceptions."""
 
 

@@ -21,7 +21,7 @@ from freeflyer_fmus.blocks.block import Block, Requirement, Variable
 from freeflyer_fmus.blocks.shipped import BLOCKS
 from freeflyer_fmus.blocks.user_block import load_block
 from freeflyer_fmus.errors import BlockError
-from freeflyer_fmus.robot.robot import Array
+from freeflyer_fmus.robot.robot import Array, Robot
 from freeflyer_fmus.robot.urdf import DEFAULT_ROBOT, load_robot_file, robot_path
 
 
@@ -99,15 +99,44 @@ def _causality(variable: Variable) -> str:
     return variable.causality
 
 
-class InProcessBlock:
-    """One instance of a block.
+@dataclass(frozen=True, kw_only=True)
+class Linearisation:
+    """Matrices of a block at a point: A (n, n), B (n, m), C (p, n), D (p, m).
 
-    `_vectors` contains the parameters p, the inputs u, the states x and the outputs y.
+    n is the number of states, m of inputs, and p of outputs. Continuous block: the rates change by
+    A dx + B du, and the outputs by C dx + D du. Sampled block: x(k) changes by A dx(k-1) + B du(k),
+    and y(k) by C dx(k-1) + D du(k). The elements are in the order of declaration
+    (docs/fmu_variables.md). A quaternion has four elements.
     """
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+
+
+class InProcessBlock:
+    """One instance of a block, for a loop of one's own.
+
+    `block` is a block, or the name of a shipped one. `robot` is the robot of a shipped block
+    (default: the LWR 4+ with six joints). Set parameters, start values and inputs with `set`, call
+    `start`, and then `step`, or integrate `derivatives` with any solver. `value` reads a variable.
+    Units are those of docs/fmu_variables.md (SI). Raises BlockError if there is no such block.
+    """
+
+    # `_vectors` contains the parameters p, the inputs u, the states x and the outputs y.
 
     variable_step = True
 
-    def __init__(self, block: Block, name: str | None = None) -> None:
+    def __init__(
+        self, block: Block | str, name: str | None = None, *, robot: Robot | None = None
+    ) -> None:
+        if isinstance(block, str):
+            if block not in BLOCKS:
+                raise BlockError(
+                    f"there is no block {block!r}; the shipped blocks are {', '.join(BLOCKS)}{did_you_mean(block, BLOCKS)}"
+                )
+            block = BLOCKS[block](robot or load_robot_file())
         self.block, self.name = block, name or block.name
         self._ports = ports(block)
         self._functions = {key: _Evaluator(function) for key, function in block.functions.items()}
@@ -127,7 +156,14 @@ class InProcessBlock:
         return self.block.terminals
 
     def value(self, name: str) -> Array:
-        """Return a view (size) of a variable. The view always contains the present values."""
+        """Return a view (size) of a variable. The view always contains the present values.
+
+        Raises BlockError if the block has no such variable.
+        """
+        if name not in self.block.variables:
+            raise BlockError(
+                f"block {self.name} has no variable {name!r}{did_you_mean(name, self.block.variables)}"
+            )
         variable = self.block.variables[name]
         first = self.block.offset(name)
         return self._vectors[variable.causality][first : first + variable.size]
@@ -136,16 +172,40 @@ class InProcessBlock:
         """Set the value of a variable.
 
         After initialisation, set only inputs and tunable parameters; the method does not check this
-        rule. Raises InProcessError if a value is not finite.
+        rule. Raises InProcessError if a value is not finite, or has the wrong size.
         """
         numbers = np.asarray(value, dtype=float)
+        size = self.value(name).size
+        if numbers.size not in (1, size):
+            raise InProcessError(
+                f"{self.name}.{name} cannot be set to {numbers.size} numbers; {size} are expected"
+            )
         if not np.isfinite(numbers).all():
             raise InProcessError(
                 f"{self.name}.{name} cannot be set to {value}: it must be a finite number"
             )
         self.value(name)[:] = numbers
 
+    @property
+    def x(self) -> Array:
+        """The states (n), in the order of declaration. Assign a vector to set them."""
+        return self._vectors["state"].copy()
+
+    @x.setter
+    def x(self, values: Array) -> None:
+        self._vectors["state"][:] = values
+
     # Life cycle
+
+    def start(self, values: Mapping[str, object] | None = None, time: float = 0.0) -> None:
+        """Set parameters, start values and inputs, and initialise the block at `time` [s].
+
+        Raises InProcessError if a value or a requirement is violated.
+        """
+        for name, value in (values or {}).items():
+            self.set(name, value)
+        self.enter_initialization(time, {})
+        self.exit_initialization()
 
     def enter_initialization(self, start: float, values: Mapping[str, Array]) -> None:
         self._time = self._start = start
@@ -235,6 +295,28 @@ class InProcessBlock:
             raise RequirementError(
                 f"the states did not stay finite in a step of {size:g} s; the step was rejected: check the inputs"
             )
+
+    def derivatives(self, time: float, x: Array) -> Array:
+        """Return dx/dt (n) of a continuous block for states x (n), and the inputs that are set.
+
+        Raises BlockError for a sampled block.
+        """
+        if self.block.is_sampled:
+            raise BlockError(f"block {self.name} is sampled and has no derivatives; call `step`")
+        return self._rates(time, x)
+
+    def linearise(self) -> Linearisation:
+        """Return the matrices at the present time, states and inputs, exact to rounding."""
+        names = ("update",) if self.block.is_sampled else ("derivatives", "outputs")
+        found = [self.block.functions[name].call(self.block.arguments) for name in names]
+        results = found[0][:2] if self.block.is_sampled else [found[0][0], found[1][0]]
+        _, _, u, x = self.block.arguments
+        matrices = [ca.jacobian(result, by) for result in results for by in (x, u)]
+        numbers = ca.Function("linearise", self.block.arguments, matrices).call(
+            [self._time, *(self._vectors[key] for key in ("parameter", "input", "state"))]
+        )
+        A, B, C, D = (np.asarray(matrix) for matrix in numbers)
+        return Linearisation(A=A, B=B, C=C, D=D)
 
     def rates(self) -> Array:
         """Return dx/dt of a continuous block at its present time, inputs and states."""

@@ -25,10 +25,10 @@ from freeflyer_adapters.cia402.network import PolledNetwork
 from freeflyer_adapters.cia402.options import options_from
 from freeflyer_adapters.cia402.remote_drive import RemoteDrive
 from freeflyer_adapters.cia402.state_machine import DriveState
-from freeflyer_adapters.device.device import DeviceError
 from freeflyer_adapters.device.permit import Permit
 from freeflyer_adapters.facility.settings import FacilitySettings
 from freeflyer_adapters.facility.virtual_cia402 import VirtualCia402
+from freeflyer_adapters.foundation.errors import DeviceError
 
 channels = itertools.count()
 

@@ -18,7 +18,7 @@ from freeflyer_adapters.cia402 import load, objects
 from freeflyer_adapters.cia402.options import options_from
 from freeflyer_adapters.cia402.process_data import ACTUAL, SPEED, TARGET
 from freeflyer_adapters.cia402.scaling import Motor, Scaling
-from freeflyer_adapters.device.device import DeviceError
+from freeflyer_adapters.foundation.errors import DeviceError
 
 MOTOR = Motor(rated_torque=0.367, encoder_resolution=4096, gear_ratio=160)
 

@@ -15,7 +15,8 @@ from pumped import TICKS, Pair, pair
 
 from freeflyer_adapters.cia402 import objects
 from freeflyer_adapters.cia402.state_machine import DriveState
-from freeflyer_adapters.device.device import DeviceError, LifeCycle, SafeStop
+from freeflyer_adapters.device.device import LifeCycle, SafeStop
+from freeflyer_adapters.foundation.errors import DeviceError
 
 STATES = DriveState
 

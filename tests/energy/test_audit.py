@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from freeflyer.analysis.audit import ledger, recorded_loop
-from freeflyer.analysis.audit.ledger import Audit, Port
+from freeflyer.analysis.audit.audit import Audit, audit
+from freeflyer.analysis.audit.ledger import Port
 from freeflyer.foundation.errors import RecordError
 from freeflyer.master.record import Record
 from freeflyer.scenario import experiment, scenario
@@ -23,7 +23,7 @@ def recorded(name: str, *overrides: str) -> Record:
 
 
 def audited(name: str, *overrides: str) -> Audit:
-    return ledger.audit(recorded_loop.find(recorded(name, *overrides)))
+    return audit(recorded(name, *overrides))
 
 
 def without_pc(T_b: float, *overrides: str) -> Audit:
@@ -147,7 +147,7 @@ def test_a_record_file_has_all_data_for_the_audit(tmp_path: Path) -> None:
     again = Record.read(tmp_path / "record.parquet")
     assert again.provenance == record.provenance
     assert np.array_equal(
-        ledger.audit(recorded_loop.find(again)).base.virtual,
+        audit(again).base.virtual,
         audited("multirate_unstable", "stop_s=10").base.virtual,
     )
 
@@ -155,10 +155,10 @@ def test_a_record_file_has_all_data_for_the_audit(tmp_path: Path) -> None:
 def test_rows_that_are_not_finite_are_left_out_with_a_note() -> None:
     record = experiment.run(scenario.load("multirate_unstable", ["stop_s=2"])).outcome.record
     record["free_flyer.base_velocity"][150:, 4] = np.nan
-    audit = ledger.audit(recorded_loop.find(record))
-    assert audit.time.size == 150
-    assert np.isfinite(terms(audit.base)).all()
-    assert f"The last {record.rows - 150} rows are left out" in audit.notes[-1]
+    found = audit(record)
+    assert found.time.size == 150
+    assert np.isfinite(terms(found.base)).all()
+    assert f"The last {record.rows - 150} rows are left out" in found.notes[-1]
 
 
 def test_a_facility_record_has_ports_but_no_balance() -> None:
@@ -195,7 +195,7 @@ def test_a_users_component_between_controller_and_robot_is_in_the_work_of_others
         '[components.kick]\nkind = "python"\nobject = "kick.py:Kick"\nstep_s = 0.001\n'
     )
     record = recorded(str(tmp_path / "kick.toml"))
-    balance = ledger.audit(recorded_loop.find(record)).balance
+    balance = audit(record).balance
     assert balance is not None
     during = (record.time > 0.9995) & (record.time < 1.0995)
     joint_angle = 0.001 * record["free_flyer.joint_velocity"][during, 1].sum()

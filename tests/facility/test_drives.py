@@ -12,7 +12,7 @@ import pytest
 from processes import PATIENT_FACILITY, PATIENT_LOOP, Rig, events, rig
 
 from freeflyer.scenario import experiment, scenario
-from freeflyer_adapters.device.device import DeviceError
+from freeflyer_adapters.foundation.errors import DeviceError
 from freeflyer_adapters.loop import hil
 
 SCENARIO = "facility_cia402"

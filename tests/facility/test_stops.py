@@ -17,9 +17,11 @@ from commands import run_command
 from freeflyer.cli import main as command
 from freeflyer.foundation.interrupts import interrupts, no_interrupts
 from freeflyer.scenario import experiment, scenario
+from freeflyer.scenario.experiment import Result
 from freeflyer.scenario.scenario import Scenario
-from freeflyer_adapters.device.device import DeviceError, LifeCycle, State
+from freeflyer_adapters.device.device import LifeCycle, State
 from freeflyer_adapters.device.simulated import SimulatedDevice
+from freeflyer_adapters.foundation.errors import DeviceError
 from freeflyer_adapters.loop import graded_stop, hil
 from freeflyer_adapters.loop.live_view import LiveValues
 from freeflyer_adapters.loop.stop_notice import StopNotice
@@ -184,7 +186,7 @@ def test_the_reason_precedes_all_files_and_is_sent_to_the_system_log(
     monkeypatch.setattr(hil, "stop", noted("devices stopped", hil.stop))
     monkeypatch.setattr(StopNotice, "give", noted("reason given", StopNotice.give))
     monkeypatch.setattr(RecordingClient, "close", noted("recording closed", RecordingClient.close))
-    monkeypatch.setattr(experiment, "write", noted("results written", experiment.write))
+    monkeypatch.setattr(Result, "write", noted("results written", Result.write))
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as log:
         log.bind(str(tmp_path / "log"))
         out = tmp_path / "out"

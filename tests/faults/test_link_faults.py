@@ -15,12 +15,12 @@ from hypothesis import strategies as st
 
 from freeflyer.scenario import scenario
 from freeflyer_adapters.base.sealed_odometry import checksum, is_intact, is_sealable, sealed
-from freeflyer_adapters.device.device import DeviceError
 from freeflyer_adapters.facility import faults, settings
 from freeflyer_adapters.facility.can_faults import FAULT_KINDS as ON_CAN
 from freeflyer_adapters.facility.faults import KINDS, Fault
 from freeflyer_adapters.facility.link_faults import LinkFaults
 from freeflyer_adapters.facility.zenoh_faults import FAULT_KINDS as ON_ZENOH
+from freeflyer_adapters.foundation.errors import DeviceError
 
 
 class Negating:

@@ -24,7 +24,7 @@ from freeflyer.fmi.fmu_description import DESCRIPTION, MOST_NUMBERS, opened, por
 from freeflyer.foundation.errors import ComponentError, CosimError
 from freeflyer.ssp import read as ssp_read
 from freeflyer_adapters.arm.frames import ArmFrames, FrameMapping
-from freeflyer_adapters.device.device import DeviceError
+from freeflyer_adapters.foundation.errors import DeviceError
 from freeflyer_fmus.export.prebuilt import directory as fmus
 
 SMALL_2 = b"""<?xml version="1.0" encoding="UTF-8"?>

@@ -18,8 +18,7 @@ import pyarrow.parquet as parquet
 import toml_mutation
 from target import Target
 
-from freeflyer.analysis.audit import ledger, recorded_loop
-from freeflyer.cli.audit import read
+from freeflyer.analysis.audit.audit import audit
 from freeflyer.foundation.errors import CosimError
 from freeflyer.master.provenance import KEY
 from freeflyer.scenario import experiment, scenario
@@ -98,12 +97,12 @@ def generate(rng: Random) -> bytes:
     return sink.getvalue().to_pybytes()
 
 
-def audit(data: bytes) -> str:
+def audited(data: bytes) -> str:
     path = _folder() / "fuzz.parquet"
     path.write_bytes(data)
-    found = ledger.audit(recorded_loop.find(read(path)))
+    found = audit(path)
     assert found.time.size >= 2
     return "audit"
 
 
-RECORD = Target(name="record", generate=generate, call=audit, allowed=(CosimError,))
+RECORD = Target(name="record", generate=generate, call=audited, allowed=(CosimError,))

@@ -18,7 +18,7 @@ from freeflyer.foundation.units import factor
 from freeflyer.master import record
 from freeflyer_adapters.arm.frames import ArmFrames, FrameMapping
 from freeflyer_adapters.can.signals import load
-from freeflyer_adapters.device.device import DeviceError
+from freeflyer_adapters.foundation.errors import DeviceError
 
 TOMLS = {
     "deeply nested arrays": ("x = " + "[" * 20_000, "nested deeper than 40"),

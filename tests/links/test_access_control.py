@@ -31,7 +31,7 @@ from freeflyer_adapters.base.endpoint import Endpoint
 from freeflyer_adapters.base.link import OdometryLink, Received, is_usable
 from freeflyer_adapters.base.options import LinkOptions
 from freeflyer_adapters.base.session import open_session
-from freeflyer_adapters.device.device import DeviceError
+from freeflyer_adapters.foundation.errors import DeviceError
 
 UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 ENDS = {"controller": "controller", "robot": "base_robot"}

@@ -16,8 +16,9 @@ from freeflyer_adapters.arm.can_arm import CanArm
 from freeflyer_adapters.arm.frames import LIMIT_ROLES, ArmFrames, FrameMapping, Mode
 from freeflyer_adapters.arm.options import ArmOptions
 from freeflyer_adapters.can.link import Receiver, Sender, open_bus
-from freeflyer_adapters.device.device import DeviceError, LifeCycle, SafeStop
+from freeflyer_adapters.device.device import LifeCycle, SafeStop
 from freeflyer_adapters.device.quality import QualityMonitor
+from freeflyer_adapters.foundation.errors import DeviceError
 
 N = 6
 UNWATCHED = 100_000.0

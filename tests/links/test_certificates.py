@@ -25,7 +25,7 @@ from freeflyer_adapters.base.certificate_authority import HOSTS, CertificateAuth
 from freeflyer_adapters.base.certificates import Identity
 from freeflyer_adapters.base.notices import notices
 from freeflyer_adapters.base.session import open_session
-from freeflyer_adapters.device.device import DeviceError
+from freeflyer_adapters.foundation.errors import DeviceError
 
 
 @pytest.fixture(scope="module")

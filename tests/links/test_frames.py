@@ -22,7 +22,7 @@ from freeflyer_adapters.arm.frames import (
 )
 from freeflyer_adapters.arm.options import ArmOptions, options_from
 from freeflyer_adapters.can.bus_load import bus_load, frame_time
-from freeflyer_adapters.device.device import DeviceError
+from freeflyer_adapters.foundation.errors import DeviceError
 
 
 @cache

@@ -20,7 +20,8 @@ from freeflyer_adapters.base.ros_messages import Odometry, OdometryWriter
 from freeflyer_adapters.base.sealed_odometry import sealed
 from freeflyer_adapters.base.session import open_session
 from freeflyer_adapters.base.zenoh_base import ZenohBase
-from freeflyer_adapters.device.device import DeviceError, LifeCycle, SafeStop
+from freeflyer_adapters.device.device import LifeCycle, SafeStop
+from freeflyer_adapters.foundation.errors import DeviceError
 
 UNWATCHED = 60.0
 """Watchdog of the base for tests with long pauses between two calls [s]."""

@@ -18,8 +18,9 @@ from simulated_boundary import (
 from simulated_period import QUIET
 
 from freeflyer.analysis.prediction import linearisation
-from freeflyer.analysis.prediction.boundary import Prediction, predict, scan
+from freeflyer.analysis.prediction.boundary import scan
 from freeflyer.analysis.prediction.modes import DEGREES
+from freeflyer.analysis.prediction.predict import Prediction, predict
 from freeflyer.analysis.prediction.set_point import at_set_point
 from freeflyer.scenario import scenario
 

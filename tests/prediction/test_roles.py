@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from freeflyer.analysis.prediction.boundary import predict
+from freeflyer.analysis.prediction.predict import predict
 from freeflyer.foundation.errors import CosimError
 from freeflyer.scenario import scenario
 from freeflyer_fmus.export.prebuilt import directory

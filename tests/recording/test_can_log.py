@@ -13,7 +13,7 @@ import can
 import pytest
 
 from freeflyer_adapters.can.local_bus import LocalBus
-from freeflyer_adapters.device.device import DeviceError
+from freeflyer_adapters.foundation.errors import DeviceError
 from freeflyer_adapters.recording.can_log import FORMATS, CanLog
 from freeflyer_adapters.recording.client import can_channels
 from freeflyer_adapters.recording.ring_header import CanChannel

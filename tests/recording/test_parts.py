@@ -15,7 +15,6 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
 from freeflyer_adapters import read_recording
-from freeflyer_adapters.cli.hil import recording_lines
 from freeflyer_adapters.recording import parts
 from freeflyer_adapters.recording.earlier_recordings import set_aside
 from freeflyer_adapters.recording.mcap_file import STOP, RecordingFile
@@ -24,6 +23,7 @@ from freeflyer_adapters.recording.recorder import Recorder
 from freeflyer_adapters.recording.recover import recover, unfinished
 from freeflyer_adapters.recording.ring import RingReader, RingWriter, Rows
 from freeflyer_adapters.recording.ring_recovery import rescue
+from freeflyer_adapters.session import recording_lines
 
 COUNT = 650
 A_PART = 0.2

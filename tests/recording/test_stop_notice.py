@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 
 from freeflyer.foundation.errors import OutputError
 from freeflyer.foundation.exit_codes import BAD_INPUT
-from freeflyer_adapters.device.device import DeviceError
+from freeflyer_adapters.foundation.errors import DeviceError
 from freeflyer_adapters.loop.stop_notice import (
     LONGEST,
     LONGEST_MESSAGE,

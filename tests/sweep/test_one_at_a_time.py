@@ -217,4 +217,4 @@ def test_errors_of_an_evaluation_are_rows_and_one_sentence(
     assert "TypeError" in error
     frame = pandas.read_parquet(out / "results.parquet")
     assert frame["failed"].all()
-    assert frame["cause"].str.contains("KeyError").all()
+    assert frame["cause"].str.contains("has no signal 'free_flyer.no'").all()

@@ -12,14 +12,14 @@ from hypothesis import strategies as st
 from matplotlib import colors
 from matplotlib import pyplot as plt
 
-from freeflyer.analysis.figure_style import save
-from freeflyer.analysis.prediction.boundary import predict
+from freeflyer.analysis.prediction.predict import predict
 from freeflyer.analysis.sweep import boundary
 from freeflyer.analysis.sweep import file as sweep_file
 from freeflyer.analysis.sweep import map as stability_map
 from freeflyer.analysis.sweep.plan import Plan
 from freeflyer.fmi.component import Array
 from freeflyer.scenario import scenario
+from freeflyer.scenario.figure_style import save
 
 UNITS = {"a.x": "s", "a.y": "1"}
 

@@ -32,12 +32,13 @@ from freeflyer_adapters.arm.state_receiver import Numbers, StateFrames
 from freeflyer_adapters.can.link import Receiver, Sender, flush, open_bus
 from freeflyer_adapters.can.second_sender import LISTEN
 from freeflyer_adapters.device import parameters as device_parameters
-from freeflyer_adapters.device.device import DeviceError, LifeCycle, SafeStop, State
+from freeflyer_adapters.device.device import LifeCycle, SafeStop, State
 from freeflyer_adapters.device.limits import ArmLimits
 from freeflyer_adapters.device.permit import Permit
 from freeflyer_adapters.device.quality import QualityMonitor
 from freeflyer_adapters.device.ramp_down import RampDown
 from freeflyer_adapters.foundation import environment
+from freeflyer_adapters.foundation.errors import DeviceError
 from freeflyer_adapters.foundation.histogram import Histogram
 
 MEASURED = ("joint_position", "joint_velocity", "joint_torque")

@@ -8,7 +8,7 @@ from freeflyer.fmi.component import Array
 from freeflyer_adapters.arm.frames import LIMIT_ROLES
 from freeflyer_adapters.can.frame import Frame
 from freeflyer_adapters.device import parameters as device_parameters
-from freeflyer_adapters.device.device import DeviceError
+from freeflyer_adapters.foundation.errors import DeviceError
 
 MAY_BE_NARROWER = ("joint_velocity_limit", "joint_effort_limit")
 UNITS = {setting.name: setting.unit for setting in device_parameters.ARM}

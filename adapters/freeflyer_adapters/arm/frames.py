@@ -19,7 +19,8 @@ from typing import Any
 from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer_adapters.can.frame import Frame
 from freeflyer_adapters.can.signals import Field, field_of, load, message_of
-from freeflyer_adapters.device.device import DeviceError, LifeCycle
+from freeflyer_adapters.device.device import LifeCycle
+from freeflyer_adapters.foundation.errors import DeviceError
 
 SHIPPED_DBC = Path(__file__).parent / "arm.dbc"
 CYCLE_ROLES = ("cycle", "answered_cycle", "echoed_cycle")

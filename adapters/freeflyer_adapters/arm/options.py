@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from freeflyer_adapters.arm.frames import FrameMapping
-from freeflyer_adapters.device.device import DeviceError
 from freeflyer_adapters.device.option_checks import checked, known_keys
+from freeflyer_adapters.foundation.errors import DeviceError
 
 ACTIVATIONS = ("explicit", "implicit")
 

@@ -34,8 +34,8 @@ from freeflyer_adapters.base.sealed_odometry import (
     sealed,
 )
 from freeflyer_adapters.base.session import zenoh_message
-from freeflyer_adapters.device.device import DeviceError
 from freeflyer_adapters.foundation import environment
+from freeflyer_adapters.foundation.errors import DeviceError
 from freeflyer_adapters.foundation.pose import twist_rotated
 
 LONGEST_QUERY = 0.5

@@ -13,8 +13,8 @@ from typing import Any
 from freeflyer_adapters.base import rmw_zenoh
 from freeflyer_adapters.base.certificates import AUTHORITY, NAME
 from freeflyer_adapters.base.endpoint import Endpoint
-from freeflyer_adapters.device.device import DeviceError
 from freeflyer_adapters.device.option_checks import checked, known_keys
+from freeflyer_adapters.foundation.errors import DeviceError
 
 LONGEST_FRAME = 200
 """Longest frame name [bytes]."""

@@ -14,8 +14,8 @@ import zenoh
 from freeflyer_adapters.base import certificates
 from freeflyer_adapters.base.access_control import Protection
 from freeflyer_adapters.base.endpoint import Endpoint
-from freeflyer_adapters.device.device import DeviceError
 from freeflyer_adapters.foundation import environment
+from freeflyer_adapters.foundation.errors import DeviceError
 
 
 def open_session(

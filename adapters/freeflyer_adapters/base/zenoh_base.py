@@ -21,11 +21,12 @@ from freeflyer_adapters.base.options import LinkOptions
 from freeflyer_adapters.base.rmw_zenoh import NO_PUBLISHER
 from freeflyer_adapters.base.session import open_session
 from freeflyer_adapters.device import parameters as device_parameters
-from freeflyer_adapters.device.device import DeviceError, LifeCycle, SafeStop, State
+from freeflyer_adapters.device.device import LifeCycle, SafeStop, State
 from freeflyer_adapters.device.limits import BaseLimits
 from freeflyer_adapters.device.permit import Permit
 from freeflyer_adapters.device.quality import QualityMonitor
 from freeflyer_adapters.foundation import environment
+from freeflyer_adapters.foundation.errors import DeviceError
 from freeflyer_adapters.foundation.histogram import Histogram
 from freeflyer_adapters.foundation.pacing import Pacer
 from freeflyer_adapters.foundation.pose import distance, twist_rotated

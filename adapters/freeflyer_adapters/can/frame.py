@@ -11,7 +11,7 @@ from typing import Any
 
 from freeflyer_adapters.can.e2e import HEADER_BYTES
 from freeflyer_adapters.can.signals import Field, occupied_bits, only
-from freeflyer_adapters.device.device import DeviceError
+from freeflyer_adapters.foundation.errors import DeviceError
 
 CAN_FD_SIZES = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 

@@ -16,8 +16,8 @@ from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer_adapters.can.e2e import Checker, Protector, Status
 from freeflyer_adapters.can.frame import Frame
 from freeflyer_adapters.can.second_sender import SecondSender
-from freeflyer_adapters.device.device import DeviceError
 from freeflyer_adapters.foundation import environment
+from freeflyer_adapters.foundation.errors import DeviceError
 
 FILTERING = ("local", "socketcan")
 """Interfaces to which `open_bus` gives a filter.

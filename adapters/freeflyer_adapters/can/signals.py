@@ -18,7 +18,7 @@ import cantools
 from freeflyer.foundation.bounded_file import content
 from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer.foundation.units import factor
-from freeflyer_adapters.device.device import DeviceError
+from freeflyer_adapters.foundation.errors import DeviceError
 
 LARGEST = 4 << 20
 """Largest DBC file [bytes]. The DBC files of complete cars are below 3 MB."""

@@ -37,12 +37,13 @@ from freeflyer_adapters.cia402.remote_drive import HEARTBEATS_MISSED, RemoteDriv
 from freeflyer_adapters.cia402.scaling import Scaling
 from freeflyer_adapters.cia402.state_machine import Command, DriveState
 from freeflyer_adapters.device import parameters as device_parameters
-from freeflyer_adapters.device.device import DeviceError, LifeCycle, SafeStop, State
+from freeflyer_adapters.device.device import LifeCycle, SafeStop, State
 from freeflyer_adapters.device.limits import ArmLimits
 from freeflyer_adapters.device.permit import Permit
 from freeflyer_adapters.device.quality import QualityMonitor
 from freeflyer_adapters.device.ramp_down import RampDown
 from freeflyer_adapters.foundation import environment
+from freeflyer_adapters.foundation.errors import DeviceError
 from freeflyer_adapters.foundation.histogram import Histogram
 from freeflyer_adapters.foundation.pacing import Pacer
 

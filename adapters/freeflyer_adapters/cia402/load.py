@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from freeflyer_adapters.can.bus_load import frame_time
 from freeflyer_adapters.cia402.process_data import ACTUAL, SPEED, TARGET
-from freeflyer_adapters.device.device import DeviceError
+from freeflyer_adapters.foundation.errors import DeviceError
 
 SDO_FRAMES = 2
 """Number of frames per cycle that the calculation assumes besides SYNC, PDOs and heartbeats.

@@ -13,7 +13,7 @@ import canopen
 from canopen.objectdictionary.eds import import_eds
 
 from freeflyer.foundation.bounded_file import content
-from freeflyer_adapters.device.device import DeviceError
+from freeflyer_adapters.foundation.errors import DeviceError
 
 LARGEST_EDS = 4 * 2**20
 """Largest EDS file [bytes]; a typical drive has about 100 KiB."""

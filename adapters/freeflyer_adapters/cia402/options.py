@@ -13,8 +13,8 @@ from typing import Any
 
 from freeflyer_adapters.cia402.objects import SHIPPED_EDS
 from freeflyer_adapters.cia402.scaling import Motor
-from freeflyer_adapters.device.device import DeviceError
 from freeflyer_adapters.device.option_checks import checked, known_keys
+from freeflyer_adapters.foundation.errors import DeviceError
 
 KEYS = ("interface", "channel", "bus", "bitrate", "joints", "node_ids", "host_node_id", "eds", "rated_torque", "encoder_resolution",
         "gear_ratio", "velocity_scale", "velocity", "heartbeat_s", "largest_load")  # fmt: skip

@@ -23,8 +23,8 @@ from freeflyer_adapters.cia402.state_machine import (
     DriveState,
     state_of,
 )
-from freeflyer_adapters.device.device import DeviceError
 from freeflyer_adapters.device.permit import Permit
+from freeflyer_adapters.foundation.errors import DeviceError
 
 NOT_VALID = 1 << 31
 """Bit of a PDO's COB-ID that disables the PDO."""

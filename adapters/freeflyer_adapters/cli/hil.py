@@ -5,36 +5,34 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing, contextmanager
-from pathlib import Path
-from typing import Any
+from contextlib import closing
 
 from rich.console import Console
 from rich.table import Table
 
-from freeflyer.cli.run import result_table
+from freeflyer.cli.console import as_rich
 from freeflyer.foundation.errors import report_error
 from freeflyer.foundation.exit_codes import BAD_INPUT, DONE, STOPPED
 from freeflyer.foundation.interrupts import interrupts
 from freeflyer.foundation.output_file import check_writable, folder, write_text
-from freeflyer.scenario import experiment, scenario
+from freeflyer.scenario import scenario
 from freeflyer.scenario.scenario import Scenario
 from freeflyer.scenario.verdict import verdict
 from freeflyer_adapters.base.notices import notices
 from freeflyer_adapters.facility import settings as facility_settings
-from freeflyer_adapters.facility.accelerated import accelerated
 from freeflyer_adapters.facility.server import Facility
 from freeflyer_adapters.foundation import pacing
 from freeflyer_adapters.loop import hil
-from freeflyer_adapters.loop.graded_stop import NOTHING_ACTIVE
-from freeflyer_adapters.loop.stop_notice import StopNotice, check_log_to
+from freeflyer_adapters.loop.stop_notice import check_log_to
 from freeflyer_adapters.recording.can_log import FORMATS
-from freeflyer_adapters.recording.client import Recording
-from freeflyer_adapters.recording.ring_recovery import rescue
-
-AFTERWARDS = 1.0
-"""Virtual time for the devices to come to rest, after the controllers have ended [s]."""
+from freeflyer_adapters.session import (
+    counts_table,
+    facility_beside,
+    recording_lines,
+    run_loop,
+    show_faults,
+    times_table,
+)
 
 
 class HilCommand:
@@ -90,57 +88,35 @@ class HilCommand:
 
     def execute(self, arguments: argparse.Namespace, console: Console) -> int:
         chosen = scenario.load(arguments.scenario, arguments.overrides)
-        chosen = facility_settings.with_watchdogs(chosen)
         if arguments.log_to is not None:
             check_log_to(arguments.log_to)
         if arguments.check:
-            return _check(chosen, arguments, console)
-        # Check the output directory and print all notices before the link of a device is opened.
-        directory = arguments.out or Path("freeflyer_out") / f"hil_{chosen.name}"
-        check_writable(directory)
-        if not arguments.simulated:
-            for notice in notices(chosen, as_robot=False):
-                console.print(notice, soft_wrap=True)
-        view = console.is_terminal if arguments.view is None else arguments.view
+            return _check(facility_settings.with_watchdogs(chosen), arguments, console)
 
         def show(text: str) -> None:
             console.print(text, soft_wrap=True)
 
-        # First complete the recordings of earlier runs that were killed.
-        for sentence in rescue():
-            show(sentence)
-        recording = Recording(
-            directory=directory,
-            everything=arguments.record,
-            can=not arguments.accelerated,
+        result = run_loop(
+            chosen,
+            directory=arguments.out,
+            simulated=arguments.simulated,
+            virtual=arguments.accelerated,
+            real_time=arguments.real_time,
+            view=console.is_terminal if arguments.view is None else arguments.view,
+            record=arguments.record,
             can_format=arguments.can_log,
+            log_to=arguments.log_to,
+            fmi=arguments.fmi,
+            show=show,
         )
-        stop = StopNotice(
-            directory=directory, log_to=arguments.log_to, scenario=chosen.name, show=show
-        )
-        with closing(stop), _facility_beside(chosen, arguments, show), _reason_kept(stop):
-            result, report = hil.run(
-                chosen,
-                real_time=arguments.real_time and not arguments.accelerated,
-                simulated=arguments.simulated,
-                view=view and not arguments.accelerated,
-                fmi=arguments.fmi,
-                recording=recording,
-                notice=stop,
-                show=show,
-            )
-        # The results are written after the stop.
-        for problem in stop.problems:
+        for problem in result.problems:
             show(problem)
-        experiment.write(result, directory)
-        console.print(result_table(result))
-        console.print(times_table(report.times))
-        console.print(counts_table(report.devices))
-        console.print(
-            f"Results in {directory}: record.parquet, summary.json, stop.json", soft_wrap=True
-        )
-        for sentence in (*report.remarks, *recording_lines(report.recording or {})):
-            console.print(sentence, soft_wrap=True)
+        report = result.report
+        for table in (result.table, times_table(report.times), counts_table(report.devices)):
+            console.print(as_rich(table))
+        show(f"Results in {result.directory}: record.parquet, summary.json, stop.json")
+        for sentence in (*report.remarks, *recording_lines(report)):
+            show(sentence)
         return verdict(result.scenario, result.outcome)
 
 
@@ -182,8 +158,8 @@ class FacilityCommand:
         report = facility.report()
         if arguments.out:
             write_text(arguments.out / "facility.json", json.dumps(report, indent=2) + "\n")
-        console.print(times_table(report["times"]))
-        console.print(counts_table(report["devices"]))
+        console.print(as_rich(times_table(report["times"])))
+        console.print(as_rich(counts_table(report["devices"])))
         if outcome.failed or outcome.diverged:
             return report_error(f"the facility's model failed: {outcome.cause}", STOPPED)
         return DONE
@@ -194,7 +170,7 @@ def _check(chosen: Scenario, arguments: argparse.Namespace, console: Console) ->
 
     The exit code is BAD_INPUT if a device could not be activated now, and DONE otherwise.
     """
-    with _facility_beside(chosen, arguments, lambda text: None):
+    with facility_beside(chosen, arguments.accelerated, arguments.fmi, lambda text: None):
         found = hil.inspect(chosen, simulated=arguments.simulated, fmi=arguments.fmi)
     for name, inspection in found.items():
         table = Table(title=f"{name} measures", title_justify="left")
@@ -222,45 +198,6 @@ def _check(chosen: Scenario, arguments: argparse.Namespace, console: Console) ->
     return DONE
 
 
-@contextmanager
-def _reason_kept(stop: StopNotice) -> Iterator[None]:
-    """If a run ends with an exception, write the reason to stop.json and the system log.
-
-    If the run itself has already written the reason, nothing is written here. A run that ends
-    before its devices are prepared has not written the reason. The reason is not printed here,
-    because the command prints the error.
-    """
-    try:
-        yield
-    except BaseException as error:
-        stop.give(
-            hil.reason_of(error),
-            NOTHING_ACTIVE,
-            orderly=isinstance(error, KeyboardInterrupt),
-            quiet=True,
-        )
-        raise
-
-
-@contextmanager
-def _facility_beside(
-    chosen: Scenario, arguments: argparse.Namespace, show: Callable[[str], None]
-) -> Iterator[None]:
-    """With `--accelerated`, run the facility in this process, in the virtual time of the loop."""
-    if not arguments.accelerated:
-        yield
-        return
-    with accelerated(chosen, arguments.fmi, show) as both:
-        show_faults(both.facility, show)
-        yield
-        both.time.sleep(AFTERWARDS)
-
-
-def show_faults(facility: Facility, show: Callable[[str], None]) -> None:
-    for fault in facility.settings.faults:
-        show(f"fault: {fault.one_line()}")
-
-
 def _common(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "scenario", metavar="SCENARIO", help=f"{', '.join(scenario.shipped())}, or a .toml file"
@@ -282,41 +219,3 @@ def _common(parser: argparse.ArgumentParser) -> None:
         default=True,
         help="request SCHED_FIFO and locked memory (default: yes)",
     )
-
-
-def recording_lines(recording: Mapping[str, Any]) -> list[str]:
-    """Return messages about the files of a recording and about missing data.
-
-    `recording` is the value of `LoopReport.recording`, or an empty mapping.
-    """
-    paths = [*recording.get("recording", ()), *recording.get("can", ()), recording.get("flight")]
-    lines = [f"Recorded: {', '.join(path for path in paths if path)}"] if any(paths) else []
-    if recording.get("rows_lost"):
-        lines.append(
-            f"The recorder was delayed: {recording['rows_lost']} instants are missing in the recording"
-        )
-    return [
-        *lines,
-        *recording.get("clock_steps", ()),
-        *(f"Missing: {sentence}" for sentence in recording.get("missing", ())),
-    ]
-
-
-def times_table(times: Mapping[str, Mapping[str, float]]) -> Table:
-    table = Table(title="Times [us]", title_justify="left")
-    for column in ("", "count", "p50", "p99", "p99.9", "longest"):
-        table.add_column(column, justify="left" if not column else "right")
-    for name, t in times.items():
-        shown = (t[key] for key in ("p50_us", "p99_us", "p999_us", "max_us"))
-        table.add_row(name, f"{t['count']:.0f}", *(f"{value:.0f}" for value in shown))
-    return table
-
-
-def counts_table(devices: Mapping[str, Mapping[str, float]]) -> Table:
-    table = Table(title="Counts", title_justify="left")
-    table.add_column("")
-    table.add_column("", justify="right")
-    for device, counts in devices.items():
-        for name, count in counts.items():
-            table.add_row(f"{device}: {name.replace('_', ' ')}", f"{count:.0f}")
-    return table

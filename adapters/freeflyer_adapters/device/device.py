@@ -19,7 +19,7 @@ from enum import IntEnum
 from typing import Protocol
 
 from freeflyer.fmi.component import Array, Port
-from freeflyer.foundation.errors import CosimError, StepFailed
+from freeflyer.foundation.errors import StepFailed
 from freeflyer_adapters.foundation.histogram import Histogram
 
 
@@ -49,10 +49,6 @@ STATE = ": state"
 """Suffix of a name in the live view. The value of such a name is a life cycle state."""
 SIMULATED = "simulated"
 """Kind of a device whose model runs in the host process."""
-
-
-class DeviceError(CosimError):
-    """A device cannot be configured or activated."""
 
 
 class SafeStop(StepFailed):

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
 from freeflyer.foundation.suggestions import did_you_mean
-from freeflyer_adapters.device.device import DeviceError
+from freeflyer_adapters.foundation.errors import DeviceError
 
 T = TypeVar("T")
 KINDS = {str: "a text", int: "a whole number", dict: "a table", list: "a list"}

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from freeflyer.fmi.component import Array, Port
-from freeflyer_adapters.device.device import DeviceError
+from freeflyer_adapters.foundation.errors import DeviceError
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,10 +21,11 @@ from freeflyer.fmi.fmu import FmuComponent
 from freeflyer.scenario.assemble import find_fmu
 from freeflyer_adapters.device import parameters as device_parameters
 from freeflyer_adapters.device.component import DeviceComponent
-from freeflyer_adapters.device.device import DeviceError, LifeCycle, SafeStop, State
+from freeflyer_adapters.device.device import LifeCycle, SafeStop, State
 from freeflyer_adapters.device.limits import ArmLimits, BaseLimits
 from freeflyer_adapters.device.option_checks import known_keys
 from freeflyer_adapters.device.ramp_down import RampDown
+from freeflyer_adapters.foundation.errors import DeviceError
 from freeflyer_adapters.foundation.histogram import Histogram
 
 

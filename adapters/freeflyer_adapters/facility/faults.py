@@ -16,7 +16,7 @@ from dataclasses import dataclass, fields
 from typing import Any, Literal, get_args
 
 from freeflyer.foundation.suggestions import did_you_mean
-from freeflyer_adapters.device.device import DeviceError
+from freeflyer_adapters.foundation.errors import DeviceError
 
 Direction = Literal["to_controller", "to_device", "both"]
 DIRECTIONS: tuple[str, ...] = get_args(Direction)

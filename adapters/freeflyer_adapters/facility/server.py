@@ -26,11 +26,12 @@ from freeflyer.master.master import Master, Outcome
 from freeflyer.scenario import assemble, parameters
 from freeflyer.scenario.scenario import Scenario
 from freeflyer.scenario.steps import communication_steps
-from freeflyer_adapters.device.device import SIMULATED, DeviceError
+from freeflyer_adapters.device.device import SIMULATED
 from freeflyer_adapters.facility import faults
 from freeflyer_adapters.facility import settings as facility_settings
 from freeflyer_adapters.facility.settings import FacilitySettings
 from freeflyer_adapters.facility.virtual_device import VirtualDevice
+from freeflyer_adapters.foundation.errors import DeviceError
 from freeflyer_adapters.foundation.pacing import Pacer
 
 LONGEST = 7 * 24 * 3600 * SECOND

@@ -8,9 +8,9 @@ from typing import Any
 
 from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer.scenario.scenario import Scenario
-from freeflyer_adapters.device.device import DeviceError
 from freeflyer_adapters.facility import faults
 from freeflyer_adapters.facility.faults import Fault, RandomFaults
+from freeflyer_adapters.foundation.errors import DeviceError
 
 WATCHDOG_CYCLES, WATCHDOG = (
     ("watchdog_cycles", "arm_watchdog_cycles"),

@@ -17,7 +17,7 @@ from freeflyer.fmi.component import Array
 from freeflyer_adapters.arm import options as arm_options
 from freeflyer_adapters.arm.frames import LIMIT_ROLES, ArmFrames, Mode
 from freeflyer_adapters.can.link import Receiver, Sender, open_bus
-from freeflyer_adapters.device.device import DeviceError, LifeCycle
+from freeflyer_adapters.device.device import LifeCycle
 from freeflyer_adapters.device.ramp_down import RampDown
 from freeflyer_adapters.facility.arm_logic import MOST_USED, ArmLogic, Command
 from freeflyer_adapters.facility.can_faults import FAULT_KINDS, CanTamper, FaultyBus
@@ -25,6 +25,7 @@ from freeflyer_adapters.facility.link_faults import LinkFaults
 from freeflyer_adapters.facility.settings import FacilitySettings
 from freeflyer_adapters.facility.virtual_device import VirtualDevice, arm_ports
 from freeflyer_adapters.foundation import environment
+from freeflyer_adapters.foundation.errors import DeviceError
 from freeflyer_adapters.foundation.histogram import Histogram
 
 MOST_FRAMES = 256

@@ -29,8 +29,9 @@ from freeflyer.scenario.experiment import Result, provenance
 from freeflyer.scenario.parameters import Values, current
 from freeflyer.scenario.scenario import ComponentSpec, Measure, Scenario
 from freeflyer_adapters.device.component import DeviceComponent
-from freeflyer_adapters.device.device import SIMULATED, Device, DeviceError
+from freeflyer_adapters.device.device import SIMULATED, Device
 from freeflyer_adapters.foundation import pacing
+from freeflyer_adapters.foundation.errors import DeviceError
 from freeflyer_adapters.loop import activation
 from freeflyer_adapters.loop.graded_stop import NOTHING_ACTIVE, stop
 from freeflyer_adapters.loop.instant_hooks import CommandWriting, Observation, Pacing
@@ -38,6 +39,7 @@ from freeflyer_adapters.loop.live_view import LiveValues
 from freeflyer_adapters.loop.stop_notice import StopNotice
 from freeflyer_adapters.recording.client import Recording, RecordingClient
 
+Times = Mapping[str, Mapping[str, float]]
 INTERRUPTED, FINISHED = "interrupted by the user", "scenario finished"
 
 
@@ -47,9 +49,9 @@ class LoopReport:
 
     granted: Sequence[str]
     """Results of the requests for real-time scheduling (`pacing.enter_real_time`)."""
-    times: Mapping[str, Mapping[str, float]]
+    times: Times
     """Summaries of the measured durations (`Histogram.summary`), by name."""
-    devices: Mapping[str, Mapping[str, float]]
+    devices: Times
     """Counters of each device (`Device.report`), by the name of the device."""
     stop: str
     """Reason of the stop, and the final state of the devices."""

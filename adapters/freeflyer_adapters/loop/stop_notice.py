@@ -20,8 +20,8 @@ from typing import Any
 from freeflyer.foundation.errors import OutputError
 from freeflyer.foundation.exit_codes import BAD_INPUT
 from freeflyer.foundation.suggestions import did_you_mean
-from freeflyer_adapters.device.device import DeviceError
 from freeflyer_adapters.foundation import environment
+from freeflyer_adapters.foundation.errors import DeviceError
 
 NAME = "stop.json"
 SIZE = 4096

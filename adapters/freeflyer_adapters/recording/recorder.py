@@ -21,8 +21,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from freeflyer.foundation.errors import CosimError
-from freeflyer_adapters.device.device import DeviceError
 from freeflyer_adapters.foundation import pacing
+from freeflyer_adapters.foundation.errors import DeviceError
 from freeflyer_adapters.recording.can_log import CanLog
 from freeflyer_adapters.recording.mcap_file import FLIGHT, save_flight, stop_of
 from freeflyer_adapters.recording.parts import PartedRecording

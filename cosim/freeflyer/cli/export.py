@@ -8,10 +8,9 @@ from pathlib import Path
 from rich.console import Console
 
 from freeflyer.cli.run import SCENARIO_HELP, add_overrides
-from freeflyer.foundation.errors import ScenarioError
 from freeflyer.foundation.exit_codes import DONE
-from freeflyer.scenario import assemble, scenario
-from freeflyer.ssp import write as ssp_write
+from freeflyer.scenario import scenario
+from freeflyer.ssp.write import write_ssp
 
 
 class ExportCommand:
@@ -27,10 +26,7 @@ class ExportCommand:
         parser.add_argument("--out", type=Path, required=True, metavar="FILE.ssp")
 
     def execute(self, arguments: argparse.Namespace, console: Console) -> int:
-        if arguments.out.suffix != ".ssp":
-            raise ScenarioError(f"--out {arguments.out}: a file name that ends in .ssp is expected")
         chosen = scenario.load(arguments.scenario, arguments.overrides)
-        with assemble.loaded(chosen, arguments.fmi) as system:
-            ssp_write.write(chosen, system, arguments.out)
+        system = write_ssp(chosen, arguments.out, fmi=arguments.fmi)
         console.print(f"{arguments.out}: {len(system.components)} components", soft_wrap=True)
         return DONE

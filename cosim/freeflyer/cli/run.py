@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import get_args
 
 from rich.console import Console
-from rich.table import Table
 
 from freeflyer.analysis import observer_notes
+from freeflyer.cli.console import as_rich
 from freeflyer.foundation.errors import ScenarioError
 from freeflyer.foundation.output_file import check_writable, folder
 from freeflyer.scenario import experiment, scenario
-from freeflyer.scenario.experiment import Result
 from freeflyer.scenario.scenario import Scenario
 from freeflyer.scenario.verdict import verdict
 
@@ -26,26 +23,20 @@ from freeflyer.scenario.verdict import verdict
 SCENARIO_HELP = f"{', '.join(scenario.shipped())}, or a .toml file"
 
 
-@contextmanager
-def opened(name: str, overrides: Sequence[str], step: float | None) -> Iterator[Scenario]:
+def loaded(name: str, overrides: Sequence[str], step: float | None) -> Scenario:
     """Load a scenario by name, or from a TOML or SSP file. Raises CosimError.
 
-    The unpacked FMUs of an SSP file exist while the context is open. `step` [s] is the
-    communication step of the components that have no step in the SSP file.
+    `step` [s] is the communication step of the components that have no step in the SSP file.
     """
     if not name.lower().endswith(".ssp"):
         if step is not None:
             raise ScenarioError(
                 "--step belongs to an .ssp file; in a scenario every component has its step_s"
             )
-        yield scenario.load(name, overrides)
-        return
-    if step is not None and not 0.0 < step < float("inf"):
-        raise ScenarioError(f"--step {step:g}: a time above zero is expected")
-    from freeflyer.ssp import read as ssp_read
+        return scenario.load(name, overrides)
+    from freeflyer.ssp.read import load_ssp
 
-    with TemporaryDirectory(prefix="freeflyer-") as directory:
-        yield ssp_read.read(Path(name), Path(directory), step=step, overrides=overrides)
+    return load_ssp(name, overrides, step=step)
 
 
 def add_overrides(parser: argparse.ArgumentParser, text: str | None = None) -> None:
@@ -91,45 +82,19 @@ class RunCommand:
     def execute(self, arguments: argparse.Namespace, console: Console) -> int:
         if arguments.fmi is not None and arguments.scenario.lower().endswith(".ssp"):
             raise ScenarioError("--fmi belongs to scenarios; an .ssp file contains its own FMUs")
-        with opened(arguments.scenario, arguments.overrides, arguments.step) as chosen:
-            directory = arguments.out or Path("freeflyer_out") / chosen.name
-            check_writable(directory)
-            with experiment.progress_bar(console, [chosen]) as reports:
-                result = experiment.run(
-                    chosen,
-                    fmi=arguments.fmi,
-                    progress=reports[chosen.name],
-                    engine=arguments.master,
-                )
-        experiment.write(result, directory)
-        console.print(result_table(result))
+        chosen = loaded(arguments.scenario, arguments.overrides, arguments.step)
+        directory = arguments.out or Path("freeflyer_out") / chosen.name
+        check_writable(directory)
+        with experiment.progress_bar(console, [chosen]) as reports:
+            result = experiment.run(
+                chosen,
+                fmi=arguments.fmi,
+                progress=reports[chosen.name],
+                engine=arguments.master,
+            )
+        result.write(directory)
+        console.print(as_rich(result.table))
         for note in observer_notes.notes(result.outcome.record.provenance):
             console.print(f"Note: {note}", soft_wrap=True)
         console.print(f"Results in {directory}: record.parquet, summary.json", soft_wrap=True)
         return verdict(result.scenario, result.outcome)
-
-
-def result_table(result: Result) -> Table:
-    """Return the tracking errors, observed energies and times of a run as a console table."""
-    table = Table(title=result.scenario.title, title_justify="left")
-    table.add_column("")
-    table.add_column("maximum", justify="right")
-    table.add_column("last 10 s", justify="right")
-    for name in result.errors:
-        label, _, unit = name.rpartition("_error_")
-        values = result.summary[name]
-        table.add_row(
-            f"{label.replace('_', ' ')} error [{unit}]",
-            shown(values["max"]),
-            shown(values["last_10_s"]),
-        )
-    for name, energy in result.summary["observed_energy_j"].items():
-        table.add_row(f"{name} observed energy, minimum [J]", shown(energy["min"]), "")
-    table.add_row(
-        "simulated [s] / wall [s]", f"{result.outcome.simulated:g}", f"{result.outcome.wall:.2f}"
-    )
-    return table
-
-
-def shown(value: float | None) -> str:
-    return "not finite" if value is None else f"{value:.3g}"

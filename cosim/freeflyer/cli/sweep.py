@@ -3,26 +3,31 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    TaskID,
+    TextColumn,
+    TimeRemainingColumn,
+)
 
 from freeflyer.analysis.sweep import file as sweep_file
+from freeflyer.cli.console import as_rich
 from freeflyer.cli.run import add_fmi, add_overrides
-from freeflyer.foundation.errors import ScenarioError, report_error
+from freeflyer.foundation.errors import report_error
 from freeflyer.foundation.exit_codes import DONE, STOPPED
 from freeflyer.foundation.output_file import folder
 
 if TYPE_CHECKING:
-    from freeflyer.analysis.sweep.file import Map
-    from freeflyer.analysis.sweep.plan import Plan
-    from freeflyer.analysis.sweep.results import Results
-    from freeflyer.analysis.sweep.run import Ended
-    from freeflyer.fmi.component import Array
+    from freeflyer.analysis.sweep.sweep import SweepResult
 
 
 class SweepCommand:
@@ -51,139 +56,95 @@ class SweepCommand:
         )
 
     def execute(self, arguments: argparse.Namespace, console: Console) -> int:
-        if arguments.workers is not None and arguments.workers < 1:
-            raise ScenarioError(f"--workers {arguments.workers}: at least one worker is expected")
-        if arguments.workers is not None and arguments.scheduler is not None:
-            raise ScenarioError(
-                "--workers starts workers on this machine, but a scheduler already has workers: give either --workers or --scheduler"
-            )
+        from freeflyer.analysis.sweep.sweep import sweep
+
         chosen = sweep_file.read(arguments.sweep, arguments.overrides)
-
-        from freeflyer.analysis.sweep import boundary
-        from freeflyer.analysis.sweep.plan import Plan
-        from freeflyer.analysis.sweep.results import Results
-
-        plan = Plan(chosen, arguments.fmi)
-        boundary.check(plan)
         directory = arguments.out or Path("freeflyer_out") / chosen.name
-        results = Results(directory, plan)
-        with results.opened():
-            if results.runs:
-                console.print(
-                    f"{len(results.runs)} of {len(plan)} runs are in {directory} already",
-                    soft_wrap=True,
-                )
-            ended = compute(plan, results, arguments.scheduler, arguments.workers, console)
-            if ended is not None and ended.interrupted:
-                return report_error(
-                    f"interrupted after {len(results.runs)} of {len(plan)} runs; the same command computes the remaining runs",
-                    STOPPED,
-                )
-            report(plan, results, console)
+        with _bar(console, chosen.name, MofNCompleteColumn(), TextColumn("runs")) as update:
+
+            def progress(finished: int, total: int) -> None:
+                if update(finished, total) and finished:
+                    console.print(
+                        f"{finished} of {total} runs are in {directory} already", soft_wrap=True
+                    )
+
+            result = sweep(
+                arguments.sweep,
+                arguments.overrides,
+                directory=directory,
+                workers=arguments.workers,
+                scheduler=arguments.scheduler,
+                fmi=arguments.fmi,
+                progress=progress,
+            )
+        if result.interrupted:
+            return report_error(
+                f"interrupted after {len(result.runs)} of {len(result.plan)} runs; the same command computes the remaining runs",
+                STOPPED,
+            )
+        report(result, console)
         return DONE
 
 
-def compute(
-    plan: Plan, results: Results, scheduler: str | None, workers: int | None, console: Console
-) -> Ended | None:
-    """Compute the unfinished runs. Return None if all runs are finished already.
+def report(result: SweepResult, console: Console) -> None:
+    """Write the stability map. Print the shares of stable and diverged runs, and the files."""
+    from freeflyer.analysis.sweep import boundary, results
 
-    A progress bar is shown on a terminal.
-    """
-    if len(results.runs) == len(plan):
-        return None
-    from freeflyer.analysis.sweep import run as sweep
-    from freeflyer.analysis.sweep.cluster import connected
-
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("runs"),
-        TimeRemainingColumn(),
-    )
-    with (
-        connected(scheduler, workers) as client,
-        Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar,
-    ):
-        task = bar.add_task(plan.sweep.name, total=len(plan), completed=len(results.runs))
-        return sweep.run(
-            plan, results, client, lambda finished: bar.update(task, completed=finished)
-        )
-
-
-def report(plan: Plan, results: Results, console: Console) -> None:
-    """Write the table of all runs and the stability map.
-
-    Print the shares of stable and diverged runs, and the names of the files.
-    """
-    from freeflyer.analysis.sweep import evaluation
-    from freeflyer.analysis.sweep import results as sweep_results
-
-    # Print, for each case, the shares of stable and diverged runs.
-    table = results.write()
-    shares = Table(title=plan.sweep.title, title_justify="left")
-    shares.add_column("case")
-    for name in ("runs", "stable", "diverged", "failed"):
-        shares.add_column(name, justify="right")
-    counted = sweep_results.per_case(table)
-    for case in counted:
-        judged = case["runs"] - case["unjudged"]
-        shares.add_row(
-            case["case"],
-            str(case["runs"]),
-            percent(case["stable"], judged) if judged else "too short",
-            percent(case["diverged"], case["runs"]),
-            str(case["failed"]),
-        )
-    console.print(shares)
-    cause = sweep_results.frequent_failure(table)
+    console.print(as_rich(result.table))
+    cause = results.frequent_failure(result.runs)
     if cause:
         console.print(f"Most frequent failure: {cause}", soft_wrap=True)
-    # Draw the stability map, if the sweep has a stability map.
-    written = [sweep_results.RESULTS]
-    if plan.sweep.map is not None:
-        from freeflyer.analysis.figure_style import save
-        from freeflyer.analysis.sweep import map as stability_map
+    written = [results.RESULTS]
+    figure = result.plan.sweep.map
+    if figure is not None:
+        from freeflyer.scenario.figure_style import save
 
-        figure = plan.sweep.map
-        lines = predicted(plan, figure, console) if figure.predict else None
-        save(
-            stability_map.draw(table, figure.x, figure.y, plan.units, lines),
-            results.directory / "stability_map",
-        )
+        # The computation of a point of the boundary takes about 1 s.
+        with _bar(console, "predicted boundary", MofNCompleteColumn()) as update:
+            points, total = 0, boundary.points(result.plan, figure)
+
+            def done(note: str | None) -> None:
+                nonlocal points
+                points += 1
+                update(points, total)
+                if note:
+                    console.print(f"Note: {note}", soft_wrap=True)
+
+            drawn = result.plot(done)
+        save(drawn, result.directory / "stability_map")
         written += ["stability_map.png", "stability_map.pdf"]
-    if plan.evaluation is not None:
-        axes = [str(axis.target) for axis in plan.axes]
-        rows, by = table.to_pylist(), str(plan.sweep.evaluation)
-        console.print(
-            evaluation.reported(plan.evaluation, by, rows, axes, results.directory),
-            soft_wrap=True,
-        )
-    console.print(f"Results in {results.directory}: {', '.join(written)}", soft_wrap=True)
+    own = result.report()
+    if own is not None:
+        console.print(own, soft_wrap=True)
+    console.print(f"Results in {result.directory}: {', '.join(written)}", soft_wrap=True)
 
 
-def predicted(plan: Plan, figure: Map, console: Console) -> Mapping[str, tuple[Array, Array]]:
-    """Predict the stability boundary of each case from the linearised loop.
+@contextmanager
+def _bar(
+    console: Console, text: str, *columns: ProgressColumn
+) -> Iterator[Callable[[int, int], bool]]:
+    """Show a progress bar on a terminal.
 
-    For each value on the y axis of the map, the boundary has one point. The computation of a point
-    takes about 1 s. A progress bar is shown on a terminal.
+    Yields a function of the number of finished items and the number of all items. It returns
+    whether it was called for the first time.
     """
-    from freeflyer.analysis.sweep import boundary
-
-    columns = (TextColumn("predicted boundary"), BarColumn(), MofNCompleteColumn())
+    described = TextColumn("{task.description}", markup=False)
     with Progress(
-        *columns, console=console, transient=True, disable=not console.is_terminal
+        described,
+        BarColumn(),
+        *columns,
+        TimeRemainingColumn(),
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
     ) as bar:
-        task = bar.add_task("", total=boundary.points(plan, figure))
+        tasks: list[TaskID] = []
 
-        def done(note: str | None) -> None:
-            bar.advance(task)
-            if note:
-                console.print(f"Note: {note}", soft_wrap=True)
+        def update(finished: int, total: int) -> bool:
+            first = not tasks
+            if first:
+                tasks.append(bar.add_task(text, total=total))
+            bar.update(tasks[0], completed=finished)
+            return first
 
-        return boundary.predicted(plan, figure, done)
-
-
-def percent(part: int, whole: int) -> str:
-    return f"{100.0 * part / whole:.1f} %"
+        yield update

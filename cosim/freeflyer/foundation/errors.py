@@ -31,6 +31,12 @@ class RecordError(CosimError):
     """A record cannot be read, or required data are missing in the record."""
 
 
+class UnknownSignal(RecordError, KeyError):
+    """A record does not contain a signal."""
+
+    __str__ = Exception.__str__
+
+
 class OutputError(CosimError):
     """Results cannot be written."""
 

@@ -13,15 +13,21 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as parquet
 
 from freeflyer.fmi.component import Array
-from freeflyer.foundation.errors import CosimError
+from freeflyer.foundation.errors import CosimError, UnknownSignal
 from freeflyer.foundation.output_file import write_whole
+from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer.master.provenance import KEY, Provenance
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
 
 MOST_NUMBERS = 1 << 30
 """Largest allowed number of values in a file that is read. This number of values needs 8 GiB."""
@@ -69,6 +75,10 @@ class Record:
         self.rows = 0
         self.provenance: Provenance | None = None
 
+    def __repr__(self) -> str:
+        span = f", {self.time[0]:g} to {self.time[-1]:g} s" if self.rows else ""
+        return f"Record of {self.rows} rows{span}: {', '.join(self.signals)}"
+
     def append(self, time: float, values: Array) -> None:
         self._time[self.rows] = time
         self._values[self.rows] = values
@@ -91,8 +101,12 @@ class Record:
     def __getitem__(self, name: str) -> Array:
         """Return the values of a signal. The shape is (rows, size), or (rows) for a scalar.
 
-        Raises KeyError if the record does not contain the signal.
+        Raises UnknownSignal if the record does not contain the signal.
         """
+        if name not in self.signals:
+            raise UnknownSignal(
+                f"the record has no signal {name!r}; `record.signals` lists its signals{did_you_mean(str(name), self.signals)}"
+            )
         signal = self.signals[name]
         block = self._values[: self.rows, signal.first : signal.first + signal.size]
         return block[:, 0] if signal.size == 1 else block
@@ -153,6 +167,41 @@ class Record:
 
         Raises OutputError if the file cannot be written.
         """
+        table = self.to_arrow()
+        write_whole(path, lambda partial: parquet.write_table(table, partial, compression="zstd"))
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """Return a data frame: the column `time` [s], and a column for each element of a signal.
+
+        `attrs["units"]` has the units of the columns.
+        """
+        return self.to_arrow().to_pandas()
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Return a dataset with the dimension `time` [s]. Each signal is a variable.
+
+        An array has a second dimension SIGNAL_element, counted from 1. `attrs["units"]` of a
+        variable is the unit of its elements, or a list of units.
+        """
+        import xarray
+
+        variables = {}
+        for name, signal in self.signals.items():
+            axis = () if signal.size == 1 else (f"{name}_element",)
+            units = [unit or "" for unit in signal.units]
+            unit = units[0] if len(set(units)) == 1 else units
+            variables[name] = (("time", *axis), self[name], {"units": unit})
+        coordinates = {
+            f"{s.name}_element": np.arange(1, s.size + 1)
+            for s in self.signals.values()
+            if s.size > 1
+        }
+        return xarray.Dataset(
+            variables, {"time": ("time", self.time, {"units": "s"}), **coordinates}
+        )
+
+    def to_arrow(self) -> pa.Table:
+        """Return an Arrow table with the columns of `to_pandas`, with the units in its schema."""
         columns = {"time": self.time}
         for signal in self.signals.values():
             for offset, column in enumerate(signal.columns):
@@ -171,5 +220,4 @@ class Record:
             )
             for values in columns.values()
         ]
-        table = pa.table(arrays, schema=schema)
-        write_whole(path, lambda partial: parquet.write_table(table, partial, compression="zstd"))
+        return pa.table(arrays, schema=schema)

@@ -13,9 +13,9 @@ import numpy as np
 from matplotlib import pyplot as plt
 from scipy.spatial.transform import Rotation
 
-from freeflyer.analysis.figure_style import LINES
 from freeflyer.fmi.component import Array
 from freeflyer.master.record import Record
+from freeflyer.scenario.figure_style import LINES
 
 XYZ = ("x", "y", "z")
 YPR = (r"$\psi$ (yaw)", r"$\theta$ (pitch)", r"$\phi$ (roll)")

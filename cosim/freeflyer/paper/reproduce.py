@@ -10,9 +10,7 @@ from matplotlib import rc_context
 from rich.console import Console
 from rich.table import Table
 
-from freeflyer.analysis.audit import figure as audit_figure
-from freeflyer.analysis.audit import ledger, recorded_loop
-from freeflyer.analysis.figure_style import STYLE, save
+from freeflyer.analysis.audit.audit import audit
 from freeflyer.foundation.clock import seconds
 from freeflyer.foundation.exit_codes import DONE, STOPPED
 from freeflyer.foundation.output_file import check_writable, write_text
@@ -31,6 +29,7 @@ from freeflyer.paper.statements import (
 )
 from freeflyer.scenario import experiment, scenario
 from freeflyer.scenario.experiment import Result
+from freeflyer.scenario.figure_style import STYLE, save
 
 ATTEMPTS = 3
 """Maximum number of attempts to run a loop in real time."""
@@ -51,7 +50,7 @@ def reproduce(directory: Path, fmi: int, console: Console, *, in_real_time: bool
     with experiment.progress_bar(console, scenarios) as reports:
         for case in scenarios:
             results[case.name] = experiment.run(case, fmi=fmi, progress=reports[case.name])
-            experiment.write(results[case.name], directory / case.name)
+            results[case.name].write(directory / case.name)
             if results[case.name].outcome.interrupted:
                 break
     # Run the loops in real time, and write the summary of all runs.
@@ -223,7 +222,7 @@ def draw(results: Mapping[str, Result], directory: Path) -> list[Figure]:
     for name in DEFAULT_GAINS[1:]:
         record = results[name].outcome.record
         path = directory / f"energy_audit_{name}.png"
-        save(audit_figure.draw(ledger.audit(recorded_loop.find(record))), path)
+        save(audit(record).plot(), path)
         caption = f"Energy audit of {name} (not in the paper): powers, balance, energy sources and sinks, observed and true energy."
         drawn.append(Figure(number="Energy audit", caption=caption, path=path))
     return drawn

@@ -1,13 +1,15 @@
-"""Run one scenario and write its results."""
+"""Run one scenario, and its results."""
 
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -16,23 +18,30 @@ from freeflyer.fmi.component import Array, Port
 from freeflyer.foundation.clock import seconds
 from freeflyer.foundation.interrupts import interrupts
 from freeflyer.foundation.output_file import write_text
+from freeflyer.foundation.table import Shown, Table
 from freeflyer.master import native
 from freeflyer.master.master import Master, Outcome
 from freeflyer.master.master import Progress as Report
 from freeflyer.master.provenance import Provenance
+from freeflyer.master.record import Record
 from freeflyer.scenario import metrics
 from freeflyer.scenario.assemble import assembled
+from freeflyer.scenario.overrides import Changes
 from freeflyer.scenario.parameters import Values, current
-from freeflyer.scenario.scenario import Scenario
-from freeflyer.scenario.verdict import as_expected
+from freeflyer.scenario.scenario import Scenario, loaded
+from freeflyer.scenario.verdict import End, as_expected, end_of, sentence
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
-@dataclass(frozen=True, kw_only=True)
-class Result:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Result(Shown):
     """Results of a run.
 
-    `errors` maps the name of an error in summary.json to its time series. A time series has one
-    value for each row of the record.
+    `errors` maps the name of an error in summary.json to its time series (rows) [m or deg, as in
+    the name]. A time series has one value for each row of the record. `summary` is the content of
+    summary.json.
     """
 
     scenario: Scenario
@@ -45,6 +54,76 @@ class Result:
         """Whether the run ended in the way that the scenario expects: completed or diverged."""
         return as_expected(self.scenario, self.outcome)
 
+    @property
+    def record(self) -> Record:
+        """Times and signals: `record.time`, `record["free_flyer.base_position"]`."""
+        return self.outcome.record
+
+    @property
+    def verdict(self) -> End:
+        """How the run ended. `outcome.cause` is the reason of an early end."""
+        return end_of(self.outcome)
+
+    def plot(self, *others: Result, labels: Sequence[str] | None = None) -> Figure:
+        """Return a figure of all errors over time, together with those of `others`.
+
+        `labels` are the names of the runs in the legend (default: the names of the scenarios).
+        Save the figure with its method `savefig`. Raises CosimError if there is nothing to plot.
+        """
+        from freeflyer.scenario import plot
+
+        runs = (self, *others)
+        return plot.errors(
+            [(run.record.time, run.errors) for run in runs],
+            labels or [run.scenario.name for run in runs],
+        )
+
+    def write(self, directory: str | os.PathLike[str]) -> None:
+        """Write record.parquet and summary.json. Raises OutputError.
+
+        Each file is written atomically.
+        """
+        folder = Path(directory)
+        with interrupts():  # after Ctrl-C during the first file, the second file is still written
+            self.record.write(folder / "record.parquet")
+            write_text(folder / "summary.json", json.dumps(self.summary, indent=2) + "\n")
+
+    @property
+    def table(self) -> Table:
+        rows = []
+        for name in self.errors:
+            label, _, unit = name.rpartition("_error_")
+            values = self.summary[name]
+            rows.append(
+                (
+                    f"{label.replace('_', ' ')} error [{unit}]",
+                    _shown(values["max"]),
+                    _shown(values["last_10_s"]),
+                )
+            )
+        rows += [
+            (f"{name} observed energy, minimum [J]", _shown(energy["min"]), "")
+            for name, energy in self.summary["observed_energy_j"].items()
+        ]
+        times = f"{self.outcome.simulated:g}", f"{self.outcome.wall:.2f}"
+        return Table(
+            title=self.scenario.title,
+            header=("", "maximum", "last 10 s"),
+            rows=[*rows, ("simulated [s] / wall [s]", *times)],
+        )
+
+    def __repr__(self) -> str:
+        end = sentence(self.scenario, self.outcome) or "completed"
+        return f"{super().__repr__()}\n{end}"
+
+    def _repr_html_(self) -> str:
+        end = sentence(self.scenario, self.outcome) or "completed"
+        return f"{super()._repr_html_()}<p>{escape(end)}</p>"
+
+
+def _shown(value: float | None) -> str:
+    return "not finite" if value is None else f"{value:.3g}"
+
 
 Engine = Literal["core", "python"]
 """The implementation that steps the components during a run.
@@ -55,19 +134,23 @@ Both engines give the same numbers.
 
 
 def run(
-    scenario: Scenario,
+    scenario: Scenario | str | os.PathLike[str],
+    changes: Changes = (),
     *,
     fmi: int | None = None,
     progress: Report | None = None,
     engine: Engine = "core",
 ) -> Result:
-    """Load, check and simulate a scenario, and compute its errors and summary.
+    """Check and simulate a scenario, and compute its errors and summary.
 
-    `fmi`, if given, overrides the FMI version of all FMUs. `progress` is called with the simulated
-    time [s] during the run.
+    `scenario` is a result of `load`, or its argument. `changes` are those of `load`. `fmi`, if
+    given, overrides the FMI version of all FMUs. `engine` is the code that steps them (`Engine`).
+    `progress` is called with the simulated time [s] during the run. Several threads may run
+    scenarios. After Ctrl-C, the result has the rows up to then, with the verdict "interrupted".
     Raises CosimError for an error before the first step. An error in a step ends the run without an
     exception. It is then in `outcome` of the result.
     """
+    scenario = loaded(scenario, changes)
     with assembled(scenario, fmi) as (master, values):
         metrics.check(scenario, master.graph.components)
         # If Ctrl-C ends the simulation, the results up to then are kept and summarised.
@@ -109,16 +192,6 @@ def _plain(port: Port, value: Array) -> Any:
     if port.boolean:
         value = value.astype(bool)
     return value[0].item() if port.size == 1 else value.tolist()
-
-
-def write(result: Result, directory: Path) -> None:
-    """Write record.parquet and summary.json. Raises OutputError.
-
-    Each file is written atomically.
-    """
-    with interrupts():  # after Ctrl-C during the first file, the second file is still written
-        result.outcome.record.write(directory / "record.parquet")
-        write_text(directory / "summary.json", json.dumps(result.summary, indent=2) + "\n")
 
 
 @contextmanager

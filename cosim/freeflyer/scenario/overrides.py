@@ -1,15 +1,65 @@
-"""Overrides of a scenario's tables: `--set COMPONENT.PARAMETER=VALUE`."""
+"""Changes of a scenario's tables: `--set COMPONENT.PARAMETER=VALUE`, or a mapping in Python."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
+
+import numpy as np
 
 from freeflyer.foundation import toml_file
 from freeflyer.foundation.errors import ScenarioError
 from freeflyer.foundation.signal_name import split
 from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer.scenario.inheritance import Raw
+
+Changes = Mapping[str, object] | Sequence[str]
+"""Changes of a scenario: a mapping from COMPONENT.PARAMETER to a value, or texts as after `--set`.
+
+A value is a number, a Boolean, a text such as "300 ms" or "matched", or a list or array of numbers.
+"""
+
+
+def apply(raw: Raw, changes: Changes) -> None:
+    """Apply changes to the tables `raw` of a scenario. Raises ScenarioError."""
+    check_changes(changes)
+    if not isinstance(changes, Mapping):
+        for text in changes:
+            override(raw, text)
+        return
+    for target, value in changes.items():
+        assign(raw, target, plain(value, target), target)
+
+
+def check_changes(changes: object) -> None:
+    """Raise ScenarioError if `changes` is neither a mapping from texts nor a list of texts."""
+    known = isinstance(changes, Mapping) or (
+        isinstance(changes, Sequence) and not isinstance(changes, str)
+    )
+    if not known or not all(isinstance(item, str) for item in changes):  # type: ignore[attr-defined]
+        raise ScenarioError(
+            f"the changes are {changes!r}; a mapping {{'COMPONENT.PARAMETER': value}}, or a list of 'COMPONENT.PARAMETER=VALUE', is expected"
+        )
+
+
+def plain(value: object, target: str, *, texts: bool = False) -> Any:
+    """Return a Python value as a value of TOML. Raises ScenarioError for another type.
+
+    A text is parsed as the VALUE of `override`, unless `texts` is true.
+    """
+    if isinstance(value, str):
+        return value if texts else parse_value(value)
+    if isinstance(value, np.generic | np.ndarray):
+        value = value.tolist()
+    if isinstance(value, bool | int | float):
+        return value
+    if isinstance(value, list | tuple):
+        return [plain(item, target, texts=texts) for item in value]
+    if isinstance(value, Mapping) and all(isinstance(key, str) for key in value):
+        return {key: plain(item, target, texts=texts) for key, item in value.items()}
+    raise ScenarioError(
+        f"{target} is {value!r} of type {type(value).__name__}; a number, a Boolean, a text or a list is expected"
+    )
 
 
 def override(raw: Raw, text: str) -> None:

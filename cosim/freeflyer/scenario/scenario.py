@@ -21,22 +21,23 @@ import math
 import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 from freeflyer.foundation import toml_file
-from freeflyer.foundation.clock import nanoseconds
+from freeflyer.foundation.clock import nanoseconds, shown
 from freeflyer.foundation.errors import ScenarioError
 from freeflyer.foundation.signal_name import split, split_connection
 from freeflyer.foundation.suggestions import did_you_mean
+from freeflyer.foundation.table import Shown, Table
 from freeflyer.foundation.units import converted, factor
 from freeflyer.master.connection import Connection
 from freeflyer.master.divergence import Limit
 from freeflyer.master.graph import Exchange
 from freeflyer.scenario import csv_parameters
 from freeflyer.scenario.inheritance import Raw, merged
-from freeflyer.scenario.overrides import override
+from freeflyer.scenario.overrides import Changes, apply, check_changes, plain
 from freeflyer.scenario.signal_roles import ROLES, SEVERAL, SignalRoles
 
 SHIPPED = Path(__file__).parent.parent / "paper" / "scenarios"
@@ -84,9 +85,12 @@ class Measure:
         return "m" if self.kind == "position" else "deg"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Scenario:
-    """A checked scenario. `stop` and `record_every` are in ns."""
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Scenario(Shown):
+    """A checked scenario, as `load` returns it. It is immutable, and any thread may run it.
+
+    `stop` and `record_every` are in ns. `changed` returns a scenario with other parameters.
+    """
 
     name: str
     title: str
@@ -117,6 +121,30 @@ class Scenario:
     roles: SignalRoles
     source: str
     """The merged scenario as TOML, for the report."""
+    keeps: object = field(default=None, compare=False)
+    """Object that must live as long as the scenario: the folder of the FMUs of an SSP file."""
+
+    def changed(self, changes: Changes) -> Scenario:
+        """Return this scenario with other values of parameters, as `load(name, changes)`.
+
+        Raises ScenarioError.
+        """
+        raw = toml_file.parsed(self.source)
+        apply(raw, changes)
+        found = from_tables(raw, self.directory / f"{self.name}.toml")
+        return replace(found, keeps=self.keeps)
+
+    @property
+    def table(self) -> Table:
+        steps = {
+            spec.name: spec.step if isinstance(spec.step, str) else f"{shown(spec.step)}"
+            for spec in self.components
+        }
+        return Table(
+            title=f"Scenario {self.name}: {self.title} ({shown(self.stop)}, {self.exchange} exchange, {len(self.connections)} connections)",
+            header=("component", "kind", "step"),
+            rows=[(spec.name, spec.kind, steps[spec.name]) for spec in self.components],
+        )
 
 
 def shipped() -> list[str]:
@@ -124,26 +152,32 @@ def shipped() -> list[str]:
     return sorted(path.stem for path in SHIPPED.glob("*.toml") if not path.stem.startswith("_"))
 
 
-def load(name: str, overrides: Sequence[str] = ()) -> Scenario:
-    """Return a shipped scenario by name, or a scenario file by path. Raises ScenarioError.
+def load(name: str | os.PathLike[str], changes: Changes = ()) -> Scenario:
+    """Return a shipped scenario by name, or a scenario file (.toml) by path.
 
-    Each override has the form `COMPONENT.PARAMETER=VALUE`.
+    `changes` are new values of parameters: a mapping {"base_controller.period": "0.1 s"}, or a
+    list of texts "base_controller.period=0.1 s". A number without a unit is in the unit of the
+    parameter (SI; docs/fmu_variables.md). Raises ScenarioError.
     """
-    return from_tables(*tables(name, overrides))
+    return from_tables(*tables(os.fspath(name), changes))
 
 
-def tables(
-    name: str, overrides: Sequence[str] = (), beside: Path | None = None
-) -> tuple[Raw, Path]:
+def loaded(scenario: Scenario | str | os.PathLike[str], changes: Changes = ()) -> Scenario:
+    """Return a scenario, or the scenario of a name or path, with changes. Raises ScenarioError."""
+    if not isinstance(scenario, Scenario):
+        return load(scenario, changes)
+    return scenario.changed(changes) if changes else scenario
+
+
+def tables(name: str, changes: Changes = (), beside: Path | None = None) -> tuple[Raw, Path]:
     """Return the tables of a scenario and the path of its file. Raises ScenarioError.
 
-    The tables contain those of the extended scenarios, and the overrides are applied. The tables
+    The tables contain those of the extended scenarios, and the changes are applied. The tables
     are not checked. `name` and `beside` are the arguments of `find`.
     """
     path = find(name, beside)
     raw = _read(path, ())
-    for text in overrides:
-        override(raw, text)
+    apply(raw, changes)
     _expand(raw)
     return raw, path
 
@@ -539,6 +573,14 @@ def to_toml(raw: Raw) -> str:
 
     emit(raw, "")
     return "\n".join(lines).strip() + "\n"
+
+
+def texts(changes: Changes) -> list[str]:
+    """Return changes as arguments of `--set`. Raises ScenarioError."""
+    check_changes(changes)
+    if not isinstance(changes, Mapping):
+        return list(changes)
+    return [f"{target}={literal(plain(value, target))}" for target, value in changes.items()]
 
 
 def _key(name: str) -> str:

@@ -6,10 +6,14 @@ follows from the verdict.
 
 from __future__ import annotations
 
+from typing import Literal
+
 from freeflyer.foundation.errors import report_error
 from freeflyer.foundation.exit_codes import DONE, STOPPED
 from freeflyer.master.master import Outcome
 from freeflyer.scenario.scenario import Scenario
+
+End = Literal["completed", "diverged", "failed", "interrupted"]
 
 
 def as_expected(scenario: Scenario, outcome: Outcome) -> bool:
@@ -19,25 +23,37 @@ def as_expected(scenario: Scenario, outcome: Outcome) -> bool:
     return outcome.diverged == (scenario.expect == "diverges")
 
 
+def end_of(outcome: Outcome) -> End:
+    """Return how a run ended."""
+    if outcome.interrupted:
+        return "interrupted"
+    if outcome.failed:
+        return "failed"
+    return "diverged" if outcome.diverged else "completed"
+
+
+def sentence(scenario: Scenario, outcome: Outcome) -> str:
+    """Return the end of a run, its time and its cause. It is empty for a run as expected."""
+    at, cause = f"{outcome.simulated:g} s", outcome.cause
+    if outcome.interrupted:
+        return f"interrupted at {at}"
+    if outcome.failed:
+        return f"the run stopped at {at}: {cause}"
+    if outcome.diverged and as_expected(scenario, outcome):
+        return f"Diverged at {at}, as this scenario expects ({cause})"
+    if outcome.diverged:
+        return f"the run diverged at {at} and stopped: {cause}"
+    if not as_expected(scenario, outcome):
+        return "this scenario expects to diverge, but the run completed"
+    return ""
+
+
 def verdict(scenario: Scenario, outcome: Outcome) -> int:
     """Return the exit code of a run. Report the outcome, unless the run completed as expected."""
-    expected = as_expected(scenario, outcome)
-    if outcome.interrupted:
-        return report_error(
-            f"interrupted at {outcome.simulated:g} s; the results up to then are saved", STOPPED
-        )
-    if outcome.failed:
-        return report_error(
-            f"the run stopped at {outcome.simulated:g} s: {outcome.cause}; the results up to then are saved",
-            STOPPED,
-        )
-    if outcome.diverged and expected:
-        print(f"Diverged at {outcome.simulated:g} s, as this scenario expects ({outcome.cause})")
-    elif outcome.diverged:
-        return report_error(
-            f"the run diverged at {outcome.simulated:g} s and stopped: {outcome.cause}; the results up to then are saved",
-            STOPPED,
-        )
-    elif not expected:
-        return report_error("this scenario expects to diverge, but the run completed", STOPPED)
+    text = sentence(scenario, outcome)
+    if not as_expected(scenario, outcome):
+        saved = "" if end_of(outcome) == "completed" else "; the results up to then are saved"
+        return report_error(text + saved, STOPPED)
+    if text:
+        print(text)
     return DONE

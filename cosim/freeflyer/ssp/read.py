@@ -12,11 +12,13 @@ annotation of the default experiment, and the default experiments of the FMUs.
 from __future__ import annotations
 
 import math
+import os
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 from xml.etree import ElementTree
 
@@ -25,10 +27,11 @@ from fmpy.model_description import ModelDescription
 from freeflyer.fmi.component import Port
 from freeflyer.fmi.fmu_description import describe_fmu, ports_of
 from freeflyer.foundation import toml_file
+from freeflyer.foundation.errors import ScenarioError
 from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer.foundation.units import DIMENSIONLESS, same
 from freeflyer.scenario.inheritance import Raw
-from freeflyer.scenario.overrides import override
+from freeflyer.scenario.overrides import Changes, apply
 from freeflyer.scenario.scenario import Scenario, from_tables
 from freeflyer.ssp.names import (
     ANNOTATION,
@@ -50,21 +53,36 @@ own name. The second item is the name of the connector.
 """
 
 
+def load_ssp(
+    path: str | os.PathLike[str], changes: Changes = (), *, step: float | None = None
+) -> Scenario:
+    """Return a scenario from an SSP file.
+
+    `changes` are those of `freeflyer.load`. `step` [s] is the communication step of each component
+    for which the file contains no step. The unpacked FMUs exist as long as the scenario and the
+    results of its runs. Raises CosimError if the file is invalid or contains unsupported content.
+    """
+    if step is not None and not 0.0 < step < float("inf"):
+        raise ScenarioError(f"--step {step:g}: a time above zero is expected")
+    unpacked = TemporaryDirectory(prefix="freeflyer-")
+    found = read(Path(path), Path(unpacked.name), step=step, overrides=changes)
+    return replace(found, keeps=unpacked)
+
+
 def read(
-    path: Path, directory: Path, *, step: float | None = None, overrides: Sequence[str] = ()
+    path: Path, directory: Path, *, step: float | None = None, overrides: Changes = ()
 ) -> Scenario:
     """Read a scenario from an SSP file, and unpack its FMUs into `directory`.
 
     The directory must exist as long as the scenario is used. `step` [s] is the communication step
-    of each component for which the file contains no step. `overrides` contains the arguments of
-    `--set`, for example "stop_s=10".
+    of each component for which the file contains no step. `overrides` are changes of the scenario,
+    for example ["stop_s=10"].
 
     Raises CosimError if the file is invalid or contains unsupported content.
     """
     with opened(path, directory) as package:
         raw = _System(package).tables(step, overrides)
-    for text in overrides:
-        override(raw, text)
+    apply(raw, overrides)
     return from_tables(raw, path)
 
 
@@ -104,7 +122,7 @@ class _System:
         self.unmatched: list[str] = []
         """Names of parameters that match no variable of an FMU in this system."""
 
-    def tables(self, step: float | None, overrides: Sequence[str]) -> Raw:
+    def tables(self, step: float | None, overrides: Changes) -> Raw:
         """Read SystemStructure.ssd and return the tables of the scenario.
 
         For `step` and `overrides`, see `read`.
@@ -405,7 +423,7 @@ class _System:
 
     # The scenario
 
-    def _raw(self, root: Element, step: float | None, overrides: Sequence[str]) -> Raw:
+    def _raw(self, root: Element, step: float | None, overrides: Changes) -> Raw:
         # A scenario starts at time 0.
         experiment = root.find("ssd:DefaultExperiment", NAMESPACES)
         times = experiment.attrib if experiment is not None else {}

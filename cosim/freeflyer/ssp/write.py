@@ -11,6 +11,7 @@ which SSP has no elements.
 
 from __future__ import annotations
 
+import os
 import tomllib
 import zipfile
 from collections.abc import Iterable, Mapping
@@ -27,7 +28,7 @@ from freeflyer.foundation.clock import seconds
 from freeflyer.foundation.errors import ComponentError, ScenarioError
 from freeflyer.foundation.output_file import write_whole
 from freeflyer.foundation.signal_name import split
-from freeflyer.scenario.assemble import System
+from freeflyer.scenario.assemble import System, loaded
 from freeflyer.scenario.scenario import ComponentSpec, Scenario, to_toml
 from freeflyer.ssp.names import ANNOTATION, DESCRIPTION, FMU_TYPE, SETTINGS, STEP_ANNOTATION, tag
 
@@ -36,6 +37,22 @@ IMPLEMENTATIONS = {"fmu": "CoSimulation", "model_exchange": "ModelExchange"}
 BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 
 Element = ElementTree.Element
+
+
+def write_ssp(
+    scenario: Scenario, path: str | os.PathLike[str], *, fmi: int | None = None
+) -> System:
+    """Write a scenario's system, with its FMUs, as one SSP file for other tools.
+
+    `fmi` is the FMI version of the shipped FMUs: 2 for SSP 1.0, 3 for SSP 2.0 (default: that of the
+    scenario, otherwise 2). Returns the assembled system. Raises CosimError.
+    """
+    file = Path(path)
+    if file.suffix != ".ssp":
+        raise ScenarioError(f"--out {file}: a file name that ends in .ssp is expected")
+    with loaded(scenario, fmi) as system:
+        write(scenario, system, file)
+    return system
 
 
 def write(scenario: Scenario, system: System, path: Path) -> None:

@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 from matplotlib import pyplot as plt
+from matplotlib.figure import Figure
 
-from freeflyer.analysis.audit.ledger import Audit
-from freeflyer.analysis.figure_style import STYLE
+from freeflyer.analysis.audit.ledger import Ledger
 from freeflyer.fmi.component import Array
+from freeflyer.scenario.figure_style import STYLE
 
 # The colours are from the palette of Okabe and Ito. The lines of one panel also differ in style,
 # width or opacity. Therefore a reader can distinguish these lines in a print without colours.
@@ -25,7 +26,7 @@ DECADES = 4
 """Number of decades that a symmetric logarithmic axis shows on each side of zero."""
 
 
-def draw(audit: Audit) -> Any:
+def draw(audit: Ledger) -> Figure:
     """Return the figure, with four panels over time."""
     with plt.rc_context(STYLE):
         figure, axes = plt.subplots(4, 1, figsize=(7.6, 8.2), sharex=True)
@@ -45,7 +46,7 @@ def draw(audit: Audit) -> Any:
         return figure
 
 
-def _powers(axes: Any, audit: Audit) -> None:
+def _powers(axes: Any, audit: Ledger) -> None:
     axes.set_title("Power that flows into the robot", loc="left")
     axes.plot(audit.time, audit.base.power, label="port B, true wrench", **B)
     axes.plot(audit.time, audit.manipulator.power, label="port M", **M)
@@ -53,7 +54,7 @@ def _powers(axes: Any, audit: Audit) -> None:
     _scale(axes, "[W]", audit.base.power, audit.manipulator.power)
 
 
-def _balance(axes: Any, audit: Audit) -> None:
+def _balance(axes: Any, audit: Ledger) -> None:
     title = (
         "Balance: work at the ports and kinetic energy"
         if audit.balance
@@ -79,7 +80,7 @@ def _balance(axes: Any, audit: Audit) -> None:
     _scale(axes, "[J]", *lines)
 
 
-def _sources(axes: Any, audit: Audit) -> None:
+def _sources(axes: Any, audit: Ledger) -> None:
     axes.set_title("Energy sources and sinks", loc="left")
     virtual_m, virtual_b = audit.manipulator.virtual, audit.base.virtual
     taken = audit.base.taken + audit.manipulator.taken
@@ -102,7 +103,7 @@ def _sources(axes: Any, audit: Audit) -> None:
     _scale(axes, "[J]", audit.base.stale, virtual_b, virtual_m, damped, taken)
 
 
-def _observed(axes: Any, audit: Audit) -> None:
+def _observed(axes: Any, audit: Ledger) -> None:
     axes.set_title(
         f"Observed energy ('{audit.loop.observer}' observer) and true energy (E(0) minus the work at the port)",
         loc="left",

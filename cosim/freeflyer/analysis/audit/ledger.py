@@ -94,8 +94,8 @@ class Balance:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Audit:
-    """Result of `audit`."""
+class Ledger:
+    """All energies of a recorded loop."""
 
     loop: RecordedLoop
     base: Port
@@ -115,7 +115,7 @@ class Audit:
         return self.loop.time
 
 
-def audit(loop: RecordedLoop) -> Audit:
+def ledger(loop: RecordedLoop) -> Ledger:
     """Compute the energy audit of a recorded loop."""
     # Compute the share of each controller and the displacements of each motion. A share is the time
     # for which a sample is held, as a fraction of the row interval. `moved` is the displacement in
@@ -174,7 +174,7 @@ def audit(loop: RecordedLoop) -> Audit:
         observed=loop.base_observed_energy,
     )
     # The tracking power is the power of the spring and the damper on the tracking error.
-    return Audit(
+    return Ledger(
         loop=loop,
         base=port_b,
         manipulator=port_m,

@@ -1,4 +1,4 @@
-"""Predict the largest stable base period of a scenario from its linearised loop at the set point.
+"""Scan the base period of a loop that is linearised at its set point.
 
 The prediction varies the period of one controller. This controller is called the scanned
 controller, and its period is called the base period T_b. The period of the scenario is the value of
@@ -18,12 +18,11 @@ from numpy.typing import NDArray
 
 from freeflyer.analysis.prediction import lifting
 from freeflyer.analysis.prediction.modes import Limit, Mode, limit_of
-from freeflyer.analysis.prediction.set_point import SetPoint, at_set_point
+from freeflyer.analysis.prediction.set_point import SetPoint
 from freeflyer.analysis.prediction.task_coordinates import TaskCoordinates
 from freeflyer.fmi.component import Array
 from freeflyer.foundation.clock import nanoseconds, seconds, shown
 from freeflyer.foundation.errors import ScenarioError
-from freeflyer.scenario.scenario import Scenario
 
 LONGEST = 0.5
 """Default of the longest scanned period [s].
@@ -36,7 +35,7 @@ BATCH = 50
 
 
 @dataclass(frozen=True, kw_only=True)
-class Prediction:
+class Scan:
     """Result of a scan over the base period. Times are in s.
 
     `scenario` and `component` are the names of the scenario and of the scanned controller. `tick_s`
@@ -46,8 +45,8 @@ class Prediction:
     returns the plant to the set point: it can rest at any position.
     The scan starts at the shortest period that the controllers accept, which is usually T_m.
     `largest_stable_s`: all scanned periods up to this period are stable. It is 0 if the loop is
-    unstable with the shortest period. It is the longest scanned period if all periods are stable. `stable_s` contains
-    the first and the last period of each stable interval.
+    unstable with the shortest period. It is the longest scanned period if all periods are stable.
+    `stable_s` contains the first and the last period of each stable interval.
     `boundary` is the least stable mode at the first unstable period. `limit` is the cause of this
     instability. `boundary` and `limit` are None if all periods are stable. `own` is the least
     stable mode at the period of the scenario. `coordinates` describe the loop at the first unstable
@@ -117,26 +116,8 @@ def _mode_summary(mode: Mode) -> dict[str, Any]:
     }
 
 
-def predict(
-    scenario: Scenario,
-    *,
-    longest: float | None = None,
-    component: str | None = None,
-    beyond: bool = True,
-) -> Prediction:
-    """Scan the period of `component` (default: the slowest controller) up to `longest` [s].
-
-    The step of the scan is T_m. If `beyond` is false, the scan stops soon after the first unstable
-    period. It then does not find stable intervals above this period. Sweeps pass `beyond=False`.
-    The passivity controllers are off. The start of the scenario must be a set point (`set_point`).
-    Raises CosimError.
-    """
-    with at_set_point(scenario, component) as here:
-        return scan(here, longest, beyond=beyond)
-
-
-def scan(here: SetPoint, longest: float | None, *, beyond: bool = True) -> Prediction:
-    """Scan the period of the loop at a set point. `predict` explains the arguments."""
+def scan(here: SetPoint, longest: float | None, *, beyond: bool = True) -> Scan:
+    """Scan the period of the loop at a set point. `predict.predict` explains the arguments."""
     # Compute the spectral radius for each period. Each call of `multipliers` handles one batch of
     # periods.
     roles = here.model.roles
@@ -161,7 +142,7 @@ def scan(here: SetPoint, longest: float | None, *, beyond: bool = True) -> Predi
     last = count if first is None else first - 1
     boundary = here.modes(first)[0] if first else None
     coordinates = here.coordinates(first or own)
-    return Prediction(
+    return Scan(
         scenario=here.model.scenario.name,
         component=roles.scanned,
         tick_s=seconds(roles.tick),

@@ -203,10 +203,9 @@ class Instants:
     def feedback(self) -> Array:
         """Return the gain from the plant's states to the plant's inputs through all laws.
 
-        Its shape is (plant inputs, plant states). The gain is for a constant state of the plant, and
-        for memories that have come to rest. In parallel exchange, an output can need several
-        instants to reach the plant. Therefore several instants are computed, and the state of the
-        plant is kept constant.
+        Its shape is (plant inputs, plant states). The gain is for a constant state of the plant and
+        for memories at rest. In parallel exchange, an output can need several instants to reach the
+        plant. Therefore several instants are computed, and the state of the plant is kept constant.
         """
         laws = tuple(
             replace(law, sample=(rest := sample(law.sample.gain)), between=rest)

@@ -6,28 +6,26 @@ The figure also shows the stable intervals and the largest stable period.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import matplotlib
 import numpy as np
 
-from freeflyer.analysis.figure_style import LINES, STYLE
-from freeflyer.analysis.prediction.boundary import Prediction
+from freeflyer.analysis.prediction.boundary import Scan
 from freeflyer.analysis.prediction.trajectory import AlongTrajectory
 from freeflyer.foundation.output_file import write_whole
+from freeflyer.scenario.figure_style import LINES, STYLE
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt
+from matplotlib.figure import Figure
 
 
-def write(prediction: Prediction, along: AlongTrajectory | None, path: Path) -> None:
+def write(figure: Figure, path: Path) -> None:
     """Write the figure atomically as a PNG file. Raises OutputError."""
-    figure = scan(prediction, along)
     write_whole(path, lambda partial: figure.savefig(partial, dpi=160, format="png"))
-    plt.close(figure)
 
 
-def scan(prediction: Prediction, along: AlongTrajectory | None) -> Any:
+def scan(prediction: Scan, along: AlongTrajectory | None) -> Figure:
     """Draw the growth rate ln(radius) / T_b as a function of T_b.
 
     `radius` is the spectral radius of the map over one base period. Stable periods have a negative
@@ -77,4 +75,5 @@ def scan(prediction: Prediction, along: AlongTrajectory | None) -> Any:
         axes.set_ylabel("growth rate [1/s]")
         axes.set_xlim(0.0, prediction.longest_s)
         axes.legend(loc="lower right")
+    plt.close(figure)  # pyplot forgets the figure; the caller owns it
     return figure

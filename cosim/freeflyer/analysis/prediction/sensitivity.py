@@ -89,9 +89,9 @@ class DifferentiableFmu(FmuComponent):
 
         An unknown is an output, a state, or a state derivative `der(STATE)`. A known is an input or
         a state. A discrete state is the value before a sample as a known, and the value after it as
-        an unknown. The function returns a Jacobian with one row for each element of the unknowns, and
-        one column for each element of the knowns. It raises ComponentError if the FMU returns an
-        error.
+        an unknown. The function returns a Jacobian with one row for each element of the unknowns
+        and one column for each element of the knowns. It raises ComponentError if the FMU returns
+        an error.
         """
         # The buffers of all calls are allocated once, because the function is called often.
         results, rows = self._references(unknowns)

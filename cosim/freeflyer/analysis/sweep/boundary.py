@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from freeflyer.analysis.prediction.boundary import predict
+from freeflyer.analysis.prediction.predict import predict
 from freeflyer.analysis.prediction.set_point import at_set_point
 from freeflyer.analysis.sweep.file import Map
 from freeflyer.analysis.sweep.plan import Plan

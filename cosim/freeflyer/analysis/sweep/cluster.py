@@ -68,6 +68,10 @@ def _local(workers: int) -> Iterator[Client]:
     cluster = client = None
     before = os.environ.get(SAFE_PATH)
     os.environ[SAFE_PATH] = "1"
+    # A worker process would import the main module, and so run the script of the user again.
+    script = sys.modules["__main__"]
+    attributes = {name: vars(script).pop(name, None) for name in ("__file__", "__spec__")}
+    script.__spec__ = None
     try:
         try:
             with _blocked_sigint():
@@ -98,6 +102,7 @@ def _local(workers: int) -> Iterator[Client]:
         os.environ.pop(SAFE_PATH, None)
         if before is not None:
             os.environ[SAFE_PATH] = before
+        vars(script).update({n: value for n, value in attributes.items() if value is not None})
         shutil.rmtree(folder, ignore_errors=True)
 
 

@@ -9,6 +9,7 @@ An error message contains the file, the key and the expected value.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,7 +31,8 @@ from freeflyer.foundation.errors import ScenarioError
 from freeflyer.foundation.suggestions import did_you_mean
 from freeflyer.scenario import csv_parameters
 from freeflyer.scenario.inheritance import Raw
-from freeflyer.scenario.overrides import parse_value
+from freeflyer.scenario.overrides import Changes, parse_value, plain
+from freeflyer.scenario.scenario import texts
 
 SHIPPED = Path(__file__).parents[2] / "paper" / "sweeps"
 ONE_CASE = "scenario"
@@ -90,18 +92,27 @@ def shipped() -> list[str]:
     return sorted(path.stem for path in SHIPPED.glob("*.toml"))
 
 
-def read(name: str, settings: Sequence[str] = ()) -> Sweep:
+def read(source: str | os.PathLike[str] | Mapping[str, Any], changes: Changes = ()) -> Sweep:
     """Read a shipped sweep by name, or a TOML file by path. Raises ScenarioError.
 
-    `settings` are appended to the settings in the file.
+    `source` can also be the tables of such a file. `changes` are appended to the settings in the
+    file.
     """
-    path = _find(name)
+    settings = texts(changes)
+    if isinstance(source, Mapping):
+        raw = plain(source, "the sweep", texts=True)
+        return _named(raw, Path("sweep.toml").absolute(), settings)
+    path = _find(os.fspath(source))
     try:
         raw = toml_file.read(path)
     except OSError as error:
         raise ScenarioError(f"sweep {path} cannot be read: {error.strerror}") from error
     except ValueError as error:
         raise ScenarioError(f"sweep {path} is not valid TOML: {error}") from error
+    return _named(raw, path, settings)
+
+
+def _named(raw: Raw, path: Path, settings: Sequence[str]) -> Sweep:
     try:
         return _sweep(raw, path, settings)
     except ScenarioError as error:

@@ -12,10 +12,11 @@ import numpy as np
 import pyarrow as pa
 from matplotlib import colors
 from matplotlib import pyplot as plt
+from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from freeflyer.analysis.figure_style import STYLE
 from freeflyer.fmi.component import Array
+from freeflyer.scenario.figure_style import STYLE
 
 STABLE, GROWING, FAILED = "#56B4E9", "#F0E442", "#999999"
 """Colours that are safe for colour-blind readers."""
@@ -31,7 +32,7 @@ def draw(
     y: str,
     units: Mapping[str, str],
     boundary: Mapping[str, Boundary] | None = None,
-) -> Any:
+) -> Figure:
     """Draw one panel per case, and return the figure.
 
     `table` has one row per run. A panel has one cell for each pair of values of the columns `x` and

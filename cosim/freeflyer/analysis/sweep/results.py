@@ -64,12 +64,18 @@ class Results:
         write_whole(path, lambda partial: parquet.write_table(table, partial, compression="zstd"))
         self.runs.update(row["run"] for row in rows)
 
-    def write(self) -> pa.Table:
-        """Write all parts as one table, sorted by run, and return the table. Raises OutputError."""
+    def table(self) -> pa.Table:
+        """Return all parts as one table, sorted by run."""
         tables = [parquet.read_table(path, schema=self.schema) for path in self._parts()]
-        table = (
-            pa.concat_tables(tables).sort_by("run").replace_schema_metadata(self.schema.metadata)
+        return (
+            pa.concat_tables([self.schema.empty_table(), *tables])
+            .sort_by("run")
+            .replace_schema_metadata(self.schema.metadata)
         )
+
+    def write(self) -> pa.Table:
+        """Write all parts as one table, and return the table. Raises OutputError."""
+        table = self.table()
         write_whole(
             self.directory / RESULTS,
             lambda partial: parquet.write_table(table, partial, compression="zstd"),

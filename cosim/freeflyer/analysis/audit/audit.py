@@ -1,0 +1,71 @@
+"""Audit of a recorded run: where its energy entered, and where it was dissipated."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from freeflyer.analysis.audit import recorded_loop, report
+from freeflyer.analysis.audit.ledger import Ledger, ledger
+from freeflyer.foundation.output_file import check_writable, write_text
+from freeflyer.foundation.table import Shown, Table
+from freeflyer.master.record import Record
+from freeflyer.scenario.experiment import Result
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Audit(Shown, Ledger):
+    """Result of `audit`: the ports `base` and `manipulator`, and the energy `balance` (or None).
+
+    Energies [J] flow into the robot; `time` [s] has the shape (n). `notes` are the limitations of
+    this audit. docs/energy_audit.md explains every member.
+    """
+
+    @property
+    def table(self) -> Table:
+        """Energies that flowed into the robot at each port."""
+        return report.table(self)
+
+    @property
+    def observers(self) -> Table:
+        """Observed and true energies."""
+        return report.observers(self)
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """The content of energy_audit.json."""
+        return report.numbers(self)
+
+    def plot(self) -> Figure:
+        """Return the figure of energy_audit.png, four panels over time."""
+        from freeflyer.analysis.audit import figure
+
+        return figure.draw(self)
+
+    def write(self, directory: str | os.PathLike[str]) -> None:
+        """Write energy_audit.png, energy_audit.pdf and energy_audit.json. Raises OutputError."""
+        from freeflyer.scenario.figure_style import save
+
+        folder = Path(directory)
+        check_writable(folder)
+        save(self.plot(), folder / "energy_audit.png")
+        write_text(folder / "energy_audit.json", json.dumps(self.summary, indent=2) + "\n")
+
+
+def audit(source: Result | Record | str | os.PathLike[str]) -> Audit:
+    """Compute where the energy of a recorded run entered, and where it was dissipated.
+
+    `source` is the result of `run`, its record, or the path of a directory or of a record.parquet
+    that `freeflyer run` wrote. The equations are in docs/energy_audit.md. Raises RecordError if
+    there is no such record, or if it does not contain the signals of both controllers.
+    """
+    if isinstance(source, Result):
+        source = source.record
+    record = source if isinstance(source, Record) else report.read(Path(source))
+    return Audit(**vars(ledger(recorded_loop.find(record))))

@@ -1,0 +1,126 @@
+"""Load a robot, and export its blocks as FMUs."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+from freeflyer_fmus.blocks.block import Block
+from freeflyer_fmus.blocks.shipped import BLOCKS
+from freeflyer_fmus.blocks.user_block import load_block
+from freeflyer_fmus.equations.pinocchio_reference import disagreement
+from freeflyer_fmus.errors import FmuSourceError, RobotError
+from freeflyer_fmus.export.archive import build_all
+from freeflyer_fmus.export.compiler import PLATFORMS, Platform, host_platform
+from freeflyer_fmus.robot.robot import Robot
+from freeflyer_fmus.robot.urdf import DEFAULT_ROBOT, load_robot_file, load_urdf, robot_path
+
+SOURCES = "sources"
+"""Name among the platforms that adds the C sources, for importers that compile FMUs themselves."""
+AGREEMENT = 1e-8
+"""Largest accepted relative difference between the forward dynamics and Pinocchio's result."""
+
+
+def load_robot(
+    source: str | os.PathLike[str] = DEFAULT_ROBOT.stem,
+    *,
+    base_link: str | None = None,
+    end_effector: str | None = None,
+    tool_link: str | None = None,
+    lock: Mapping[str, float] | None = None,
+    posture: Mapping[str, float] | Sequence[float] | None = None,
+) -> Robot:
+    """Return a shipped robot by name, a robot file (.toml), or a URDF.
+
+    The keywords apply to a URDF only. `base_link` (default: the root) is the floating base,
+    `end_effector` (default: the only link without children) has the frame E, and the mass and
+    inertia of `tool_link` become FMU parameters. `lock` fixes joints at positions [rad or m], and
+    `posture` has the start positions [rad or m] of the free joints. Raises RobotError.
+    """
+    path = robot_path(os.fspath(source))
+    given = [base_link, end_effector, tool_link, posture, *(lock or ())]
+    if path.suffix != ".toml":
+        return load_urdf(
+            path,
+            base_link=base_link,
+            end_effector=end_effector,
+            tool_link=tool_link,
+            lock=lock,
+            posture=posture,
+        )
+    if any(value is not None for value in given):
+        raise RobotError(
+            "--base-link, --end-effector, --tool-link, --lock and --posture apply only to a URDF; select a URDF file with --robot"
+        )
+    return load_robot_file(path)
+
+
+def check_dynamics(robot: Robot) -> float:
+    """Return the relative difference of the generated forward dynamics from Pinocchio's.
+
+    Raises RobotError if the difference is above AGREEMENT.
+    """
+    difference = disagreement(robot)
+    if not difference < AGREEMENT:
+        raise RobotError(
+            f"robot {robot.name}: the generated forward dynamics differ from Pinocchio's by {difference:.1e}, but less than "
+            f"{AGREEMENT:g} is expected: choose inertias that differ less in magnitude"
+        )
+    return difference
+
+
+def chosen_platforms(text: str) -> tuple[list[Platform], bool]:
+    """Return the platforms to compile for, and whether to add the C sources to the FMUs.
+
+    Raises FmuSourceError for an unknown name.
+    """
+    chosen: dict[str, Platform] = {}
+    names = [name.strip() for name in text.split(",")]
+    for name in names:
+        if name == "all":
+            chosen |= PLATFORMS
+        elif name == "host":
+            chosen[host_platform().fmi3] = host_platform()
+        elif name in PLATFORMS:
+            chosen[name] = PLATFORMS[name]
+        elif name != SOURCES:
+            raise FmuSourceError(
+                f"--platforms {text}: {name!r} is not one of {', '.join((*PLATFORMS, SOURCES))}, host, all"
+            )
+    return list(chosen.values()), SOURCES in names or "all" in names
+
+
+def export_fmus(
+    directory: str | os.PathLike[str],
+    robot: Robot | None = None,
+    block: Block | str | os.PathLike[str] | None = None,
+    *,
+    platforms: str = "host",
+) -> dict[str, dict[int, Path]]:
+    """Build FMUs into `directory`, and return their paths: {"free_flyer": {2: ..., 3: ...}}.
+
+    The keys of the inner mapping are the FMI versions. `robot` is a result of `load_robot`
+    (default: the LWR 4+ with six joints). `block` is one block, or a file FILE.py with the function
+    block(robot) -> Block (default: all shipped blocks). `platforms` is a list of names separated by
+    commas: host, all, sources, or those of docs/fmus.md. Raises FmuSourceError.
+    """
+    return {made.name: paths for made, paths in exported(directory, robot, block, platforms)}
+
+
+def exported(
+    directory: str | os.PathLike[str],
+    robot: Robot | None,
+    block: Block | str | os.PathLike[str] | None,
+    platforms: str,
+) -> Iterator[tuple[Block, dict[int, Path]]]:
+    """Yield each block with its paths, as soon as it is built. See `export_fmus`."""
+    chosen, sources = chosen_platforms(platforms)
+    if isinstance(block, Block):
+        blocks = [block]
+    else:
+        makers = BLOCKS.values() if block is None else [load_block(Path(block))]
+        blocks = [make(robot or load_robot()) for make in makers]
+    for each in blocks:  # check every block before the first file is written
+        _ = each.functions
+    yield from build_all(blocks, Path(directory), chosen, sources=sources)
