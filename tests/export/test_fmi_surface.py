@@ -117,6 +117,28 @@ def test_a_state_of_another_fmu_is_rejected(fmus: Path, version: int) -> None:
         instance.close()
 
 
+# Initialization mode
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_outputs_may_be_read_before_a_required_connection_has_a_value(
+    fmus: Path, version: int
+) -> None:
+    """Masters that iterate in initialization mode read outputs before they set connected inputs."""
+    controller = Instance(path_of(fmus, version, "base_controller"))
+    controller.switch("preview", True)
+    controller.enter()
+    assert np.isfinite(controller.get("base_wrench")).all()
+    with pytest.raises(FMICallException):
+        controller.fmu.exitInitializationMode()
+    controller.set("preview_time", 0.15)
+    controller.fmu.exitInitializationMode()
+    controller.set("preview_time", 0.0)
+    with pytest.raises(FMICallException):
+        controller.step(0.0, 0.3)
+    controller.close()
+
+
 # Changes during a run
 
 

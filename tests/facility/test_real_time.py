@@ -33,11 +33,13 @@ SECONDS = 4.0
 
 
 @pytest.fixture
-def bench(tmp_path: Path) -> Iterator[Rig]:
-    with rig(tmp_path) as made:
+def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Rig]:
+    """Return a rig; the parameter, if any, is its scenario."""
+    with rig(tmp_path, getattr(request, "param", "facility")) as made:
         yield made
 
 
+@pytest.mark.parametrize("bench", ["facility", "facility_robust"], indirect=True)
 def test_over_real_links_the_errors_match_the_simulation(bench: Rig) -> None:
     facility = bench.facility(*PATIENT_FACILITY)
     loop = bench.hil(*PATIENT_LOOP, f"stop_s={SECONDS}")
@@ -45,7 +47,7 @@ def test_over_real_links_the_errors_match_the_simulation(bench: Rig) -> None:
     time.sleep(1.5)  # the facility must detect the end of its controller
     report = bench.facility_report(facility)
     summary = bench.summary()
-    without_clock = experiment.run(scenario.load("facility", [f"stop_s={SECONDS}"])).summary
+    without_clock = experiment.run(scenario.load(bench.scenario, [f"stop_s={SECONDS}"])).summary
     for name in ("end_effector_position_error_m", "base_position_error_m"):
         there, here = without_clock[name]["max"], summary[name]["max"]
         assert here == pytest.approx(there, rel=0.1, abs=1e-3), name

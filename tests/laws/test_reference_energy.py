@@ -114,6 +114,29 @@ def test_the_filter_makes_the_loop_insensitive_to_noise() -> None:
     assert late(without) > 3.0 * late(with_filter)
 
 
+def test_joint_friction_does_not_use_up_the_energy_of_the_facility_with_the_reference_energy() -> (
+    None
+):
+    """Coulomb friction of 0.3 N m uses up E_m(0) of `facility`: its PC then brakes the motion."""
+    port, reference = (
+        run(name, "arm_drive.coulomb_friction=0.3").summary["end_effector_position_error_m"]["max"]
+        for name in ("facility", "facility_robust")
+    )
+    assert reference < 4e-3
+    assert port > 5e-2
+
+
+def test_in_parallel_exchange_the_first_sample_of_the_base_uses_the_measured_errors() -> None:
+    """In parallel exchange, this sample reads the filtered errors as they are initialised."""
+    off = ["free_flyer.base_position=[0.02, -0.01, 0]", "stop_s=0.1"]
+    sequential, parallel = (
+        run("robust", *off, f"exchange={exchange}").outcome.record["base_controller.base_wrench"]
+        for exchange in ("sequential", "parallel")
+    )
+    assert np.linalg.norm(sequential[0]) > 1.0
+    assert np.abs(parallel[0] - sequential[0]).max() < 1e-12
+
+
 @pytest.mark.parametrize("period", [0.15, 0.3, pytest.param(1.0, marks=pytest.mark.slow)])
 def test_the_prediction_makes_a_late_base_command_convergent(period: float) -> None:
     settings = [

@@ -1,13 +1,19 @@
-"""The compared closed loop: the connections of the shipped scenario `multirate_passive`."""
+"""The compared closed loops: connections and values of two shipped scenarios."""
 
 from __future__ import annotations
 
-import tomllib
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
 
+import numpy as np
 from slaves import Connection, Value
 
+from freeflyer.fmi.component import Array, Port
+from freeflyer.scenario.assemble import loaded
+from freeflyer.scenario.scenario import load
+
+SCENARIOS = ("multirate_passive", "robust")
 COMPONENTS = ("manipulator_controller", "base_controller", "free_flyer", "reference_trajectory")
 """Controllers first: the order of a sequential exchange."""
 RECORDED = (
@@ -25,39 +31,53 @@ def fmus(version: int) -> dict[str, Path]:
     return {name: folder / f"{name}.fmu" for name in COMPONENTS}
 
 
-def connections() -> list[Connection]:
-    text = (
-        Path(str(files("freeflyer"))) / "paper" / "scenarios" / "_free_flyer_loop.toml"
-    ).read_text()
-    loop = tomllib.loads(text)
-    found = []
-    for line in (*loop["connections"], *loop["delayed"]):
-        source, _, targets = line.partition(" -> ")
-        found += [(source, target.strip()) for target in targets.split(",")]
-    return found
+def connections(scenario: str = "multirate_passive") -> list[Connection]:
+    return [(c.source, c.target) for c in load(scenario).connections]
+
+
+MOVING: dict[str, Value] = {
+    "base_position": [0.02, -0.01, 0.0],
+    "base_velocity": [0.0, 0.01, 0.0, 0.02, 0.0, 0.0],
+}
+"""Start values of the plant off the equilibrium. The initial exchange then affects the result."""
 
 
 def start_values(
-    period: float = 0.3, *, moving: bool = False, base_passivity_control: bool = True
+    scenario: str = "multirate_passive",
+    period: float = 0.3,
+    *,
+    moving: bool = False,
+    base_passivity_control: bool = True,
 ) -> dict[str, dict[str, Value]]:
-    """Return the start values; `moving` starts off the equilibrium.
-
-    The initial exchange then affects the result.
-    """
-    values: dict[str, dict[str, Value]] = {
-        "manipulator_controller": {
-            "period": 0.001,
-            "base_period": period,
-            "base_passivity_control": base_passivity_control,
-        },
-        "base_controller": {"period": period},
-    }
+    """Return the values of a scenario that differ from the start values of the FMUs."""
+    values = {name: dict(own) for name, own in _start_values(scenario, period).items()}
+    values["manipulator_controller"]["base_passivity_control"] = base_passivity_control
     if moving:
-        values["free_flyer"] = {
-            "base_position": [0.02, -0.01, 0.0],
-            "base_velocity": [0.0, 0.01, 0.0, 0.02, 0.0, 0.0],
-        }
+        values["free_flyer"] = {**values["free_flyer"], **MOVING}
     return values
+
+
+@cache
+def _start_values(scenario: str, period: float) -> dict[str, dict[str, Value]]:
+    with loaded(load(scenario, [f"base_controller.period={period}"]), 2) as system:
+        return {
+            name: {
+                parameter: _plain(component.ports[parameter], numbers)
+                for parameter, numbers in system.values[name].items()
+                if not _is_start(component.ports[parameter], numbers)
+            }
+            for name, component in system.components.items()
+        }
+
+
+def _is_start(port: Port, numbers: Array) -> bool:
+    return port.start is not None and np.array_equal(port.start, numbers)
+
+
+def _plain(port: Port, numbers: Array) -> Value:
+    """Return the value of an FMI variable: Boolean, number of an enumeration's item, or Real."""
+    items = [bool(x) if port.boolean else int(x) if port.choices else float(x) for x in numbers]
+    return items if len(items) > 1 else items[0]
 
 
 def steps(base: float = 0.001) -> dict[str, float]:

@@ -5,6 +5,7 @@ Its exchange rule is Rule(rounds=number of components) of reference_loops.
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from slaves import (
     ticks,
     times,
     variables_of,
+    with_integers,
 )
 
 
@@ -35,6 +37,19 @@ def run(
     stop: float,
     recorded: Sequence[str],
 ) -> dict[str, Array]:
+    with tempfile.TemporaryDirectory() as folder:
+        fmus = with_integers(fmus, start_values, Path(folder))
+        return _run(fmus, connections, start_values, steps, stop, recorded)
+
+
+def _run(
+    fmus: Mapping[str, Path],
+    connections: Sequence[Connection],
+    start_values: StartValues,
+    steps: Mapping[str, float],
+    stop: float,
+    recorded: Sequence[str],
+) -> dict[str, Array]:
     variables = variables_of(fmus)
     for name, own in variables.items():
         if any(variable.size > len(variable.names) for variable in own.values()):
@@ -43,13 +58,11 @@ def run(
             )
     size, _, count = ticks(steps, stop)
     EcosLib.set_log_level("warn")
-    parameters: dict[str, float | bool] = {}
+    parameters: dict[str, float | int | bool] = {}
     for name, values in start_values.items():
         for variable, value in values.items():
             found = variables[name][variable]
-            if found.kind == "Enumeration":
-                raise EcosError(f"{name}.{variable}: ecos does not support enumerations")
-            cast = bool if found.kind == "Boolean" else float
+            cast = {"Boolean": bool, "Integer": int}.get(found.kind, float)
             for element, item in zip(found.names, elements(value, found.size), strict=True):
                 parameters[f"{name}::{element}"] = cast(item)
     with EcosSimulationStructure() as structure:

@@ -27,6 +27,7 @@ from slaves import (
     ticks,
     times,
     variables_of,
+    with_integers,
 )
 
 OSP = "http://opensimulationplatform.com/MSMI/OSPSystemStructure"
@@ -49,10 +50,11 @@ def run(
     stop: float,
     recorded: Sequence[str],
 ) -> dict[str, Array]:
-    variables = variables_of(fmus)
     size, _, count = ticks(steps, stop)
     log_output_level(CosimLogLevel.WARNING)
     with tempfile.TemporaryDirectory() as folder:
+        fmus = with_integers(fmus, start_values, Path(folder))
+        variables = variables_of(fmus)
         if len(set(steps.values())) == 1:
             execution = _in_memory(fmus, variables, connections, start_values, size)
         else:  # libcosimpy's calls give all slaves the same step
@@ -92,13 +94,10 @@ def _in_memory(
     for name, values in start_values.items():
         for variable, value in values.items():
             found = variables[name][variable]
-            if found.kind == "Enumeration":
-                raise LibcosimError(f"{name}.{variable}: libcosim does not support enumerations")
-            put = (
-                execution.boolean_initial_value
-                if found.kind == "Boolean"
-                else execution.real_initial_value
-            )
+            put = {
+                "Boolean": execution.boolean_initial_value,
+                "Integer": execution.integer_initial_value,
+            }.get(found.kind, execution.real_initial_value)
             for reference, item in zip(found.references, elements(value, found.size), strict=True):
                 checked(put(index[name], reference, item), f"setting {name}.{variable}")
     for source, target in connections:

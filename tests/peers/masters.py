@@ -74,12 +74,17 @@ PEERS = {
 
 
 def arguments(
-    base_step: float, stop: float, *, moving: bool = True, **options: object
+    base_step: float,
+    stop: float,
+    *,
+    scenario: str = "multirate_passive",
+    moving: bool = True,
+    **options: object,
 ) -> tuple[object, ...]:
     """Return the arguments of every peer's `run` after the FMUs."""
-    values = closed_loop.start_values(moving=moving, **options)  # type: ignore[arg-type]
+    values = closed_loop.start_values(scenario, moving=moving, **options)  # type: ignore[arg-type]
     return (
-        closed_loop.connections(),
+        closed_loop.connections(scenario),
         values,
         closed_loop.steps(base_step),
         stop,
@@ -88,7 +93,13 @@ def arguments(
 
 
 def own_master(
-    version: int, exchange: Exchange, base_step: float, stop: float, *, moving: bool = True
+    version: int,
+    exchange: Exchange,
+    base_step: float,
+    stop: float,
+    *,
+    scenario: str = "multirate_passive",
+    moving: bool = True,
 ) -> dict[str, Array]:
     changes = [
         f"stop_s={stop}",
@@ -96,13 +107,9 @@ def own_master(
         f'exchange="{exchange}"',
         f"base_controller.step_s={base_step}",
     ]
-    for component, values in closed_loop.start_values(moving=moving).items():
-        changes += [
-            f"{component}.{name}={value}"
-            for name, value in values.items()
-            if isinstance(value, list)
-        ]
-    with assembled(load("multirate_passive", changes), version) as (master, _):
+    if moving:
+        changes += [f"free_flyer.{name}={value}" for name, value in closed_loop.MOVING.items()]
+    with assembled(load(scenario, changes), version) as (master, _):
         record = master.run().record
     return {"time": record.time, **{signal: record[signal] for signal in closed_loop.RECORDED}}
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import shutil
+import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -58,6 +60,35 @@ def read_variables(path: Path, *, validate: bool = True) -> tuple[Any, dict[str,
 
 def variables_of(fmus: Mapping[str, Path]) -> dict[str, dict[str, Variable]]:
     return {name: read_variables(path)[1] for name, path in fmus.items()}
+
+
+def with_integers(
+    fmus: Mapping[str, Path], start_values: StartValues, folder: Path
+) -> dict[str, Path]:
+    """Return the FMUs with integers in place of enumerations, for masters without enumerations.
+
+    FMI 2.0 sets both types by the same function. Therefore only the model description changes. If
+    no start value is an enumeration, the FMUs stay as they are.
+    """
+    variables = variables_of(fmus)
+    kinds = {variables[name][key].kind for name, values in start_values.items() for key in values}
+    if "Enumeration" not in kinds:
+        return dict(fmus)
+    return {name: _with_integers(path, folder / f"{name}.fmu") for name, path in fmus.items()}
+
+
+def _with_integers(path: Path, out: Path) -> Path:
+    with zipfile.ZipFile(path) as old, zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as new:
+        for entry in old.namelist():
+            data = old.read(entry)
+            if entry == "modelDescription.xml":
+                data = re.sub(
+                    rb'<Enumeration start="(\d+)" declaredType="[^"]*"',
+                    rb'<Integer start="\1"',
+                    data,
+                )
+            new.writestr(entry, data)
+    return out
 
 
 def split(signal: str) -> tuple[str, str]:

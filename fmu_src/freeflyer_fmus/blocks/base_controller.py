@@ -159,11 +159,12 @@ def base_controller(robot: Robot) -> Block:
     require_regular_jacobian(block, star.sigma_min, least_sigma)
     block.require(
         ca.if_else(preview, preview_time, 1), 0, "preview_time with the switch preview [s]",
-        "connect the preview outputs of the reference, or switch off preview", strict=True,
+        "connect the preview outputs of the reference, or switch off preview", strict=True, connection=True,
     )
     block.require(
         ca.if_else(use_filtered, filter_time, 1), 0, "filter_time_constant with the switch filtered [s]",
-        "connect the filtered outputs of the manipulator controller and set its filter_time, or switch off filtered", strict=True,
+        "connect the filtered outputs of the manipulator controller and set its filter_time, or switch off filtered",
+        strict=True, connection=True,
     )
     block.require(
         ca.if_else(use_filtered, T_b - filter_time, 0), 0, "period minus filter_time_constant [s]",

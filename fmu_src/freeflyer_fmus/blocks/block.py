@@ -71,7 +71,10 @@ class Requirement:
 
     If the condition is violated, the FMU returns an error. The error message contains `subject`
     (what the value is), the value and `remedy` (what the user can do). If `initially` is True, the
-    condition is checked only at initialisation and after a change of parameters.
+    condition is checked only at initialisation and after a change of parameters. If `connection` is
+    True, the condition shows that an input is connected. In initialization mode, this condition is
+    not checked before the end of the mode, because the master may read outputs before it sets
+    inputs.
     """
 
     value: SX
@@ -80,6 +83,7 @@ class Requirement:
     subject: str
     remedy: str
     initially: bool
+    connection: bool
 
 
 class Block:
@@ -245,8 +249,8 @@ class Block:
     def initial(self, state: str, value: SX) -> None:
         """Set the value of a state after initialisation.
 
-        The value is an expression of parameters and start values. In this expression, the symbol of
-        a state is the start value of the state.
+        The value is an expression of parameters, inputs and start values. In this expression, the
+        symbol of a state is the start value of the state.
         """
         self._assign(self._initial, state, value)
 
@@ -281,6 +285,7 @@ class Block:
         *,
         strict: bool = False,
         initially: bool = False,
+        connection: bool = False,
     ) -> None:
         """Add a requirement (see `Requirement` for the arguments).
 
@@ -296,6 +301,7 @@ class Block:
                 subject=subject,
                 remedy=remedy,
                 initially=initially,
+                connection=connection,
             )
         )
 

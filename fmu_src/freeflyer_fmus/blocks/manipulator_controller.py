@@ -221,6 +221,8 @@ def manipulator_controller(robot: Robot) -> Block:
         ("end_effector_velocity_error", v_m - v_d, TWIST),
     ):
         before = block.state(f"filtered_{name}", np.zeros(6), unit, f"Filtered {name}, in I")
+        # In parallel exchange, the base controller samples these values at t = 0.
+        block.initial(f"filtered_{name}", value)
         filtered[f"filtered_{name}"] = before + share_f * (value - before)
     v_bf = ca.if_else(tau_f > 0, filtered["filtered_base_velocity"], v_b)
     # Observer `reference`: the energy beyond that of a continuous spring-damper.

@@ -33,10 +33,10 @@ typedef struct {
 
 /* Condition value >= minimum, or value > minimum if `strict` is nonzero. The block's functions
    return the pair (value, minimum) of each requirement as its margin, in the order of the
-   requirements. */
+   requirements. If `connection` is nonzero, the condition shows that an input is connected. */
 typedef struct {
     const char *subject, *remedy;
-    int strict;
+    int strict, connection;
 } Requirement;
 
 /* Range of the value vector. The order of the values is time, parameters, inputs, states, outputs,

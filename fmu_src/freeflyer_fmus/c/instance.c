@@ -183,7 +183,10 @@ Status instance_exit_initialization(Instance *c)
     }
     m->outputs_valid = NONE;
     m->rates_valid = 0;
-    if (instance_update_outputs(c, ALL) != OK)
+    c->inputs_complete = 1;
+    Status valid = instance_update_outputs(c, ALL);
+    c->inputs_complete = 0;
+    if (valid != OK)
         return instance_report(c, ERROR, REQUIREMENT);
     memcpy(at(c, block.states), instance_present_states(c),
            (size_t)block.states.count * sizeof(double));

@@ -47,6 +47,7 @@ typedef struct {
 typedef struct Instance {
     const char *name;
     int model_exchange;
+    int inputs_complete; /* nonzero while instance_exit_initialization checks the requirements */
     void *environment;
     void (*log)(struct Instance *, Status, const char *category, const char *text);
     void *log_target[2];

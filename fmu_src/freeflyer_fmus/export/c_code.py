@@ -154,11 +154,12 @@ def c_text(text: str) -> str:
 
 def print_requirements(name: str, requirements: Sequence[Requirement]) -> str:
     rows = [
-        f"    {{{c_text(r.subject)}, {c_text(r.remedy)}, {int(r.strict)}}}," for r in requirements
+        f"    {{{c_text(r.subject)}, {c_text(r.remedy)}, {int(r.strict)}, {int(r.connection)}}},"
+        for r in requirements
     ]
     return (
         f"static const Requirement {name}[] = {{\n"
-        + "\n".join(rows or ['    {"", "", 0},'])
+        + "\n".join(rows or ['    {"", "", 0, 0},'])
         + "\n};\n"
     )
 
